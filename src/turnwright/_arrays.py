@@ -1,0 +1,61 @@
+"""Arrays at the border: float64, finite where they must be, read-only once stored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from turnwright.errors import InputError
+
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int64]
+Bools: TypeAlias = NDArray[np.bool_]
+
+
+def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool = True) -> Floats:
+    """Return ``values`` as a read-only float64 array without copying where none is needed.
+
+    The caller's own array stays writable; the view that is stored is not.
+
+    Raises
+    ------
+    InputError
+        If the values are not numbers, have the wrong number of dimensions, or must be finite and are not.
+    """
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} holds something that is not a number: give plain numbers") from error
+    if ndim is not None and np.ndim(values) != ndim:
+        raise InputError(f"{name} has {np.ndim(values)} dimensions where {ndim} are needed: reshape it")
+    if finite and not np.isfinite(array).all():
+        bad = int(np.count_nonzero(~np.isfinite(array)))
+        raise InputError(f"{name} holds {bad} values that are not finite, the limit is 0: remove or replace them")
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def same_length(arrays: Iterable[tuple[str, Floats]]) -> None:
+    """Raise unless all named arrays have one length."""
+    sizes = {name: array.shape[0] for name, array in arrays}
+    if len(set(sizes.values())) > 1:
+        listed = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        raise InputError(f"arrays of one motion differ in length ({listed}): give them all the same number of points")
+
+
+def positive(value: float, name: str, unit: str) -> float:
+    """Return ``value`` if it is a finite number above zero."""
+    if not np.isfinite(value) or value <= 0:
+        raise InputError(f"{name} is {value:g} {unit}, it must be finite and above 0 {unit}: give a positive value")
+    return float(value)
+
+
+def between(value: float, name: str, low: float, high: float, unit: str) -> float:
+    """Return ``value`` if it lies in the closed interval [low, high]."""
+    if not low <= value <= high:
+        raise InputError(f"{name} is {value:g} {unit}, the limits are {low:g} to {high:g} {unit}: give a value between")
+    return float(value)

@@ -1,0 +1,126 @@
+"""Three views of one motion: where the tool is sent, where it stands, and how the axes move in time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from turnwright._arrays import Floats, frozen, same_length
+from turnwright.errors import InputError
+from turnwright.machine import Machine
+
+__all__ = ["Motion", "Path", "Spiral"]
+
+
+def _sense(angle: Floats, what: str) -> int:
+    """Return +1 or -1, the direction in which the spindle angle runs."""
+    if angle.size < 2:
+        raise InputError(f"{what} has {angle.size} points, it needs at least 2: take a smaller feed or more points")
+    steps = np.diff(angle)
+    if (steps > 0).all():
+        return 1
+    if (steps < 0).all():
+        return -1
+    raise InputError(f"the spindle angle of {what} turns back: make it grow or fall all the way")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Spiral:
+    """Where the tool is sent, in plan view.
+
+    Parameters
+    ----------
+    angle
+        Azimuth of the part under the tool, cumulative over the turns, strictly growing or strictly falling. (n,) [rad]
+    radius
+        Commanded distance of the tip from the axis (for a path along the normal: of the contact point). (n,) [mm]
+    sense
+        +1 where the angle grows, -1 where it falls; found from the angle.
+    """
+
+    angle: Floats
+    radius: Floats
+    sense: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "angle", frozen(self.angle, "angle"))
+        object.__setattr__(self, "radius", frozen(self.radius, "radius"))
+        same_length([("angle", self.angle), ("radius", self.radius)])
+        object.__setattr__(self, "sense", _sense(self.angle, "a spiral"))
+
+    @property
+    def turns(self) -> float:
+        """Number of spindle revolutions."""
+        return float(abs(self.angle[-1] - self.angle[0]) / (2 * np.pi))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Path:
+    """Where the tool stands, in contact with the surface.
+
+    Parameters
+    ----------
+    angle, radius, z
+        Commanded tip position: spindle azimuth [rad], distance from the axis and height [mm]. Each (n,)
+    sweep
+        Where on the nose the edge touches. (n,) [rad]
+    contact_x, contact_y, contact_z
+        The cutter-contact point in the part frame. Each (n,) [mm]
+    clearance
+        Least height of the whole edge above the surface: 0 in contact, negative where the tool gouges. (n,) [mm]
+    """
+
+    angle: Floats
+    radius: Floats
+    z: Floats
+    sweep: Floats
+    contact_x: Floats
+    contact_y: Floats
+    contact_z: Floats
+    clearance: Floats
+    sense: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
+        for name in names:
+            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        same_length([(name, getattr(self, name)) for name in names])
+        object.__setattr__(self, "sense", _sense(self.angle, "a path"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """How the axes move in time, in Turnwright's own convention whatever the controller's.
+
+    C is the azimuth of the part under the tool [rad], cumulative; X the commanded distance of the tip from the axis,
+    Y (if there is one) its height above centre, Z its height [mm]. Between the points every axis moves linearly.
+
+    Parameters
+    ----------
+    time
+        Ascending. (n,) [s]
+    axes
+        Position by axis letter, at least "C", "X" and "Z". Each (n,)
+    machine
+        The machine that the commands are meant for; its geometric errors are already corrected in them.
+    """
+
+    time: Floats
+    axes: Mapping[str, Floats]
+    machine: Machine
+    sense: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", frozen(self.time, "time"))
+        missing = {"C", "X", "Z"} - set(self.axes)
+        if missing:
+            raise InputError(f"a motion lacks axis {', '.join(sorted(missing))}: give C, X and Z")
+        axes = {letter: frozen(values, f"axis {letter}") for letter, values in self.axes.items()}
+        object.__setattr__(self, "axes", MappingProxyType(axes))
+        same_length([("time", self.time), *axes.items()])
+        if not (np.diff(self.time) > 0).all():
+            raise InputError("the time of a motion does not ascend: every block needs a duration above 0 s")
+        object.__setattr__(self, "sense", _sense(axes["C"], "a motion"))

@@ -1,0 +1,59 @@
+"""Long work in chunks: on all cores, with progress, and stoppable."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from itertools import islice
+from typing import TypeAlias
+
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called with (done, total); raising in it, as Ctrl-C does, stops the work cleanly."""
+
+
+def cores() -> int:
+    """Number of processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def run_chunks(
+    work: Callable[[int, int], object],
+    total: int,
+    chunk: int,
+    progress: Progress | None = None,
+    *,
+    threads: int | None = None,
+) -> None:
+    """Call ``work(start, stop)`` over ``range(total)`` in chunks, on ``threads`` threads.
+
+    The kernels release the interpreter lock, so threads use all cores. Few chunks are in flight at a time, so a stop
+    (an exception from ``progress``, or Ctrl-C) ends the work within the length of one chunk.
+
+    >>> done = []
+    >>> run_chunks(lambda start, stop: done.append((start, stop)), 10, 4, threads=1)
+    >>> sorted(done)
+    [(0, 4), (4, 8), (8, 10)]
+    """
+    threads = threads or cores()
+    spans = [(start, min(start + chunk, total)) for start in range(0, total, chunk)]
+    finished = 0
+    with ThreadPoolExecutor(threads) as pool:
+        waiting = iter(spans)
+        running = {pool.submit(work, *span): span for span in islice(waiting, 2 * threads)}
+        try:
+            while running:
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    future.result()
+                    start, stop = running.pop(future)
+                    finished += stop - start
+                    following = next(waiting, None)
+                    if following is not None:
+                        running[pool.submit(work, *following)] = following
+                if progress is not None:
+                    progress(finished, total)
+        except BaseException:
+            for future in running:
+                future.cancel()
+            raise

@@ -1,0 +1,148 @@
+"""What every prescription can do."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from turnwright._arrays import Bools, Floats, Ints
+from turnwright.errors import DomainError
+
+if TYPE_CHECKING:
+    from turnwright.surface.compound import Placed, Sum
+
+__all__ = ["Surface"]
+
+
+class Surface(ABC):
+    """A finished surface z = f(x, y), material below it.
+
+    A new family implements `evaluate`, and where they are not the default: `inside` and `domain` (where it is
+    defined), `piece` (where it has kinks or steps) and `feature_size` (how fine its structure is).
+    """
+
+    __slots__ = ()
+
+    @abstractmethod
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return the height and its exact derivatives, without looking at the domain.
+
+        Parameters
+        ----------
+        x, y
+            Points, contiguous float64 arrays of one shape. [mm]
+        order
+            0 for (z,), 1 for (z, zx, zy), 2 for (z, zx, zy, zxx, zxy, zyy).
+
+        Returns
+        -------
+        tuple
+            Fresh arrays of the shape of ``x``. [mm, 1, 1/mm] Outside the domain anything, or nan, without a warning.
+        """
+
+    def inside(self, x: Floats, y: Floats) -> Bools | None:
+        """Return where the surface is defined, or ``None`` if it is everywhere."""
+        return None
+
+    @property
+    def domain(self) -> str:
+        """Say in words where the surface is defined."""
+        return "the whole plane"
+
+    def piece(self, x: Floats, y: Floats) -> Ints | None:
+        """Return the number of the smooth piece that each point belongs to, or ``None`` if all is one piece.
+
+        The height is twice differentiable inside a piece; between pieces it may have a kink or a step. A piece cuts
+        a straight line in one interval (its cells are convex).
+        """
+        return None
+
+    @property
+    def feature_size(self) -> float:
+        """Length over which the curvature changes noticeably: the step of a search must be well below it. [mm]."""
+        return float("inf")
+
+    def sag(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Return the height z = f(x, y).
+
+        Parameters
+        ----------
+        x, y
+            Points, broadcast against each other. [mm]
+
+        Raises
+        ------
+        DomainError
+            If the surface is not defined at a point.
+        """
+        return self._checked(x, y, 0)[0]
+
+    def gradient(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+        """Return the slopes (zx, zy). [1]. See `sag`."""
+        _, zx, zy = self._checked(x, y, 1)
+        return zx, zy
+
+    def hessian(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats, Floats]:
+        """Return the second derivatives (zxx, zxy, zyy). [1/mm]. See `sag`."""
+        _, _, _, zxx, zxy, zyy = self._checked(x, y, 2)
+        return zxx, zxy, zyy
+
+    def _checked(self, x: ArrayLike, y: ArrayLike, order: int) -> tuple[Floats, ...]:
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+        inside = self.inside(x, y)
+        if inside is not None and not inside.all():
+            first = np.flatnonzero(~inside.ravel())[0]
+            raise DomainError(
+                f"{type(self).__name__} is not defined at x = {x.ravel()[first]:.6g} mm, y = {y.ravel()[first]:.6g} mm "
+                f"({np.count_nonzero(~inside)} of {x.size} points), its domain is {self.domain}: stay inside it"
+            )
+        return self.evaluate(x, y, order)
+
+    def require_disc(self, radius: float, what: str) -> None:
+        """Raise unless the surface is defined all over the disc of ``radius``.
+
+        Raises
+        ------
+        DomainError
+            With the part of the disc that is missing.
+        """
+        angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+        rings = radius * np.linspace(0, 1, 65)
+        inside = self.inside(np.outer(rings, np.cos(angle)), np.outer(rings, np.sin(angle)))
+        if inside is not None and not inside.all():
+            reach = rings[np.argmin(inside.all(axis=1))]
+            raise DomainError(
+                f"{what} is {radius:g} mm but {type(self).__name__} is not defined beyond about {reach:.4g} mm "
+                f"somewhere around the axis, its domain is {self.domain}: reduce the radius or extend the surface"
+            )
+
+    def __add__(self, other: Surface) -> Sum:
+        from turnwright.surface.compound import Sum  # noqa: PLC0415 - a sum is itself a surface
+
+        return Sum(terms=(self, other))
+
+    def placed(
+        self,
+        *,
+        shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        rotation: float = 0.0,
+        tilt: tuple[float, float] = (0.0, 0.0),
+    ) -> Placed:
+        """Return this surface moved in the part frame: tilted, then rotated about z, then shifted.
+
+        Parameters
+        ----------
+        shift
+            Where its vertex goes (x, y, z). [mm]
+        rotation
+            About z, counter-clockwise seen from the tool. [rad]
+        tilt
+            About its own x axis, then about its own y axis, before the rotation. [rad]
+        """
+        from turnwright.surface.compound import Placed  # noqa: PLC0415
+
+        return Placed(surface=self, shift=shift, rotation=rotation, tilt=tilt)
