@@ -1,0 +1,262 @@
+"""Quantities with units, only for the edges: job files, the command line, what people read.
+
+A quantity is one plain number and one unit expression, such as ``8 um/rev``, ``2e-5 mm/deg^2`` or ``4e-9 1/mm^3``.
+A revolution (``rev``) is a dimension of its own, so a feed is never mistaken for a length or for a length per angle;
+a ``turn`` is an angle.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from contextlib import suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+from turnwright.errors import UnitError
+
+if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
+
+__all__ = ["convert", "parse", "unit", "write"]
+
+LONGEST = 100
+"""Characters in a quantity: beyond this it is a mistake, and exact arithmetic on it would be slow."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """A unit: an exact factor times a power of pi, and the powers of length, angle, time and revolution."""
+
+    factor: Fraction
+    pi: int
+    powers: tuple[int, int, int, int]
+
+    def times(self, other: _Scale, power: int) -> _Scale:
+        powers = tuple(mine + power * theirs for mine, theirs in zip(self.powers, other.powers, strict=True))
+        return _Scale(self.factor * other.factor**power, self.pi + power * other.pi, powers)  # type: ignore[arg-type]
+
+
+_DIMENSIONS = ("length", "angle", "time", "revolution")
+_ONE = _Scale(Fraction(1), 0, (0, 0, 0, 0))
+
+
+def _table() -> dict[str, _Scale]:
+    length, angle, time, revolution = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)
+    units = {
+        **{name: _Scale(Fraction(size), 0, length) for name, size in _LENGTHS.items()},
+        **{name: _Scale(Fraction(size), pi, angle) for name, (size, pi) in _ANGLES.items()},
+        **{name: _Scale(Fraction(size), 0, time) for name, size in _TIMES.items()},
+        "rev": _Scale(Fraction(1), 0, revolution),
+    }
+    units["rpm"] = units["rev"].times(units["min"], -1)
+    units["Hz"] = _ONE.times(units["s"], -1)
+    return units
+
+
+# Exact sizes in mm, rad and s; angles carry a power of pi.
+_LENGTHS = {"m": "1000", "cm": "10", "mm": "1", "um": "1e-3", "µm": "1e-3", "μm": "1e-3", "nm": "1e-6", "in": "25.4"}
+_ANGLES = {
+    "rad": ("1", 0),
+    "mrad": ("1e-3", 0),
+    "urad": ("1e-6", 0),
+    "µrad": ("1e-6", 0),
+    "μrad": ("1e-6", 0),
+    "deg": ("1/180", 1),
+    "arcmin": ("1/10800", 1),
+    "arcsec": ("1/648000", 1),
+    "turn": ("2", 1),
+}
+_TIMES = {"ms": "1e-3", "s": "1", "min": "60", "h": "3600"}
+_UNITS = _table()
+
+# One decimal number, ASCII digits, a point and no comma, then whatever is left is the unit.
+_QUANTITY = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)(?![0-9.,_])\s*(.*?)\s*", re.DOTALL)
+_FACTOR = re.compile(r"\s*(1|[A-Za-zµμ]+)(?:\^(-?[0-9]{1,2}))?\s*")
+_NAMES = {
+    (0, 0, 0, 0): "a plain number",
+    (1, 0, 0, -1): "a feed per revolution",
+    (0, 0, -1, 1): "a spindle speed",
+    (1, 0, -1, 0): "a speed",
+}
+
+
+def _read_unit(text: str, quoted: str) -> _Scale:
+    """Return the scale of a unit expression: factors joined by ``*`` or ``/``, each with a whole power."""
+    scale, position, sign = _ONE, 0, 1
+    while True:
+        match = _FACTOR.match(text, position)
+        if match is None:
+            raise UnitError(f"{quoted} holds no unit that can be read in {text!r}: write it like 'mm/rev' or '1/mm^3'")
+        name, power = match.group(1), int(match.group(2) or 1)
+        if name != "1" and name not in _UNITS:
+            known = " ".join(key for key in _UNITS if key.isascii())
+            raise UnitError(f"{quoted} has the unit {name!r}, the known ones are {known}: use one of them")
+        scale = scale.times(_UNITS.get(name, _ONE), sign * power)
+        position = match.end()
+        if position == len(text):
+            return scale
+        if text[position] not in "*/":
+            raise UnitError(f"{quoted} has {text[position:]!r} after its unit: write one number and one unit")
+        sign = 1 if text[position] == "*" else -1
+        position += 1
+
+
+def _dimension(scale: _Scale) -> str:
+    """Say what a unit measures."""
+    if scale.powers in _NAMES:
+        return _NAMES[scale.powers]
+    over = [
+        f"{name}^{power}" if power > 1 else name
+        for name, power in zip(_DIMENSIONS, scale.powers, strict=True)
+        if power > 0
+    ]
+    under = [
+        f"{name}^{-power}" if power < -1 else name
+        for name, power in zip(_DIMENSIONS, scale.powers, strict=True)
+        if power < 0
+    ]
+    words = " per ".join(["*".join(over) or "number", *under])
+    return f"an {words}" if words[0] == "a" else f"a {words}"
+
+
+def _value(number: str, scale: _Scale, quoted: str) -> float:
+    """Return the number times the scale, rounded once where no pi is in it."""
+    plain = float(number)
+    if plain == 0 and not re.search("[1-9]", re.split("[eE]", number)[0]):
+        return 0.0
+    if math.isfinite(plain) and plain != 0:
+        try:
+            value = float(Fraction(number) * scale.factor) * math.pi**scale.pi
+        except OverflowError:
+            value = math.inf
+        if math.isfinite(value) and value != 0:
+            return value
+    raise UnitError(f"{quoted} is beyond the range of numbers, about 1e-308 to 1e308: check its exponent")
+
+
+def _example(unit: str) -> str:
+    """Return a quantity a person would write in this unit."""
+    return f"8 {_FRIENDLY[unit][0]}" if unit in _FRIENDLY else f"0.5 {unit}"
+
+
+def parse(text: object, unit: str) -> float:
+    """Return the number of a quantity in the given unit.
+
+    Parameters
+    ----------
+    text
+        One number and one unit, such as ``8 um/rev``.
+    unit
+        What to express it in; the quantity must measure the same thing.
+
+    Raises
+    ------
+    UnitError
+        If the text is not one finite number with one unit, or measures something else.
+
+    >>> parse("8 um/rev", "mm/rev")
+    0.008
+    >>> parse("2e-5 mm/deg", "mm/rad")
+    0.0011459155902616464
+    >>> parse("0,5 mm", "mm")
+    Traceback (most recent call last):
+    ...
+    turnwright.errors.UnitError: '0,5 mm' does not start with a plain number: write digits with a decimal point, no
+    comma, such as '8 um'
+    """
+    quoted = repr(text)
+    wanted = _read_unit(unit, repr(unit))
+    remedy = f"write it such as '{_example(unit)}'"
+    if not isinstance(text, str):
+        raise UnitError(f"{quoted} has no unit, it must be {_dimension(wanted)}: {remedy}")
+    if len(text) > LONGEST:
+        raise UnitError(f"{text[:20] + '...'!r} has {len(text)} characters, the limit is {LONGEST}: {remedy}")
+    match = _QUANTITY.fullmatch(text)
+    if match is None:
+        raise UnitError(
+            f"{quoted} does not start with a plain number: write digits with a decimal point, no comma, such as "
+            f"'{_example(unit)}'"
+        )
+    number, written = match.groups()
+    if not written and wanted.powers != _ONE.powers:
+        raise UnitError(f"{quoted} has no unit, it must be {_dimension(wanted)}: {remedy}")
+    scale = _read_unit(written or "1", quoted)
+    if scale.powers != wanted.powers:
+        raise UnitError(f"{quoted} is {_dimension(scale)}, it must be {_dimension(wanted)}: {remedy}")
+    return _value(number, scale.times(wanted, -1), quoted)
+
+
+def convert(value: float, unit: str, into: str) -> float:
+    """Return ``value`` of ``unit`` expressed in the unit ``into``.
+
+    >>> round(convert(7.25e-6, "mm", "nm"), 9)
+    7.25
+    """
+    have, want = _read_unit(unit, repr(unit)), _read_unit(into, repr(into))
+    if have.powers != want.powers:
+        raise UnitError(
+            f"{unit!r} is {_dimension(have)} and {into!r} is {_dimension(want)}: convert between like units"
+        )
+    scale = have.times(want, -1)
+    return value * float(scale.factor) * math.pi**scale.pi
+
+
+# What a person would write, the first one that says the same number.
+_FRIENDLY = {
+    "mm": ("um", "mm", "nm"),
+    "mm/rev": ("um/rev", "mm/rev"),
+    "rad": ("deg", "urad", "rad"),
+    "rpm": ("rpm",),
+    "s": ("s",),
+}
+
+
+def write(value: float, unit: str) -> str:
+    """Return a quantity as text that `parse` reads back to exactly the same number, in a friendly unit if one does.
+
+    >>> write(0.008, "mm/rev"), write(math.pi / 18, "rad"), write(12.5, "mm")
+    ('8 um/rev', '10 deg', '12.5 mm')
+    """
+    texts = []
+    for friendly in _FRIENDLY.get(unit, ()):
+        number = f"{convert(value, unit, friendly):.15g}"
+        with suppress(UnitError):  # a number at the end of the range may not fit the friendly unit
+            if parse(f"{number} {friendly}", unit) == value:
+                texts.append(f"{number} {friendly}")
+    return min(texts, key=len) if texts else f"{value!r} {unit}"
+
+
+class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
+    """A pydantic field that takes text with a unit only, and holds the number in this unit.
+
+    >>> from typing import Annotated
+    >>> from pydantic import TypeAdapter
+    >>> TypeAdapter(Annotated[float, unit("mm/rev")]).validate_python("8 um/rev")
+    0.008
+    """
+
+    __slots__ = ("units",)
+
+    def __init__(self, *units: str) -> None:
+        """Take the unit, and further ones of another dimension that may stand for it, such as um/m for rad."""
+        self.units = units
+
+    def read(self, text: object) -> float:
+        """Return the number of ``text`` in the first of the units that measures the same."""
+        for other in self.units[1:]:
+            try:
+                return parse(text, other)
+            except UnitError:
+                continue
+        return parse(text, self.units[0])
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only job files need pydantic
+
+        return core_schema.no_info_plain_validator_function(
+            self.read,
+            serialization=core_schema.plain_serializer_function_ser_schema(lambda value: write(value, self.units[0])),
+        )
