@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import tomllib
+from dataclasses import dataclass, field, fields
+from importlib import resources
+from pathlib import Path
 from types import MappingProxyType
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from turnwright._arrays import Floats, frozen
+from turnwright import units
+from turnwright._arrays import Floats, between, frozen, positive
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+    from collections.abc import Mapping
 
 __all__ = ["Axis", "Convention", "Machine"]
+
+ROTARY = frozenset("ABC")
+"""Letters of the axes that turn; all others slide."""
+
+STEEPEST = 0.1
+"""A squareness beyond this is a slip of the unit, not an error of a machine. [rad]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +38,11 @@ class Axis:
         Largest magnitude, in mm or rad and s.
     low, high
         Ends of the travel. [mm or rad]
+
+    Raises
+    ------
+    InputError
+        If a limit is not positive, or the travel ends before it begins.
     """
 
     speed: float | None = None
@@ -31,6 +50,16 @@ class Axis:
     jerk: float | None = None
     low: float | None = None
     high: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, power in (("speed", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
+            limit = getattr(self, name)
+            if limit is not None:
+                positive(limit, f"the {name} of an axis", f"mm{power} or rad{power}")
+        low = -np.inf if self.low is None else self.low
+        high = np.inf if self.high is None else self.high
+        if not low < high:
+            raise InputError(f"the travel of an axis is {low:g} to {high:g} mm or rad: let low be below high")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,12 +76,26 @@ class Convention:
         +1 if the controller's Z grows out of the part, -1 if it grows into it.
     clocking
         Controller's C when the part's +x mark stands under the tool. [rad]
+
+    Raises
+    ------
+    InputError
+        If a sign is neither +1 nor -1, or the clocking is not finite.
     """
 
     x_side: int = 1
     c_sense: int = 1
     z_sign: int = 1
     clocking: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("x_side", "c_sense", "z_sign"):
+            if getattr(self, name) not in (-1, 1):
+                raise InputError(
+                    f"{name} of the convention is {getattr(self, name)!r}, it must be 1 or -1: give the sign"
+                )
+        if not np.isfinite(self.clocking):
+            raise InputError(f"clocking of the convention is {self.clocking}, it must be finite: give an angle")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -76,10 +119,23 @@ class Machine:
     squareness
         Height error of the tip per distance along X: Z error = squareness * X. [rad]
     straightness
-        Height error of the tip along X beyond squareness: positions and errors, linear in between, held beyond.
-        ((n,), (n,)) [mm]
+        Height error of the tip along X beyond squareness: ascending positions and errors, linear in between, held
+        beyond. ((n,), (n,)) [mm]
     sources
-        Where each fact comes from, by field; anything assumed says so.
+        Where each fact comes from, by field ("axes.X.speed"); anything assumed says so.
+
+    Raises
+    ------
+    InputError
+        If an axis is missing, a limit is not positive, or an error of the geometry cannot be one.
+
+    Examples
+    --------
+    >>> machine = Machine.load("nanotech-350fg")
+    >>> machine.block_rate_hz
+    1000.0
+    >>> machine.sources["axes.X.acceleration"]
+    'assumed'
     """
 
     name: str
@@ -95,9 +151,59 @@ class Machine:
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
+        missing = sorted({"C", "X", "Z"} - set(self.axes))
+        if missing:
+            raise InputError(f"machine {self.name!r} lacks axis {', '.join(missing)}: give at least C, X and Z")
+        object.__setattr__(self, "spindle_rpm", positive(self.spindle_rpm, "spindle_rpm", "rev/min"))
+        object.__setattr__(self, "block_rate_hz", positive(self.block_rate_hz, "block_rate_hz", "blocks/s"))
+        between(self.squareness, "squareness", -STEEPEST, STEEPEST, "rad")
         if self.straightness is not None:
-            x, dz = self.straightness
-            object.__setattr__(self, "straightness", (frozen(x, "straightness x"), frozen(dz, "straightness dz")))
+            if len(self.straightness) != 2:
+                raise InputError(
+                    f"straightness has {len(self.straightness)} parts, it needs 2: give positions and errors"
+                )
+            x, error = (
+                frozen(self.straightness[0], "straightness x"),
+                frozen(self.straightness[1], "straightness error"),
+            )
+            if x.size < 2 or x.shape != error.shape or not (np.diff(x) > 0).all():
+                raise InputError(
+                    f"straightness has {x.size} positions and {error.size} errors, it needs as many of one as of the "
+                    "other, at least 2, at ascending positions: sort and complete it"
+                )
+            object.__setattr__(self, "straightness", (x, error))
+
+    @classmethod
+    def load(cls, name: str | Path) -> Machine:
+        """Return a machine that comes with Turnwright, or one described in a file of the same form.
+
+        Parameters
+        ----------
+        name
+            "nanotech-350fg", "nanoform", "generic", or the path of a ``.toml`` file.
+
+        Raises
+        ------
+        InputError
+            If there is no such machine, or its file is wrong; the message names the key.
+        """
+        folder = resources.files("turnwright") / "machines"
+        known = sorted(Path(entry.name).stem for entry in folder.iterdir() if entry.name.endswith(".toml"))
+        if name in known:
+            text = (folder / f"{name}.toml").read_text(encoding="utf-8")
+        else:
+            try:
+                text = Path(name).read_text(encoding="utf-8")
+            except (OSError, UnicodeDecodeError) as error:
+                why = getattr(error, "strerror", None) or "not UTF-8 text"
+                raise InputError(
+                    f"machine {str(name)!r} is not one of {', '.join(known)} and cannot be read as a file ({why}): "
+                    "name one of these, or give the path of a .toml file"
+                ) from error
+        try:
+            return _from_table(tomllib.loads(text))
+        except (tomllib.TOMLDecodeError, InputError) as error:
+            raise InputError(f"machine file {str(name)!r}: {error}") from error
 
     def z_error(self, x: ArrayLike) -> Floats:
         """Height of the tip where X stands at ``x``, minus what it should be. (n,) [mm]."""
@@ -106,3 +212,95 @@ class Machine:
         if self.straightness is not None:
             error = error + np.interp(x, *self.straightness)
         return error
+
+
+def _from_table(table: Mapping[str, Any]) -> Machine:
+    """Build a machine from its file."""
+    _check_keys(table, {item.name for item in fields(Machine)}, "the file")
+    for needed in ("name", "axes", "spindle_rpm", "block_rate_hz"):
+        if needed not in table:
+            raise InputError(f"{needed} is missing: add it")
+    given: dict[str, Any] = {"name": _text(table, "name"), "dialect": _text(table, "dialect", "generic")}
+    for key in ("spindle_rpm", "block_rate_hz"):
+        if isinstance(table[key], bool) or not isinstance(table[key], int | float):
+            raise InputError(f"{key} is {table[key]!r}, its unit is in its name: give a plain number")
+        given[key] = table[key]
+    given["axes"] = {letter: _axis(letter, limits) for letter, limits in _table(table, "axes").items()}
+    if "convention" in table:
+        convention = dict(_table(table, "convention"))
+        _check_keys(convention, {item.name for item in fields(Convention)}, "convention")
+        if "clocking" in convention:
+            convention["clocking"] = _quantity(convention["clocking"], "rad", "convention.clocking")
+        given["convention"] = Convention(**convention)
+    if "squareness" in table:
+        given["squareness"] = _quantity(table["squareness"], "rad", "squareness")
+    if "straightness" in table:
+        straightness = _table(table, "straightness")
+        _check_keys(straightness, {"x_mm", "error_nm"}, "straightness")
+        x, error = (frozen(straightness.get(key, []), f"straightness.{key}") for key in ("x_mm", "error_nm"))
+        given["straightness"] = (x, error * 1e-6)
+    sources = _flat(_table(table, "sources")) if "sources" in table else {}
+    facts = _flat({key: value for key, value in table.items() if key != "sources"})
+    _check_keys(sources, set(facts), "sources")
+    return Machine(**given, sources=sources)
+
+
+def _axis(letter: str, limits: object) -> Axis:
+    """Build an axis from its table; sliding axes count in mm, turning ones in rad."""
+    if len(letter) != 1 or not letter.isupper():
+        raise InputError(f"axes.{letter} is not an axis: name it with one capital letter")
+    if not isinstance(limits, dict):
+        raise InputError(f"axes.{letter} is {limits!r}, it must be a table of limits: write [axes.{letter}]")
+    length = "rad" if letter in ROTARY else "mm"
+    own = {
+        "speed": f"{length}/s",
+        "acceleration": f"{length}/s^2",
+        "jerk": f"{length}/s^3",
+        "low": length,
+        "high": length,
+    }
+    _check_keys(limits, set(own), f"axes.{letter}")
+    try:
+        return Axis(**{key: _quantity(value, own[key], key) for key, value in limits.items()})
+    except InputError as error:
+        raise InputError(f"axes.{letter}: {error}") from error
+
+
+def _quantity(value: object, unit: str, where: str) -> float:
+    try:
+        return units.parse(value, unit)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+def _text(table: Mapping[str, Any], key: str, default: str = "") -> str:
+    value = table.get(key, default)
+    if not isinstance(value, str) or not value:
+        raise InputError(f"{key} is {value!r}, it must be a text: put it in quotes")
+    return value
+
+
+def _table(table: Mapping[str, Any], key: str) -> dict[str, Any]:
+    value = table[key]
+    if not isinstance(value, dict):
+        raise InputError(f"{key} is {value!r}, it must be a table: write [{key}]")
+    return value
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return a nested table with dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            flat.update(_flat(value, f"{prefix}{key}."))
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def _check_keys(table: Mapping[str, Any], known: set[str], where: str) -> None:
+    for key in table:
+        if key not in known:
+            raise InputError(
+                f"{key!r} in {where} is not known, the keys are {', '.join(sorted(known))}: correct or drop it"
+            )

@@ -1,0 +1,125 @@
+"""Machines: the ones that come along, the file's form, and every refusal in one sentence."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from turnwright.errors import InputError
+from turnwright.machine import Axis, Convention, Machine
+
+NAMES = ["nanotech-350fg", "nanoform", "generic"]
+GOOD = """
+name = "shop lathe"
+spindle_rpm = 300
+block_rate_hz = 250
+[axes.C]
+speed = "360 deg/s"
+[axes.X]
+speed = "600 mm/min"
+low = "-0.1 m"
+high = "100 mm"
+[axes.Z]
+jerk = "5 m/s^3"
+"""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_fact_of_a_machine_has_a_source(name):
+    machine = Machine.load(name)
+    stated = {
+        f"axes.{letter}.{limit}"
+        for letter, axis in machine.axes.items()
+        for limit in axis.__slots__
+        if getattr(axis, limit) is not None
+    }
+    assert stated | {"spindle_rpm", "block_rate_hz"} <= set(machine.sources)
+    assert all(text.startswith("assumed") or "20" in text for text in machine.sources.values())
+
+
+def test_the_350fg_takes_1000_blocks_per_second():
+    machine = Machine.load("nanotech-350fg")
+    assert machine.block_rate_hz == 1000
+    assert "Troutman 2016" in machine.sources["block_rate_hz"]
+    assert machine.axes["X"].speed == pytest.approx(25)  # 1500 mm/min
+    assert machine.dialect == "nanotech"
+
+
+def test_a_file_is_read_in_units(tmp_path):
+    file = tmp_path / "shop.toml"
+    file.write_text(
+        "squareness = '-7 arcsec'\nstraightness = { x_mm = [0, 50], error_nm = [0, 120] }\n"
+        + GOOD
+        + "[convention]\nx_side = -1\nclocking = '90 deg'\n[sources]\naxes.X.speed = 'name plate'\n"
+    )
+    machine = Machine.load(file)
+    assert machine.axes["C"].speed == pytest.approx(2 * np.pi)
+    assert (machine.axes["X"].speed, machine.axes["X"].low, machine.axes["X"].high) == (10, -100, 100)
+    assert machine.axes["Z"].jerk == 5000
+    assert machine.squareness == pytest.approx(-7 * np.pi / 180 / 3600)
+    assert machine.convention == Convention(x_side=-1, clocking=np.pi / 2)
+    assert machine.z_error([25, 80]) == pytest.approx(
+        np.array([60e-6, 120e-6]) + machine.squareness * np.array([25, 80])
+    )
+    assert machine.sources["axes.X.speed"] == "name plate"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("spindle_rpm = 300", ""), "spindle_rpm is missing"),
+        (("spindle_rpm = 300", "spindle_rpm = '300 rpm'"), "spindle_rpm is '300 rpm'"),
+        (("spindle_rpm = 300", "spindle_rpm = 0"), "spindle_rpm is 0 rev/min"),
+        (("block_rate_hz = 250", "block_rate_hz = nan"), "block_rate_hz is nan"),
+        (("block_rate_hz = 250", "block_rate_hz = true"), "block_rate_hz is True"),
+        (("block_rate_hz = 250", "block_rate_hz = 250\nblocks = 3"), "'blocks' in the file is not known"),
+        (('name = "shop lathe"', "name = 3"), "name is 3"),
+        (('"600 mm/min"', "600"), "axes.X: speed: 600 has no unit"),
+        (('"600 mm/min"', '"600 deg/min"'), "axes.X: speed"),
+        (('"600 mm/min"', '"-600 mm/min"'), "axes.X: the speed of an axis is -10"),
+        (('"100 mm"', '"-1 m"'), "axes.X: the travel of an axis is -100 to -1000"),
+        (("[axes.Z]\njerk", "[axes.Z]\nsnap"), "'snap' in axes.Z"),
+        (('[axes.Z]\njerk = "5 m/s^3"', ""), "lacks axis Z"),
+        (("[axes.Z]", "[axes.zee]"), "axes.zee is not an axis"),
+        (('[axes.Z]\njerk = "5 m/s^3"', "[axes]\nZ = 3"), "axes.Z is 3, it must be a table"),
+        (("[axes.C]", "[convention]\nx_side = 0\n[axes.C]"), "x_side of the convention is 0"),
+        (("[axes.C]", "[convention]\nside = 1\n[axes.C]"), "'side' in convention"),
+        (("[axes.C]", "[straightness]\nx_mm = [0, 0]\nerror_nm = [1, 2]\n[axes.C]"), "ascending"),
+        (("[axes.C]", "[straightness]\nx_mm = [0]\n[axes.C]"), "1 positions and 0 errors"),
+        (("[axes.C]", "[sources]\naxes.Y.speed = 'x'\n[axes.C]"), "'axes.Y.speed' in sources"),
+        (("block_rate_hz = 250", "block_rate_hz = 250\nsquareness = '20 deg'"), "squareness is 0.349066 rad"),
+        (("spindle_rpm = 300", "spindle_rpm ="), "Invalid value"),
+    ],
+)
+def test_a_wrong_file_is_refused_by_name(tmp_path, change, words):
+    file = tmp_path / "shop.toml"
+    assert change[0] in GOOD
+    file.write_text(GOOD.replace(*change))
+    with pytest.raises(InputError, match=r"shop\.toml") as caught:
+        Machine.load(file)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["nanotech-350", "no/such/file.toml", Path("missing.toml")])
+def test_an_unknown_machine_lists_the_known_ones(name):
+    with pytest.raises(InputError, match="generic, nanoform, nanotech-350fg"):
+        Machine.load(name)
+
+
+def test_a_machine_cannot_be_wrong():
+    machine = Machine.load("generic")
+    for change in (
+        {"axes": {"C": Axis(), "X": Axis()}},
+        {"spindle_rpm": -1},
+        {"block_rate_hz": np.inf},
+        {"squareness": np.nan},
+        {"straightness": ([0, 1], [0, np.nan])},
+        {"straightness": ([0, 1],)},
+        {"straightness": ([1, 0], [0, 0])},
+    ):
+        with pytest.raises(InputError):
+            replace(machine, **change)
+    with pytest.raises(InputError, match="clocking"):
+        Convention(clocking=np.inf)
