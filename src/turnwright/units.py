@@ -238,20 +238,23 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
     0.008
     """
 
-    __slots__ = ("units",)
+    __slots__ = ("above", "least", "units")
 
-    def __init__(self, *units: str) -> None:
-        """Take the unit, and further ones of another dimension that may stand for it, such as um/m for rad."""
-        self.units = units
+    def __init__(self, *units: str, above: float = -math.inf, least: float = -math.inf) -> None:
+        """Take the unit, further ones of another dimension that may stand for it (um/m for rad), and limits in it."""
+        self.units, self.above, self.least = units, above, least
 
     def read(self, text: object) -> float:
         """Return the number of ``text`` in the first of the units that measures the same."""
         for other in self.units[1:]:
-            try:
+            with suppress(UnitError):
                 return parse(text, other)
-            except UnitError:
-                continue
-        return parse(text, self.units[0])
+        value = parse(text, self.units[0])
+        if not value > self.above:
+            raise UnitError(f"{text!r} is not above {self.above:g} {self.units[0]}: give a larger value")
+        if not value >= self.least:
+            raise UnitError(f"{text!r} is below {self.least:g} {self.units[0]}: give a value from there on")
+        return value
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import core_schema  # noqa: PLC0415 - only job files need pydantic
