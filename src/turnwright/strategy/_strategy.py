@@ -1,0 +1,44 @@
+"""What every way of cutting must say."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Floats
+    from turnwright.part import Part
+    from turnwright.path import Path, Spiral
+    from turnwright.progress import Progress
+    from turnwright.tool import Tool
+
+__all__ = ["Strategy"]
+
+
+class Strategy(ABC):
+    """A way of cutting: which plan the tool follows over the part, and which axes share the motion.
+
+    This is where a sibling joins (a fast tool servo, an adaptive spacing, a hybrid of two servos): a frozen dataclass
+    in a file of its own in this folder that says two things. `place` puts the edge into contact along its spiral,
+    `drive` turns the axes it names into a motion; neither needs to know it.
+
+    Attributes
+    ----------
+    spindle_rpm
+        Spindle speed, or ``None`` for the highest one that keeps every limit of the machine. [rev/min]
+    """
+
+    __slots__ = ()
+
+    spindle_rpm: float | None
+
+    @abstractmethod
+    def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
+        """Return where the tool is sent over the part, in plan view."""
+
+    @abstractmethod
+    def axes(self, path: Path) -> dict[str, Floats]:
+        """Return the position of every axis at the points of a path, by letter, at least "C", "X" and "Z".
+
+        Their sum is the tip: whatever share of Z a second carriage takes, together they stand where the path says.
+        """

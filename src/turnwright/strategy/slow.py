@@ -1,0 +1,326 @@
+"""The slow tool servo: spindle as C axis, slides X and Z, one spiral."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import positive
+from turnwright.errors import GougeError, InputError, LimitError
+from turnwright.path import Spiral
+from turnwright.strategy._strategy import Strategy
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from turnwright._arrays import Floats
+    from turnwright.part import Part
+    from turnwright.path import Path
+    from turnwright.progress import Progress
+    from turnwright.tool import Tool
+
+__all__ = ["SlowToolServo"]
+
+TURN = 2 * math.pi
+
+MOST_POINTS = 300_000_000
+"""Beyond this a spiral is a slip of the unit: no controller takes such a program, and no memory holds it."""
+
+WIDEST_STEP = TURN / 12
+"""Largest angle between two points of a path by chord tolerance, so that no move of C is ambiguous. [rad]"""
+
+FINENESS = 36
+"""A sampled path is fine enough where its possible bulge between samples is below the tolerance over this: samples are
+then at least 12 times as dense as program points, since a bulge falls with the square of the step."""
+
+FINEST = 1e-9
+"""A path that is not straight over this angle jumps. [rad]"""
+
+BLOCK = 1 << 17
+"""Samples of the path that are thinned together."""
+
+RIM = 3600
+"""Azimuths at which the rim is looked at."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlowToolServo(Strategy):
+    r"""Slow tool servo: C turns steadily, X advances by the feed in each turn, Z follows the surface.
+
+    The tip runs along an Archimedean spiral between the rim and the axis. Its inner end is exact: the commanded radius
+    there is ``-tool.offset[0]``, where the real tip stands on the axis. Its outer end is the clear radius plus the
+    lead-in, moved outward by less than one step where that keeps every step regular.
+
+    The points are set in one of four ways:
+
+    * ``points_per_rev``: constant angle, the same azimuths in every turn, starting at azimuth 0.
+    * ``arc_length``: constant length along the spiral. Near the centre the angle between points grows without bound.
+    * ``arc_length`` and ``max_step``: constant arc outside, and inside, where its angle would exceed ``max_step``,
+      constant angle (the largest whole fraction of a turn that does not).
+    * ``chord``: the fewest points that keep a straight line in machine axes between them within ``chord`` of the exact
+      path. X and C are linear along the spiral, so the error is that of Z alone.
+
+    Parameters
+    ----------
+    feed
+        Advance of X per spindle revolution. [mm/rev]
+    spindle_rpm
+        Spindle speed; ``None`` for the highest one that keeps every limit of the machine. [rev/min]
+    points_per_rev
+        Program points per revolution.
+    arc_length
+        Distance between program points along the spiral. [mm]
+    max_step
+        Largest angle between program points, with ``arc_length`` or ``chord``; with ``chord`` alone it is 30 deg. [rad]
+    chord
+        Largest height between the exact path and straight lines between the points, for a path along z. [mm]
+    inside_out
+        Cut from the centre to the rim.
+    sense
+        +1 where the azimuth of the part under the tool grows, -1 where it falls.
+    lead_in
+        How far beyond the clear radius the tip starts. ``None`` for just as far as the edge needs: where the surface
+        falls towards its rim, the edge touches on the inner side of the tip, and a tip that started at the clear
+        radius would leave a band uncut. [mm]
+
+    Raises
+    ------
+    InputError
+        If a length is not positive, or the points are set in no way or in two.
+
+    Sources
+    -------
+    [Li2018]_ section 2 (spiral, constant angle and constant arc), [Troutman2016]_ section 6.3 (chord). Erratum to
+    Troutman's Eq. 6.5: its curvature of the arc diverges at the centre; the height of the arc between two points a
+    step :math:`\Delta\theta` apart is :math:`z_{\theta\theta}\Delta\theta^2/8`, so the step is
+    :math:`\sqrt{8\,\mathrm{chord} / \max|z_{\theta\theta}|}`, with the tip's own height, not the surface's.
+
+    >>> servo = SlowToolServo(feed=0.025, points_per_rev=3600)
+    >>> from turnwright.surface import Plane
+    >>> from turnwright.part import Part
+    >>> from turnwright.tool import Tool
+    >>> spiral = servo.spiral(Part(surface=Plane(), radius=7.5), Tool(nose_radius=1.5))
+    >>> spiral.angle.size, round(spiral.turns, 9)
+    (1080001, 300.0)
+    """
+
+    feed: float
+    spindle_rpm: float | None = None
+    points_per_rev: int | None = None
+    arc_length: float | None = None
+    max_step: float | None = None
+    chord: float | None = None
+    inside_out: bool = False
+    sense: int = 1
+    lead_in: float | None = None
+
+    def __post_init__(self) -> None:
+        positive(self.feed, "feed", "mm/rev")
+        for name, unit in (("spindle_rpm", "rev/min"), ("arc_length", "mm"), ("max_step", "rad"), ("chord", "mm")):
+            value = getattr(self, name)
+            if value is not None:
+                positive(value, name, unit)
+        ways = [name for name in ("points_per_rev", "arc_length", "chord") if getattr(self, name) is not None]
+        if len(ways) != 1:
+            raise InputError(
+                f"the points of the spiral are set by {' and '.join(ways) or 'nothing'}: give exactly one of "
+                "points_per_rev, arc_length and chord"
+            )
+        if self.points_per_rev is not None and not (isinstance(self.points_per_rev, int) and self.points_per_rev >= 8):
+            raise InputError(
+                f"points_per_rev is {self.points_per_rev}, it must be a whole number of at least 8: change it"
+            )
+        if self.max_step is not None:
+            if self.points_per_rev is not None:
+                raise InputError(
+                    "max_step goes with arc_length or chord, points_per_rev sets the step itself: drop one"
+                )
+            if self.max_step > TURN / 8:
+                raise InputError(
+                    f"max_step is {math.degrees(self.max_step):g} deg, the limit is 45 deg: give a smaller step"
+                )
+        if self.sense not in (-1, 1):
+            raise InputError(f"sense is {self.sense!r}, it must be 1 or -1: give the way the azimuth runs")
+        if self.lead_in is not None and not (np.isfinite(self.lead_in) and self.lead_in >= 0):
+            raise InputError(
+                f"lead_in is {self.lead_in:g} mm, it cannot be below 0 mm: start at or beyond the clear radius"
+            )
+
+    def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
+        """Return the spiral for a part and a tool.
+
+        Raises
+        ------
+        GougeError
+            If the feed is at least the width of the edge, or the lead-in is too short to cut the rim.
+        InputError
+            If the chord tolerance cannot be kept because the path jumps.
+        LimitError
+            If there are more points than any controller takes.
+        """
+        low, high = tool.arc
+        width = tool.actual_radius * (math.sin(high) - math.sin(low))
+        if self.feed >= width:
+            raise GougeError(
+                f"feed {self.feed:g} mm per rev is at least the width of the edge {width:.4g} mm, so cuts do not "
+                "overlap: use a smaller feed, or a tool with a larger nose_radius or included angle"
+            )
+        end = -tool.offset[0]
+        start = part.radius + self._lead(part, tool)
+        if self.points_per_rev is not None:
+            step = TURN / self.points_per_rev
+            angle = turned = _steps((start - end) / self.feed * self.points_per_rev) * step
+        else:
+            if self.chord is not None:
+                turned = self._by_chord(part, tool, end, start, progress)
+            else:
+                turned = self._by_arc(end, start)
+            angle = turned if self.inside_out else turned[-1] - turned[::-1]
+        radius = end + self.feed / TURN * turned
+        return Spiral(angle=self.sense * angle, radius=radius if self.inside_out else radius[::-1])
+
+    def axes(self, path: Path) -> dict[str, Floats]:
+        """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm]."""
+        return {"C": path.angle, "X": path.radius, "Z": path.z}
+
+    def _lead(self, part: Part, tool: Tool) -> float:
+        """Return how far beyond the clear radius the tip starts. [mm]."""
+        azimuth = np.linspace(0, TURN, RIM, endpoint=False)
+        cosine, sine = np.cos(azimuth), np.sin(azimuth)
+        zx, zy = part.surface.gradient(part.radius * cosine, part.radius * sine)
+        sweep = np.clip(np.arctan(zx * cosine + zy * sine), *tool.arc)
+        needed = max(0.0, float(np.max(-tool.actual_radius * np.sin(sweep))) - tool.offset[0])
+        if self.lead_in is None:
+            return needed
+        # The outermost turn reaches as far as its neighbours would: a feed less is still cut.
+        if self.lead_in < needed - self.feed:
+            raise GougeError(
+                f"lead_in is {self.lead_in:g} mm but the edge touches the rim {needed:.4g} mm inside its tip, so a "
+                f"band would stay uncut: give a lead_in of at least {needed:.4g} mm, or none to have it found"
+            )
+        return self.lead_in
+
+    def _by_arc(self, end: float, start: float) -> Floats:
+        """Return the angle turned from the centre, ascending, at constant arc, inside at constant angle. (n,) [rad]."""
+        pitch = self.feed / TURN
+        inner, outer = end / pitch, start / pitch
+        arc = self.arc_length / pitch  # type: ignore[operator]
+        inside = np.zeros(1)
+        if self.max_step is not None:
+            step = TURN / math.ceil(TURN / self.max_step - 1e-9)
+            # Along the spiral r = pitch * psi an angle step is sqrt(1 + psi²) * step long, in units of the pitch.
+            border = math.sqrt(max((arc / step) ** 2 - 1, 0.0))
+            inside = _steps((min(border, outer) - inner) / step) * step
+        first = float(_arc(np.array([inner + inside[-1]]))[0])
+        outside = first + arc * _steps((float(_arc(np.array([outer]))[0]) - first) / arc)[1:]
+        return np.concatenate([inside, _invert_arc(outside) - inner])
+
+    def _by_chord(self, part: Part, tool: Tool, end: float, start: float, progress: Progress | None) -> Floats:
+        """Return the angle turned from the centre, ascending, with the fewest points for the chord. (n,) [rad]."""
+        from turnwright._kernels import chord as kernel  # noqa: PLC0415 - numba is costly to import
+        from turnwright.dilation import tip_height  # noqa: PLC0415
+
+        pitch = self.feed / TURN
+        whole = (start - end) / pitch
+        widest = self.max_step or WIDEST_STEP
+        tolerance = float(self.chord)  # type: ignore[arg-type]
+
+        def height(turned: Floats) -> Floats:
+            angle = turned if self.inside_out else whole - turned
+            where = {"angle": self.sense * angle, "radius": end + pitch * turned}
+            return tip_height(part.surface, tool, **where, sense=self.sense)
+
+        kept = [np.zeros(1)]
+        for coarse in self._coarse(part, whole, widest):
+            turned, z, bulge = _refined(coarse, height, tolerance)
+            keep = np.empty(turned.size, dtype=np.int64)
+            count = kernel.fewest(turned, z, tolerance - bulge, widest, keep)
+            kept.append(turned[keep[1:count]])
+            if progress is not None:
+                progress(round(float(turned[-1]) / TURN), round(whole / TURN))
+        _check_count(sum(part.size for part in kept))
+        return np.concatenate(kept)
+
+    @staticmethod
+    def _coarse(part: Part, whole: float, widest: float) -> Iterator[Floats]:
+        """Yield the first samples of the path in blocks of turns; neighbours share their end. (n,) [rad]."""
+        steps = math.ceil(TURN / widest - 1e-9)
+        finest = max(256, 12 * steps, 8 * TURN * part.radius / part.surface.feature_size)
+        per_turn = steps * math.ceil(finest / steps)
+        blocks = math.ceil(whole / TURN * per_turn / BLOCK)
+        borders = np.linspace(0, whole, blocks + 1)
+        for low, high in pairwise(borders):
+            yield np.linspace(low, high, math.ceil((high - low) / TURN * per_turn) + 1)
+
+
+def _check_count(count: float) -> None:
+    """Raise if a spiral has more points than any controller takes."""
+    if count > MOST_POINTS:
+        raise LimitError(
+            f"the spiral has {count:.3g} points, the limit is {MOST_POINTS:.0e}: check the units of the feed and of "
+            "the step, and make one larger"
+        )
+
+
+def _steps(count: float) -> Floats:
+    """Return 0, 1, 2 and so on up to ``count``, rounded up but for what is rounding itself. (n,)."""
+    _check_count(count)
+    return np.arange(max(math.ceil(count - 1e-6), 0) + 1, dtype=np.float64)
+
+
+def _arc(psi: Floats) -> Floats:
+    """Return the length of the spiral r = psi from its centre. (n,)."""
+    return (psi * np.sqrt(1 + psi**2) + np.arcsinh(psi)) / 2
+
+
+def _invert_arc(length: Floats) -> Floats:
+    """Return psi where the spiral r = psi has a given length from its centre. (n,) [rad]."""
+    psi = np.empty_like(length)
+    for first in range(0, length.size, BLOCK):
+        goal = np.abs(length[first : first + BLOCK])
+        # Both bounds lie above the root of a convex function, so Newton comes down to it without overshoot.
+        guess = np.minimum(goal, np.sqrt(2 * goal))
+        for _ in range(6):
+            guess = guess - (_arc(guess) - goal) / np.sqrt(1 + guess**2)
+        psi[first : first + BLOCK] = np.copysign(guess, length[first : first + BLOCK])
+    return psi
+
+
+def _refined(turned: Floats, height: Callable[[Floats], Floats], tolerance: float) -> tuple[Floats, Floats, Floats]:
+    """Sample a path until nothing between the samples matters.
+
+    Between two samples the path may bulge from the straight line by at most half the step times the change of slope to
+    either neighbour: four times the bulge of a smooth path, and at least that of a kink anywhere inside.
+
+    Returns
+    -------
+    turned, z, bulge
+        Angles [rad], heights [mm] and the largest bulge beside each sample [mm]. Each (n,)
+    """
+    z = height(turned)
+    while True:
+        step = np.diff(turned)
+        bend = np.abs(np.diff(np.diff(z) / step))
+        bulge = step * np.maximum(np.append(bend, 0.0), np.append(0.0, bend)) / 2
+        bulge[[0, -1]] *= 2  # only one neighbour tells of a kink there
+        coarse = np.flatnonzero(bulge > tolerance / FINENESS)
+        if coarse.size == 0:
+            return turned, z, np.maximum(np.append(bulge, 0.0), np.append(0.0, bulge))
+        if step[coarse].min() < FINEST:
+            where = turned[coarse[np.argmin(step[coarse])]] / TURN
+            raise InputError(
+                f"the path jumps {where:.3f} turns from the centre, so no points keep it within the chord "
+                f"{tolerance:g} mm: set points_per_rev or arc_length, or use a tool with a smaller included angle"
+            )
+        # A smooth bulge falls with the square of the step, that of a kink with the step: it takes some more rounds.
+        parts = np.clip(np.ceil(np.sqrt(bulge[coarse] / tolerance * FINENESS)), 2, 8).astype(np.int64)
+        which = np.repeat(np.arange(coarse.size), parts - 1)
+        rank = np.arange(which.size) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
+        _check_count(turned.size + which.size)
+        new = turned[coarse[which]] + step[coarse[which]] * (rank / parts[which])
+        at = coarse[which] + 1
+        turned, z = np.insert(turned, at, new), np.insert(z, at, height(new))

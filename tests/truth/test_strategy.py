@@ -1,0 +1,201 @@
+"""The spiral against its own definition, its arc length by quadrature, and the chord by a dense independent check."""
+
+import sys
+import types
+
+import mpmath
+import numpy as np
+import pytest
+
+from turnwright.errors import GougeError
+from turnwright.part import Part
+from turnwright.strategy import SlowToolServo
+from turnwright.surface import Surface
+from turnwright.tool import Tool
+
+TURN = 2 * np.pi
+
+
+class Tilted(Surface):
+    """A cone of one slope plus a tilt and a saddle: enough to steer every case by hand."""
+
+    __slots__ = ("cone", "saddle", "tilt")
+
+    def __init__(self, tilt=0.0, saddle=0.0, cone=0.0):
+        self.tilt, self.saddle, self.cone = tilt, saddle, cone
+
+    def evaluate(self, x, y, order):
+        r = np.hypot(x, y) + 1e-300
+        z = self.tilt * x + self.saddle * (x**2 - y**2) + self.cone * r
+        if order == 0:
+            return (z,)
+        return z, self.tilt + 2 * self.saddle * x + self.cone * x / r, -2 * self.saddle * y + self.cone * y / r
+
+
+TOOL = Tool(nose_radius=0.5, included=np.deg2rad(120))
+
+
+def part(radius=5.0, **surface):
+    return Part(surface=Tilted(**surface), radius=radius)
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize("dx", [0.0, 0.0123, -0.02])
+@pytest.mark.parametrize(
+    "points",
+    [{"points_per_rev": 360}, {"arc_length": 0.05}, {"arc_length": 0.05, "max_step": np.deg2rad(2)}],
+)
+def test_the_spiral_is_archimedes_own(sense, inside_out, dx, points):
+    servo = SlowToolServo(feed=0.0301, sense=sense, inside_out=inside_out, lead_in=0.1, **points)
+    tool = Tool(nose_radius=0.5, included=np.deg2rad(120), offset=(dx, 0, 0))
+    spiral = servo.spiral(part(), tool)
+    angle, radius = spiral.angle, spiral.radius
+    assert spiral.sense == sense
+    assert angle[0] == 0
+    # Radius falls or grows by the feed in each turn, exactly.
+    assert np.abs(np.diff(radius) - (1 if inside_out else -1) * 0.0301 * np.abs(np.diff(angle)) / TURN).max() < 2e-14
+    centre, rim = (radius[0], radius[-1]) if inside_out else (radius[-1], radius[0])
+    assert centre == pytest.approx(-dx, abs=1e-14)
+    # The rim is reached, and exceeded by less than one step.
+    outer = np.abs(np.diff(radius))[-1 if inside_out else 0]
+    assert 5.1 - 1e-9 <= rim < 5.1 + outer
+
+
+def test_constant_angle_repeats_its_azimuths_in_every_turn():
+    spiral = SlowToolServo(feed=0.01, points_per_rev=1200).spiral(part(), TOOL)
+    k = np.arange(spiral.angle.size)
+    assert spiral.angle.size == 500 * 1200 + 1
+    exact = [float(mpmath.mpf(int(i)) * 2 * mpmath.pi / 1200) for i in k[::9973]]
+    assert np.abs(spiral.angle[::9973] - exact).max() <= np.spacing(spiral.angle[-1])
+    azimuth = np.exp(1j * spiral.angle[:-1].reshape(500, 1200))
+    assert np.abs(azimuth - azimuth[0]).max() < 2e-12
+    assert spiral.radius[0] == pytest.approx(5, abs=1e-12)
+
+
+@pytest.mark.parametrize("dx", [0.0, 0.0123, -0.02])
+@pytest.mark.parametrize("max_step", [None, np.deg2rad(1.0)])
+def test_arcs_are_equal_by_quadrature(dx, max_step):
+    servo = SlowToolServo(feed=0.04, arc_length=0.03, max_step=max_step)
+    tool = Tool(nose_radius=0.5, included=np.deg2rad(120), offset=(dx, 0, 0))
+    spiral = servo.spiral(part(radius=3.0), tool)
+    pitch = 0.04 / TURN
+    psi = spiral.radius / pitch
+    step = np.diff(spiral.angle)
+    # Oracle: the length of r = pitch * psi by 20-point Gauss quadrature over each piece.
+    node, weight = np.polynomial.legendre.leggauss(20)
+    middle, half = (psi[1:] + psi[:-1]) / 2, (psi[:-1] - psi[1:]) / 2
+    part_half = half / 8
+    starts = middle - half + part_half * (2 * np.arange(8)[:, None] + 1)
+    at = starts + part_half * node[:, None, None]
+    length = part_half * np.einsum("q,qpn->n", weight, np.hypot(pitch, pitch * at))
+    if max_step is None:
+        assert np.abs(length / 0.03 - 1).max() < 1e-9
+    else:
+        inside = np.abs(step - max_step) < 1e-10
+        assert inside[-1]
+        assert not inside[0]
+        assert np.abs(length[~inside] / 0.03 - 1).max() < 1e-9
+        assert length[inside].max() < 0.03 * (1 + 1e-4)  # the last one may straddle the border
+        assert step.max() < max_step * (1 + 1e-9)
+        border = 0.03 / max_step
+        assert spiral.radius[1:][inside].max() == pytest.approx(border, abs=0.04 / 180)
+
+
+@pytest.mark.parametrize(
+    ("surface", "dx", "needed"),
+    [
+        ({"cone": -0.3}, 0.0, 0.5 * np.sin(np.arctan(0.3))),  # the rim falls all around: touched inside the tip
+        ({"cone": 0.3}, 0.0, 0.0),  # it rises: touched outside
+        ({"tilt": 0.2}, 0.0, 0.5 * np.sin(np.arctan(0.2))),
+        ({"cone": -0.3}, 0.01, 0.5 * np.sin(np.arctan(0.3)) - 0.01),  # a tip set too far out starts nearer
+        ({"cone": -5.0}, 0.0, 0.5 * np.sin(np.deg2rad(60))),  # no further than the end of the arc
+    ],
+)
+def test_the_lead_in_reaches_the_rim(surface, dx, needed):
+    tool = Tool(nose_radius=0.5, included=np.deg2rad(120), offset=(dx, 0, 0))
+    servo = SlowToolServo(feed=0.01, points_per_rev=100)
+    start = servo.spiral(part(**surface), tool).radius[0]
+    assert start == pytest.approx(5 + needed, abs=1.1e-4)
+    if needed > 0.02:
+        with pytest.raises(GougeError, match="a band would stay uncut"):
+            SlowToolServo(feed=0.01, points_per_rev=100, lead_in=needed - 0.011).spiral(part(**surface), tool)
+
+
+def sharp(monkeypatch):
+    """Let the tip follow the surface itself, so that the path has a closed form."""
+
+    def tip_height(surface, tool, *, angle, radius, sense):
+        return surface.sag(radius * np.cos(angle), radius * np.sin(angle))
+
+    module = types.ModuleType("turnwright.dilation")
+    module.tip_height = tip_height
+    monkeypatch.setitem(sys.modules, "turnwright.dilation", module)
+
+
+def worst(spiral, surface):
+    """Return the largest error of straight lines between the points, looked at 60 times in each. [mm]"""
+    share = np.linspace(0, 1, 61)[:, None]
+    angle = spiral.angle[:-1] + share * np.diff(spiral.angle)
+    radius = spiral.radius[:-1] + share * np.diff(spiral.radius)
+    exact = surface.sag(radius * np.cos(angle), radius * np.sin(angle))
+    return np.abs(exact - (exact[0] + share * (exact[-1] - exact[0]))).max(axis=0)
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize("chord", [1e-4, 3e-6])
+def test_chord_is_kept_with_about_the_fewest_points(monkeypatch, sense, inside_out, chord):
+    sharp(monkeypatch)
+    surface = Tilted(tilt=0.05, saddle=0.004)
+    servo = SlowToolServo(feed=0.05, chord=chord, sense=sense, inside_out=inside_out, lead_in=0.05)
+    spiral = servo.spiral(Part(surface=surface, radius=2.0), TOOL)
+    error = worst(spiral, surface)
+    assert error.max() <= chord * (1 + 1e-9)
+    assert np.abs(np.diff(spiral.angle)).max() <= np.deg2rad(30) * (1 + 1e-6)
+    # Oracle: the fewest points of small segments with ends on the curve is the integral of sqrt(|z''| / 8 e).
+    tau = np.linspace(0, spiral.turns * TURN, 400_001)
+    rho = 0.05 / TURN * tau
+    z2 = np.gradient(np.gradient(0.05 * rho * np.cos(tau) + 0.004 * rho**2 * np.cos(2 * tau), tau), tau)
+    floor = np.trapezoid(np.sqrt(np.abs(z2) / (8 * chord)), tau)
+    capped = np.trapezoid(np.maximum(np.sqrt(np.abs(z2) / (8 * chord)), 1 / np.deg2rad(30)), tau)
+    points = spiral.angle.size - 1
+    assert 0.99 * floor < points < 1.06 * capped
+
+
+def test_no_short_step_is_left_at_the_end(monkeypatch):
+    sharp(monkeypatch)
+    surface = Tilted(tilt=0.05, saddle=0.004)
+    for chord in (1e-4, 7e-6, 1.3e-6):
+        spiral = SlowToolServo(feed=0.05, chord=chord, lead_in=0.05).spiral(Part(surface=surface, radius=2.0), TOOL)
+        steps = np.abs(np.diff(spiral.angle))
+        assert steps[0] > 0.3 * steps[1:9].mean()
+        assert steps[-1] > 0.3 * steps[-9:-1].mean()
+
+
+def test_chord_on_a_plane_needs_only_the_largest_step(monkeypatch):
+    sharp(monkeypatch)
+    for step, expected in ((None, 12), (np.deg2rad(10), 36)):
+        servo = SlowToolServo(feed=0.1, chord=1e-5, max_step=step)
+        assert servo.spiral(part(radius=1.0), TOOL).angle.size == 10 * expected + 1
+
+
+class Roof(Tilted):
+    """A sharp valley along y = 0.3 mm."""
+
+    def evaluate(self, x, y, order):
+        z = 0.3 * np.abs(y - 0.3)
+        zero = np.zeros_like(x)
+        return (z, zero, 0.3 * np.sign(y - 0.3))[: order * 2 + 1] if order else (z,)
+
+
+def test_chord_is_kept_across_kinks(monkeypatch):
+    sharp(monkeypatch)
+    surface = Roof()
+    servo = SlowToolServo(feed=0.1, chord=1e-5)
+    spiral = servo.spiral(Part(surface=surface, radius=1.0), TOOL)
+    assert worst(spiral, surface).max() <= 1e-5 * (1 + 1e-9)
+    # Two kinks a turn at most cost a few points each above the smooth count.
+    tau = np.linspace(0, spiral.turns * TURN, 400_001)
+    smooth = np.trapezoid(np.sqrt(0.3 * 0.1 / TURN * tau * np.abs(np.sin(tau)) / 8e-5), tau)
+    assert spiral.angle.size < 1.1 * smooth + 12 * 2 * spiral.turns
