@@ -1,0 +1,18 @@
+"""Programs on disk: write them, read them back, read other people's."""
+
+from turnwright.post._header import ProgramHeader, ProgramInfo, ProgramPass, ProgramWarning, inspect_nc
+from turnwright.post._reader import read_nc
+from turnwright.post._table import read_table
+from turnwright.post._writer import ProgramFiles, write_nc
+
+__all__ = [
+    "ProgramFiles",
+    "ProgramHeader",
+    "ProgramInfo",
+    "ProgramPass",
+    "ProgramWarning",
+    "inspect_nc",
+    "read_nc",
+    "read_table",
+    "write_nc",
+]

@@ -1,0 +1,535 @@
+"""Read a program back: plain cutting blocks in bulk, everything else word by word."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import warnings
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.errors import InputError, ProgramError
+from turnwright.path import Motion
+from turnwright.post._header import ProgramInfo, ProgramPass, ProgramWarning, convention_line, read_info
+from turnwright.post._macro import Macros
+from turnwright.post._registry import dialect_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from os import PathLike
+
+    from numpy.typing import NDArray
+
+    from turnwright._arrays import Floats, Ints
+    from turnwright.machine import Machine
+    from turnwright.post._dialect import Dialect
+    from turnwright.progress import Progress
+
+__all__ = ["read_nc"]
+
+BUFFER = 1 << 22
+"""Bytes of text taken at a time; a line may not be longer."""
+DEEPEST = 8
+LARGEST = 1e9
+AXES = "CXYZ"
+# Slots of the kernel's state, as in turnwright._kernels.text.
+LINEAR, FEED_MODE, OPEN, INVERSE, LINES, Y_SEEN = range(6)
+FEED = 4
+
+IGNORED_G = frozenset(
+    {4, 8, 15, 17, 18, 19, 21, 40, 43, 49, 54, 55, 56, 57, 58, 59, 61, 63, 64, 69, 71, 80, 90, 92.1, 97, 103, 144}
+)
+"""Planes, offsets set once, metric units, corner modes, cancellations: nothing that moves the tool against the part."""
+MACHINE_G = frozenset({28, 30, 53})
+"""Moves in machine coordinates: where the tool then stands against the part is not known."""
+SHIFT_G = frozenset({50, 52, 92})
+"""Shifts of the origin."""
+
+COMMENT = re.compile(r"\([^()]*\)|;.*$")
+CALL = re.compile(r"M\s*98\s*[(<]\s*([^()<>]+?)\s*[)>]", re.IGNORECASE)
+PASS = re.compile(r"\(\s*PASS:\s*(.+?)(?:, PART (\d+) OF \d+)?\s*\)", re.IGNORECASE)
+TOKEN = re.compile(r"([A-Z])\s*(?:([+-]?(?:\d+\.?\d*|\.\d+))|(\[|[+-]?#))", re.IGNORECASE)
+ASSIGN = re.compile(r"#\s*(\d+)\s*=(.*)")
+WHILE = re.compile(r"WHILE\s*\[(.+)\]\s*DO\s*(\d+)", re.IGNORECASE)
+END = re.compile(r"END\s*(\d+)", re.IGNORECASE)
+OTHER = re.compile(r"IF|GOTO|O\s*<|#")
+
+
+def read_nc(
+    path: str | PathLike[str],
+    machine: Machine,
+    *,
+    name: str | None = None,
+    progress: Progress | None = None,
+) -> Motion:
+    """Read one pass of a program, this one's or another's, as the motion that it commands.
+
+    The motion begins where the first cutting block begins and has one point more than there are blocks. A cutting
+    block is a straight feed move (G1) that turns C; what stands before, between and after the cuts is followed but not
+    kept. Time begins at 0. C is cumulative, whether it is written so or within one turn. A program that carries
+    Turnwright's header is checked against it.
+
+    Parameters
+    ----------
+    path
+        The main program, or a sub-program on its own.
+    machine
+        Names the dialect (so, what F means) and the convention.
+    name
+        The pass to read: its name, or "cut 1", "cut 2", ... in a program that names none. The last one if not given.
+    progress
+        Called with (bytes read, bytes in all).
+
+    Raises
+    ------
+    ProgramError
+        If a file cannot be read or is damaged, commands something that is not a C X Z (Y) motion, or has no such pass.
+
+    Warns
+    -----
+    ProgramWarning
+        If the numbers are not those whose hash the header states: the program was edited.
+    """
+    path = Path(path)
+    dialect = dialect_of(machine)
+    try:
+        info = read_info(path)
+        told = _told(path, info, machine, dialect, name)
+        with ThreadPoolExecutor(1) as pool:
+            reader = _Reader(path, dialect, wanted=told.name if told else name, told=told, pool=pool, progress=progress)
+            reader.run()
+            found, digest = reader.finish()
+    except OSError as error:
+        where = error.filename or path
+        raise ProgramError(f"{where} cannot be read ({error.strerror}): check its name and place") from error
+    if told is not None and digest != told.hash:
+        warnings.warn(
+            f"{path}: pass {told.name} is not as it was written, its hash is {digest[:12]}... and the header says "
+            f"{told.hash[:12]}...: it was edited or damaged",
+            ProgramWarning,
+            stacklevel=2,
+        )
+    return _motion(path, found, told, machine)
+
+
+def _told(
+    path: Path, info: ProgramInfo | None, machine: Machine, dialect: Dialect, name: str | None
+) -> ProgramPass | None:
+    """Return what the header says about the wanted pass, if it says anything; refuse another machine's program."""
+    if info is None:
+        return None
+    if info.dialect != dialect.name:
+        raise ProgramError(
+            f"{path} is written in the dialect {info.dialect}, machine {machine.name} speaks {dialect.name}: read it "
+            "with the machine that it was written for"
+        )
+    if info.convention != convention_line(machine):
+        raise ProgramError(
+            f"{path} is written for the convention {info.convention}, machine {machine.name} counts "
+            f"{convention_line(machine)}: read it with the machine that it was written for"
+        )
+    for one in info.passes:
+        if one.name == name:
+            return one
+    if name is not None or not info.passes:
+        raise ProgramError(
+            f"{path} has no pass {name!r}, it has {', '.join(one.name for one in info.passes) or 'none'}: name one of "
+            "these"
+        )
+    return info.passes[-1]
+
+
+@dataclass(slots=True)
+class _Cut:
+    """Consecutive cutting blocks, in the controller's own numbers."""
+
+    name: str
+    named: bool
+    blocks: int = 0
+    has_y: bool = False
+    parts: list[Floats] = field(default_factory=list)  # (n, 5): C [deg], X, Y, Z [mm], duration [s]
+
+
+def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine) -> Motion:
+    """Return a cut in Turnwright's own convention."""
+    from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
+
+    convention = machine.convention
+    size = found.blocks + 1
+    axes: dict[str, Floats] = {letter: np.empty(size) for letter in (AXES if found.has_y else "CXZ")}
+    duration = np.empty(size)
+    at = 0
+    for part in reversed(found.parts):  # from the end, so that each part is freed once it is copied
+        at += len(part)
+        where = slice(size - at, size - at + len(part))
+        for letter, values in axes.items():
+            values[where] = part[:, AXES.index(letter)]
+        duration[where] = part[:, 4]
+        found.parts.pop()
+    bad = text.unwrap(axes["C"], told.first_c if told else axes["C"][0])
+    if bad >= 0:
+        raise ProgramError(
+            f"{path}: block {bad} of {found.name} turns C back, by nothing or by half a turn, to {axes['C'][bad]:g}, "
+            "the sense of rotation must stay: split the program there"
+        )
+    time = np.empty(size)
+    text.clock(duration, time)
+    del duration
+    axes["C"] *= convention.c_sense * (np.pi / 180)
+    axes["C"] -= convention.c_sense * convention.clocking
+    axes["X"] *= convention.x_side
+    axes["Z"] *= convention.z_sign
+    try:
+        return Motion(time=time, axes=axes, machine=machine)
+    except InputError as error:
+        raise ProgramError(f"{path} does not hold a motion: {error}") from error
+
+
+class _Reader:
+    """The state of a controller that follows a program."""
+
+    def __init__(
+        self,
+        path: Path,
+        dialect: Dialect,
+        *,
+        wanted: str | None,
+        told: ProgramPass | None,
+        pool: ThreadPoolExecutor,
+        progress: Progress | None,
+    ) -> None:
+        self.path, self.dialect, self.wanted, self.told = path, dialect, wanted, told
+        self.pool, self.progress = pool, progress
+        self.whole: Ints = np.zeros(6, dtype=np.int64)
+        self.whole[[LINEAR, FEED_MODE]] = 1, 94
+        self.whole[INVERSE] = dialect.feed == "inverse minutes"
+        self.real: Floats = np.full(5, np.nan)
+        self.macros = Macros(lambda what: self._error(what, "write it as a number"))
+        self.loops: dict[int, str] = {}  # condition by label
+        self.named: str | None = None
+        self.cut: _Cut | None = None
+        self.kept: _Cut | None = None
+        self.cuts = 0
+        self.names: list[str] = []
+        self.done = self.total = 0
+        self.over = self.ended = False
+        self.stack: list[Path] = []
+        self.hashing: Future[None] | None = None
+        self.digest = hashlib.sha256()
+        self.kept_digest = ""
+
+    # ------------------------------------------------------------------ files
+    def run(self) -> None:
+        """Follow the main program to its end."""
+        self.total = self.path.stat().st_size
+        if self.total < BUFFER:
+            head = self.path.read_bytes().decode("latin-1")
+            called = [self.path.parent / name for name in CALL.findall(head)]
+            self.total += sum(file.stat().st_size for file in called if file.is_file())
+        self._file(self.path)
+        self._close()
+
+    def finish(self) -> tuple[_Cut, str]:
+        """Return the cut that was asked for, and its hash."""
+        if self.kept is None:
+            if self.wanted is not None:
+                raise ProgramError(
+                    f"{self.path} has no pass {self.wanted!r}, it has {', '.join(self.names) or 'none'}: name one of "
+                    "these"
+                )
+            raise ProgramError(
+                f"{self.path} has no cutting block, at least 1 is needed: give a program whose G1 blocks turn C"
+            )
+        return self.kept, self.kept_digest
+
+    def _file(self, path: Path) -> None:
+        """Follow one file."""
+        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
+
+        if path in self.stack or len(self.stack) >= DEEPEST:
+            raise ProgramError(
+                f"{path} is called from within itself or {DEEPEST} calls deep: give every pass a sub-program of its own"
+            )
+        self.stack.append(path)
+        outer, self.whole[LINES] = self.whole[LINES], 0
+        out = np.empty((BUFFER // 16, 5))
+        for data in self._buffers(path):
+            at, end = 0, data.size
+            while at < end and not (self.over or self.ended):
+                at, count = text.parse_blocks(data, at, end, self.whole, self.real, out)
+                if count:
+                    self._append(out[:count].copy())
+                if at < end and count < len(out):
+                    stop = at + bytes(data[at : at + 65536]).find(b"\n") + 1
+                    self.whole[LINES] += 1
+                    if stop <= at:
+                        raise self._error("is longer than 65536 letters", "give a text file with line ends")
+                    self._line(bytes(data[at:stop]).decode("latin-1"))
+                    at = stop
+            if self.over or self.ended:
+                break
+        self.over = False
+        self.whole[LINES] = outer
+        self.stack.pop()
+
+    def _buffers(self, path: Path) -> Iterator[NDArray[np.uint8]]:
+        """Yield the file in pieces that end with a line end."""
+        rest = b""
+        with path.open("rb") as file:
+            while True:
+                piece = file.read(BUFFER)
+                self.done += len(piece)
+                if piece:
+                    cut = piece.rfind(b"\n") + 1
+                    if not cut and len(rest) > BUFFER:
+                        raise self._error(f"is longer than {BUFFER} letters", "give a text file with line ends")
+                    data, rest = (rest + piece[:cut], piece[cut:]) if cut else (b"", rest + piece)
+                else:
+                    data, rest = rest + b"\n", b""
+                if data:
+                    yield np.frombuffer(data, dtype=np.uint8)
+                if self.progress is not None:
+                    self.progress(min(self.done, self.total), self.total)
+                if not piece:
+                    return
+
+    def _error(self, what: str, remedy: str) -> ProgramError:
+        """Return a sentence with file and line."""
+        where = self.stack[-1] if self.stack else self.path
+        return ProgramError(f"{where} line {int(self.whole[LINES]) or 1} {what}: {remedy}")
+
+    # ------------------------------------------------------------------- cuts
+    def _append(self, rows: Floats) -> None:
+        """Keep blocks of the cut that is open, and hash them on the other core."""
+        cut = self.cut
+        if cut is None:
+            return
+        cut.blocks += len(rows)
+        if self.wanted is not None and cut.name != self.wanted:
+            return
+        cut.parts.append(rows)
+        cut.has_y = cut.has_y or bool(self.whole[Y_SEEN])
+        if self.told is not None:
+            if self.hashing is not None:
+                self.hashing.result()
+            self.hashing = self.pool.submit(self._hash, rows)
+
+    def _hash(self, rows: Floats) -> None:
+        letters = [letter for letter in self.dialect.decimals if letter != "Y" or self.whole[Y_SEEN]]
+        units = np.empty((len(rows), len(letters) + 1), dtype="<i8")
+        for column, letter in enumerate(letters):
+            units[:, column] = np.rint(rows[:, AXES.index(letter)] * 10.0 ** self.dialect.decimals[letter])
+        units[:, -1] = np.ascontiguousarray(rows[:, 4]).view(np.int64)
+        self.digest.update(units.data)
+
+    def _open(self) -> None:
+        """Begin a cut at the present position."""
+        self.cuts += 1
+        self.cut = _Cut(name=self.named or f"cut {self.cuts}", named=self.named is not None)
+        self.whole[OPEN] = 1
+        self._drain()
+        self.digest = hashlib.sha256()
+        self._append(np.array([[*self.real[:4], 0.0]]))
+        self.cut.blocks = 0
+
+    def _drain(self) -> None:
+        if self.hashing is not None:
+            self.hashing.result()
+            self.hashing = None
+
+    def _close(self) -> None:
+        """End the cut that is open, if there is one, and keep it if it is the one that is wanted."""
+        cut, self.cut = self.cut, None
+        self.whole[OPEN] = 0
+        if cut is None:
+            return
+        if cut.blocks == 1 and not cut.named:
+            self.cuts -= 1  # one block alone positions C, and is a cut only where there is no other
+        elif cut.name not in self.names:
+            self.names.append(cut.name)
+        if self.wanted is not None and cut.name != self.wanted:
+            return
+        kept = self.kept
+        if kept is not None and kept.blocks > 1 and cut.blocks == 1:
+            return
+        if kept is not None and kept.blocks > 1 and cut.named and kept.name == cut.name:
+            raise self._error(
+                f"ends a second cut in pass {cut.name}, of {cut.blocks} blocks after {kept.blocks}, the limit is 1",
+                "give every cut a pass of its own",
+            )
+        self._drain()
+        self.kept, self.kept_digest = cut, self.digest.hexdigest()
+
+    # ------------------------------------------------------------------ lines
+    def _line(self, text: str) -> None:
+        """Follow one line of any kind."""
+        if "\x00" in text:
+            raise self._error("holds binary data", "give a program in plain text")
+        if marker := PASS.search(text):
+            self._marker(marker[1], int(marker[2] or 1))
+        if call := CALL.search(text):
+            self._call(call[1])
+            return
+        bare = COMMENT.sub(" ", text).strip().upper()
+        if "(" in bare or ")" in bare:
+            raise self._error("has a bracket without its partner", "close the comment")
+        bare = bare.lstrip("/%").strip()
+        if not bare:
+            return
+        if len(bare) > 512:
+            raise self._error("is longer than 512 letters without its comments", "give a program of plain blocks")
+        if not self._statement(bare):
+            self._words(bare)
+
+    def _statement(self, bare: str) -> bool:
+        """Follow a macro statement, if the line is one."""
+        if assign := ASSIGN.fullmatch(bare):
+            self.macros.variables[int(assign[1])] = self.macros.value(assign[2])
+        elif loop := WHILE.fullmatch(bare):
+            self.loops[int(loop[2])] = loop[1]
+            if not self.macros.holds(loop[1]):
+                raise self._error("begins a loop that never runs", "give a program that cuts once")
+        elif end := END.fullmatch(bare):
+            if self.macros.holds(self.loops.pop(int(end[1]), "0 GT 1")):
+                raise self._error("repeats a loop, the limit is to run it once", "give a program of one pass")
+        elif OTHER.match(bare):
+            raise self._error(f"is a statement that Turnwright does not follow ({bare[:30]})", "give plain blocks")
+        else:
+            return False
+        return True
+
+    def _marker(self, name: str, part: int) -> None:
+        if part == 1 or name != self.named:
+            self._close()
+            self.named = name
+
+    def _call(self, name: str) -> None:
+        path = self.stack[-1].parent / name
+        if not path.is_file():
+            raise self._error(f"calls {name}, which is not beside it", "put all files of the program into one folder")
+        if self.told is not None:
+            # Passes that nobody asked for need not be read: each names itself in its first lines.
+            with path.open("rb") as file:
+                own = PASS.search(file.read(512).decode("latin-1"))
+            if own and own[1] != self.wanted:
+                self.done += path.stat().st_size
+                return
+        self._file(path)
+
+    def _words(self, bare: str) -> None:
+        """Follow a block of words."""
+        words: list[tuple[str, float]] = []
+        at = 0
+        while at < len(bare):
+            if bare[at].isspace():
+                at += 1
+                continue
+            match = TOKEN.match(bare, at)
+            if match is None:
+                raise self._error(
+                    f"cannot be read at {bare[at : at + 20]!r}, a word is a letter and a fixed-point number",
+                    "correct it",
+                )
+            letter = match[1]
+            if match[2] is not None:
+                value, at = float(match[2]), match.end()
+            else:
+                at = match.start(3)
+                value, at = self.macros.factor(bare, at)
+            if not abs(value) <= LARGEST:
+                raise self._error(f"has {letter}{value:g}, the limit is {LARGEST:g}", "correct the number")
+            words.append((letter, value))
+        codes = [value for letter, value in words if letter == "G"]
+        for letter, value in words:
+            if letter == "M":
+                self._m(value, words)
+        for code in codes:
+            self._g(code)
+        values = {letter: value for letter, value in words if letter not in "GMN"}
+        if len(values) < sum(letter not in "GMN" for letter, _ in words):
+            raise self._error("gives one axis two values", "keep one word of each letter")
+        self._block(codes, values)
+
+    def _m(self, code: float, words: list[tuple[str, float]]) -> None:
+        if code == 98:
+            number = next((value for letter, value in words if letter == "P"), 0)
+            raise self._error(f"calls sub-program {number:g} by number", "read that sub-program's own file")
+        self.ended = self.ended or code in {2, 30}
+        self.over = self.over or code == 99
+
+    def _g(self, code: float) -> None:
+        """Follow one G code, as far as it matters to where the tool goes."""
+        if code in {0, 1}:
+            self.whole[LINEAR] = int(code)
+        elif code in {93, 94}:
+            self.whole[FEED_MODE] = int(code)
+        elif code in {20, 70}:
+            raise self._error(f"asks for inches (G{code:g}), the limit is millimetres", "write the program in mm")
+        elif code == 91:
+            raise self._error("asks for incremental moves (G91)", "write the program in absolute positions (G90)")
+        elif code in {2, 3}:
+            raise self._error(f"is an arc (G{code:g})", "write the program in straight blocks (G1)")
+        elif code not in IGNORED_G | MACHINE_G | SHIFT_G:
+            raise self._error(f"has G{code:g}, which Turnwright does not follow", "remove it, or write it with G1")
+
+    def _block(self, codes: list[float], values: dict[str, float]) -> None:
+        """Follow the axis words of a block."""
+        if "F" in values:
+            self.real[FEED] = values["F"]
+        axes = {letter: values[letter] for letter in AXES if letter in values}
+        if MACHINE_G & set(codes):
+            self._close()
+            for letter in axes:
+                self.real[AXES.index(letter)] = np.nan
+            return
+        if 4 in codes:
+            return  # a dwell, whose time some controllers call X
+        if SHIFT_G & set(codes):
+            if any(axes.values()):
+                raise self._error("shifts the origin within the program", "give a program of one pass without shifts")
+            return
+        others = {letter: values[letter] for letter in values if letter in "ABUVWIJKR"}
+        if any(others.values()):
+            raise self._error(f"moves {', '.join(others)}, the axes are C, X, Y and Z", "give a program of these")
+        if axes:
+            self._move(axes)
+
+    def _move(self, axes: dict[str, float]) -> None:
+        before = self.real[:4].copy()
+        for letter, value in axes.items():
+            self.real[AXES.index(letter)] = value
+        if "Y" in axes and not self.whole[Y_SEEN]:
+            if self.cut is not None:
+                raise self._error("moves Y for the first time in mid-cut", "state Y before the cut")
+            self.whole[Y_SEEN] = 1
+        step = self.real[:4] - before
+        if not self.whole[Y_SEEN]:
+            step[2] = 0.0
+        # Without a known start, or without turning C, a move positions the tool and does not cut.
+        if self.whole[LINEAR] and step[0] != 0 and not np.isnan(step).any():
+            self._cut(before, step)
+        elif np.any(step != 0):
+            self._close()
+        elif self.cut is not None:
+            raise self._error("stands still in mid-cut", "remove the repeated point")
+
+    def _cut(self, before: Floats, step: Floats) -> None:
+        """Add the block that has just led here to the cut, which begins if none is open."""
+        feed = float(self.real[FEED])
+        if not feed > 0:
+            raise self._error(f"cuts with a feed of {feed:g}, it must be above 0", "give an F before the cut")
+        if self.whole[FEED_MODE] == 93:
+            duration = 60 / feed if self.whole[INVERSE] else feed
+        else:
+            length = float(np.linalg.norm(step[1:]))
+            duration = 60 * (length or abs(float(step[0]))) / feed
+        if self.cut is None:
+            after = self.real.copy()
+            self.real[:4] = before
+            self._open()
+            self.real[:] = after
+        self._append(np.array([[*self.real[:4], duration]]))

@@ -1,0 +1,496 @@
+"""Write a program: quantised, hashed, formatted on all cores, and put in place only when it is whole."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import re
+import shutil
+import tempfile
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, TypeAlias
+
+import numpy as np
+
+from turnwright._arrays import Floats, Ints
+from turnwright.errors import ProgramError
+from turnwright.path import Motion
+from turnwright.post._header import (
+    NO_HASH,
+    SUB_SIGNATURE,
+    ProgramHeader,
+    ProgramPass,
+    lines,
+)
+from turnwright.post._registry import dialect_of
+from turnwright.progress import Progress, cores
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from os import PathLike
+
+    from turnwright.machine import Machine
+    from turnwright.post._dialect import Dialect
+
+__all__ = ["ProgramFiles", "write_nc"]
+
+CHUNK = 1 << 16
+"""Points formatted at a time: their text and numbers together stay near 10 MB."""
+LARGEST = 1e9
+"""Beyond any machine, and safe in 64-bit integers at six decimals. [mm or deg]"""
+PLUNGE = 0.1
+"""Height above the first point from which the tool goes down slowly. [mm]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramFiles:
+    """What `write_nc` left on disk.
+
+    Parameters
+    ----------
+    files
+        The main program, then the sub-programs in the order of their calls.
+    lines, bytes
+        In all files together.
+    minutes
+        Time of the cuts, without approach and retract. [min]
+    passes
+        Each pass with its points, minutes and hash.
+    """
+
+    files: tuple[Path, ...]
+    lines: int
+    bytes: int
+    minutes: float
+    passes: tuple[ProgramPass, ...]
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the whole program: of the passes' hashes, one a line."""
+        return hashlib.sha256("\n".join(one.hash for one in self.passes).encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Pass:
+    """A motion with all that its numbers need to become words."""
+
+    name: str
+    motion: Motion
+    letters: tuple[str, ...]
+    factors: Mapping[str, float]  # Turnwright's unit to the controller's, without decimals
+    shifts: Mapping[str, float]
+    dialect: Dialect
+
+    def units(self, letter: str, index: int) -> int:
+        """Return one coordinate as written, without its decimal point and without wrapping."""
+        scale = 10.0 ** self.dialect.decimals[letter]
+        value = self.motion.axes[letter][index] * (self.factors[letter] * scale) + self.shifts[letter] * scale
+        return int(np.rint(value))
+
+    def word(self, letter: str, index: int, above: float = 0.0) -> str:
+        """Return one word, as the approach needs it; ``above`` is a height out of the part. [mm]."""
+        places = self.dialect.decimals[letter]
+        units = self.units(letter, index) + round(above * self.factors[letter] * 10**places)
+        if letter == "C" and self.dialect.wrapped:
+            units %= 360 * 10**places
+        sign = "-" if units < 0 else ""
+        return f"{letter}{sign}{abs(units) // 10**places}.{abs(units) % 10**places:0{places}d}"
+
+
+_Chunk: TypeAlias = tuple[int, int, Ints, Ints, Floats]
+
+
+def write_nc(
+    motion: Motion | Mapping[str, Motion],
+    machine: Machine,
+    path: str | PathLike[str],
+    *,
+    header: ProgramHeader | None = None,
+    clearance: float = 5.0,
+    max_lines: int | None = None,
+    progress: Progress | None = None,
+) -> ProgramFiles:
+    """Write a motion, or the named passes of a job in their order, as a program for a machine's controller.
+
+    The numbers are fixed-point, rounded to the dialect's last decimal; a block's time is kept to 1e-9 of itself. Every
+    pass begins with an approach from ``clearance`` above its highest point and ends with a retract to there. All files
+    are written beside their final place and put there, the main program last, when the whole program is complete; if
+    anything fails before that, the folder is as it was. Sub-programs that an earlier program of this name left and that
+    this one does not call are removed.
+
+    Parameters
+    ----------
+    motion
+        One motion, which becomes the pass "finish", or motions by pass name.
+    machine
+        Names the dialect and the convention.
+    path
+        The main program. Sub-programs stand beside it: part.nc, part.finish.001.nc, ...
+    header
+        Design, tool, date and notes for the header.
+    clearance
+        Height of approach and retract above the highest point of the pass, more than the stock stands proud. [mm]
+    max_lines
+        Most lines in one file, if not the dialect's own limit.
+    progress
+        Called with (points done, points in all).
+
+    Raises
+    ------
+    ProgramError
+        If the dialect is unknown, a number does not fit, C stands still or jumps by half a turn within a block, a
+        block is too short or too long, or the files cannot be written.
+
+    Sources
+    -------
+    The dialects' own sources stand in their files. Oracle of the formatting: Python's ``%.6f`` of exact decimals.
+    """
+    path = Path(path)
+    dialect = dialect_of(machine)
+    passes = _passes({"finish": motion} if isinstance(motion, Motion) else motion, machine, dialect)
+    if not 0 < clearance <= 1e3:
+        raise ProgramError(f"clearance is {clearance:g} mm, the limits are above 0 and up to 1000 mm: give its height")
+    limit = dialect.max_lines if max_lines is None else max_lines
+    if limit < 100:
+        raise ProgramError(f"max_lines is {limit}, approach and retract need at least 100: allow longer files")
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=path.parent))
+    except OSError as error:
+        raise _disk_error(path, error) from error
+    try:
+        header = header or ProgramHeader()
+        header = replace(header, date=header.date or datetime.now(UTC).date().isoformat())
+        job = _Job(
+            folder,
+            path,
+            dialect=dialect,
+            machine=machine,
+            header=header,
+            clearance=clearance,
+            limit=limit,
+            progress=progress,
+        )
+        written = job.write(passes)
+        _put_in_place(folder, path.parent, [path.name, *written], _stale(path, written))
+        return job.summary(written)
+    except OSError as error:
+        raise _disk_error(path, error) from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _disk_error(path: Path, error: OSError) -> ProgramError:
+    """Return the sentence for a disk that refuses."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return ProgramError(
+            f"the disk is full while writing {path}, nothing was changed there: free some space, or write elsewhere"
+        )
+    return ProgramError(f"{path} cannot be written ({error.strerror}), nothing was changed: check the folder's rights")
+
+
+def _passes(motions: Mapping[str, Motion], machine: Machine, dialect: Dialect) -> list[_Pass]:
+    """Return the passes ready to be written, or raise for what cannot be."""
+    if not motions:
+        raise ProgramError("a program without passes was asked for, it needs at least 1: give a motion")
+    convention = machine.convention
+    factors = {
+        "C": float(np.rad2deg(convention.c_sense)),
+        "X": float(convention.x_side),
+        "Y": 1.0,
+        "Z": float(convention.z_sign),
+    }
+    shifts = {"C": float(np.rad2deg(convention.clocking)), "X": 0.0, "Y": 0.0, "Z": 0.0}
+    passes = []
+    for name, motion in motions.items():
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _-]{0,39}", name):
+            raise ProgramError(
+                f"a pass is called {name!r}, a controller allows up to 40 letters, digits, blanks and - _: rename it"
+            )
+        unknown = set(motion.axes) - set(dialect.decimals)
+        if unknown:
+            raise ProgramError(
+                f"pass {name} moves axis {', '.join(sorted(unknown))}, the dialect {dialect.name} knows "
+                f"{', '.join(dialect.decimals)}: leave it out"
+            )
+        for letter, values in motion.axes.items():
+            largest = max(abs(values.min()), abs(values.max())) * abs(factors[letter]) + abs(shifts[letter])
+            if largest > LARGEST:
+                raise ProgramError(
+                    f"axis {letter} of pass {name} reaches {largest:.3g}, the limit is {LARGEST:g} mm or deg: check "
+                    "its unit"
+                )
+        letters = dialect.letters(motion.axes)
+        passes.append(_Pass(name=name, motion=motion, letters=letters, factors=factors, shifts=shifts, dialect=dialect))
+    if len({one.letters for one in passes}) > 1:
+        raise ProgramError(
+            "some passes move Y and others do not, one program needs the same axes in all: give every pass a Y"
+        )
+    names = {_file_part(one.name) for one in passes}
+    if len(names) < len(passes):
+        raise ProgramError("two passes would share a file name: give them names that differ in more than blanks")
+    return passes
+
+
+def _file_part(name: str) -> str:
+    """Return a pass name as part of a file name."""
+    return name.replace(" ", "-")
+
+
+class _Job:
+    """One program being written into a folder that nobody sees yet."""
+
+    def __init__(
+        self,
+        folder: Path,
+        path: Path,
+        *,
+        dialect: Dialect,
+        machine: Machine,
+        header: ProgramHeader,
+        clearance: float,
+        limit: int,
+        progress: Progress | None,
+    ) -> None:
+        self.folder, self.path, self.dialect, self.machine = folder, path, dialect, machine
+        self.header, self.clearance, self.limit, self.progress = header, clearance, limit, progress
+        self.lines = self.bytes = self.done = self.total = 0
+        self.told: list[ProgramPass] = []
+
+    def write(self, passes: list[_Pass]) -> list[str]:
+        """Write all files into the folder; return the names of the sub-programs in the order of their calls."""
+        self.total = sum(one.motion.time.size for one in passes)
+        self.told = [self._tell(one, NO_HASH) for one in passes]
+        main = [*self.dialect.setup]
+        inline = not self.dialect.always_call and self.total + 100 * (len(passes) + 1) <= self.limit
+        subs: list[str] = []
+        with (self.folder / self.path.name).open("wb") as file:
+            if inline:
+                # The header tells the hashes, which are known at the end: it is written twice, at one length.
+                self._text(file, lines(self.header, self.machine, self.dialect, self.told) + main)
+                for index, one in enumerate(passes):
+                    self._text(file, [f"( PASS: {one.name} )", *self._approach(one)])
+                    self.told[index] = self._tell(one, self._cut(one, [(file, 1, one.motion.time.size)]))
+                    self._text(file, self._retract(one))
+                self._text(file, ["M30"])
+                file.seek(0)
+                file.write("\n".join(lines(self.header, self.machine, self.dialect, self.told)).encode())
+            else:
+                for index, one in enumerate(passes):
+                    names, digest = self._sub_programs(one)
+                    self.told[index] = self._tell(one, digest)
+                    subs += names
+                    main += [f"( PASS {index + 1} OF {len(passes)} )"]
+                    main += [self.dialect.call.format(file=name) for name in names]
+                self._text(file, [*lines(self.header, self.machine, self.dialect, self.told), *main, "M30"])
+        return subs
+
+    def summary(self, written: list[str]) -> ProgramFiles:
+        """Return what was written, under the final names."""
+        return ProgramFiles(
+            files=tuple(self.path.parent / name for name in [self.path.name, *written]),
+            lines=self.lines,
+            bytes=self.bytes,
+            minutes=sum(one.minutes for one in self.told),
+            passes=tuple(self.told),
+        )
+
+    def _tell(self, one: _Pass, digest: str) -> ProgramPass:
+        time = one.motion.time
+        return ProgramPass(
+            name=one.name,
+            points=time.size,
+            minutes=float(time[-1] - time[0]) / 60,
+            first_c=one.units("C", 0) / 10.0 ** self.dialect.decimals["C"],
+            sense=one.motion.sense,
+            hash=digest,
+        )
+
+    def _text(self, file: BinaryIO, rows: list[str]) -> None:
+        data = ("\n".join(rows) + "\n").encode("ascii")
+        file.write(data)
+        self.lines += len(rows)
+        self.bytes += len(data)
+
+    def _clear(self, one: _Pass) -> str:
+        """Return the Z word of the height where nothing can be touched."""
+        return one.word("Z", int(np.argmax(one.motion.axes["Z"])), self.clearance)
+
+    def _approach(self, one: _Pass) -> list[str]:
+        others = " ".join(one.word(letter, 0) for letter in ("X", "Y") if letter in one.letters)
+        return [
+            "G94",
+            f"G1 {self._clear(one)} F500 (CLEAR OF THE PART)",
+            f"G1 {others} F500",
+            f"G0 {one.word('C', 0)}",
+            f"G1 {one.word('Z', 0, PLUNGE)} F100",
+            f"G1 {one.word('Z', 0)} F2",
+            "G93",
+        ]
+
+    def _retract(self, one: _Pass) -> list[str]:
+        return ["G94", f"G1 {self._clear(one)} F100 (CLEAR OF THE PART)"]
+
+    def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
+        """Write one pass into numbered files; return their names and the hash."""
+        points = one.motion.time.size
+        each = self.limit - 30
+        starts = range(1, points, each)
+        names = [f"{self.path.stem}.{_file_part(one.name)}.{k + 1:03d}{self.path.suffix}" for k in range(len(starts))]
+
+        def files() -> Iterator[tuple[BinaryIO, int, int]]:
+            for k, (name, start) in enumerate(zip(names, starts, strict=True)):
+                with (self.folder / name).open("wb") as file:
+                    part = f", PART {k + 1} OF {len(names)}" if len(names) > 1 else ""
+                    begin = self._approach(one) if k == 0 else ["G93 G1"]
+                    self._text(file, [SUB_SIGNATURE, f"( PASS: {one.name}{part} )", *begin])
+                    yield file, start, min(start + each, points)
+                    self._text(file, [*(self._retract(one) if k == len(names) - 1 else []), "M99"])
+
+        return names, self._cut(one, files())
+
+    def _cut(self, one: _Pass, spans: Iterator[tuple[BinaryIO, int, int]] | list[tuple[BinaryIO, int, int]]) -> str:
+        """Write the blocks of one pass, formatted on all cores and written in order; return the hash."""
+        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
+
+        scale = {letter: 10.0 ** self.dialect.decimals[letter] for letter in one.letters}
+        turn = 360 * int(scale["C"])
+        wraps = {"C": turn if self.dialect.wrapped else 0}
+        letters = np.array([ord(letter) for letter in one.letters], dtype=np.int64)
+        decimals = np.array([self.dialect.decimals[letter] for letter in one.letters], dtype=np.int64)
+        prefix = np.frombuffer(self.dialect.block.encode(), dtype=np.uint8)
+        sign = float(one.motion.sense) * self.machine.convention.c_sense
+        digest = hashlib.sha256()
+
+        def quantise(start: int, stop: int) -> Ints:
+            rows = np.empty((stop - start, len(one.letters) + 1), dtype=np.int64)
+            for column, letter in enumerate(one.letters):
+                values = one.motion.axes[letter][start:stop]
+                factor, shift = one.factors[letter] * scale[letter], one.shifts[letter] * scale[letter]
+                text.quantise(values, factor, shift, wraps.get(letter, 0), rows, column)
+            return rows
+
+        def work(chunk: _Chunk) -> tuple[memoryview, memoryview]:
+            start, stop, mantissa, places, duration = chunk
+            angle = one.motion.axes["C"][start - 1 : stop]
+            factor, shift = one.factors["C"] * scale["C"], one.shifts["C"] * scale["C"]
+            bad = text.check_steps(angle, factor, shift, turn // 2, sign)
+            if bad >= 0:
+                raise _step_error(one, start - 1 + bad)
+            rows = quantise(start, stop)
+            rows[:, -1] = duration.view(np.int64)
+            out = np.empty((stop - start) * (prefix.size + 24 * (letters.size + 1)), dtype=np.uint8)
+            size = text.format_blocks(rows, letters, decimals, prefix, mantissa, places, out)
+            return rows.astype("<i8", copy=False).data.cast("B"), out[:size].data
+
+        first = quantise(0, 1)
+        first[:, -1] = 0
+        digest.update(first.astype("<i8").tobytes())
+        self._count(1)
+        state = np.zeros(3, dtype=np.int64)
+        threads = cores()
+        with ThreadPoolExecutor(threads) as pool:
+            for file, start, stop in spans:
+                state[1] = 0  # a file begins with its own feed
+                for rows, data in _in_order(pool, work, self._chunks(one, start, stop, state), 2 * threads):
+                    digest.update(rows)
+                    file.write(data)
+                    self.bytes += len(data)
+                    points = len(rows) // (8 * (len(one.letters) + 1))
+                    self.lines += points
+                    self._count(points)
+        return digest.hexdigest()
+
+    def _count(self, points: int) -> None:
+        self.done += points
+        if self.progress is not None:
+            self.progress(self.done, self.total)
+
+    def _chunks(self, one: _Pass, start: int, stop: int, state: Ints) -> Iterator[_Chunk]:
+        """Yield the chunks of a file with their feeds, which only one thread can choose, in order."""
+        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
+
+        inverse, every = self.dialect.feed == "inverse minutes", self.dialect.feed_every_block
+        state[0] = min(state[0], start)
+        for begin in range(start, stop, CHUNK):
+            end = min(begin + CHUNK, stop)
+            mantissa, places = np.empty((2, end - begin), dtype=np.int64)
+            duration = np.empty(end - begin)
+            bad = text.feeds(one.motion.time, begin, end, inverse, every, state, mantissa, places, duration)
+            if bad >= 0:
+                span = one.motion.time[bad] - one.motion.time[bad - 1]
+                raise ProgramError(
+                    f"block {bad} of pass {one.name} lasts {span:.3g} s, the limits are 1e-6 s to 1e4 s: check the "
+                    "feed and the number of points"
+                )
+            yield begin, end, mantissa, places, duration
+
+
+def _step_error(one: _Pass, index: int) -> ProgramError:
+    """Return the sentence for a block that turns C too little or too far."""
+    places = one.dialect.decimals["C"]
+    step = abs(one.units("C", index) - one.units("C", index - 1)) / 10.0**places
+    if step >= 180:
+        return ProgramError(
+            f"block {index} of pass {one.name} turns C by {step:g} deg, the limit is below 180 deg, beyond "
+            "which nobody can tell the sense: use more points per turn"
+        )
+    return ProgramError(
+        f"block {index} of pass {one.name} turns C by {step:g} deg, the least is one unit of the program, "
+        f"{10.0**-places:.{places}f} deg: use fewer points per turn"
+    )
+
+
+def _in_order(
+    pool: ThreadPoolExecutor,
+    work: Callable[[_Chunk], tuple[memoryview, memoryview]],
+    chunks: Iterator[_Chunk],
+    ahead: int,
+) -> Iterator[tuple[memoryview, memoryview]]:
+    """Yield ``work(chunk)`` in the order of the chunks, with a few of them in flight."""
+    waiting: deque[Future[tuple[memoryview, memoryview]]] = deque()
+    try:
+        for chunk in chunks:
+            waiting.append(pool.submit(work, chunk))
+            if len(waiting) > ahead:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def _stale(path: Path, written: list[str]) -> list[str]:
+    """Return sub-programs of an earlier, longer program of this name, so that nobody cuts with them by mistake."""
+    pattern = re.compile(re.escape(path.stem) + r"\.[A-Za-z0-9_-]+\.\d{3,}" + re.escape(path.suffix))
+    stale = []
+    for entry in path.parent.iterdir():
+        if pattern.fullmatch(entry.name) and entry.name not in written and entry.is_file():
+            with entry.open("rb") as file:
+                if file.read(len(SUB_SIGNATURE)) == SUB_SIGNATURE.encode():
+                    stale.append(entry.name)
+    return stale
+
+
+def _put_in_place(source: Path, target: Path, names: list[str], stale: list[str]) -> None:
+    """Move the files of a whole program to where they belong, the main one last; undo everything if one fails."""
+    kept = source / "earlier"
+    kept.mkdir()
+    order = [*stale, *names[1:], names[0]]
+    try:
+        for name in order:
+            if (target / name).exists():
+                (target / name).replace(kept / name)
+            if name in names:
+                (source / name).replace(target / name)
+    except BaseException:
+        for name in order:
+            if (kept / name).exists():
+                (kept / name).replace(target / name)
+            elif name in names and not (source / name).exists():
+                (target / name).unlink(missing_ok=True)
+        raise
