@@ -1,0 +1,239 @@
+"""The axes in time: at which speed, and whether the machine can follow."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from turnwright.errors import LimitError
+from turnwright.machine import ROTARY
+from turnwright.path import Motion, Path
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from turnwright._arrays import Floats
+    from turnwright.machine import Machine
+
+__all__ = ["Limits", "check_limits", "drive"]
+
+TURN = 2 * math.pi
+
+SLACK = 1e-3
+"""A limit counts as kept up to this share above it: no data sheet is more exact, and a program read back is rounded."""
+
+POWERS = {"speed": 1, "acceleration": 2, "jerk": 3}
+"""How each quantity grows with the spindle speed."""
+
+
+class Servo(Protocol):
+    """What `drive` needs of a strategy."""
+
+    @property
+    def spindle_rpm(self) -> float | None:
+        """Spindle speed, or ``None`` for the highest that keeps every limit. [rev/min]."""
+
+    def axes(self, path: Path) -> Mapping[str, Floats]:
+        """Return the position of every axis at the points of a path."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What a motion asks of a machine.
+
+    Parameters
+    ----------
+    cycle_time_s
+        From the first point to the last. [s]
+    points
+        Program points.
+    spindle_rpm
+        Mean speed of the spindle. [rev/min]
+    block_rate_hz
+        Blocks per second where they are shortest.
+    peak_speed, peak_acceleration, peak_jerk
+        Largest magnitude by axis letter. [mm or rad, and s]
+    travel
+        Lowest and highest position by axis letter. [mm or rad]
+    utilisation
+        Share of each stated limit that is used, by its name such as "block rate" or "Z acceleration".
+    binding
+        Name of the limit that is used most.
+    ok
+        Whether every stated limit is kept.
+    findings
+        A sentence for each that is not.
+    """
+
+    cycle_time_s: float
+    points: int
+    spindle_rpm: float
+    block_rate_hz: float
+    peak_speed: Mapping[str, float]
+    peak_acceleration: Mapping[str, float]
+    peak_jerk: Mapping[str, float]
+    travel: Mapping[str, tuple[float, float]]
+    utilisation: Mapping[str, float]
+    binding: str
+    ok: bool
+    findings: tuple[str, ...]
+
+
+def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
+    r"""Return the motion of the axes along a path, at a steady spindle speed.
+
+    Time is the angle turned over the spindle speed. Z is commanded to ``path.z - machine.z_error(X)``, so that the tip
+    stands at ``path.z`` in spite of the machine's known errors; they act at the position of X, wherever on the edge
+    the contact is.
+
+    If the strategy states no spindle speed, it is the highest one :math:`\omega` that keeps every stated limit: along
+    a given path block rate and speeds grow with :math:`\omega`, accelerations with :math:`\omega^2` and jerks with
+    :math:`\omega^3`, so each limit allows one speed and the lowest of them binds.
+
+    Parameters
+    ----------
+    path
+        Where the tip stands.
+    servo
+        The strategy: which axis carries what, and the spindle speed.
+    machine
+        What the axes can do, and how they err.
+
+    Raises
+    ------
+    LimitError
+        If the machine lacks an axis that is needed, or turns slower than what is asked.
+
+    Sources
+    -------
+    [Troutman2016]_ Table 7.1 (block rate and cycle time). Erratum to the thesis: an axis error acts at the X of the
+    tool, not at the contact point.
+    """
+    axes = dict(servo.axes(path))
+    lacking = sorted(set(axes) - set(machine.axes))
+    if lacking:
+        raise LimitError(
+            f"the strategy moves axis {', '.join(lacking)}, {machine.name} has {', '.join(sorted(machine.axes))}: "
+            "choose another strategy or machine"
+        )
+    if machine.squareness or machine.straightness is not None:
+        axes["Z"] = axes["Z"] - machine.z_error(axes["X"])
+    rpm = servo.spindle_rpm
+    if rpm is None:
+        omega = _highest(path.angle, axes, machine)
+    elif rpm > machine.spindle_rpm:
+        raise LimitError(
+            f"spindle_rpm is {rpm:g} rev/min, the limit of {machine.name} is {machine.spindle_rpm:g} rev/min: turn "
+            "slower, or state none to have the highest speed found"
+        )
+    else:
+        omega = rpm * TURN / 60
+    return Motion(time=np.abs(path.angle - path.angle[0]) / omega, axes=axes, machine=machine)
+
+
+def check_limits(motion: Motion, machine: Machine) -> Limits:
+    """Return what a motion asks of a machine, and which of its limits binds.
+
+    Speed, acceleration and jerk are divided differences over one, two and three neighbouring blocks, as steep as the
+    points of the program are; a controller that rounds the corners asks less of the slides. A program whose positions
+    are rounded to :math:`q` shows up to :math:`2q/t^2` of acceleration and :math:`4q/t^3` of jerk that is not in the
+    motion, with :math:`t` the block time: 2 mm/s² and 4000 mm/s³ for nanometres at 1000 blocks/s.
+
+    Parameters
+    ----------
+    motion
+        The axes in time; planned here or read back from a program.
+    machine
+        The lathe that is to follow.
+
+    Sources
+    -------
+    Divided differences are exact for polynomials of their degree, at any spacing. [Troutman2016]_ Table 7.1.
+    """
+    from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
+
+    peaks = {letter: _peaks(motion.time, position) for letter, position in motion.axes.items()}
+    block, shortest = kernel.shortest(motion.time)
+    length = float(motion.time[-1] - motion.time[0])
+    turning = TURN / 60
+    mean_rpm = abs(float(motion.axes["C"][-1] - motion.axes["C"][0])) / length / turning
+    top, at = peaks["C"]
+    asked = [
+        ("block rate", 1, 1 / shortest, machine.block_rate_hz, "blocks/s", block),
+        ("spindle speed", 1, top["speed"] / turning, machine.spindle_rpm, "rev/min", at["speed"]),
+    ]
+    for letter, (top, at) in peaks.items():
+        for kind, power in POWERS.items():
+            limit = getattr(machine.axes.get(letter), kind, None)
+            if limit is not None:
+                unit = f"{_length(letter)}/s" + ("", "^2", "^3")[power - 1]
+                asked.append((f"{letter} {kind}", power, top[kind], limit, unit, at[kind]))
+    utilisation = {name: value / limit for name, _, value, limit, _, _ in asked}
+    findings = []
+    for name, power, value, limit, unit, point in asked:
+        if value > limit * (1 + SLACK):
+            slower = mean_rpm * (limit / value) ** (1 / power)
+            findings.append(
+                f"{name} reaches {value:.5g} {unit} at {motion.time[point] / 60:.2f} min "
+                f"(X {motion.axes['X'][point]:.4g} mm), the limit of {machine.name} is {limit:.5g} {unit}: "
+                f"turn at {slower:.4g} rev/min or less"
+            )
+    for letter, (top, _) in peaks.items():
+        axis = machine.axes.get(letter)
+        if axis is None:
+            findings.append(f"the motion needs axis {letter}, {machine.name} does not have it: choose another machine")
+            continue
+        for end, limit, beyond in (("low", axis.low, -1), ("high", axis.high, 1)):
+            if limit is not None and (top[end] - limit) * beyond > 0:
+                findings.append(
+                    f"{letter} goes to {top[end]:.5g} {_length(letter)}, the {end} end of its travel on {machine.name} "
+                    f"is {limit:.5g} {_length(letter)}: move the part on the spindle, or choose another machine"
+                )
+    return Limits(
+        cycle_time_s=length,
+        points=motion.time.size,
+        spindle_rpm=mean_rpm,
+        block_rate_hz=1 / shortest,
+        peak_speed=MappingProxyType({letter: top["speed"] for letter, (top, _) in peaks.items()}),
+        peak_acceleration=MappingProxyType({letter: top["acceleration"] for letter, (top, _) in peaks.items()}),
+        peak_jerk=MappingProxyType({letter: top["jerk"] for letter, (top, _) in peaks.items()}),
+        travel=MappingProxyType({letter: (top["low"], top["high"]) for letter, (top, _) in peaks.items()}),
+        utilisation=MappingProxyType(utilisation),
+        binding=max(utilisation, key=utilisation.__getitem__),
+        ok=not findings,
+        findings=tuple(findings),
+    )
+
+
+def _highest(angle: Floats, axes: Mapping[str, Floats], machine: Machine) -> float:
+    """Return the highest spindle speed that keeps every stated limit. [rad/s]."""
+    from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
+
+    allowed = [machine.spindle_rpm * TURN / 60, machine.block_rate_hz * kernel.shortest(angle)[1]]
+    for letter, position in axes.items():
+        # The angle stands for time: this is the motion at one radian per second.
+        top, _ = _peaks(angle, position)
+        for kind, power in POWERS.items():
+            limit, value = getattr(machine.axes[letter], kind), top[kind]
+            if limit is not None and value > 0:
+                allowed.append((limit / value) ** (1 / power))
+    return float(min(allowed))
+
+
+def _peaks(time: Floats, position: Floats) -> tuple[dict[str, float], dict[str, int]]:
+    """Return travel and peaks of an axis by name, and the numbers of the points they are found at."""
+    from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
+
+    value, place = np.empty(5), np.empty(5, dtype=np.int64)
+    kernel.peaks(time, position, value, place)
+    names = ("low", "high", *POWERS)
+    return dict(zip(names, value.tolist(), strict=True)), dict(zip(names, place.tolist(), strict=True))
+
+
+def _length(letter: str) -> str:
+    """Return the unit that an axis counts in."""
+    return "rad" if letter in ROTARY else "mm"

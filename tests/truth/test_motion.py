@@ -1,0 +1,120 @@
+"""Axes in time against motions whose derivatives have a closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from turnwright.machine import Axis, Machine
+from turnwright.motion import check_limits, drive
+from turnwright.path import Motion, Path
+from turnwright.strategy import SlowToolServo
+
+TURN = 2 * np.pi
+FREE = {"C": Axis(), "X": Axis(), "Z": Axis()}
+FREE_MACHINE = Machine(name="free", axes=FREE, spindle_rpm=1e9, block_rate_hz=1e12)
+
+
+def path(angle, radius, z):
+    zero = np.zeros_like(angle)
+    return Path(
+        angle=angle, radius=radius, z=z, sweep=zero, contact_x=zero, contact_y=zero, contact_z=zero, clearance=zero
+    )
+
+
+def wave(*, amplitude=0.2, harmonic=2, turns=10, points=3600, feed=0.01, sense=1):
+    """Z = amplitude cos(harmonic * angle): speed, acceleration and jerk are amplitude * (harmonic * omega)^k."""
+    angle = sense * np.arange(turns * points + 1) * (TURN / points)
+    return path(angle, 5 - feed * np.abs(angle) / TURN, amplitude * np.cos(harmonic * angle))
+
+
+def servo(rpm=None):
+    return SlowToolServo(feed=0.01, points_per_rev=3600, spindle_rpm=rpm)
+
+
+def test_differences_are_exact_for_cubics_at_any_step():
+    # Oracle: derivatives of t^3 - 2 t^2 + 5 t over steps that vary threefold.
+    rng = np.random.default_rng(7)
+    time = np.cumsum(rng.uniform(0.01, 0.03, 400))
+    for position, expected in ((5 * time, (5, 0, 0)), (3 * time**2, (None, 6, 0)), (time**3, (None, None, 6))):
+        found = check_limits(
+            Motion(time=time, axes={"C": time, "X": time, "Z": position}, machine=FREE_MACHINE), FREE_MACHINE
+        )
+        values = found.peak_speed["Z"], found.peak_acceleration["Z"], found.peak_jerk["Z"]
+        for value, exact in zip(values, expected, strict=True):
+            if exact is not None:
+                assert value == pytest.approx(exact, rel=1e-6, abs=2e-6)
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_wave_has_its_own_peaks(sense):
+    motion = drive(wave(sense=sense), servo(50), FREE_MACHINE)
+    limits = check_limits(motion, FREE_MACHINE)
+    omega = 50 * TURN / 60
+    assert limits.cycle_time_s == pytest.approx(12)  # ten turns at 50 rev/min
+    assert limits.spindle_rpm == pytest.approx(50)
+    assert limits.block_rate_hz == pytest.approx(3000)
+    assert limits.peak_speed["C"] == pytest.approx(omega, rel=1e-8)
+    assert limits.peak_speed["X"] == pytest.approx(0.01 * 50 / 60, rel=1e-8)
+    for peak, power in ((limits.peak_speed, 1), (limits.peak_acceleration, 2), (limits.peak_jerk, 3)):
+        assert peak["Z"] == pytest.approx(0.2 * (2 * omega) ** power, rel=5e-6)
+    assert limits.travel["Z"] == pytest.approx((-0.2, 0.2))
+    assert limits.travel["X"] == pytest.approx((4.9, 5))
+
+
+@pytest.mark.parametrize(
+    ("axis", "binding", "omega"),
+    [
+        (Axis(speed=1.0), "Z speed", 1.0 / 0.4),
+        (Axis(acceleration=2.0), "Z acceleration", np.sqrt(2.0 / 0.8)),
+        (Axis(jerk=3.0), "Z jerk", np.cbrt(3.0 / 1.6)),
+    ],
+)
+def test_no_speed_given_means_the_highest_that_keeps_every_limit(axis, binding, omega):
+    machine = Machine(name="slow", axes={**FREE, "Z": axis}, spindle_rpm=1e4, block_rate_hz=1e6)
+    motion = drive(wave(), servo(), machine)
+    limits = check_limits(motion, machine)
+    assert limits.spindle_rpm == pytest.approx(omega * 60 / TURN, rel=5e-6)
+    assert limits.binding == binding
+    assert limits.utilisation[binding] == pytest.approx(1, rel=1e-6)
+    assert limits.ok
+    assert not limits.findings
+    # A percent faster breaks it: the same limit says so.
+    faster = check_limits(drive(wave(), servo(1.01 * limits.spindle_rpm), machine), machine)
+    assert not faster.ok
+    assert faster.findings[0].startswith(f"{binding} reaches")
+
+
+def test_block_rate_and_spindle_bind_in_turn():
+    for rate, rpm, binding, expected in ((1000, 500, "block rate", 1000 / 60), (1e5, 500, "spindle speed", 500)):
+        machine = Machine(name="m", axes=FREE, spindle_rpm=rpm, block_rate_hz=rate)
+        limits = check_limits(drive(wave(), servo(), machine), machine)
+        assert limits.binding == binding
+        assert limits.spindle_rpm == pytest.approx(expected, rel=1e-9)
+        assert limits.ok
+
+
+def test_uneven_blocks_count_where_they_are_shortest():
+    angle = np.array([0, 0.1, 0.2, 0.21, 0.3])
+    machine = Machine(name="m", axes=FREE, spindle_rpm=500, block_rate_hz=100)
+    limits = check_limits(drive(path(angle, 5 - angle, 0 * angle), servo(), machine), machine)
+    assert limits.block_rate_hz == pytest.approx(100)
+    assert limits.cycle_time_s == pytest.approx(0.3)  # at 0.01 rad per 10 ms
+
+
+def test_known_errors_of_the_machine_are_taken_out_of_z():
+    machine = replace(FREE_MACHINE, squareness=-3.5e-5, straightness=([0, 4, 6], [0, 1e-4, -2e-4]))
+    plan = wave()
+    motion = drive(plan, servo(50), machine)
+    x = motion.axes["X"]
+    # What the tip does is the command plus the error of the machine: exactly the path.
+    error = -3.5e-5 * x + np.where(x < 4, 1e-4 * x / 4, 1e-4 - 3e-4 * (x - 4) / 2)
+    assert np.abs(motion.axes["Z"] + error - plan.z).max() < 1e-15
+    assert np.abs(motion.axes["X"] - plan.radius).max() == 0
+
+
+def test_the_travel_is_looked_at():
+    machine = replace(FREE_MACHINE, axes={**FREE, "X": Axis(low=-1, high=4.95), "Z": Axis(low=-0.1, high=1)})
+    limits = check_limits(drive(wave(), servo(50), machine), machine)
+    assert not limits.ok
+    assert [finding[:11] for finding in limits.findings] == ["X goes to 5", "Z goes to -"]
