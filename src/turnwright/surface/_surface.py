@@ -92,7 +92,7 @@ class Surface(ABC):
 
     def _checked(self, x: ArrayLike, y: ArrayLike, order: int) -> tuple[Floats, ...]:
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-        x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+        x, y = np.asarray(x, order="C"), np.asarray(y, order="C")  # a number stays a number
         inside = self.inside(x, y)
         if inside is not None and not inside.all():
             first = np.flatnonzero(~inside.ravel())[0]
