@@ -1,5 +1,33 @@
 """Prescriptions: one family per file, each a `Surface`."""
 
 from turnwright.surface._surface import Surface
+from turnwright.surface.compound import Placed, Sum
+from turnwright.surface.conic import Conic, EvenAsphere, Plane, Sphere
+from turnwright.surface.expression import Expression
+from turnwright.surface.forbes import Forbes
+from turnwright.surface.gridded import Gridded
+from turnwright.surface.lens_array import LensArray
+from turnwright.surface.polynomial import RadialPolynomial, XYPolynomial
+from turnwright.surface.sine_grid import SineGrid
+from turnwright.surface.toroid import Biconic, Toroid
+from turnwright.surface.zernike import Zernike
 
-__all__ = ["Surface"]
+__all__ = [
+    "Biconic",
+    "Conic",
+    "EvenAsphere",
+    "Expression",
+    "Forbes",
+    "Gridded",
+    "LensArray",
+    "Placed",
+    "Plane",
+    "RadialPolynomial",
+    "SineGrid",
+    "Sphere",
+    "Sum",
+    "Surface",
+    "Toroid",
+    "XYPolynomial",
+    "Zernike",
+]

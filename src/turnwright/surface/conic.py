@@ -1,0 +1,196 @@
+"""Planes, spheres, conics and even aspheres: surfaces of revolution about z (a plane may lean)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from turnwright._arrays import Floats, frozen
+from turnwright.errors import InputError
+from turnwright.surface._analytic import (
+    MAX_DEGREE,
+    OnConic,
+    Terms,
+    changing_length,
+    curvature,
+    finite,
+    read_terms,
+    summed,
+    whole,
+)
+from turnwright.surface._surface import Surface
+
+__all__ = ["Conic", "EvenAsphere", "Plane", "Sphere"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plane(Surface):
+    r"""A plane through the origin, :math:`z = s_x x + s_y y`.
+
+    Parameters
+    ----------
+    slope
+        Rise along x and along y. [1]
+
+    Raises
+    ------
+    InputError
+        If the slope is not two finite numbers.
+    """
+
+    slope: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if np.shape(self.slope) != (2,):
+            raise InputError(f"the slope of a plane is {self.slope!r}, it must be two numbers: give (sx, sy)")
+        object.__setattr__(self, "slope", tuple(finite(value, "the slope of a plane") for value in self.slope))
+
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return height and derivatives, see `Surface.evaluate`."""
+        constants = (*self.slope, 0.0, 0.0, 0.0)[: (0, 2, 5)[order]]
+        return self.slope[0] * x + self.slope[1] * y, *(np.full(x.shape, value) for value in constants)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sphere(OnConic):
+    r"""A sphere, :math:`z = c r^2 / (1 + \sqrt{1 - c^2 r^2})` with :math:`c = 1/R`.
+
+    Parameters
+    ----------
+    radius
+        Radius R: positive for a bowl, negative for a dome, inf for a flat. [mm]
+
+    Raises
+    ------
+    InputError
+        If the radius is 0 or nan.
+
+    Examples
+    --------
+    >>> round(float(Sphere(radius=10.0).sag(6.0, 0.0)), 12)
+    2.0
+    """
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        curvature(self.radius, "the radius of a sphere")
+
+    @property
+    def base(self) -> tuple[float, float]:
+        """Vertex curvature and conic constant. [1/mm, 1]."""
+        return 1 / self.radius, 0.0
+
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return height and derivatives, see `Surface.evaluate`."""
+        from turnwright._kernels import quadrics  # noqa: PLC0415 - numba is costly to import
+
+        return summed(x, y, order, (quadrics.conic, *self.base))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conic(OnConic):
+    r"""A conic of revolution, :math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` with :math:`c = 1/R`.
+
+    Parameters
+    ----------
+    radius
+        Vertex radius R: positive for a bowl, negative for a dome, inf for a flat. [mm]
+    conic
+        Conic constant k: 0 a sphere, -1 a paraboloid, below -1 a hyperboloid, else an ellipsoid.
+
+    Raises
+    ------
+    InputError
+        If the radius is 0 or nan, or the conic constant is not finite.
+    """
+
+    radius: float
+    conic: float
+
+    def __post_init__(self) -> None:
+        curvature(self.radius, "the radius of a conic")
+        finite(self.conic, "the conic constant")
+
+    @property
+    def base(self) -> tuple[float, float]:
+        """Vertex curvature and conic constant. [1/mm, 1]."""
+        return 1 / self.radius, float(self.conic)
+
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return height and derivatives, see `Surface.evaluate`."""
+        from turnwright._kernels import quadrics  # noqa: PLC0415
+
+        return summed(x, y, order, (quadrics.conic, *self.base))
+
+
+def _even_power(key: object) -> int:
+    power = whole(key, "the power of an even asphere's term")
+    if power < 2 or power % 2 or power > MAX_DEGREE:
+        raise InputError(
+            f"the power of an even asphere's term is {power}, it must be even and from 2 to {MAX_DEGREE}: name each "
+            "term by its power of r, 4 for r^4"
+        )
+    return power
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvenAsphere(OnConic):
+    r"""A conic with even powers of the distance from the axis.
+
+    .. math:: z = \frac{c r^2}{1 + \sqrt{1 - (1 + k) c^2 r^2}} + \sum_n a_n r^n
+
+    Parameters
+    ----------
+    radius
+        Vertex radius R = 1/c of the conic: positive for a bowl, negative for a dome, inf for a flat. [mm]
+    conic
+        Conic constant k.
+    terms
+        Coefficients a_n by the power n of r, n even and at least 2. [mm^(1-n)]
+
+    Raises
+    ------
+    InputError
+        If the radius is 0 or nan, or a power is odd, or anything is not finite.
+
+    Examples
+    --------
+    >>> lens = EvenAsphere(radius=float("inf"), conic=0, terms={4: 1e-4})
+    >>> float(lens.sag(0.0, 10.0))
+    1.0
+    """
+
+    radius: float
+    conic: float
+    terms: Terms[int] = ()
+    _coefficients: Floats = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        curvature(self.radius, "the radius of an even asphere")
+        finite(self.conic, "the conic constant")
+        terms = read_terms(self.terms, "an even asphere", _even_power)
+        object.__setattr__(self, "terms", terms)
+        coefficients = np.zeros(1 + max((power for power, _ in terms), default=0) // 2)
+        for power, value in terms:
+            coefficients[power // 2] = value
+        object.__setattr__(self, "_coefficients", frozen(coefficients, "coefficients"))
+
+    @property
+    def base(self) -> tuple[float, float]:
+        """Vertex curvature and conic constant. [1/mm, 1]."""
+        return 1 / self.radius, float(self.conic)
+
+    @property
+    def feature_size(self) -> float:
+        """Length over which the curvature changes, of the conic or of the polynomial with its vertex sphere. [mm]."""
+        sizes = {2 * half: value for half, value in enumerate(self._coefficients)}
+        sizes[2] = sizes.get(2, 0.0) + self.base[0] / 2
+        return min(self.conic_length, changing_length(sizes))
+
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return height and derivatives, see `Surface.evaluate`."""
+        from turnwright._kernels import polynomials, quadrics  # noqa: PLC0415
+
+        return summed(x, y, order, (quadrics.conic, *self.base), (polynomials.even, self._coefficients))

@@ -1,0 +1,190 @@
+"""Forbes' polynomials: departures from a conic whose coefficients say how steep they are, or how high."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from turnwright._arrays import Floats, positive
+from turnwright.errors import InputError
+from turnwright.surface._analytic import (
+    MAX_DEGREE,
+    OnConic,
+    Terms,
+    curvature,
+    finite,
+    read_terms,
+    summed,
+    whole,
+    whole_pair,
+)
+from turnwright.surface._disc import DiscSum, disc_sum
+
+__all__ = ["Forbes", "ForbesKind"]
+
+ForbesKind: TypeAlias = Literal["qbfs", "qcon", "q2d"]
+
+
+def _checked(degree: int, term: object) -> None:
+    if degree > MAX_DEGREE:
+        raise InputError(
+            f"the term {term!r} of a Forbes surface has degree {degree}, the limit is {MAX_DEGREE}: check its index"
+        )
+
+
+def _single(key: object) -> tuple[int, int]:
+    n = whole(key, "the index of a Forbes term")
+    _checked(2 * n + 4, key)
+    return n, 0
+
+
+def _double(key: object) -> tuple[int, int]:
+    n, m = whole_pair(key, "the pair (n, m) of a Q-2D term")
+    _checked(2 * n + (abs(m) if m else 4), key)
+    return n, m
+
+
+def _q_to_jacobi(m: int, a: Floats) -> Floats:
+    r"""Jacobi coefficients of :math:`\sum a_n Q_n^m`, for m = 0 before the factor :math:`u^2 (1 - u^2)`.
+
+    The :math:`Q_n^m` are by definition what Gram and Schmidt make of the polynomials in :math:`u^2` so that the slopes
+    of the departures are orthonormal in the mean over the disc with the weight :math:`1 / (u \sqrt{1 - u^2})`. With
+    u = sin t that mean is one over t, which equidistant points give exactly, and Gram and Schmidt is the triangle of a
+    QR decomposition.
+    """
+    from scipy.special import eval_jacobi  # noqa: PLC0415 - only these families need it
+
+    k = np.arange(len(a))
+    nodes = m + 2 * len(a) + 8
+    u = np.sin((np.arange(nodes) + 0.5) * np.pi / (2 * nodes))[:, None]
+    s = u * u
+    jacobi = eval_jacobi(k, 0, m, 2 * s - 1)
+    slope = (k + m + 1) * eval_jacobi(k - 1, 1, m + 1, 2 * s - 1) * (k > 0)
+    if m == 0:
+        gradient = 2 * u * (s * (1 - s) * slope + (1 - 2 * s) * jacobi) / np.sqrt(nodes)
+    else:
+        along = m * u ** (m - 1) * jacobi + 2 * u ** (m + 1) * slope
+        around = m * u ** (m - 1) * jacobi
+        gradient = np.concatenate([along, around]) / np.sqrt(2 * nodes)
+    triangle = np.linalg.qr(gradient, mode="r")
+    # Forbes' sign: positive at the centre, so the leading coefficients alternate; those of Jacobi are positive.
+    triangle *= (np.sign(np.diag(triangle)) * (-1.0) ** k)[:, None]
+    return np.asarray(np.linalg.solve(triangle, a))
+
+
+def _qcon_to_legendre(a: Floats) -> Floats:
+    r"""Legendre coefficients in :math:`2 u^2 - 1` of :math:`u^4 \sum a_n Q^{con}_n`, by Gauss's exact quadrature."""
+    from scipy.special import eval_jacobi  # noqa: PLC0415
+
+    degree = len(a) + 1
+    t, weight = legendre.leggauss(degree + 1)
+    value = ((t + 1) / 2) ** 2 * (eval_jacobi(np.arange(len(a)), 0, 4, t[:, None]) @ a)
+    return np.asarray((np.arange(degree + 1) + 0.5) * (legendre.legvander(t, degree).T @ (weight * value)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Forbes(OnConic):
+    r"""A conic with a departure in Forbes' polynomials, u = r / norm_radius.
+
+    .. math::
+
+        z = \frac{c r^2}{1 + \sqrt{1 - (1 + k) c^2 r^2}} + D, \qquad
+        \sigma = \frac{\sqrt{1 - (1 + k) c^2 r^2}}{\sqrt{1 - k c^2 r^2}}
+
+    - ``"qbfs"``: :math:`D = u^2 (1 - u^2) \sum a_n Q^{bfs}_n(u^2) / \sigma`, the departure along the normal of the
+      conic (a sphere for k = 0) being what the sum says;
+    - ``"qcon"``: :math:`D = u^4 \sum a_n Q^{con}_n(u^2)`, along z;
+    - ``"q2d"``: :math:`D = [u^2 (1 - u^2) \sum a_n^0 Q_n^0(u^2) + \sum_{m > 0} u^m \sum_n (a_n^m \cos m\theta +
+      b_n^m \sin m\theta) Q_n^m(u^2)] / \sigma`.
+
+    The surface is defined, and used, beyond the normalisation radius as far as its conic is: the tool meets it outside
+    the aperture.
+
+    Parameters
+    ----------
+    radius
+        Vertex radius 1/c of the conic: positive for a bowl, negative for a dome, inf for a flat. [mm]
+    conic
+        Conic constant k.
+    norm_radius
+        Normalisation radius. [mm]
+    kind
+        "qbfs", "qcon" or "q2d".
+    terms
+        Coefficients by n, and for "q2d" by (n, m) with m negative for the sine. [mm]
+
+    Raises
+    ------
+    InputError
+        If an index is not one of its kind, a coefficient is not finite, a radius is 0 or the normalisation radius is
+        not positive or beyond the conic.
+
+    Sources
+    -------
+    [Forbes2007]_ (Q-bfs, Q-con), [Forbes2012]_ (Q-2D); the factor for a departure from a conic is the secant of the
+    conic's slope, which [Forbes2007]_ gives for the sphere. Oracle: the published lists, prysm, mpmath.
+
+    Examples
+    --------
+    >>> dish = Forbes(radius=100.0, conic=0.0, norm_radius=10.0, kind="qbfs", terms={0: 1e-3, 2: -2e-4})
+    >>> flat = Forbes(radius=float("inf"), conic=0.0, norm_radius=10.0, kind="qcon", terms={0: 1e-3})
+    >>> round(float(flat.sag(5.0, 0.0)), 9)    # u^4
+    6.25e-05
+    """
+
+    radius: float
+    conic: float
+    norm_radius: float
+    kind: ForbesKind
+    terms: Terms[int] | Terms[tuple[int, int]]
+    _sum: DiscSum = field(init=False, repr=False, compare=False)
+    _degree: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        curvature(self.radius, "the radius of a Forbes surface")
+        finite(self.conic, "the conic constant")
+        positive(self.norm_radius, "the norm_radius of a Forbes surface", "mm")
+        if self.kind not in {"qbfs", "qcon", "q2d"}:
+            raise InputError(f"the kind of a Forbes surface is {self.kind!r}, known are qbfs, qcon and q2d: choose one")
+        if self.norm_radius >= self.reach:
+            raise InputError(
+                f"the norm_radius of a Forbes surface is {self.norm_radius:g} mm, its conic ends at {self.reach:.6g} "
+                "mm: take a smaller one or correct the radius"
+            )
+        pairs = read_terms(self.terms, "a Forbes surface", _double if self.kind == "q2d" else _single)
+        kept = pairs if self.kind == "q2d" else tuple((n, value) for (n, _), value in pairs)
+        object.__setattr__(self, "terms", kept)
+        series: dict[int, Floats] = {}
+        for m in {m for (_, m), _ in pairs}:
+            row = np.zeros(1 + max(n for (n, order), _ in pairs if order == m))
+            for (n, order), value in pairs:
+                if order == m:
+                    row[n] = value
+            series[m] = _qcon_to_legendre(row) if self.kind == "qcon" else _q_to_jacobi(abs(m), row)
+            if m == 0 and self.kind != "qcon":
+                # u^2 (1 - u^2) = (P_0 - P_2) / 6 in Legendre polynomials of 2 u^2 - 1.
+                series[m] = np.asarray(legendre.legmul(series[m], [1 / 6, 0, -1 / 6]))
+        object.__setattr__(self, "_sum", disc_sum(series))
+        object.__setattr__(self, "_degree", max((2 * len(c) - 2 + abs(m) for m, c in series.items()), default=0))
+
+    @property
+    def base(self) -> tuple[float, float]:
+        """Vertex curvature and conic constant. [1/mm, 1]."""
+        return 1 / self.radius, float(self.conic)
+
+    @property
+    def feature_size(self) -> float:
+        """That of the conic, or the normalisation radius over the degree if that is less. [mm]."""
+        return min(self.conic_length, self.norm_radius / max(self._degree, 1))
+
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return height and derivatives, see `Surface.evaluate`."""
+        from turnwright._kernels import polynomials, quadrics  # noqa: PLC0415 - numba is costly to import
+
+        departure: list[tuple[Any, ...]] = [(polynomials.disc, 1 / self.norm_radius, *self._sum)]
+        if self.kind != "qcon":
+            departure.append((quadrics.secant, *self.base))
+        return summed(x, y, order, *departure, (quadrics.conic, *self.base))

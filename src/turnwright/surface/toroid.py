@@ -1,0 +1,140 @@
+"""Surfaces with two radii: a torus, and a biconic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.surface._analytic import curvature, finite, summed
+from turnwright.surface._surface import Surface
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Bools, Floats
+
+__all__ = ["Biconic", "Toroid"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Toroid(Surface):
+    r"""A true circular torus: an arc in the xz plane, turned about a line parallel to x.
+
+    The arc has the radius :math:`R_x` and passes through the vertex; the line is y = 0, :math:`z = R_y`. An infinite
+    ``radius_y`` leaves a cylinder with its generators along y, an infinite ``radius_x`` one with them along x. For the
+    other torus, the arc in the yz plane turned about a line parallel to y, exchange the radii and place it rotated by a
+    quarter of a turn.
+
+    .. math:: z = R_y - \sqrt{(R_y - g)^2 - y^2}, \quad g = R_x - \sqrt{R_x^2 - x^2} \qquad (R_x, R_y > 0)
+
+    Parameters
+    ----------
+    radius_x
+        Radius of the arc, the vertex radius along x: positive for a bowl, negative for a dome, inf for straight. [mm]
+    radius_y
+        Distance from the vertex to the line, the vertex radius along y. [mm]
+
+    Raises
+    ------
+    InputError
+        If a radius is 0 or nan.
+
+    Examples
+    --------
+    >>> trough = Toroid(radius_x=float("inf"), radius_y=10.0)
+    >>> round(float(trough.sag(3.0, 6.0)), 12)
+    2.0
+    """
+
+    radius_x: float
+    radius_y: float
+
+    def __post_init__(self) -> None:
+        curvature(self.radius_x, "radius_x of a toroid")
+        curvature(self.radius_y, "radius_y of a toroid")
+
+    def inside(self, x: Floats, y: Floats) -> Bools | None:
+        """Return where neither the arc nor the turned circle is vertical yet."""
+        cx, cy = 1 / self.radius_x, 1 / self.radius_y
+        squared = 1 - cx * cx * x * x
+        with np.errstate(invalid="ignore"):
+            lean = 1 - cy * cx * x * x / (1 + np.sqrt(squared))
+        return np.asarray((squared > 0) & (lean > np.abs(cy * y)))
+
+    @property
+    def domain(self) -> str:
+        """Say in words where the surface is defined."""
+        return (
+            f"|x| below {abs(self.radius_x):g} mm and |y| below {abs(self.radius_y):g} mm, the latter "
+            "less the sag of the arc in x where both bend to one side"
+        )
+
+    @property
+    def feature_size(self) -> float:
+        """The smaller radius. [mm]."""
+        return min(abs(self.radius_x), abs(self.radius_y))
+
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return height and derivatives, see `Surface.evaluate`."""
+        from turnwright._kernels import quadrics  # noqa: PLC0415 - numba is costly to import
+
+        return summed(x, y, order, (quadrics.toroid, 1 / self.radius_x, 1 / self.radius_y))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Biconic(Surface):
+    r"""A conic section in each of two planes.
+
+    .. math:: z = \frac{c_x x^2 + c_y y^2}{1 + \sqrt{1 - (1 + k_x) c_x^2 x^2 - (1 + k_y) c_y^2 y^2}}
+
+    Parameters
+    ----------
+    radius_x, radius_y
+        Vertex radii 1/c: positive for a bowl, negative for a dome, inf for straight. [mm]
+    conic_x, conic_y
+        Conic constants k.
+
+    Raises
+    ------
+    InputError
+        If a radius is 0 or nan, or a conic constant is not finite.
+    """
+
+    radius_x: float
+    radius_y: float
+    conic_x: float
+    conic_y: float
+
+    def __post_init__(self) -> None:
+        curvature(self.radius_x, "radius_x of a biconic")
+        curvature(self.radius_y, "radius_y of a biconic")
+        finite(self.conic_x, "conic_x")
+        finite(self.conic_y, "conic_y")
+
+    @property
+    def _squared(self) -> tuple[float, float]:
+        return (1 + self.conic_x) / self.radius_x**2, (1 + self.conic_y) / self.radius_y**2
+
+    def inside(self, x: Floats, y: Floats) -> Bools | None:
+        """Return where the surface is not yet vertical."""
+        a, b = self._squared
+        return None if a <= 0 and b <= 0 else 1 - a * x * x - b * y * y > 0
+
+    @property
+    def domain(self) -> str:
+        """Say in words where the surface is defined."""
+        a, b = self._squared
+        return "the whole plane" if a <= 0 and b <= 0 else f"{a:.6g} x² + {b:.6g} y² < 1 (mm)"
+
+    @property
+    def feature_size(self) -> float:
+        """Length over which the curvature changes. [mm]."""
+        largest = max(abs(value) for value in self._squared)
+        return float(1 / np.sqrt(largest)) if largest > 0 else float("inf")
+
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return height and derivatives, see `Surface.evaluate`."""
+        from turnwright._kernels import quadrics  # noqa: PLC0415
+
+        parameters = (1 / self.radius_x, 1 / self.radius_y, float(self.conic_x), float(self.conic_y))
+        return summed(x, y, order, (quadrics.biconic, *parameters))
