@@ -1,0 +1,372 @@
+"""Whether the tool can reach the surface, where it is tightest, and by how much."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from turnwright._arrays import Floats
+    from turnwright.part import Part
+    from turnwright.tool import Tool
+
+__all__ = ["Access", "Finding", "check_access"]
+
+TURN = 2 * math.pi
+
+MOST_PLACES = 400_000
+"""Places that are looked at before the search narrows."""
+
+STARTS = 32
+"""Best places that the search narrows from."""
+
+SHARP = 1e-6
+"""A slope that jumps by less than this, or a height by less than this many mm, is rounding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One thing that was looked at.
+
+    Parameters
+    ----------
+    name
+        "nose radius", "included angle", "clearance", "rake", "valley" or "step".
+    value
+        What the tool has (nose radius) or needs (angles), or the size of a valley or step. [mm or rad]
+    limit
+        What the part allows (nose radius) or the tool has (angles); ``None`` if there is none or it is not stated.
+    margin
+        How much is left, negative where the limit is passed; ``None`` without a limit.
+    where
+        The tightest place on the part (x, y); ``None`` if there is none. [mm]
+    ok
+        Whether the tool passes. What is needed but not stated does not.
+    sentence
+        All of it in words.
+    """
+
+    name: str
+    value: float
+    limit: float | None
+    margin: float | None
+    where: tuple[float, float] | None
+    ok: bool
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Access:
+    """What a part asks of a tool. See `check_access`.
+
+    Parameters
+    ----------
+    nose_radius_limit
+        Largest usable nose radius; infinite where no place is concave along the radius. [mm]
+    sweep
+        Lowest and highest angle on the nose that touches the part (lo, hi). [rad]
+    included_needed
+        Included angle, symmetric about the tip, that holds the sweep. [rad]
+    clearance_needed
+        Clearance angle that keeps the heel off the finished surface. [rad]
+    rake_range
+        Lowest and highest rake against the surface as it climbs and falls under the edge (lo, hi). [rad]
+    ok
+        Whether every finding is.
+    findings
+        What was looked at, with its margin and place.
+    """
+
+    nose_radius_limit: float
+    sweep: tuple[float, float]
+    included_needed: float
+    clearance_needed: float
+    rake_range: tuple[float, float]
+    ok: bool
+    findings: tuple[Finding, ...]
+
+
+class _Places(NamedTuple):
+    """Where to look: rings about the axis, as dense along them as between them."""
+
+    radius: Floats
+    angle: Floats
+    wide: Floats  # distance to the neighbours along the ring [rad]
+    step: float  # distance to the next ring [mm]
+
+
+class _Shape(NamedTuple):
+    """The surface as the edge meets it."""
+
+    curvature: Floats  # in the rake plane, positive concave [1/mm]
+    sweep: Floats  # on the nose [rad]
+    climb: Floats  # slope angle along the cutting direction, positive uphill [rad]
+
+
+def check_access(part: Part, tool: Tool, *, sense: int = 1) -> Access:
+    r"""Return what a part asks of a tool, how much margin there is, and where on the part it is tightest.
+
+    At radius :math:`\rho` and azimuth :math:`\theta` let :math:`f_u = \partial f/\partial\rho` be the slope outward and
+    :math:`f_v = \partial f/\rho\,\partial\theta` the slope along growing azimuth.
+
+    Nose radius
+        The edge at rake :math:`\gamma` lies in a plane that leans back from the vertical, so a height :math:`w` along
+        it stands at :math:`v = kw, z = cw` with :math:`c = \cos\gamma, k = -s\sin\gamma` and :math:`s` the sense. There
+        the surface has the slope and the curvature
+
+        .. math::
+            w' = \frac{f_u}{c - k f_v}, \qquad
+            w'' = \frac{f_{uu} + 2 k w' f_{uv} + k^2 w'^2 f_{vv}}{c - k f_v}, \qquad
+            \kappa = \frac{w''}{(1 + w'^2)^{3/2}}.
+
+        Only concave places (:math:`\kappa > 0`) limit the nose, to :math:`1/\max\kappa`. Without rake that is
+        :math:`(1 + f_u^2)^{3/2} / f_{uu}`. Whether the edge hits the surface away from the contact is not a matter of
+        curvature: placing the tool finds that exactly.
+    Sweep
+        The nose touches at the angle whose tangent is :math:`w'`. An included angle of twice the larger end holds it.
+    Clearance
+        The tool moves toward :math:`s\,v` over the part and its clearance face trails over what is cut, rising at the
+        clearance angle :math:`\alpha`. Behind the edge the surface rises at :math:`-s f_v`, so where it falls along the
+        cutting direction it needs :math:`\tan\alpha \ge -s f_v`. This holds at every sweep of a cylindrical clearance
+        face; a conical one of the same angle clears a little more.
+    Rake
+        The surface climbs under the edge by :math:`\beta = \arctan(s f_v)`, so the rake against the surface is
+        :math:`\gamma - \beta`. No limit is known to hold for all materials, so it is shown and not judged.
+
+    Where two pieces of the surface meet in a valley along the radius, no nose reaches the bottom: that is a finding
+    with the height that stays. An included or clearance angle that is needed and not stated is not passed.
+
+    Parameters
+    ----------
+    part, tool
+        What is cut, by what: the actual nose radius, the nominal angles.
+    sense
+        +1 where the azimuth of the part under the tool grows, -1 where it falls.
+
+    Raises
+    ------
+    InputError
+        If ``sense`` is neither.
+
+    Notes
+    -----
+    The surface is looked at on rings an eighth of its feature size apart (at most 400 000 places), and the search
+    then narrows around the best 32 of them, on one piece of the surface at a time. A raked edge is taken at the azimuth
+    of its tip.
+
+    Sources
+    -------
+    [Troutman2016]_ chapter 6. Erratum to its Eq. 6.2: the absolute value of the curvature counts convex places too,
+    which any nose reaches; [Li2018]_ has it likewise.
+
+    >>> from turnwright.part import Part
+    >>> from turnwright.surface import SineGrid
+    >>> from turnwright.tool import Tool
+    >>> grid = Part(surface=SineGrid(amplitude=(0.002, 0.002), period=(2.5, 2.5)), radius=5.0)
+    >>> tool = Tool(nose_radius=0.514, clearance=np.deg2rad(10), included=np.deg2rad(60))
+    >>> access = check_access(grid, tool)
+    >>> access.ok, round(access.nose_radius_limit, 2)
+    (True, 79.16)
+    >>> print(access.findings[1].sentence)
+    included angle needs to be 0.815 deg at x = 0 mm, y = 0 mm, the tool has 60 deg
+    """
+    if sense not in (-1, 1):
+        raise InputError(f"sense is {sense!r}, it must be 1 or -1: give the way the azimuth runs under the tool")
+
+    def shape(radius: Floats, angle: Floats) -> _Shape:
+        return _shape(part, tool, sense, radius, angle)
+
+    places = _places(part)
+    seen = shape(places.radius, places.angle)
+    curvature, curved = _highest(lambda r, a: shape(r, a).curvature, seen.curvature, places, part.radius)
+    high, at_high = _highest(lambda r, a: shape(r, a).sweep, seen.sweep, places, part.radius)
+    minus_low, at_low = _highest(lambda r, a: -shape(r, a).sweep, -seen.sweep, places, part.radius)
+    steep, climbing = _highest(lambda r, a: shape(r, a).climb, seen.climb, places, part.radius)
+    minus_fall, falling = _highest(lambda r, a: -shape(r, a).climb, -seen.climb, places, part.radius)
+
+    limit = 1 / curvature if curvature > 0 else math.inf
+    needed, at_needed = (2 * high, at_high) if high >= minus_low else (2 * minus_low, at_low)
+    clearance = max(minus_fall, 0.0)
+    rakes = (tool.rake - steep, tool.rake + minus_fall)
+    findings = [
+        _nose(tool, limit, curved),
+        _angle("included angle", "included", needed, tool.included, at_needed),
+        _angle("clearance", "clearance", clearance, tool.clearance, falling),
+        Finding(
+            name="rake",
+            value=rakes[0],
+            limit=None,
+            margin=None,
+            where=climbing,
+            ok=True,
+            sentence=f"the rake against the surface goes from {_deg(rakes[0])} {_at(climbing)} to "
+            f"{_deg(rakes[1])} {_at(falling)}",
+        ),
+        *_borders(part, tool, places),
+    ]
+    return Access(
+        nose_radius_limit=limit,
+        sweep=(-minus_low, high),
+        included_needed=needed,
+        clearance_needed=clearance,
+        rake_range=rakes,
+        ok=all(finding.ok for finding in findings),
+        findings=tuple(findings),
+    )
+
+
+def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) -> _Shape:
+    """Return the surface as the edge meets it. Each (n,)."""
+    c, s = np.cos(angle), np.sin(angle)
+    _, zx, zy, zxx, zxy, zyy = part.surface.evaluate(radius * c, radius * s, 2)
+    fu, fv = zx * c + zy * s, zy * c - zx * s
+    fuu = zxx * c**2 + 2 * zxy * c * s + zyy * s**2
+    fuv = (zyy - zxx) * c * s + zxy * (c**2 - s**2)
+    fvv = zxx * s**2 - 2 * zxy * c * s + zyy * c**2
+    up, back = math.cos(tool.rake), -sense * math.sin(tool.rake)
+    # Not positive where the surface climbs over the rake face: there no edge cuts, and the limit of the nose is zero.
+    open_ = np.maximum(up - back * fv, 1e-9)
+    slope = fu / open_
+    bend = (fuu + 2 * back * slope * fuv + (back * slope) ** 2 * fvv) / open_
+    return _Shape(bend / (1 + slope**2) ** 1.5, np.arctan(slope), np.arctan(sense * fv))
+
+
+def _places(part: Part) -> _Places:
+    """Return where to look first."""
+    finest = math.sqrt(math.pi / MOST_PLACES) * part.radius
+    step = max(min(part.radius / 48, part.surface.feature_size / 8), finest)
+    rings = np.linspace(0, part.radius, math.ceil(part.radius / step) + 1)
+    counts = np.maximum(np.ceil(TURN * rings / step), 64).astype(np.int64)
+    radius = np.repeat(rings, counts)
+    rank = np.arange(radius.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    wide = TURN / np.repeat(counts, counts)
+    return _Places(radius, rank * wide, wide, float(rings[1]))
+
+
+def _highest(
+    measure: Callable[[Floats, Floats], Floats], seen: Floats, places: _Places, rim: float
+) -> tuple[float, tuple[float, float]]:
+    """Return the largest value of a measure on the part, and its place (x, y).
+
+    From each of the best places seen, five by five neighbours are tried; where the middle one is best they close in.
+    """
+    best = np.argsort(seen)[::-1][: 32 * STARTS]
+    x, y = places.radius[best] * np.cos(places.angle[best]), places.radius[best] * np.sin(places.angle[best])
+    starts: list[int] = []
+    for i in range(best.size):
+        near = np.hypot(x[starts] - x[i], y[starts] - y[i]) < 3 * places.step
+        if not near.any() and len(starts) < STARTS:
+            starts.append(i)
+    chosen = best[starts]
+    radius, angle, value = places.radius[chosen], places.angle[chosen], seen[chosen]
+    wide, step = places.wide[chosen], np.full(chosen.size, places.step)
+    across, along = (part.ravel() for part in np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)))
+    rows = np.arange(chosen.size)
+    for _ in range(100):
+        radii = np.clip(radius[:, None] + step[:, None] * across, 0, rim)
+        angles = angle[:, None] + wide[:, None] * along
+        values = measure(radii.ravel(), angles.ravel()).reshape(radii.shape)
+        top = np.argmax(values, axis=1)
+        better = values[rows, top] > value
+        radius = np.where(better, radii[rows, top], radius)
+        angle = np.where(better, angles[rows, top], angle)
+        value = np.where(better, values[rows, top], value)
+        shrink = np.where(better, 1.0, 0.5)
+        step, wide = step * shrink, wide * shrink
+        if step.max() < 1e-9 * rim:
+            break
+    winner = int(np.argmax(value))
+    r, a = float(radius[winner]), float(angle[winner])
+    return float(value[winner]), (r * math.cos(a), r * math.sin(a))
+
+
+def _at(where: tuple[float, float]) -> str:
+    x, y = (round(value, 6) + 0.0 for value in where)  # adding nought turns -0 into 0
+    return f"at x = {x:.4g} mm, y = {y:.4g} mm"
+
+
+def _deg(angle: float) -> str:
+    return f"{round(math.degrees(angle), 6) + 0.0:.3g} deg"
+
+
+def _nose(tool: Tool, limit: float, where: tuple[float, float]) -> Finding:
+    """Judge the nose radius."""
+    radius = tool.actual_radius
+    if math.isinf(limit):
+        words = f"nose_radius is {radius:.4g} mm and no place is concave along the radius: any nose fits"
+        return Finding(name="nose radius", value=radius, limit=limit, margin=limit, where=None, ok=True, sentence=words)
+    ok = radius <= limit * (1 + 1e-9)
+    words = f"nose_radius is {radius:.4g} mm, the limit is {limit:.4g} mm {_at(where)}"
+    return Finding(
+        name="nose radius",
+        value=radius,
+        limit=limit,
+        margin=limit - radius,
+        where=where,
+        ok=ok,
+        sentence=words + ("" if ok else f": use a nose_radius of at most {limit:.4g} mm"),
+    )
+
+
+def _angle(name: str, field: str, needed: float, has: float | None, where: tuple[float, float]) -> Finding:
+    """Judge an angle of the tool."""
+    words = f"{name} needs to be {_deg(needed)} {_at(where)}"
+    ok = needed <= SHARP if has is None else needed <= has
+    if has is None:
+        words += f", it is not stated: state {field}"
+    else:
+        words += f", the tool has {_deg(has)}"
+        words += "" if ok else f": use a tool with more {name}"
+    margin = None if has is None else has - needed
+    return Finding(name=name, value=needed, limit=has, margin=margin, where=where, ok=ok, sentence=words)
+
+
+def _borders(part: Part, tool: Tool, places: _Places) -> list[Finding]:
+    """Look for valleys and steps where a radial line passes from one piece of the surface to the next."""
+    surface = part.surface
+    # Whole diameters: a valley through the centre counts like any other.
+    along = np.linspace(-part.radius, part.radius, 2 * math.ceil(part.radius / places.step) + 1)
+    azimuths = min(math.ceil(math.pi * part.radius / places.step), 2 * MOST_PLACES // along.size)
+    angle, radius = np.meshgrid(np.arange(azimuths) * (math.pi / azimuths), along, indexing="ij")
+    c, s = np.cos(angle), np.sin(angle)
+    number = surface.piece(radius * c, radius * s)
+    if number is None:
+        return []
+    ray, ring = np.nonzero(number[:, 1:] != number[:, :-1])
+    c, s, own = c[ray, 0], s[ray, 0], number[ray, ring]
+    low, high = radius[ray, ring], radius[ray, ring + 1]
+    for _ in range(60):
+        middle = (low + high) / 2
+        same = surface.piece(middle * c, middle * s) == own
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    (before, bx, by), (after, ax, ay) = (surface.evaluate(r * c, r * s, 1) for r in (low, high))
+    jump = np.abs(after - before)
+    turn = np.arctan(ax * c + ay * s) - np.arctan(bx * c + by * s)
+    turn = np.where(jump > SHARP, 0.0, turn)
+
+    def worst(name: str, sizes: Floats, words: Callable[[float, str], str]) -> list[Finding]:
+        if not sizes.size or sizes.max() <= SHARP:
+            return []
+        at = int(np.argmax(sizes))
+        size, where = float(sizes[at]), (float(low[at] * c[at]), float(low[at] * s[at]))
+        sentence = words(size, _at(where))
+        return [Finding(name=name, value=size, limit=0.0, margin=-size, where=where, ok=False, sentence=sentence)]
+
+    def step(size: float, at: str) -> str:
+        return f"the surface steps by {size:.4g} mm {at}, no nose cuts a wall: a fillet as wide as the edge stays"
+
+    def valley(size: float, at: str) -> str:
+        stays = 1e3 * tool.actual_radius * (1 / math.cos(size / 2) - 1)
+        return (
+            f"a sharp valley turns by {_deg(size)} {at}, no nose reaches its bottom: a fillet of "
+            f"{stays:.3g} um height stays"
+        )
+
+    return worst("valley", turn, valley) + worst("step", jump, step)
