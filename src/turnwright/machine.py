@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from turnwright._arrays import Floats, between, frozen, positive
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
     from collections.abc import Mapping
+
+    from numpy.typing import ArrayLike
 
 __all__ = ["Axis", "Convention", "Machine"]
 

@@ -25,11 +25,13 @@ class Tilted(Surface):
         self.tilt, self.saddle, self.cone = tilt, saddle, cone
 
     def evaluate(self, x, y, order):
-        r = np.hypot(x, y) + 1e-300
+        r = np.hypot(x, y) + 1e-99
         z = self.tilt * x + self.saddle * (x**2 - y**2) + self.cone * r
         if order == 0:
             return (z,)
-        return z, self.tilt + 2 * self.saddle * x + self.cone * x / r, -2 * self.saddle * y + self.cone * y / r
+        zx, zy = self.tilt + 2 * self.saddle * x + self.cone * x / r, -2 * self.saddle * y + self.cone * y / r
+        zxx, zyy = 2 * self.saddle + self.cone * y**2 / r**3, -2 * self.saddle + self.cone * x**2 / r**3
+        return (z, zx, zy, zxx, -self.cone * x * y / r**3, zyy)[: (1, 3, 6)[order]]
 
 
 TOOL = Tool(nose_radius=0.5, included=np.deg2rad(120))
@@ -199,3 +201,17 @@ def test_chord_is_kept_across_kinks(monkeypatch):
     tau = np.linspace(0, spiral.turns * TURN, 400_001)
     smooth = np.trapezoid(np.sqrt(0.3 * 0.1 / TURN * tau * np.abs(np.sin(tau)) / 8e-5), tau)
     assert spiral.angle.size < 1.1 * smooth + 12 * 2 * spiral.turns
+
+
+def test_chord_counts_with_the_tip_of_the_real_edge():
+    # Oracle: on a plane of slope t a round nose stands R (sqrt(1 + t² cos²) - 1) above the plane at the tip.
+    t, chord = 0.3, 2e-6
+    surface = Tilted(tilt=t)
+    spiral = SlowToolServo(feed=0.05, chord=chord).spiral(Part(surface=surface, radius=1.0), TOOL)
+    share = np.linspace(0, 1, 41)[:, None]
+    angle = spiral.angle[:-1] + share * np.diff(spiral.angle)
+    radius = spiral.radius[:-1] + share * np.diff(spiral.radius)
+    tip = t * radius * np.cos(angle) + 0.5 * (np.hypot(1, t * np.cos(angle)) - 1)
+    error = np.abs(tip - (tip[0] + share * (tip[-1] - tip[0]))).max(axis=0)
+    assert error.max() <= chord * (1 + 1e-6)
+    assert np.median(error) > 0.9 * chord

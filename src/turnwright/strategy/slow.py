@@ -231,8 +231,9 @@ class SlowToolServo(Strategy):
 
         def height(turned: Floats) -> Floats:
             angle = turned if self.inside_out else whole - turned
-            where = {"angle": self.sense * angle, "radius": end + pitch * turned}
-            return tip_height(part.surface, tool, **where, sense=self.sense)
+            return tip_height(
+                part.surface, tool, angle=self.sense * angle, radius=end + pitch * turned, sense=self.sense
+            )
 
         kept = [np.zeros(1)]
         for coarse in self._coarse(part, whole, widest):
