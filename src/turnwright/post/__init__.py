@@ -2,6 +2,7 @@
 
 from turnwright.post._header import ProgramHeader, ProgramInfo, ProgramPass, ProgramWarning, inspect_nc
 from turnwright.post._reader import read_nc
+from turnwright.post._registry import dialect_of
 from turnwright.post._table import read_table
 from turnwright.post._writer import ProgramFiles, write_nc
 
@@ -11,6 +12,7 @@ __all__ = [
     "ProgramInfo",
     "ProgramPass",
     "ProgramWarning",
+    "dialect_of",
     "inspect_nc",
     "read_nc",
     "read_table",
