@@ -256,10 +256,14 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
             raise UnitError(f"{text!r} is below {self.least:g} {self.units[0]}: give a value from there on")
         return value
 
+    def show(self, value: float | None) -> str | None:
+        """Return text that `read` takes back to the same number."""
+        return None if value is None else write(value, self.units[0])
+
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import core_schema  # noqa: PLC0415 - only job files need pydantic
 
         return core_schema.no_info_plain_validator_function(
             self.read,
-            serialization=core_schema.plain_serializer_function_ser_schema(lambda value: write(value, self.units[0])),
+            serialization=core_schema.plain_serializer_function_ser_schema(self.show),
         )

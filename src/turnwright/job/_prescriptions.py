@@ -1,0 +1,464 @@
+"""The prescriptions of a job file: a table for each family, chosen by the key ``family``.
+
+To add a family, add its table here: it names the parameters with their units and builds the surface. A list of many
+coefficients may hold plain numbers where the table states once which ``units`` its formula is written in.
+"""
+
+from __future__ import annotations
+
+import re
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias, get_args
+
+import numpy as np
+from annotated_types import Ge
+from pydantic import BeforeValidator, Field, Strict, model_validator
+
+from turnwright import surface as surfaces
+from turnwright.errors import JobError, UnitError
+from turnwright.job._table import (
+    Angle,
+    Count,
+    ExistingFile,
+    Length,
+    Number,
+    Size,
+    Table,
+    Text,
+    refuse,
+)
+from turnwright.units import convert, parse, unit
+
+if TYPE_CHECKING:
+    from turnwright.surface import Surface
+
+__all__ = ["FAMILIES", "AnySurface"]
+
+Coordinate: TypeAlias = tuple[Length, Length]
+
+
+def _as_sum(data: object) -> object:
+    """Read a list of tables as their sum."""
+    return {"family": "sum", "terms": data} if isinstance(data, list | tuple) else data
+
+
+def _level(data: object) -> object:
+    """Read a bare height as the level plane there."""
+    return {"family": "plane", "placed": {"shift": ["0 mm", "0 mm", data]}} if isinstance(data, str) else data
+
+
+class Placement(Table):
+    """Where a surface is put in the part frame: tilted, then rotated, then shifted."""
+
+    shift: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    rotation: Angle = 0.0
+    tilt: tuple[Angle, Angle] = (0.0, 0.0)
+
+
+class Family(Table):
+    """What all prescriptions share."""
+
+    placed: Placement | None = None
+
+    @abstractmethod
+    def _build(self) -> Surface:
+        """Return the surface about its own origin."""
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The surface where it is placed."""
+        surface = self._build()
+        if self.placed is None:
+            return surface
+        return surface.placed(shift=self.placed.shift, rotation=self.placed.rotation, tilt=self.placed.tilt)
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        _ = self.surface
+        return self
+
+
+class Series(Family):
+    """A family with coefficients, as text with a unit or as plain numbers in the ``units`` of the formula.
+
+    Once read, every coefficient is in mm to its power, and ``units`` says so.
+    """
+
+    units: Literal["mm"] | None = None
+    series: ClassVar[tuple[str, ...]] = ("terms",)
+
+    @classmethod
+    @abstractmethod
+    def _power(cls, field: str, key: str) -> int:
+        """Return the power of length that a coefficient has."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_coefficients(cls, data: object) -> object:
+        if not isinstance(data, Mapping):
+            return data
+        read = dict(data)
+        problems: dict[tuple[str | int, ...], Exception | str] = {}
+        units = data.get("units")
+        if units is not None:
+            try:
+                parse(f"1 {units}", "mm")
+            except UnitError as error:
+                raise refuse(cls.__name__, {("units",): error}, units) from error
+        for field in cls.series:
+            given = data.get(field)
+            values: dict[Any, float] = {}
+            for key, value in _entries(given):
+                try:
+                    values[key] = _coefficient(value, units, cls._power(field, str(key)))
+                except (UnitError, JobError) as error:
+                    problems[field, key] = error
+            if values:
+                read |= {field: values if isinstance(given, Mapping) else list(values.values()), "units": "mm"}
+        if problems:
+            raise refuse(cls.__name__, problems, data)
+        return read
+
+
+def _entries(given: object) -> list[tuple[Any, object]]:
+    """Return the keys and values of a table, or the places and values of a list."""
+    if isinstance(given, Mapping):
+        return list(given.items())
+    return list(enumerate(given)) if isinstance(given, list | tuple) else []
+
+
+def _coefficient(value: object, units: str | None, power: int) -> float:
+    """Return a coefficient in mm^power."""
+    if units is not None and isinstance(value, int | float) and not isinstance(value, bool):
+        return parse(f"{value!r} {_power_of(units, power)}", _power_of("mm", power))
+    if not isinstance(value, str):
+        raise UnitError(f"{value!r} has no unit: write it as text with a unit, or state the units of the formula once")
+    return parse(value, _power_of("mm", power))
+
+
+def _power_of(units: str, power: int) -> str:
+    """Return a power of a unit as a person writes it."""
+    if power == 0:
+        return "1"
+    raised = units if abs(power) == 1 else f"{units}^{abs(power)}"
+    return raised if power > 0 else f"1/{raised}"
+
+
+def _pair(key: str) -> tuple[int, int]:
+    """Return a key that must be two whole numbers."""
+    match = re.fullmatch(r"\s*([0-9]+)\s*,\s*(-?[0-9]+)\s*", key)
+    if match is None:
+        raise JobError(f"the key {key!r} is not two whole numbers: name each coefficient like '2,0'")
+    return int(match.group(1)), int(match.group(2))
+
+
+def _whole(key: str) -> int:
+    """Return a key that must be a whole number."""
+    if not key.isascii() or not key.isdigit():
+        raise JobError(f"the key {key!r} is not a whole number: name each coefficient by its number")
+    return int(key)
+
+
+class _Radius(unit):
+    """A vertex radius: a length, or the word "flat" for one without end."""
+
+    __slots__ = ()
+
+    def read(self, text: object) -> float:
+        """Return the radius. [mm]."""
+        return float("inf") if text == "flat" else super().read(text)
+
+    def show(self, value: float | None) -> str | None:
+        """Return text that `read` takes back to the same number."""
+        return "flat" if value == float("inf") else super().show(value)
+
+
+Radius: TypeAlias = Annotated[float, _Radius("mm")]
+
+
+class PlaneTable(Family):
+    """See `turnwright.Plane`."""
+
+    family: Literal["plane"]
+    slope: tuple[Number, Number] = (0.0, 0.0)
+
+    def _build(self) -> Surface:
+        return surfaces.Plane(slope=self.slope)
+
+
+class SphereTable(Family):
+    """See `turnwright.Sphere`."""
+
+    family: Literal["sphere"]
+    radius: Radius
+
+    def _build(self) -> Surface:
+        return surfaces.Sphere(radius=self.radius)
+
+
+class ConicTable(Family):
+    """See `turnwright.Conic`."""
+
+    family: Literal["conic"]
+    radius: Radius
+    conic: Number
+
+    def _build(self) -> Surface:
+        return surfaces.Conic(radius=self.radius, conic=self.conic)
+
+
+class EvenAsphereTable(Series):
+    """See `turnwright.EvenAsphere`; its terms are named by the power of the distance from the axis."""
+
+    family: Literal["even asphere"]
+    radius: Radius
+    conic: Number
+    terms: dict[int, Number]
+
+    @classmethod
+    def _power(cls, _field: str, key: str) -> int:
+        return 1 - _whole(key)
+
+    def _build(self) -> Surface:
+        return surfaces.EvenAsphere(radius=self.radius, conic=self.conic, terms=self.terms)
+
+
+class ToroidTable(Family):
+    """See `turnwright.Toroid`."""
+
+    family: Literal["toroid"]
+    radius_x: Radius
+    radius_y: Radius
+
+    def _build(self) -> Surface:
+        return surfaces.Toroid(radius_x=self.radius_x, radius_y=self.radius_y)
+
+
+class BiconicTable(Family):
+    """See `turnwright.Biconic`."""
+
+    family: Literal["biconic"]
+    radius_x: Radius
+    radius_y: Radius
+    conic_x: Number
+    conic_y: Number
+
+    def _build(self) -> Surface:
+        return surfaces.Biconic(
+            radius_x=self.radius_x, radius_y=self.radius_y, conic_x=self.conic_x, conic_y=self.conic_y
+        )
+
+
+class XYPolynomialTable(Series):
+    """See `turnwright.XYPolynomial`; its terms are named by the powers of x and y, such as "2,0"."""
+
+    family: Literal["xy polynomial"]
+    terms: dict[str, Number]
+
+    @classmethod
+    def _power(cls, _field: str, key: str) -> int:
+        return 1 - sum(_pair(key))
+
+    def _build(self) -> Surface:
+        return surfaces.XYPolynomial(terms={_pair(key): value for key, value in self.terms.items()})
+
+
+class RadialPolynomialTable(Series):
+    """See `turnwright.RadialPolynomial`; its coefficients are lists that begin with r^2."""
+
+    family: Literal["radial polynomial"]
+    radial: tuple[Number, ...] = ()
+    slope: tuple[Number, ...] = ()
+    tilt: Number = 0.0
+    series: ClassVar[tuple[str, ...]] = ("radial", "slope")
+
+    @classmethod
+    def _power(cls, field: str, key: str) -> int:
+        return (1 if field == "radial" else 0) - 2 * (int(key) + 1)
+
+    def _build(self) -> Surface:
+        return surfaces.RadialPolynomial(radial=self.radial, slope=self.slope, tilt=self.tilt)
+
+
+class ZernikeTable(Series):
+    """See `turnwright.Zernike`; its terms are named by their index."""
+
+    family: Literal["zernike"]
+    terms: dict[int, Number]
+    radius: Size
+    indexing: Literal["fringe", "noll", "ansi"]
+    normalised: Annotated[bool, Strict()] | None = None
+
+    @classmethod
+    def _power(cls, _field: str, key: str) -> int:
+        _whole(key)
+        return 1
+
+    def _build(self) -> Surface:
+        return surfaces.Zernike(
+            terms=self.terms, radius=self.radius, indexing=self.indexing, normalised=self.normalised
+        )
+
+
+class ForbesTable(Series):
+    """See `turnwright.Forbes`; its terms are named by n, those of "q2d" by n and m, such as "0,-2"."""
+
+    family: Literal["forbes"]
+    radius: Radius
+    conic: Number
+    norm_radius: Size
+    kind: Literal["qbfs", "qcon", "q2d"]
+    terms: dict[str, Number]
+
+    @classmethod
+    def _power(cls, _field: str, _key: str) -> int:
+        return 1
+
+    def _build(self) -> Surface:
+        read = _pair if self.kind == "q2d" else _whole
+        return surfaces.Forbes(
+            radius=self.radius,
+            conic=self.conic,
+            norm_radius=self.norm_radius,
+            kind=self.kind,
+            terms={read(key): value for key, value in self.terms.items()},  # type: ignore[arg-type]
+        )
+
+
+class SineGridTable(Family):
+    """See `turnwright.SineGrid`."""
+
+    family: Literal["sine grid"]
+    amplitude: tuple[Length, Length]
+    period: tuple[Size, Size]
+    phase: tuple[Angle, Angle] = (0.0, 0.0)
+
+    def _build(self) -> Surface:
+        return surfaces.SineGrid(amplitude=self.amplitude, period=self.period, phase=self.phase)
+
+
+class ExpressionTable(Family):
+    """See `turnwright.Expression`; ``units`` says that the formula is written in mm."""
+
+    family: Literal["expression"]
+    formula: Text
+    units: Literal["mm"]
+    constants: dict[str, Number] = Field(default_factory=dict)
+    feature_size: Size | None = None
+
+    def _build(self) -> Surface:
+        return surfaces.Expression(self.formula, constants=self.constants, feature_size=self.feature_size)  # type: ignore[arg-type]
+
+
+class GriddedTable(Family):
+    """See `turnwright.Gridded`; the file is a CSV table with x in its first row and y in its first column."""
+
+    family: Literal["gridded"]
+    file: ExistingFile
+    units: Literal["m", "mm", "um", "in"]
+    sag_units: Literal["m", "mm", "um", "nm", "in"]
+
+    def _build(self) -> Surface:
+        try:
+            rows = self.file.read_text(encoding="utf-8-sig").splitlines()
+            x = np.array([float(cell) for cell in rows[0].split(",")[1:]])
+            table = np.loadtxt(rows[1:], delimiter=",", ndmin=2)
+        except (ValueError, IndexError) as error:
+            raise JobError(
+                f"{self.file.name} is not a table of numbers ({error}): write x in its first row after an empty cell, "
+                "and y then the heights in each further row, parted by commas"
+            ) from error
+        if table.shape[1] != x.size + 1:
+            raise JobError(
+                f"{self.file.name} has {x.size} columns of x and {table.shape[1] - 1} of heights, there must be "
+                "as many: complete it"
+            )
+        scale = convert(1.0, self.units, "mm")
+        return surfaces.Gridded(x=x * scale, y=table[:, 0] * scale, z=table[:, 1:] * convert(1.0, self.sag_units, "mm"))
+
+
+class SumTable(Family):
+    """Heights added; a list of tables where one surface is wanted means the same."""
+
+    family: Literal["sum"]
+    terms: Annotated[tuple[AnySurface, ...], Field(min_length=1)]
+
+    def _build(self) -> Surface:
+        return surfaces.Sum(terms=tuple(term.surface for term in self.terms))
+
+
+class LensArrayTable(Family):
+    """See `turnwright.LensArray`, its ``square`` and ``hexagonal``."""
+
+    family: Literal["lens array"]
+    layout: Literal["square", "hexagonal", "listed"]
+    lenslet: AnySurface
+    pitch: Size | None = None
+    rows: Count | None = None
+    columns: Count | None = None
+    rings: Annotated[int, Strict(), Ge(0)] | None = None
+    within: Size | None = None
+    offset: Coordinate | None = None
+    centres: tuple[Coordinate, ...] | None = None
+    aperture: Size | None = None
+    surround: Annotated[AnySurface, BeforeValidator(_level)] | None = None
+
+    def _build(self) -> Surface:
+        used = {
+            "square": ("pitch", "rows", "columns", "within", "offset"),
+            "hexagonal": ("pitch", "rings", "within", "offset"),
+            "listed": ("centres",),
+        }[self.layout]
+        given = {
+            name: getattr(self, name)
+            for name in ("pitch", "rows", "columns", "rings", "within", "offset", "centres")
+            if getattr(self, name) is not None
+        }
+        for name in given:
+            if name not in used:
+                raise JobError(
+                    f"{name} does not go with the layout {self.layout!r}, which takes {', '.join(used)}: remove it"
+                )
+        if used[0] not in given:
+            raise JobError(f"the layout {self.layout!r} needs {used[0]}, which is missing: add it")
+        if self.layout == "listed":
+            given["centres"] = np.array(self.centres, dtype=np.float64).reshape(-1, 2)
+        make: Callable[..., Surface] = surfaces.LensArray
+        if self.layout != "listed":
+            make = getattr(surfaces.LensArray, self.layout)
+        return make(
+            lenslet=self.lenslet.surface,
+            aperture=self.aperture,
+            surround=self.surround.surface if self.surround else None,
+            **given,
+        )
+
+
+_Tagged: TypeAlias = Annotated[
+    PlaneTable
+    | SphereTable
+    | ConicTable
+    | EvenAsphereTable
+    | ToroidTable
+    | BiconicTable
+    | XYPolynomialTable
+    | RadialPolynomialTable
+    | ZernikeTable
+    | ForbesTable
+    | SineGridTable
+    | ExpressionTable
+    | GriddedTable
+    | SumTable
+    | LensArrayTable,
+    Field(discriminator="family"),
+]
+AnySurface: TypeAlias = Annotated[_Tagged, BeforeValidator(_as_sum)]
+"""Any prescription: a table with its ``family``, or a list of such tables, which are added."""
+
+FAMILIES: dict[str, type[Family]] = {
+    get_args(table.model_fields["family"].annotation)[0]: table for table in get_args(get_args(_Tagged)[0])
+}
+SumTable.model_rebuild()
+LensArrayTable.model_rebuild()

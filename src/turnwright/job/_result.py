@@ -1,0 +1,139 @@
+"""What a run found out: one frozen value that the report, the archive and `result.json` are written from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from turnwright.access import Access
+    from turnwright.heightmap import HeightMap
+    from turnwright.job._schema import Job
+    from turnwright.machine import Machine
+    from turnwright.metrology import Roughness
+    from turnwright.motion import Limits
+    from turnwright.part import Part
+    from turnwright.path import Motion, Path
+    from turnwright.post import ProgramFiles
+    from turnwright.tool import Tool
+
+__all__ = ["Pass", "Prediction", "Result"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pass:
+    """One pass over the part, as it was programmed.
+
+    Parameters
+    ----------
+    name
+        What the job calls it; a pass cut in several depths has one entry per depth, numbered.
+    allowance
+        Material left above the finished surface when it is done. [mm]
+    depth
+        Thickness that it takes off. [mm]
+    feed
+        [mm/rev]
+    spindle_rpm
+        Speed of the spindle, the highest within all limits where the job states none. [rev/min]
+    points
+        Number of program points.
+    limits
+        What it asks of the axes.
+    """
+
+    name: str
+    allowance: float
+    depth: float
+    feed: float
+    spindle_rpm: float
+    points: int
+    limits: Limits
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prediction:
+    """A place on the part as the program read back from disk will leave it.
+
+    Parameters
+    ----------
+    name
+        What the job calls it; "whole part" is the polar map.
+    error
+        Cut minus design. [mm]
+    roughness
+        After form removal; of the whole part without any, on a grid that is too coarse to show every cusp.
+    """
+
+    name: str
+    error: HeightMap
+    roughness: Roughness
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Result:
+    """What a run found out.
+
+    Parameters
+    ----------
+    job, part, tool, machine
+        What was asked for, as planned with.
+    actual_tool, actual_machine
+        What was simulated with; the same objects where the job states no deviations.
+    access
+        Whether the tool reaches the part.
+    passes
+        In the order of cutting, the last one finishes.
+    path, motion
+        The finishing pass, thinned to a few ten thousand points for pictures.
+    turns
+        Single turns of the finishing pass with all their points: at the rim, half-way and near the axis.
+    least_clearance
+        Least height of the whole edge above the surface over the whole finishing path: 0 in contact. [mm]
+    program
+        The files written, their size and hashes.
+    predictions
+        Maps of the surface that the program read back from disk will leave, minus the design.
+    rounding_nm
+        Largest difference between the back-plots of the program on disk and of the motion in memory.
+    rounding_limit_nm
+        What the program's decimals allow that difference to be.
+    warnings
+        One sentence each.
+    timings
+        Wall time of each stage. [s]
+    peak_memory_gb
+        Largest resident memory of the process so far. [GB]
+    """
+
+    job: Job
+    part: Part
+    tool: Tool
+    machine: Machine
+    actual_tool: Tool
+    actual_machine: Machine
+    access: Access
+    passes: tuple[Pass, ...]
+    path: Path
+    motion: Motion
+    turns: tuple[Motion, ...]
+    least_clearance: float
+    program: ProgramFiles
+    predictions: tuple[Prediction, ...]
+    rounding_nm: float
+    rounding_limit_nm: float
+    warnings: tuple[str, ...]
+    timings: Mapping[str, float]
+    peak_memory_gb: float
+
+    @property
+    def limits(self) -> Limits:
+        """What the finishing pass asks of the axes."""
+        return self.passes[-1].limits
+
+    @property
+    def ok(self) -> bool:
+        """Whether the tool reaches the part and the machine keeps all its limits."""
+        return bool(self.access.ok and all(cut.limits.ok for cut in self.passes))

@@ -1,0 +1,319 @@
+"""The one place that knows the order of the stages."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path as File
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from turnwright.access import check_access
+from turnwright.contact import place
+from turnwright.errors import GougeError, LimitError
+from turnwright.generation import generate, generate_polar
+from turnwright.job._result import Pass, Prediction, Result
+from turnwright.metrology import roughness
+from turnwright.motion import check_limits, drive
+from turnwright.post import ProgramHeader, dialect_of, read_nc, write_nc
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from turnwright.access import Access
+    from turnwright.job._schema import Job
+    from turnwright.path import Motion, Path
+    from turnwright.progress import Progress
+
+__all__ = ["StageProgress", "predict", "run"]
+
+StageProgress: TypeAlias = Callable[[str, int, int], None]
+"""Called with (stage, done, total); raising in it, as Ctrl-C does, stops the run cleanly."""
+
+PICTURE = 20_000
+"""Points that a picture of a path needs."""
+
+GOUGE = 1e-9
+"""Clearance below zero that is rounding. [mm]"""
+
+
+class _Watch:
+    """Tells each stage's progress and keeps its time."""
+
+    def __init__(self, progress: StageProgress | None) -> None:
+        self.progress = progress
+        self.timings: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Progress]:
+        """Run a stage; what it yields is its own progress."""
+
+        def tell(done: int, total: int) -> None:
+            if self.progress is not None:
+                self.progress(name, done, total)
+
+        tell(0, 1)
+        start = time.perf_counter()
+        yield tell
+        self.timings[name] = self.timings.get(name, 0.0) + time.perf_counter() - start
+        tell(1, 1)
+
+
+def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[str] | None = None) -> Result:
+    """Carry out a job: check, plan, place, drive, write the program, read it back and predict what it will leave.
+
+    Parameters
+    ----------
+    job
+        What is asked for.
+    progress
+        Called with (stage, done, total).
+    out
+        Folder that the program files are written to; if not given, they are written, read back and thrown away.
+
+    Raises
+    ------
+    GougeError
+        If the tool does not reach the part, or cuts into it, and the job does not accept that.
+    LimitError
+        If the machine cannot do what is asked and the job does not accept that.
+    TurnwrightError
+        Whatever a stage raises.
+    """
+    if out is None:
+        with TemporaryDirectory(prefix="turnwright-") as folder:
+            return run(job, progress=progress, out=folder)
+    watch = _Watch(progress)
+    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    with watch.stage("access"):
+        access = check_access(part, tool, sense=job.strategy.sense)
+    warnings = _accepted_access(job, access)
+
+    motions: dict[str, Motion] = {}
+    passes: list[Pass] = []
+    stock = part.stock
+    for cut in job.passes:
+        servo = job.strategy.servo(cut)
+        with watch.stage("plan") as tell:
+            spiral = servo.spiral(part, tool, progress=tell)
+        with watch.stage("place") as tell:
+            path = place(spiral, part, tool, along=job.strategy.along, progress=tell)
+        del spiral
+        with watch.stage("drive"):
+            motion = drive(path, servo, machine)
+        warnings += _accepted_gouge(job, path)
+        times = cut.repeats(stock)
+        depth = (stock - cut.allowance) / times
+        for number in range(1, times + 1):
+            stock -= depth
+            name = cut.name if times == 1 else f"{cut.name} {number}"
+            lifted = motion if number == times and not cut.allowance else _lifted(motion, max(stock, 0.0))
+            with watch.stage("limits"):
+                limits = check_limits(lifted, machine)
+            if not limits.ok:
+                warnings += _accepted(job, "limits", LimitError(f"pass {name}: {limits.findings[0]}"))
+            motions[name] = lifted
+            passes.append(
+                Pass(
+                    name=name, allowance=max(stock, 0.0), depth=depth, feed=servo.feed,
+                    spindle_rpm=limits.spindle_rpm, points=limits.points, limits=limits,
+                )
+            )  # fmt: skip
+        stock = cut.allowance
+    pictured, least = _thin(path), float(path.clearance.min())
+    shown, turns = _thin_motion(motion), _turns(motion)
+    del path, lifted
+
+    with watch.stage("write program") as tell:
+        header = ProgramHeader(
+            design=part.name, tool=tool.name, notes=f"material {part.material}" if part.material else ""
+        )
+        program = write_nc(
+            motions, machine, File(out) / f"{job.program.name}.nc", header=header, clearance=5 + part.stock,
+            max_lines=job.program.max_lines, progress=tell,
+        )  # fmt: skip
+    motions.clear()
+    with watch.stage("read program") as tell:
+        again = read_nc(program.files[0], machine, name=passes[-1].name, progress=tell)
+    with watch.stage("compare"):
+        rounding, limit = _rounding(job, motion, again)
+    del motion
+    predictions = predict(job, again, watch=watch)
+    del again
+
+    warnings += _assumed(job, passes) + _judged(job, predictions)
+    if rounding > limit:
+        warnings.append(
+            f"the program on disk leaves a surface {rounding:.3g} nm from that of the motion in memory, its decimals "
+            f"allow {limit:.3g} nm: do not cut with it before the cause is known"
+        )
+    return Result(
+        job=job, part=part, tool=tool, machine=machine, actual_tool=job.actual_tool, actual_machine=job.actual_machine,
+        access=access, passes=tuple(passes), path=pictured, motion=shown, turns=turns, least_clearance=least,
+        program=program, predictions=predictions, rounding_nm=rounding, rounding_limit_nm=limit,
+        warnings=tuple(dict.fromkeys(warnings)), timings=watch.timings, peak_memory_gb=_peak_memory(),
+    )  # fmt: skip
+
+
+def predict(
+    job: Job, motion: Motion, *, watch: _Watch | None = None, progress: StageProgress | None = None
+) -> tuple[Prediction, ...]:
+    """Predict what a motion leaves of the job's part, on the job's grids and with its actual tool and machine.
+
+    Parameters
+    ----------
+    job
+        Says what was designed and where to look.
+    motion
+        From a program read back, the job's own or anybody's.
+    watch, progress
+        Who keeps the time, or who is told (stage, done, total).
+    """
+    watch = watch or _Watch(progress)
+    part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
+    grid = job.simulation.whole_part
+    with watch.stage("simulate whole part") as tell:
+        made = generate_polar(
+            motion, tool, radius=np.linspace(0, part.radius, grid.radii),
+            angle=np.linspace(0, 2 * np.pi, grid.angles, endpoint=False), machine=machine, progress=tell,
+        )  # fmt: skip
+        error = replace(made.minus(part.surface), name="whole part")
+        predictions = [Prediction(name="whole part", error=error, roughness=roughness(error, form="none"))]
+    for patch in job.simulation.patches:
+        x, y = patch.axes
+        with watch.stage(f"simulate {patch.name}") as tell:
+            made = generate(motion, tool, x=x, y=y, machine=machine, progress=tell)
+            error = replace(made.minus(part.surface), name=patch.name)
+        with watch.stage("roughness"):
+            predictions.append(
+                Prediction(name=patch.name, error=error, roughness=roughness(error, form=job.roughness.form))
+            )
+    return tuple(predictions)
+
+
+def _accepted(job: Job, what: str, error: GougeError | LimitError) -> list[str]:
+    """Return a finding as a warning if the job accepts it, else raise it."""
+    if what not in job.accept:
+        raise type(error)(f'{error} (or accept it in the job: accept = ["{what}"])')
+    return [str(error)]
+
+
+def _accepted_access(job: Job, access: Access) -> list[str]:
+    warnings = []
+    for finding in access.findings:
+        if not finding.ok:
+            warnings += _accepted(job, finding.name, GougeError(finding.sentence))
+    return warnings
+
+
+def _accepted_gouge(job: Job, path: Path) -> list[str]:
+    least = float(path.clearance.min())
+    if least >= -GOUGE:
+        return []
+    cut = f"placed along the {job.strategy.along}, the edge cuts {-least * 1e6:.3g} nm below the surface"
+    return _accepted(job, "gouge", GougeError(f'{cut}, the limit is 0 nm: place it along "z"'))
+
+
+def _lifted(motion: Motion, height: float) -> Motion:
+    """Return a motion that leaves an allowance."""
+    return replace(motion, axes={**motion.axes, "Z": motion.axes["Z"] + height})
+
+
+def _thin(path: Path) -> Path:
+    """Return a path with few enough points for a picture."""
+    at = _few(path.angle.size)
+    names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
+    return replace(path, **{name: getattr(path, name)[at] for name in names})
+
+
+def _thin_motion(motion: Motion) -> Motion:
+    at = _few(motion.time.size)
+    return replace(motion, time=motion.time[at], axes={letter: values[at] for letter, values in motion.axes.items()})
+
+
+def _few(size: int) -> slice:
+    return slice(None, None, max(1, math.ceil(size / PICTURE)))
+
+
+def _turns(motion: Motion) -> tuple[Motion, ...]:
+    """Return single turns at the beginning, in the middle and at the end."""
+    angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
+    whole = max(float(angle[-1]) - 2 * np.pi, 0.0)
+    turns = []
+    for start in (0.0, whole / 2, whole):
+        first, last = np.searchsorted(angle, (start, start + 2 * np.pi + 1e-9))
+        span = slice(max(int(first) - 1, 0), int(last) + 1)
+        turns.append(
+            replace(
+                motion,
+                time=motion.time[span].copy(),
+                axes={letter: values[span].copy() for letter, values in motion.axes.items()},
+            )
+        )
+    return tuple(turns)
+
+
+def _rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
+    """Return how far the surfaces of the motion and of the program are apart, and how far they may be. [nm].
+
+    A program's numbers are wrong by up to half of their last decimal. The surface follows Z itself, X by its slope
+    along the radius (that of the cusps, half a feed over the nose radius, included) and C by its slope around the axis
+    times the distance.
+    """
+    part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
+    radius, angle = part.radius * (np.arange(96) + 0.5) / 96, np.linspace(0, 2 * np.pi, 36, endpoint=False)
+    here, there = (generate_polar(one, tool, radius=radius, angle=angle, machine=machine).z for one in (motion, again))
+    dense = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+    cosine, sine = np.cos(dense)[:, None], np.sin(dense)[:, None]
+    zx, zy = part.surface.gradient(radius * cosine, radius * sine)
+    along = np.abs(zx * cosine + zy * sine).max() + job.strategy.feed / (2 * tool.actual_radius)
+    around = (np.abs(zy * cosine - zx * sine) * radius).max()
+    decimals = dialect_of(machine).decimals
+    c, x, z = (0.5 * 10.0 ** -decimals[letter] for letter in "CXZ")
+    return float(np.nanmax(np.abs(there - here))) * 1e6, float(z + x * along + np.deg2rad(c) * around) * 1e6
+
+
+def _assumed(job: Job, passes: list[Pass]) -> list[str]:
+    """Say which binding limits nobody has published."""
+    sources, found = job.machine.machine.sources, []
+    for binding in dict.fromkeys(cut.limits.binding for cut in passes):
+        letter, _, kind = binding.partition(" ")
+        fact = {"block rate": "block_rate_hz", "spindle speed": "spindle_rpm"}.get(binding, f"axes.{letter}.{kind}")
+        if sources.get(fact, "").startswith("assumed"):
+            found.append(
+                f"the limit that binds, {binding}, is assumed for {job.machine.machine.name}, nobody states it: "
+                "check it on the machine"
+            )
+    return found
+
+
+def _judged(job: Job, predictions: tuple[Prediction, ...]) -> list[str]:
+    """Say what was not reached, and which tolerances are not kept."""
+    found = []
+    for one in predictions:
+        missing = int(np.count_nonzero(np.isnan(one.error.z)))
+        if missing:
+            found.append(f"{one.name}: {missing} of {one.error.z.size} points are not reached by any pass")
+        whole = one.error.polar
+        limit = job.tolerances.form_pv if whole else job.tolerances.sq
+        value = one.roughness.pv_nm if whole else one.roughness.sq_nm
+        if limit is not None and value > limit * 1e6:
+            kind = "form error PV" if whole else "Sq"
+            found.append(f"{one.name}: {kind} is {value:.4g} nm, the tolerance is {limit * 1e6:.4g} nm")
+    return found
+
+
+def _peak_memory() -> float:
+    """Return the largest resident memory of this process so far. [GB]."""
+    try:
+        import resource  # noqa: PLC0415 - there is none on Windows
+    except ImportError:
+        return float("nan")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak * (1 if sys.platform == "darwin" else 1024) / 1e9

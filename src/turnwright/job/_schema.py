@@ -1,0 +1,459 @@
+"""The job file: data only. What each table means stands with the class that it builds."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
+
+import numpy as np
+import tomli_w
+from annotated_types import Ge
+from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator, Strict, ValidationError, model_validator
+
+from turnwright.errors import InputError, JobError, UnitError
+from turnwright.job._prescriptions import FAMILIES, AnySurface
+from turnwright.job._table import (
+    Angle,
+    Count,
+    ExistingFile,
+    Feed,
+    Length,
+    Size,
+    Slope,
+    Speed,
+    Table,
+    Text,
+    Thickness,
+    read_columns,
+    refuse,
+    sentences,
+)
+from turnwright.machine import Machine
+from turnwright.part import Part
+from turnwright.strategy import SlowToolServo
+from turnwright.tool import Tool, WavinessTable
+from turnwright.units import parse, unit
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from turnwright._arrays import Floats
+
+__all__ = ["Job", "PassTable"]
+
+PassName: TypeAlias = Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]{0,29}$")]
+"""What a controller takes as the name of a sub-program."""
+
+Accepted: TypeAlias = Literal["nose radius", "included angle", "clearance", "rake", "valley", "step", "limits", "gouge"]
+
+MOST_REPEATS = 100
+"""Times that one pass is repeated: beyond this a depth is a slip of the unit."""
+
+MOST_SAMPLES = 1e8
+"""Heights in one map: beyond this a pixel is a slip of the unit."""
+
+
+class PartTable(Table):
+    """What is asked for: see `turnwright.Part`."""
+
+    surface: AnySurface
+    radius: Size
+    stock: Thickness = 0.0
+    material: Text = ""
+    name: Text = ""
+
+    @cached_property
+    def part(self) -> Part:
+        """The part."""
+        return Part(
+            surface=self.surface.surface, radius=self.radius, stock=self.stock, material=self.material, name=self.name
+        )
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        _ = self.part
+        return self
+
+
+def _read_waviness(values: object) -> object:
+    """Read the coefficients of sweep, sweep^2, ... each in its own unit."""
+    if not isinstance(values, list | tuple):
+        return values
+    problems: dict[tuple[str | int, ...], Exception | str] = {}
+    coefficients = []
+    for index, value in enumerate(values):
+        try:
+            coefficients.append(parse(value, f"mm/rad^{index + 1}"))
+        except UnitError as error:
+            problems[index,] = error
+    if problems:
+        raise refuse("waviness", problems, values)
+    return tuple(coefficients)
+
+
+Waviness = Annotated[
+    tuple[float, ...],
+    BeforeValidator(_read_waviness),
+    PlainSerializer(lambda values: [f"{value!r} mm/rad^{index + 1}" for index, value in enumerate(values)]),
+]
+
+
+class ToolDeviations(Table):
+    """What the actual tool has otherwise than the one planned with."""
+
+    waviness: Waviness | None = None
+    waviness_file: ExistingFile | None = None
+    radius_error: Length | None = None
+    offset: tuple[Length, Length, Length] | None = None
+    rake: Angle | None = None
+
+    @cached_property
+    def stated(self) -> dict[str, Any]:
+        """The deviations that the job states, as `Tool` takes them."""
+        if self.waviness is not None and self.waviness_file is not None:
+            raise JobError("waviness and waviness_file are both given, only one can be right: remove one")
+        stated = {name: getattr(self, name) for name in ("waviness", "radius_error", "offset", "rake")}
+        if self.waviness_file is not None:
+            sweep, deviation = read_columns(self.waviness_file, {"sweep": "rad", "deviation": "mm"})
+            stated["waviness"] = WavinessTable(sweep=sweep, deviation=deviation)
+        return {name: value for name, value in stated.items() if value is not None}
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        _ = self.stated
+        return self
+
+
+class ToolTable(ToolDeviations):
+    """The diamond: see `turnwright.Tool`."""
+
+    nose_radius: Size
+    included: Angle | None = None
+    clearance: Angle | None = None
+    name: Text = ""
+
+    @cached_property
+    def tool(self) -> Tool:
+        """The tool."""
+        return Tool(
+            nose_radius=self.nose_radius,
+            included=self.included,
+            clearance=self.clearance,
+            name=self.name,
+            **self.stated,
+        )
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        _ = self.tool
+        return self
+
+
+class MachineDeviations(Table):
+    """What the actual machine has otherwise than the one planned with."""
+
+    squareness: Slope | None = None
+    straightness_file: ExistingFile | None = None
+
+    @cached_property
+    def stated(self) -> dict[str, Any]:
+        """The deviations that the job states, as `Machine` takes them."""
+        stated: dict[str, Any] = {} if self.squareness is None else {"squareness": self.squareness}
+        if self.straightness_file is not None:
+            stated["straightness"] = tuple(read_columns(self.straightness_file, {"x": "mm", "error": "mm"}))
+        return stated
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        _ = self.stated
+        return self
+
+
+class MachineTable(MachineDeviations):
+    """The lathe, by the name of one that comes with Turnwright or by its own file: see `turnwright.Machine.load`."""
+
+    name: Text | None = None
+    file: ExistingFile | None = None
+    dialect: Text | None = None
+
+    @cached_property
+    def machine(self) -> Machine:
+        """The machine."""
+        if (self.name is None) == (self.file is None):
+            raise JobError("name and file of the machine are both given or both missing: give one of them")
+        machine = Machine.load(self.file or self.name or "")
+        stated = self.stated if self.dialect is None else {**self.stated, "dialect": self.dialect}
+        return replace(machine, **stated)
+
+    @model_validator(mode="after")
+    def _is_known(self) -> Self:
+        _ = self.machine
+        return self
+
+
+class Points(Table):
+    """How the points of a spiral are set: see `turnwright.SlowToolServo`."""
+
+    feed: Feed
+    spindle_speed: Speed | None = None
+    points_per_rev: Count | None = None
+    arc_length: Size | None = None
+    max_step: Annotated[float, unit("rad", above=0.0)] | None = None
+    chord: Size | None = None
+    lead_in: Thickness | None = None
+
+
+class StrategyTable(Points):
+    """The way of cutting."""
+
+    kind: Literal["slow tool servo"]
+    sense: Literal[1, -1] = 1
+    inside_out: Annotated[bool, Strict()] = False
+    along: Literal["z", "normal"] = "z"
+
+    def servo(self, cut: PassTable) -> SlowToolServo:
+        """Return the strategy of one pass: what the pass states, else what all passes share."""
+        ways = ("points_per_rev", "arc_length", "max_step", "chord")
+        own = any(getattr(cut, name) is not None for name in ways)
+        points = {name: getattr(cut if own else self, name) for name in ways}
+        shared = {
+            name: getattr(cut, name) if getattr(cut, name) is not None else getattr(self, name)
+            for name in ("feed", "lead_in")
+        }
+        speed = cut.spindle_speed if cut.spindle_speed is not None else self.spindle_speed
+        return SlowToolServo(spindle_rpm=speed, sense=self.sense, inside_out=self.inside_out, **points, **shared)
+
+
+class PassTable(Points):
+    """One pass: what it states otherwise than the strategy, and how much it leaves and takes off."""
+
+    name: PassName
+    feed: Feed | None = None  # type: ignore[assignment] # a pass need not state it, the strategy does
+    allowance: Thickness = 0.0
+    depth: Size | None = None
+
+    def repeats(self, stock: float) -> int:
+        """Return how often the pass is cut, each time deeper, to take ``stock`` [mm] down to its allowance."""
+        return max(1, math.ceil((stock - self.allowance) / self.depth - 1e-9)) if self.depth else 1
+
+
+class Patch(Table):
+    """A rectangle on the part to be predicted."""
+
+    name: Text
+    centre: tuple[Length, Length]
+    size: tuple[Size, Size]
+    pixel: Size
+
+    @property
+    def axes(self) -> tuple[Floats, Floats]:
+        """Columns and rows of the grid, centred, the pixel exact. [mm]."""
+        axes = []
+        for middle, size in zip(self.centre, self.size, strict=True):
+            count = math.floor(size / self.pixel + 1e-9) + 1
+            if count < 2:
+                raise JobError(
+                    f"pixel is {self.pixel:g} mm on a size of {size:g} mm, it must fit at least once: reduce it"
+                )
+            axes.append(np.asarray(middle + (np.arange(count) - (count - 1) / 2) * self.pixel, dtype=np.float64))
+        return axes[0], axes[1]
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        points = math.prod(size / self.pixel + 1 for size in self.size)
+        if points > MOST_SAMPLES:
+            raise JobError(
+                f"{self.name!r} has {points:.3g} points, the limit is {MOST_SAMPLES:.0e}: take a larger pixel"
+            )
+        _ = self.axes
+        return self
+
+
+class WholePart(Table):
+    """The polar grid over the whole part."""
+
+    radii: Annotated[int, Strict(), Ge(2)] = 400
+    angles: Annotated[int, Strict(), Ge(3)] = 360
+
+
+class SimulationTable(Table):
+    """What to predict."""
+
+    whole_part: WholePart = WholePart()
+    patches: tuple[Patch, ...] = ()
+
+
+def _form(value: object) -> int | str:
+    known = ("none", "mean", "plane", "sphere")
+    if value in known or (isinstance(value, int) and not isinstance(value, bool) and value >= 0):
+        return value
+    raise JobError(f"{value!r} is neither one of {', '.join(known)} nor the degree of a polynomial: give one of them")
+
+
+class RoughnessTable(Table):
+    """What is removed before the roughness of a patch is computed: see `turnwright.roughness`."""
+
+    form: Annotated[int | str, PlainValidator(_form)] = "plane"
+
+
+class Tolerances(Table):
+    """What the part must keep; what it does not keep becomes a warning."""
+
+    form_pv: Size | None = None
+    sq: Size | None = None
+
+
+class Actual(Table):
+    """What to simulate with where it differs from what is planned with."""
+
+    tool: ToolDeviations = ToolDeviations()
+    machine: MachineDeviations = MachineDeviations()
+
+
+class ProgramTable(Table):
+    """How the program is written."""
+
+    name: Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")] = "part"
+    max_lines: Annotated[int, Strict(), Ge(100)] | None = None
+
+
+class Job(Table):
+    """A job: everything that a run needs, as data. A wrong one cannot exist.
+
+    Parameters
+    ----------
+    part, tool, machine, strategy
+        What is to be cut, with what, on what and how.
+    passes
+        In the order of cutting, the last one leaves no allowance; one pass called "finish" if not given.
+    simulation, actual
+        What to predict, and what the tool and the machine have otherwise than planned.
+    roughness, tolerances
+        What is removed before roughness is computed, and what the part must keep.
+    program
+        How the program is written.
+    accept
+        Findings that the shop accepts: those of `check_access` by name, "limits" of the machine, "gouge" of a path
+        along the normal. Without it they end the run, with it they are warnings.
+
+    Raises
+    ------
+    JobError
+        One sentence a line for each field that is wrong.
+
+    >>> job = Job.read({
+    ...     "part": {"surface": {"family": "sphere", "radius": "61.5 mm"}, "radius": "5 mm"},
+    ...     "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
+    ...     "machine": {"name": "generic"},
+    ...     "strategy": {"kind": "slow tool servo", "feed": "8 um/rev", "points_per_rev": 360},
+    ... })
+    >>> job.strategy.feed
+    0.008
+    """
+
+    part: PartTable
+    tool: ToolTable
+    machine: MachineTable
+    strategy: StrategyTable
+    passes: Annotated[tuple[PassTable, ...], Field(min_length=1)] = (PassTable(name="finish"),)
+    simulation: SimulationTable = SimulationTable()
+    actual: Actual = Actual()
+    roughness: RoughnessTable = RoughnessTable()
+    tolerances: Tolerances = Tolerances()
+    program: ProgramTable = ProgramTable()
+    accept: tuple[Accepted, ...] = ()
+
+    @model_validator(mode="after")
+    def _passes_fit(self) -> Self:
+        names = [cut.name for cut in self.passes]
+        repeated = [name for name in names if names.count(name) > 1]
+        if repeated:
+            raise JobError(f"{len(repeated)} passes are called {repeated[0]!r}, the limit is 1: rename them")
+        allowance = self.part.stock
+        for number, cut in enumerate(self.passes, 1):
+            if cut.allowance > allowance:
+                raise JobError(
+                    f"passes[{number}].allowance is {cut.allowance:g} mm, the limit is what is left before it, "
+                    f"{allowance:g} mm: reduce it, or state the stock of the part"
+                )
+            if cut.repeats(allowance) > MOST_REPEATS:
+                raise JobError(
+                    f"passes[{number}].depth is {cut.depth:g} mm, so the pass repeats {cut.repeats(allowance)} times, "
+                    f"the limit is {MOST_REPEATS}: increase it"
+                )
+            allowance = cut.allowance
+            try:
+                self.strategy.servo(cut)
+            except InputError as error:
+                raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
+        if allowance > 0:
+            raise JobError(f"the last pass leaves {allowance:g} mm, the limit is 0 mm: let it finish the part")
+        for number, patch in enumerate(self.simulation.patches, 1):
+            reach = max(math.hypot(x, y) for x in patch.axes[0][[0, -1]] for y in patch.axes[1][[0, -1]])
+            if reach > self.part.radius:
+                raise JobError(
+                    f"simulation.patches[{number}] reaches {reach:.6g} mm from the axis, the limit is the clear radius "
+                    f"{self.part.radius:g} mm: move or shrink it"
+                )
+        _ = self.actual_tool, self.actual_machine
+        return self
+
+    @property
+    def actual_tool(self) -> Tool:
+        """The tool to simulate with."""
+        stated = self.actual.tool.stated
+        return replace(self.tool.tool, **stated) if stated else self.tool.tool
+
+    @property
+    def actual_machine(self) -> Machine:
+        """The machine to simulate with."""
+        stated = self.actual.machine.stated
+        return replace(self.machine.machine, **stated) if stated else self.machine.machine
+
+    @classmethod
+    def read(cls, data: object, *, folder: str | PathLike[str] = ".") -> Job:
+        """Return the job that a mapping describes, with quantities as text.
+
+        Parameters
+        ----------
+        data
+            As a TOML file reads.
+        folder
+            Where the files that it names are looked for.
+        """
+        try:
+            return cls.model_validate(data, context={"folder": folder})
+        except ValidationError as error:
+            raise JobError("\n".join(sentences(error, cls, FAMILIES))) from error
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Job:
+        """Read a job file.
+
+        Raises
+        ------
+        JobError
+            If the file cannot be read, is not TOML, or describes no job; one sentence a line for each wrong field.
+        """
+        path = File(path)
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise JobError(f"the job file {str(path)!r} cannot be read ({error.strerror}): check its name") from error
+        except UnicodeDecodeError as error:
+            raise JobError(f"the job file {str(path)!r} is not UTF-8 text: save it as a plain text file") from error
+        except tomllib.TOMLDecodeError as error:
+            raise JobError(f"the job file {str(path)!r} is not TOML, {error}: correct that place") from error
+        return cls.read(data, folder=path.parent)
+
+    def to_toml(self) -> str:
+        """Return the job as a file that `load` reads back to an equal job; files it names get their whole path."""
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_unset=True, exclude_none=True))
+
+    def dump(self, path: str | PathLike[str]) -> None:
+        """Write the job as a file. See `to_toml`."""
+        File(path).write_text(self.to_toml(), encoding="utf-8")

@@ -1,0 +1,214 @@
+"""What all tables of a job file share: field types with units, and errors that name the field, value and remedy."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import re
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
+
+import numpy as np
+from annotated_types import Ge
+from pydantic import AfterValidator, AllowInfNan, BaseModel, ConfigDict, Strict, ValidationError, ValidationInfo
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from turnwright.errors import JobError, UnitError
+from turnwright.units import parse, unit
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+    from turnwright._arrays import Floats
+
+Length: TypeAlias = Annotated[float, unit("mm")]
+Size: TypeAlias = Annotated[float, unit("mm", above=0.0)]
+Thickness: TypeAlias = Annotated[float, unit("mm", least=0.0)]
+Angle: TypeAlias = Annotated[float, unit("rad")]
+Feed: TypeAlias = Annotated[float, unit("mm/rev", above=0.0)]
+Speed: TypeAlias = Annotated[float, unit("rpm", above=0.0)]
+Slope: TypeAlias = Annotated[float, unit("rad", "1")]
+Number: TypeAlias = Annotated[float, Strict(), AllowInfNan(False)]
+Count: TypeAlias = Annotated[int, Strict(), Ge(1)]
+Text: TypeAlias = Annotated[str, Strict()]
+
+
+class Table(BaseModel):
+    """A table of a job file: only the keys it knows, and nothing changes once it is read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether two tables say the same, whatever has been built from them."""
+        return isinstance(other, Table) and type(self) is type(other) and self.model_dump() == other.model_dump()
+
+    def __hash__(self) -> int:
+        return hash(self.model_dump_json())
+
+
+def _existing(file: File, info: ValidationInfo) -> File:
+    """Return the file as a whole path, looked for beside the job file."""
+    found = File((info.context or {}).get("folder", ".")) / file
+    if not found.is_file():
+        raise JobError(f"the file {str(file)!r} does not exist beside the job file: correct the name or put it there")
+    return found.resolve()
+
+
+ExistingFile: TypeAlias = Annotated[File, AfterValidator(_existing)]
+
+
+def refuse(title: str, problems: Mapping[tuple[str | int, ...], Exception | str], data: object) -> ValidationError:
+    """Return a validation error of several sentences, each at its own place below the table being read."""
+    return ValidationError.from_exception_data(
+        title,
+        [
+            InitErrorDetails(type=PydanticCustomError("sentence", "{text}", {"text": str(text)}), loc=place, input=data)
+            for place, text in problems.items()
+        ],
+    )
+
+
+def read_columns(file: File, columns: Mapping[str, str]) -> Iterator[Floats]:
+    """Read a CSV table whose first row names the columns with their units, such as ``sweep [deg],deviation [um]``.
+
+    Parameters
+    ----------
+    file
+        Rows of plain numbers below the names; lines starting with # are remarks.
+    columns
+        The names wanted, and the unit to return each in.
+
+    Yields
+    ------
+    Floats
+        One column. (n,)
+
+    Raises
+    ------
+    JobError
+        If a column is missing or a value is not a number.
+    UnitError
+        If a column has the wrong unit.
+    """
+    with file.open(encoding="utf-8-sig", newline="") as lines:
+        rows = [row for row in csv.reader(lines) if row and not row[0].lstrip().startswith("#")]
+    heads = [re.fullmatch(r"\s*(.*?)\s*\[(.*)\]\s*", cell) for cell in (rows[0] if rows else [])]
+    units = {head.group(1): (place, head.group(2)) for place, head in enumerate(heads) if head}
+    for name, wanted in columns.items():
+        if name not in units:
+            raise JobError(
+                f"{file.name} has no column {name!r} in its first row: head its columns like "
+                f"{','.join(f'{key} [{value}]' for key, value in columns.items())!r}"
+            )
+        place, have = units[name]
+        values = np.empty(len(rows) - 1)
+        for number, row in enumerate(rows[1:]):
+            text = f"{row[place] if place < len(row) else ''} {have}"
+            try:
+                values[number] = parse(text, wanted)
+            except UnitError as error:
+                raise UnitError(f"{file.name}, row {number + 1} below the head, column {name}: {error}") from error
+        yield values
+
+
+_KINDS = {
+    "float_type": "a plain number without a unit or quotes",
+    "finite_number": "a finite number",
+    "int_type": "a whole number without a unit or quotes",
+    "int_from_float": "a whole number",
+    "string_type": "text in quotes",
+    "bool_type": "true or false",
+    "path_type": "the name of a file in quotes",
+    "tuple_type": "a list such as [..., ...]",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+}
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _children(annotation: object) -> Iterator[type[Table]]:
+    """Yield the tables that a field may hold."""
+    if isinstance(annotation, type) and issubclass(annotation, Table):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _children(inner)
+
+
+def _place(root: type[Table], loc: tuple[str | int, ...], tags: Mapping[str, type[Table]]) -> tuple[str, type[Table]]:
+    """Return the dotted path of a field, counting from 1 in lists, and the table that it belongs to."""
+    path, model, owner = "", root, root
+    for step in loc:
+        if isinstance(step, int):
+            path += f"[{step + 1}]"
+        elif step in tags and step not in model.model_fields:
+            model = tags[step]
+        else:
+            path += f".{step}" if path else step
+            owner = model
+            field = model.model_fields.get(step)
+            model = next(_children(field.annotation), model) if field else model
+    return path, owner
+
+
+def sentences(error: ValidationError, root: type[Table], tags: Mapping[str, type[Table]]) -> list[str]:
+    """Return one sentence for each thing that is wrong: the field, the value, what it must be, the remedy.
+
+    Parameters
+    ----------
+    error
+        What pydantic found.
+    root
+        The table that was read.
+    tags
+        Tables by the key that chooses them, which pydantic puts into the place of an error.
+    """
+    found = (_sentence(*_place(root, problem["loc"], tags), problem) for problem in error.errors(include_url=False))
+    return list(dict.fromkeys(found))
+
+
+_SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
+    "missing": lambda _, __: "is missing and has no default: add it to the job",
+    "literal_error": lambda value, context: f"is {_shown(value)}, it must be {context['expected']}: choose one of them",
+    "union_tag_invalid": lambda _, context: (
+        f"has the {context['discriminator'].strip(chr(39))} {context['tag']!r}, which is not known: "
+        f"{_suggest(context['tag'], re.findall(chr(39) + '(.*?)' + chr(39), context['expected_tags']))}"
+    ),
+    "union_tag_not_found": lambda _, context: (
+        f"lacks the key {context['discriminator'].strip(chr(39))}, which says what it is: add it"
+    ),
+    "greater_than_equal": lambda value, context: (
+        f"is {_shown(value)}, it must be at least {context['ge']}: increase it"
+    ),
+    "too_long": lambda _, context: (
+        f"has {context['actual_length']} values, the limit is {context['max_length']}: remove some"
+    ),
+    "too_short": lambda _, context: (
+        f"has {context['actual_length']} values, it needs {context['min_length']}: add some"
+    ),
+    "string_pattern_mismatch": lambda value, _: (
+        f"is {_shown(value)}, it may hold up to 40 letters, digits, - and _: rename it"
+    ),
+}
+
+
+def _sentence(path: str, owner: type[Table], problem: Mapping[str, Any]) -> str:
+    kind, value, context = problem["type"], problem["input"], problem.get("ctx", {})
+    if kind == "extra_forbidden":
+        return f"{path} is not a key of a job: {_suggest(path.rpartition('.')[2], owner.model_fields)}"
+    if kind in _SAID:
+        return f"{path} {_SAID[kind](value, context)}"
+    if kind in _KINDS:
+        return f"{path} is {_shown(value)}, it must be {_KINDS[kind]}: write it so"
+    text = str(context.get("error") or context.get("text") or problem["msg"])
+    return f"{path}: {text}" if path else text
+
+
+def _suggest(key: str, known: Iterable[str]) -> str:
+    """Say which key was probably meant, else which there are."""
+    close = difflib.get_close_matches(key.lower(), known := list(known), n=1)
+    return f"did you mean {close[0]!r}?" if close else f"the known ones are {', '.join(known)}, use one of them"
