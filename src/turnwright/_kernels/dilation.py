@@ -1,0 +1,320 @@
+"""Bringing the edge down onto the surface: the pointwise parts. See dilation.py for the method."""
+
+import numpy as np
+
+from turnwright._kernels import jit
+from turnwright._kernels.edge import edge, height, slope, sweep_at
+from turnwright._kernels.trig import sincos
+
+FULL, NARROW, OUTSIDE = -1, -2, -3  # what `candidates` answers when it cannot
+CLOSE = 1e-6  # a Newton step this small [rad] leaves 1e-12 rad, as the next one squares it
+
+
+@jit
+def under_edge(row, breaks, coefficients, angle, radius, sweep, x, y):
+    """Fill ``x`` and ``y`` with where the edge stands over the part at ``sweep``, the tool at (angle, radius)."""
+    for i in range(angle.size):
+        sine, cosine = sincos(angle[i])
+        u, w, _, _, _, _ = edge(row, breaks, coefficients, sweep[i])
+        along = radius[i] + row[5] + u
+        across = row[6] + row[4] * w
+        x[i] = along * cosine - across * sine
+        y[i] = along * sine + across * cosine
+
+
+@jit
+def newton_step(row, breaks, coefficients, angle, sweep, f, fx, fy, fxx, fxy, fyy, value, first, top, step, bend):
+    """Take one Newton step towards the place on the nose where f - e is greatest.
+
+    Fill ``value`` with f - e and ``first`` with its derivative, ``top`` with the maximum as the local parabola gives it,
+    ``step`` with the change of sweep towards it (heights of the commanded tip) and ``bend`` with the curvature of the surface under the edge, per distance along it. [1/mm]
+    A step of nan says that the parabola opens upward: no maximum is near.
+    """
+    for i in range(angle.size):
+        sine, cosine = sincos(angle[i])
+        _, w, du, dw, ddu, ddw = edge(row, breaks, coefficients, sweep[i])
+        dx = du * cosine - row[4] * dw * sine
+        dy = du * sine + row[4] * dw * cosine
+        ddx = ddu * cosine - row[4] * ddw * sine
+        ddy = ddu * sine + row[4] * ddw * cosine
+        rise = fx[i] * dx + fy[i] * dy
+        curve = fxx[i] * dx * dx + 2.0 * fxy[i] * dx * dy + fyy[i] * dy * dy + fx[i] * ddx + fy[i] * ddy
+        first[i] = rise - row[3] * dw
+        second = curve - row[3] * ddw
+        bend[i] = (curve - rise * ddu / du) / (du * du)
+        value[i] = f[i] - row[3] * w - row[7]
+        step[i] = -first[i] / second if second < 0.0 else np.nan
+        top[i] = value[i] + 0.5 * first[i] * step[i]
+
+
+@jit
+def sweeps_at(row, breaks, coefficients, u, sweep):
+    """Fill ``sweep`` with where the edge stands at the distances ``u`` from its tip."""
+    for i in range(u.size):
+        sweep[i] = sweep_at(row, breaks, coefficients, u[i])
+
+
+@jit
+def places(row, profile, table, angle, radius, u, x, y):
+    """Fill ``x`` and ``y`` (rows, n) with where the edge stands over the part at distances ``u`` (rows, n)."""
+    for i in range(u.shape[0]):
+        sine, cosine = sincos(angle[i])
+        for j in range(u.shape[1]):
+            along = radius[i] + row[5] + u[i, j]
+            across = row[6]
+            if row[4] != 0.0:
+                across += row[4] * height(profile, table, u[i, j])
+            x[i, j] = along * cosine - across * sine
+            y[i, j] = along * sine + across * cosine
+
+
+@jit
+def slopes_along(row, profile, table, angle, u, fx, fy, out):
+    """Fill ``out`` with the slope of the surface along the track of the edge, per distance ``u`` from the tip."""
+    for i in range(u.size):
+        sine, cosine = sincos(angle[i])
+        lean = row[4] * slope(profile, table, u[i]) if row[4] != 0.0 else 0.0
+        out[i] = fx[i] * (cosine - lean * sine) + fy[i] * (sine + lean * cosine)
+
+
+@jit
+def lower_edge(rake_cos, profile, table, heights, origin, step, p, begin, end, out):
+    """Fill ``out`` with f - e over the samples begin to end, the tip at ``p`` along the line."""
+    base, low, high = profile[0], origin + step * begin - p, origin + step * end - p
+    if table.shape[1] == 0 and low >= profile[1] and high <= profile[4]:
+        for j in range(begin, end + 1):
+            u = origin + step * j - p
+            out[j] = heights[j] - rake_cos * (base - np.sqrt(base * base - u * u))
+    else:
+        for j in range(begin, end + 1):
+            out[j] = heights[j] - rake_cos * height(profile, table, origin + step * j - p)
+
+
+@jit
+def distance_at_slope(profile, table, goal, low, high):
+    """Return where the edge slopes by ``goal``, within [low, high]; for a convex edge."""
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if slope(profile, table, middle) < goal:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@jit
+def candidates(
+    heights, origin, step, offsets, position,
+    break_offsets, break_after, break_at, break_height, break_slope,
+    rake_cos, profile, table, convex, low, high,
+    point, start, stop, guess, direct, direct_at,
+):  # fmt: skip
+    """Find where f - e may be greatest: on each row a sampled line, and on it one or more tool positions.
+
+    Parameters
+    ----------
+    heights
+        Surface heights, -inf where there is none, at origin + step * j. (rows, m)
+    offsets, position
+        Row i holds the tip positions offsets[i] to offsets[i + 1] of ``position``. [mm]
+    break_offsets, break_after, break_at, break_height, break_slope
+        Kinks and steps, row by row and ascending: the sample before, where exactly, and heights and slopes (2, n) of
+        the line just before and just after.
+    low, high
+        Window of the edge to look at, from its tip. [mm]
+    point, start, stop, guess
+        Filled: tip position, ends of a short smooth interval and a first guess in it, from the tip. A sampled maximum
+        within the sampling error of the greatest counts too, so that exact heights decide between several tangents.
+    direct, direct_at
+        Filled for each tip position: the greatest f - e of those that stand exactly on a kink or step, and where.
+
+    Returns
+    -------
+    int
+        Number of intervals; or `FULL` if they do not fit; `NARROW` if a contact is at the end of the window, so that the
+        edge touches beyond it; or `OUTSIDE` - k if the contact of position k is at the end of the domain.
+    """
+    rows, m = heights.shape
+    g = np.empty(m)
+    broken = np.empty(m, np.int64)  # number of the first break after a sample, or -1
+    found = 0
+    for row in range(rows):
+        f = heights[row]
+        first_break, last_break = break_offsets[row], break_offsets[row + 1]
+        for j in range(m):
+            broken[j] = -1
+        for b in range(last_break - 1, first_break - 1, -1):
+            broken[break_after[b]] = b
+        # How much f - e can rise between samples of one piece, and the range of slopes; steps are steep slopes.
+        bend, steepest, falling = 0.0, -np.inf, np.inf
+        for j in range(1, m):
+            rate = (f[j] - f[j - 1]) / step
+            if abs(rate) < np.inf:
+                steepest, falling = max(steepest, rate), min(falling, rate)
+            if j > 1 and broken[j - 1] < 0 and broken[j - 2] < 0:
+                second = abs(f[j - 2] - 2.0 * f[j - 1] + f[j])
+                if second < np.inf:
+                    bend = max(bend, second)
+        near, far = low, high
+        if convex and steepest >= falling:
+            near = max(low, distance_at_slope(profile, table, falling / rake_cos, low, high) - 2.0 * step)
+            far = min(high, distance_at_slope(profile, table, steepest / rake_cos, low, high) + 2.0 * step)
+        for k in range(offsets[row], offsets[row + 1]):
+            p = position[k]
+            begin = max(int(np.ceil((p + near - origin) / step)), 0)
+            end = min(int(np.floor((p + far - origin) / step)), m - 1)
+            lower_edge(rake_cos, profile, table, f, origin, step, p, begin, end, g)
+            greatest, where = -np.inf, -1
+            for j in range(begin, end + 1):
+                if g[j] > greatest:
+                    greatest, where = g[j], j
+            if where < 0:
+                return OUTSIDE - k
+            direct[k] = -np.inf
+            top = greatest
+            first, last = -1, -1
+            for b in range(first_break, last_break):
+                if break_after[b] < begin or break_after[b] >= end:
+                    continue
+                first = b if first < 0 else first
+                last = b
+                e = rake_cos * height(profile, table, break_at[b] - p)
+                top = max(top, max(break_height[0, b], break_height[1, b]) - e)
+            if where > begin and g[where - 1] == -np.inf and broken[where - 1] < 0:
+                return OUTSIDE - k
+            if where < end and g[where + 1] == -np.inf and broken[where] < 0:
+                return OUTSIDE - k
+            if top == greatest and (where == begin or where == end):
+                return NARROW
+            u = origin + step * where - p
+            curve = rake_cos * abs(
+                height(profile, table, u - step) - 2.0 * height(profile, table, u) + height(profile, table, u + step)
+            )
+            threshold = top - bend - curve
+            if found + (end - begin) + 2 * (last_break - first_break) + 4 > point.size:
+                return FULL
+            for j in range(begin, end + 1):
+                if g[j] < threshold:
+                    continue
+                at = origin + step * j - p
+                # Neighbours of a sample: the next sample, or the near side of a kink or step before it.
+                before, left = at, g[j]
+                if j > begin:
+                    before, left = at - step, g[j - 1]
+                    if broken[j - 1] >= 0:
+                        b = broken[j - 1]
+                        while b + 1 < last_break and break_after[b + 1] == j - 1:
+                            b += 1
+                        before = break_at[b] - p
+                        left = break_height[1, b] - rake_cos * height(profile, table, before)
+                after, right = at, g[j]
+                if j < end:
+                    after, right = at + step, g[j + 1]
+                    if broken[j] >= 0:
+                        after = break_at[broken[j]] - p
+                        right = break_height[0, broken[j]] - rake_cos * height(profile, table, after)
+                if g[j] >= left and g[j] >= right:
+                    point[found], start[found], stop[found] = k, before, after
+                    guess[found] = at
+                    if before == at - step and after == at + step and left > -np.inf and right > -np.inf:
+                        second = left - 2.0 * g[j] + right
+                        if second < 0.0:
+                            guess[found] = at + 0.5 * step * (left - right) / second
+                    found += 1
+            if first < 0:
+                continue
+            for b in range(first, last + 1):
+                at = break_at[b] - p
+                e, rate = rake_cos * height(profile, table, at), rake_cos * slope(profile, table, at)
+                for side in range(2):
+                    value = break_height[side, b] - e
+                    if value < threshold:
+                        continue
+                    # The neighbour on this side: a sample, or the facing side of the next break in the same interval.
+                    beside = b - 1 if side == 0 else b + 1
+                    if beside >= first and beside <= last and break_after[beside] == break_after[b]:
+                        next_at = break_at[beside] - p
+                        following = break_height[1 - side, beside] - rake_cos * height(profile, table, next_at)
+                    else:
+                        j = break_after[b] + side
+                        next_at, following = origin + step * j - p, g[j]
+                    inward = (break_slope[side, b] - rate) * (1.0 if side == 1 else -1.0)
+                    if inward > 0.0:
+                        # It rises into the smooth piece, and is no higher at the other end: a maximum in between.
+                        if value >= following:
+                            point[found] = k
+                            start[found], stop[found] = min(at, next_at), max(at, next_at)
+                            guess[found] = 0.5 * (at + next_at)
+                            found += 1
+                    elif value > direct[k]:
+                        direct[k], direct_at[k] = value, at
+    return found
+
+
+@jit
+def bracket(begin, end, low, high, sweep, value, first, top, step, best, place, done):
+    """Take one safeguarded Newton step towards each maximum: one point of `_Contact._maximum`, in place.
+
+    [low, high] brackets the maximum, by the sign of the derivative ``first`` at its ends; [begin, end] is the interval
+    itself, at whose ends the maximum may be. ``best`` and ``place`` keep the greatest height seen.
+    """
+    for i in range(sweep.size):
+        s = sweep[i]
+        rising = first[i] > 0.0
+        if rising:
+            low[i] = s
+        else:
+            high[i] = s
+        following = s + step[i]
+        inside = following > low[i] and following < high[i]
+        small = abs(step[i]) <= CLOSE
+        found, at = (top[i], following) if small and inside else (value[i], s)
+        if found > best[i]:
+            best[i], place[i] = found, at
+        at_end = s >= end[i] if rising else s <= begin[i]
+        done[i] = (small and inside) or at_end or high[i] - low[i] <= 1e-15 or not abs(first[i]) < np.inf
+        if not inside:
+            # Beyond an end: try the end itself, once. No parabola, or an end of the bracket tried before: halve.
+            if following >= high[i] and high[i] == end[i]:
+                following = end[i]
+            elif following <= low[i] and low[i] == begin[i]:
+                following = begin[i]
+            else:
+                following = 0.5 * (low[i] + high[i])
+        sweep[i] = following
+
+
+@jit
+def keep_highest(point, top, sweep, z, best):
+    """Raise ``z`` and ``best`` of each point to its highest candidate."""
+    for i in range(point.size):
+        if top[i] > z[point[i]]:
+            z[point[i]] = top[i]
+            best[point[i]] = sweep[i]
+
+
+@jit
+def tangent_sweep(row, breaks, coefficients, slope_along, slope_across, sweep):
+    """Improve ``sweep`` until the edge's tangent lies in the surface's tangent plane; nan beyond the arc."""
+    for i in range(sweep.size):
+        low, high = row[1], row[2]
+        s = min(max(sweep[i], low), high)
+        # How fast the edge rises over the tangent plane; it grows along a convex edge.
+        for _ in range(100):
+            _, _, du, dw, ddu, ddw = edge(row, breaks, coefficients, s)
+            lift = row[3] - slope_across[i] * row[4]
+            rise = lift * dw - slope_along[i] * du
+            if rise > 0.0:
+                high = s
+            else:
+                low = s
+            following = s - rise / (lift * ddw - slope_along[i] * ddu)
+            if not low <= following <= high:
+                following = 0.5 * (low + high)
+            step = following - s
+            s = following
+            if abs(step) < 1e-15:
+                break
+        _, _, du, dw, _, _ = edge(row, breaks, coefficients, s)
+        residual = (row[3] - slope_across[i] * row[4]) * dw - slope_along[i] * du
+        sweep[i] = s if abs(residual) < 1e-10 * row[0] else np.nan

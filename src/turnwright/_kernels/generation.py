@@ -1,0 +1,482 @@
+"""The surface a motion leaves: the lowest of all passes of the edge.
+
+A *pass* is one crossing of an azimuth by the tool. On the line through the axis at azimuth a, passes come from both
+sides: from azimuth a the tip stands at +X, from azimuth a + pi at -X with the edge mirrored. Angles here are *along*
+the motion: multiplied by its sense, so that they always grow.
+
+For a convex edge two passes cross at most once, so the lowest of all of them along a line is a lower envelope built
+with a stack in linear time. For everything else (points off a common line, an edge out of the radial plane, an edge that
+is not convex) small tiles of neighbouring points share one list of passes that can be lowest anywhere in the tile.
+"""
+
+import numpy as np
+
+from turnwright._kernels import jit
+from turnwright._kernels.edge import height, hermite, slope
+
+TURN = 2.0 * np.pi
+FAR = 1e300
+# Angles this close to an end of the motion count as the end: spindle angles of thousands of turns round at 4e-12 rad.
+ROUNDING = 1e-9
+
+
+@jit
+def turn_starts(c, sense, starts):
+    """Fill ``starts`` (turns + 1,) with the first index at or after each whole turn from the beginning."""
+    i = 0
+    for m in range(starts.size):
+        goal = sense * c[0] + TURN * m
+        while i < c.size - 1 and sense * c[i] < goal:
+            i += 1
+        starts[m] = i
+
+
+@jit
+def turn_bounds(x, z, starts, dx, out):
+    """Fill ``out`` (4, turns): least and greatest tip position, least and greatest height within each turn."""
+    n = x.size
+    for m in range(out.shape[1]):
+        first, last = max(starts[m] - 1, 0), min(starts[m + 1] + 1, n)
+        low, high, bottom, top = FAR, -FAR, FAR, -FAR
+        for i in range(first, last):
+            low, high = min(low, x[i]), max(high, x[i])
+            bottom, top = min(bottom, z[i]), max(top, z[i])
+        out[0, m], out[1, m], out[2, m], out[3, m] = low + dx, high + dx, bottom, top
+
+
+@jit
+def locate(c, sense, t, guess):
+    """Return i with c[i] <= t <= c[i + 1] along the motion; ``t`` lies within it."""
+    i = min(max(guess, 0), c.size - 2)
+    while i > 0 and sense * c[i] > t:
+        i -= 1
+    while i < c.size - 2 and sense * c[i + 1] < t:
+        i += 1
+    return i
+
+
+@jit
+def guess_index(c, sense, t, starts):
+    """Return a starting index for `locate`: as if the points of a turn were evenly spaced."""
+    along = (t - sense * c[0]) / TURN
+    m = min(max(int(along), 0), starts.size - 2)
+    share = min(max(along - m, 0.0), 1.0)
+    return starts[m] + int(share * (starts[m + 1] - starts[m]))
+
+
+@jit
+def useful_turns(bounds, mirrored, low, high, profile, table, keep):
+    """Mark the turns that can be lowest somewhere in [low, high] of a radial line; for a convex edge.
+
+    A turn further out than some pass P that lies above P at the outer end lies above it all the way in, and likewise
+    inward. P is taken from the turn nearest each end; bounds over the whole turn serve every azimuth at once.
+    """
+    turns = bounds.shape[1]
+    for end in range(2):
+        r = high if end == 0 else low
+        best, ceiling = -1, FAR
+        for m in range(turns):
+            reach = max(abs(r - bounds[0, m]), abs(r - bounds[1, m]))
+            if reach < profile[4] and reach < -profile[1]:
+                top = bounds[3, m] + max(height(profile, table, reach), height(profile, table, -reach))
+                if top < ceiling:
+                    best, ceiling = m, top
+        for m in range(turns):
+            if end == 0:
+                keep[m] = True
+            if best < 0 or not keep[m]:
+                continue
+            first = -bounds[1, m] if mirrored else bounds[0, m]
+            last = -bounds[0, m] if mirrored else bounds[1, m]
+            if end == 0 and first >= bounds[1, best] and first > r:
+                distance = r - first
+            elif end == 1 and last <= bounds[0, best] and last < r:
+                distance = r - last
+            else:
+                continue
+            if bounds[2, m] + height(profile, table, -distance if mirrored else distance) > ceiling:
+                keep[m] = False
+
+
+@jit
+def crossing(p1, z1, p2, z2, low, high, mirrored, profile, table):
+    """Return where pass 2 (further in, p2 < p1) stops and pass 1 begins to be lowest, within [low, high]."""
+    radius = profile[0]
+    dp, dz = p1 - p2, z1 - z2
+    square = dp * dp + dz * dz
+    x = 0.5 * (p1 + p2)
+    if square < 4.0 * radius * radius:
+        x += dz * np.sqrt(radius * radius / square - 0.25)
+        inside = (
+            x - p1 > profile[1] and x - p1 < profile[4] and x - p2 > profile[1] and x - p2 < profile[4]
+        )  # of a symmetric arc when there is no table
+        if inside and table.shape[1] == 0:
+            return min(max(x, low), high)
+    # Anything else: the difference falls monotonically with x for a convex edge; safeguarded Newton on it.
+    s = -1.0 if mirrored else 1.0
+    a, b = low, high
+    if z1 + height(profile, table, s * (a - p1)) <= z2 + height(profile, table, s * (a - p2)):
+        return a
+    if z1 + height(profile, table, s * (b - p1)) >= z2 + height(profile, table, s * (b - p2)):
+        return b
+    if not a < x < b:
+        x = 0.5 * (a + b)
+    for _ in range(80):
+        difference = dz + height(profile, table, s * (x - p1)) - height(profile, table, s * (x - p2))
+        if difference > 0.0:
+            a = x
+        else:
+            b = x
+        rate = s * (slope(profile, table, s * (x - p1)) - slope(profile, table, s * (x - p2)))
+        following = x - difference / rate if rate < 0.0 else 0.5 * (a + b)
+        if not a < following < b:
+            following = 0.5 * (a + b)
+        if abs(following - x) < 1e-13:
+            break
+        x = following
+    return x
+
+
+@jit
+def heights(winner, plain, mirrored, first, profile, table, radius, out):
+    """Set (with ``first``) or lower ``out`` to the pass that ``winner`` (2, n) names by position and level."""
+    base = profile[0]
+    square = base * base
+    if plain and first:
+        for k in range(radius.size):
+            u = radius[k] - winner[0, k]
+            out[k] = (winner[1, k] + base) - np.sqrt(square - u * u)
+        return
+    side = -1.0 if mirrored else 1.0
+    for k in range(radius.size):
+        h = winner[1, k] + height(profile, table, side * (radius[k] - winner[0, k]))
+        out[k] = h if first else min(out[k], h)
+
+
+@jit
+def stacked(position, level, count, mirrored, profile, table, low, high, stack, limit):
+    """Fill ``stack`` with the passes that are lowest somewhere, from outside in, and ``limit`` with where each begins.
+
+    Return how many they are. On a turned part nearly every pass is lowest somewhere: if the crossings of neighbours are
+    in order that proves it, and they come from one loop that vectorises.
+    """
+    radius = profile[0]
+    ordered = table.shape[1] == 0
+    if ordered:
+        for i in range(1, count):
+            dp, dz = position[i - 1] - position[i], level[i - 1] - level[i]
+            quotient = radius * radius / (dp * dp + dz * dz) - 0.25
+            limit[i] = 0.5 * (position[i - 1] + position[i]) + dz * np.sqrt(quotient)
+        reach = profile[4]
+        for i in range(1, count):
+            # Also false for nan: equal passes, or so far apart that the circles do not meet.
+            ordered = ordered and abs(limit[i] - position[i - 1]) < reach and abs(limit[i] - position[i]) < reach
+        for i in range(2, count):
+            ordered = ordered and limit[i] < limit[i - 1]
+    if ordered:
+        begin = 0
+        while begin + 1 < count and limit[begin + 1] >= high:
+            begin += 1
+        depth = 0
+        for i in range(begin, count):
+            if depth > 0 and limit[i] <= low:
+                break
+            stack[depth], limit[depth] = i, limit[i]
+            depth += 1
+        return depth
+    depth = 0
+    for i in range(count):
+        dropped = False
+        bound = high
+        while depth > 0:
+            top = stack[depth - 1]
+            if position[top] == position[i]:
+                x = high if level[i] < level[top] else low
+            else:
+                x = crossing(position[top], level[top], position[i], level[i], low, high, mirrored, profile, table)
+            if x >= limit[depth - 1] and x > low:
+                depth -= 1
+                continue
+            dropped = x <= low
+            bound = x
+            break
+        if not dropped:
+            stack[depth] = i
+            limit[depth] = high if depth == 0 else bound
+            depth += 1
+    return depth
+
+
+@jit
+def envelope(position, level, count, mirrored, first, profile, table, radius, out, stack, limit, winner):
+    """Lower ``out`` (n_radius,) to the lowest of ``count`` passes; with ``first`` set it instead of lowering it."""
+    low, high = radius[0], radius[radius.size - 1]
+    # From outside in; a spiral's passes are nearly in order, so insertion sorts them in linear time.
+    for i in range(1, count):
+        p, z = position[i], level[i]
+        j = i - 1
+        while j >= 0 and position[j] < p:
+            position[j + 1], level[j + 1] = position[j], level[j]
+            j -= 1
+        position[j + 1], level[j + 1] = p, z
+    depth = stacked(position, level, count, mirrored, profile, table, low, high, stack, limit)
+    # Who is lowest at each sample, then all heights in one loop that vectorises however short the intervals are.
+    # From inside out, eight samples at a time: what is written too far the next pass overwrites.
+    plain = table.shape[1] == 0  # nothing but arcs of one circle
+    per_sample = (radius.size - 1) / (high - low) if high > low else 0.0
+    i = 0
+    for d in range(depth - 1, -1, -1):
+        p, z = position[stack[d]], level[stack[d]]
+        j = radius.size
+        if d > 0:
+            # Guess the last sample as if they were evenly spaced, then correct.
+            up = limit[d]
+            j = min(int((up - low) * per_sample), radius.size)
+            while j > 0 and radius[j - 1] > up:
+                j -= 1
+            while j < radius.size and radius[j] <= up:
+                j += 1
+        if i < j:
+            for k in range(i, j, 8):
+                for q in range(8):
+                    winner[0, k + q] = p
+                for q in range(8):
+                    winner[1, k + q] = z
+            plain = plain and radius[i] - p >= profile[1] and radius[j - 1] - p <= profile[4]
+            i = j
+    if depth > 0:
+        heights(winner, plain, mirrored, first, profile, table, radius, out)
+    if first and depth == 0:
+        for k in range(radius.size):
+            out[k] = FAR
+
+
+@jit
+def polar_block(c, x, z, sense, starts, bounds, dx, dz, profile, table, radius, angle, out):
+    """Fill ``out`` (n_angle, n_radius): the surface along neighbouring azimuths ``angle``; convex, upright edge."""
+    turns = starts.size - 1
+    rows = angle.size
+    keep = np.empty((2, turns), np.bool_)
+    for side in range(2):
+        low, high = radius[0], radius[radius.size - 1]
+        useful_turns(bounds, side == 1, low, high, profile, table, keep[side])
+    begin, end = sense * c[0], sense * c[c.size - 1]
+    symmetric = table.shape[1] == 0
+    position = np.empty((rows, 2 * turns + 2))
+    level = np.empty((rows, 2 * turns + 2))
+    count = np.zeros(rows, np.int64)
+    split = np.zeros(rows, np.int64)
+    stack = np.empty(2 * turns + 2, np.int64)
+    limit = np.empty(2 * turns + 2)
+    winner = np.empty((2, radius.size + 8))
+    start = np.empty(rows)
+    for side in range(2):
+        for row in range(rows):
+            along = sense * angle[row] + (np.pi if side == 1 else 0.0)
+            start[row] = along + TURN * np.ceil((begin - along - ROUNDING) / TURN)
+        # Whole turns that end on the azimuth they began on pass it once more than there are turns.
+        for m in range(turns + 1):
+            if not keep[side, min(m, turns - 1)]:
+                continue
+            hint = -1
+            for row in range(rows):
+                t = start[row] + TURN * m
+                if t > end + ROUNDING:
+                    continue
+                t = min(max(t, begin), end)
+                i = locate(c, sense, t, guess_index(c, sense, t, starts) if hint < 0 else hint)
+                hint = i
+                ci = sense * c[i]
+                share = (t - ci) / (sense * c[i + 1] - ci)
+                p = x[i] + share * (x[i + 1] - x[i]) + dx
+                k = count[row]
+                position[row, k] = p if side == 0 else -p
+                level[row, k] = z[i] + share * (z[i + 1] - z[i]) + dz
+                count[row] = k + 1
+        if side == 0:
+            split[:] = count
+    for row in range(rows):
+        if symmetric:
+            envelope(position[row], level[row], count[row], False, True, profile, table, radius, out[row], stack, limit, winner)
+        else:
+            n = split[row]
+            envelope(position[row], level[row], n, False, True, profile, table, radius, out[row], stack, limit, winner)
+            if count[row] > n:
+                m = count[row] - n
+                envelope(
+                    position[row, n:], level[row, n:], m, True, False, profile, table, radius, out[row], stack, limit,
+                    winner,
+                )
+
+
+@jit
+def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
+    """Return (height, index, u) of one pass over the point at distance ``r`` whose azimuth along the motion is ``t``.
+
+    With the edge out of the radial plane by v the tool passes over the point not at ``t`` but where the point stands
+    v aside: r sin(azimuth of the point - azimuth of the tool) = v(u). Solved by fixed point, which contracts by about
+    feed / r. The height is FAR where the tool does not pass over the point at all.
+    """
+    begin, end = sense * c[0], sense * c[c.size - 1]
+    upright = row[4] == 0.0 and row[6] == 0.0 and y.size == 0
+    sign = 1.0 if side == 0 else -1.0
+    i, u, last = hint, 0.0, FAR
+    w, p, up, across = 0.0, 0.0, 0.0, 0.0
+    for _ in range(1 if upright else 50):
+        shift = 0.0
+        if not upright:
+            if _ == 0:
+                across = row[6] + (y[min(max(i, 0), y.size - 1)] if y.size > 0 else 0.0)
+            if abs(across) > r:
+                return FAR, i, u
+            shift = sign * sense * np.arcsin(across / r) if r > 0.0 else 0.0
+        at = t - shift
+        if at < begin - ROUNDING or at > end + ROUNDING:
+            return FAR, i, u
+        at = min(max(at, begin), end)
+        i = locate(c, sense, at, i)
+        ci = sense * c[i]
+        share = (at - ci) / (sense * c[i + 1] - ci)
+        p = x[i] + share * (x[i + 1] - x[i]) + row[5]
+        up = z[i] + share * (z[i + 1] - z[i]) + row[7]
+        u = sign * (r if upright else np.sqrt(r * r - across * across)) - p
+        w = height(profile, table, u)
+        if not upright:
+            across = row[6] + row[4] * w
+            if y.size > 0:
+                across += y[i] + share * (y[i + 1] - y[i])
+            if abs(across - last) < 1e-15:
+                break
+            last = across
+    return up + row[3] * w, i, u
+
+
+@jit
+def tile(c, x, y, z, sense, starts, bounds, row, profile, table, convex, r, azimuth, count, out, work, index):
+    """Fill ``out`` (count,) at neighbouring points (r, azimuth along the motion).
+
+    ``work`` (2, 2 * (turns + 2), 3) and ``index`` (2, 2 * (turns + 2)) are scratch. A pass is a candidate if, over the
+    extent of the tile, it can come below the lowest: its height at the tile's middle less the most that its slope can
+    differ, anywhere in the tile, from the slope of the pass that is lowest in the middle.
+    """
+    turns = starts.size - 1
+    begin = sense * c[0]
+    low, high = r[0], r[0]
+    back, fore = azimuth[0], azimuth[0]
+    for k in range(1, count):
+        low, high = min(low, r[k]), max(high, r[k])
+        back, fore = min(back, azimuth[k]), max(fore, azimuth[k])
+    rc, ac = 0.5 * (low + high), 0.5 * (back + fore)
+    hr, ha = 0.5 * (high - low), 0.5 * (fore - back)
+    upright = row[4] == 0.0 and row[6] == 0.0 and y.size == 0
+    keep = np.ones((2, turns), np.bool_)
+    if upright and convex:
+        for side in range(2):
+            useful_turns(bounds, side == 1, low, high, profile, table, keep[side])
+    lowest, best = FAR, -1
+    found = 0
+    for side in range(2):
+        along = ac + (np.pi if side == 1 else 0.0)
+        start = along + TURN * np.ceil((begin - along - ROUNDING) / TURN)
+        for m in range(-1, turns + 1):
+            if m >= 0 and m < turns and not keep[side, m]:
+                continue
+            t = start + TURN * m
+            guess = guess_index(c, sense, t, starts)
+            h, i, u = pass_at(c, x, y, z, sense, row, profile, table, t, rc, side, guess)
+            index[0, found], index[1, found] = side, i
+            work[0, found, 0], work[0, found, 1], work[0, found, 2] = h, t - ac, u
+            if h < lowest:
+                lowest, best = h, found
+            found += 1
+    if count == 1:
+        out[0] = lowest
+        return
+    # Slopes of each pass over the tile, against those of the lowest.
+    steer_r, steer_a = 0.0, 0.0
+    if best >= 0:
+        i, u = index[1, best], work[0, best, 2]
+        step = sense * (c[i + 1] - c[i])
+        steer_r = row[3] * slope(profile, table, u) * (1.0 if index[0, best] == 0 else -1.0)
+        g = row[3] * slope(profile, table, u)
+        steer_a = ((z[i + 1] - z[i]) - g * (x[i + 1] - x[i])) / step
+    ceiling = FAR
+    slack = 1.0 if upright else 3.0
+    end = sense * c[c.size - 1]
+    for k in range(found):
+        t, u = ac + work[0, k, 1], work[0, k, 2]
+        # Where the motion begins or ends inside the tile a pass covers a part of it: test it at every point.
+        if work[0, k, 0] == FAR or t - ha < begin or t + ha > end:
+            work[1, k, 0] = FAR
+            continue
+        first = locate(c, sense, t - ha, index[1, k])
+        last = locate(c, sense, t + ha, index[1, k])
+        drift, rise, fall = 0.0, -FAR, FAR
+        for i in range(first, last + 1):
+            step = sense * (c[i + 1] - c[i])
+            drift = max(drift, abs(x[i + 1] - x[i]) / step)
+            rate = (z[i + 1] - z[i]) / step
+            rise, fall = max(rise, rate), min(fall, rate)
+        du = slack * (hr + drift * ha)
+        g1, g2 = row[3] * slope(profile, table, u - du), row[3] * slope(profile, table, u + du)
+        sign = 1.0 if index[0, k] == 0 else -1.0
+        bend = 0.0
+        if not convex:
+            bend = abs(g2 - g1) + 0.05  # a wavy edge may be steeper in between; waves steeper than 5 % do not exist
+        dev_r = max(abs(sign * g1 - steer_r), abs(sign * g2 - steer_r)) + bend
+        dev_a = max(abs(rise - steer_a), abs(fall - steer_a)) + max(abs(g1), abs(g2)) * drift
+        margin = slack * (hr * dev_r + ha * dev_a) + 1e-13
+        work[1, k, 0] = margin
+        ceiling = min(ceiling, work[0, k, 0] + margin)
+    for k in range(count):
+        out[k] = FAR
+    for k in range(found):
+        if work[0, k, 0] != FAR and work[0, k, 0] - work[1, k, 0] > ceiling:
+            continue
+        hint = index[1, k]
+        for j in range(count):
+            h, hint, _ = pass_at(
+                c, x, y, z, sense, row, profile, table, azimuth[j] + work[0, k, 1], r[j], index[0, k], hint
+            )
+            out[j] = min(out[j], h)
+
+
+@jit
+def tiles(c, x, y, z, sense, starts, bounds, row, profile, table, convex, px, py, offsets, start, stop, out):
+    """Fill ``out`` at the points (px, py), grouped in tiles: tile k holds the points offsets[k] to offsets[k + 1]."""
+    turns = starts.size - 1
+    most = 0
+    for k in range(start, stop):
+        most = max(most, offsets[k + 1] - offsets[k])
+    r = np.empty(most)
+    azimuth = np.empty(most)
+    work = np.empty((2, 2 * (turns + 2), 3))
+    index = np.empty((2, 2 * (turns + 2)), np.int64)
+    for k in range(start, stop):
+        count = offsets[k + 1] - offsets[k]
+        for j in range(count):
+            i = offsets[k] + j
+            r[j] = np.sqrt(px[i] * px[i] + py[i] * py[i])
+            azimuth[j] = sense * np.arctan2(py[i], px[i])
+            # One branch for the whole tile, even across the cut of the arc tangent.
+            if j > 0:
+                if azimuth[j] - azimuth[0] > np.pi:
+                    azimuth[j] -= TURN
+                elif azimuth[j] - azimuth[0] < -np.pi:
+                    azimuth[j] += TURN
+        target = out[offsets[k] : offsets[k + 1]]
+        around = False
+        for j in range(1, count):
+            # A tile around the axis spans all azimuths: its points share nothing, so each goes alone.
+            around = around or abs(azimuth[j] - azimuth[0]) > 0.5 or r[j] == 0.0
+        if around or r[0] == 0.0:
+            for j in range(count):
+                tile(
+                    c, x, y, z, sense, starts, bounds, row, profile, table, convex,
+                    r[j : j + 1], azimuth[j : j + 1], 1, target[j : j + 1], work, index,
+                )  # fmt: skip
+        else:
+            tile(
+                c, x, y, z, sense, starts, bounds, row, profile, table, convex,
+                r, azimuth, count, target, work, index,
+            )  # fmt: skip

@@ -1,0 +1,473 @@
+r"""The exact height at which the real edge touches a surface.
+
+For the commanded tip at distance :math:`\rho` from the axis in the plane of azimuth :math:`\theta`, moving only along Z,
+
+.. math:: Z(\rho, \theta) = \max_u \; [\, f(\rho + u, \theta) - e(u) \,]
+
+a grey-scale dilation of the surface by the edge: free of gouges by construction, whatever the surface and the edge. The
+maximum is found in one of two ways.
+
+*One tangent.* If the surface curves up less than the edge everywhere, f - e is strictly concave and has one maximum, the
+tangent solution, which Newton finds from the tip. The condition is tested beforehand on a grid over the whole part and
+again at every point that Newton visits, that is at the density of the program itself.
+
+*Search.* Otherwise f - e is sampled along the edge well below the surface's `feature_size`; every sampled maximum that
+may be the greatest within the sampling error is refined, on either side of each kink or step, and the greatest is taken.
+Points that share an azimuth share one sampled line, so that this costs a few evaluations a point.
+
+Sources
+-------
+[Li2018]_ Eq. 8 takes the normal at the tip, exact only on a straight profile; [Troutman2016]_ ch. 6 has the tangent
+solution and the error of a wavy edge. Oracles: brute-force dilation, and closed forms on spheres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from turnwright._arrays import Floats, Ints, frozen, same_length
+from turnwright.errors import DomainError, GougeError
+from turnwright.progress import Progress, run_chunks
+from turnwright.surface import Surface
+from turnwright.tool import EdgeTable, Profile, Tool
+
+__all__ = ["Touch", "tip_height", "touch"]
+
+CONCAVITY = 0.9
+"""Largest share of the edge's own curvature that the surface may have where a single tangent is taken for granted."""
+SAMPLES_PER_FEATURE = 16
+SAMPLES_PER_EDGE = 128
+CHUNK = 8192
+
+
+class Touch(NamedTuple):
+    """Where and how high the edge touches. Each (n,)."""
+
+    z: Floats  # commanded tip [mm]
+    sweep: Floats  # place on the nose [rad]
+    x: Floats  # contact point in the part frame [mm]
+    y: Floats
+    surface_z: Floats
+
+
+class _Candidates(NamedTuple):
+    """Short intervals of the edge in which a point may have its contact. Each (n,)."""
+
+    point: Ints
+    start: Floats  # ends and a first guess, as distances from the tip [mm]
+    stop: Floats
+    guess: Floats
+
+
+class _Breaks(NamedTuple):
+    """Kinks and steps of sampled lines, row by row, see `candidates` in the kernels."""
+
+    offsets: Ints
+    after: Ints
+    at: Floats
+    height: Floats
+    slope: Floats
+
+
+class _NarrowWindow(Exception):  # noqa: N818 - a signal between two functions
+    """The edge touches beyond the window looked at."""
+
+
+def tip_height(
+    surface: Surface,
+    tool: Tool,
+    *,
+    angle: ArrayLike,
+    radius: ArrayLike,
+    sense: int,
+    progress: Progress | None = None,
+) -> Floats:
+    """Return the commanded tip heights at which the edge touches the surface. (n,) [mm]. See `touch`."""
+    return touch(surface, tool, angle=angle, radius=radius, sense=sense, progress=progress).z
+
+
+def touch(
+    surface: Surface,
+    tool: Tool,
+    *,
+    angle: ArrayLike,
+    radius: ArrayLike,
+    sense: int,
+    progress: Progress | None = None,
+) -> Touch:
+    """Bring the edge down onto the surface along Z.
+
+    Parameters
+    ----------
+    surface, tool
+        What is to be left, and the real tool.
+    angle, radius
+        Commanded tip in plan view. (n,) [rad], (n,) [mm]
+    sense
+        +1 where the angle grows with time, -1 where it falls.
+    progress
+        Called with (done, total).
+
+    Raises
+    ------
+    DomainError
+        If the edge touches where the surface is not defined.
+    GougeError
+        If no place on the edge can be found that touches, which a surface with infinite heights does.
+    """
+    angle, radius = frozen(angle, "angle"), frozen(radius, "radius")
+    same_length([("angle", angle), ("radius", radius)])
+    contact = _Contact(surface, tool, sense, float(radius.min()), float(radius.max()))
+    out = Touch(*(np.empty(angle.size) for _ in range(5)))
+    if contact.one_tangent():
+        doubtful = [False]
+
+        def work(start: int, stop: int) -> None:
+            part = slice(start, stop)
+            if not doubtful[0] and not contact.newton(angle[part], radius[part], Touch(*(a[part] for a in out))):
+                doubtful[0] = True
+
+        run_chunks(work, angle.size, CHUNK, progress)
+        if not doubtful[0]:
+            return out
+    contact.search(angle, radius, out, progress)
+    return out
+
+
+def _turn_length(angle: Floats) -> int | None:
+    """Return the number of points a turn if every turn has the same azimuths, else ``None``."""
+    n = int(np.searchsorted(np.abs(angle - angle[0]), 2 * np.pi - 1e-9))
+    if n < 1 or n >= angle.size:
+        return None
+    lag = np.abs(angle[n:] - angle[:-n])
+    return n if np.abs(lag - 2 * np.pi).max() < 1e-9 else None
+
+
+class _Contact:
+    """One surface and one edge, with what both ways of finding the contact share."""
+
+    def __init__(self, surface: Surface, tool: Tool, sense: int, nearest: float, farthest: float) -> None:
+        from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
+        from turnwright._kernels.edge import edge_points  # noqa: PLC0415
+
+        self.kernel = kernel
+        self.edge_points = edge_points
+        self.surface = surface
+        self.edge: EdgeTable = tool.table(sense)
+        self.profile: Profile = tool.profile()
+        self.row = self.edge.row
+        self.upright = bool(self.row[4] == 0 and self.row[6] == 0)
+        self.nearest = nearest + self.row[5]
+        self.farthest = farthest + self.row[5]
+        self.arc = (float(self.profile.row[1]), float(self.profile.row[4]))
+
+    def edge_curvature(self) -> float:
+        """Return the least curvature of the edge anywhere on its arc, as height over distance. [1/mm]."""
+        s = np.linspace(self.row[1], self.row[2], 2001)
+        u = np.empty((3, s.size))
+        upright = self.row.copy()
+        upright[3], upright[5:] = 1.0, 0.0
+        self.edge_points(upright, self.edge.breaks, self.edge.coefficients, s, u)
+        slopes = np.diff(u[2]) / np.diff(u[0])
+        middles = 0.5 * (u[0, 1:] + u[0, :-1])
+        return float(self.row[3] * (np.diff(slopes) / np.diff(middles)).min())
+
+    def one_tangent(self) -> bool:
+        """Say whether, on a grid over the part, the surface curves up less than the edge everywhere."""
+        if not self.profile.convex or self.surface.piece(np.zeros(1), np.zeros(1)) is not None:
+            return False
+        reach = min(self.arc[1], self.farthest - self.nearest + self.row[0])
+        rings = np.linspace(max(self.nearest - reach, -reach), self.farthest + reach, 193)
+        angle, radius = np.meshgrid(np.linspace(0, 2 * np.pi, 120, endpoint=False), rings)
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        inside = self.surface.inside(x, y)
+        with np.errstate(all="ignore"):
+            _, zx, zy, zxx, zxy, zyy = self.surface.evaluate(x, y, 2)
+        c, s = np.cos(angle), np.sin(angle)
+        bend = zxx * c * c + 2 * zxy * c * s + zyy * s * s
+        if not self.upright:
+            # Out of the radial plane any direction counts, and the slope across lifts a leaning edge.
+            mean, half = 0.5 * (zxx + zyy), np.hypot(0.5 * (zxx - zyy), zxy)
+            lean = abs(self.row[4])
+            bend = (mean + half) * (1 + lean) ** 2 + np.hypot(zx, zy) * lean / self.row[0]
+        if inside is not None:
+            bend[~inside] = np.nan
+        bend = np.where(np.isfinite(bend), bend, -np.inf)
+        # Between the rings of the grid the curvature may be greater by about what it changes from ring to ring.
+        steps = np.diff(bend, axis=0)
+        change = np.abs(steps[np.isfinite(steps)]).max(initial=0.0)
+        self.limit = CONCAVITY * self.edge_curvature()
+        return bool(bend.max() + change < self.limit)
+
+    def newton(self, angle: Floats, radius: Floats, out: Touch) -> bool:
+        """Fill ``out`` with the tangent solution; return whether it is certain to be the only one."""
+        n = angle.size
+        sweep = np.zeros(n)
+        active: Ints | slice = slice(None)
+        a, r, s = angle, radius, sweep
+        for _ in range(12):
+            x, y, value, first, top, step, bend = np.empty((7, s.size))
+            self.kernel.under_edge(*self.edge, a, r, s, x, y)
+            with np.errstate(all="ignore"):
+                jet = self.surface.evaluate(x, y, 2)
+            self.kernel.newton_step(*self.edge, a, s, *jet, value, first, top, step, bend)
+            if not (bend < self.limit).all():
+                return False
+            # Newton from the tip could leave the arc on a steep place: walk there.
+            s = s + np.clip(step, -0.3, 0.3)
+            out.z[active], sweep[active] = top, s
+            far = np.abs(step) > self.kernel.CLOSE
+            if not far.any():
+                break
+            if 2 * np.count_nonzero(far) < far.size:
+                keep = np.flatnonzero(far)
+                active = keep if isinstance(active, slice) else active[keep]
+                a, r, s = a[keep], r[keep], s[keep]
+        else:
+            return False
+        out.sweep[:] = sweep
+        self._contact_points(angle, radius, out)
+        return bool((sweep >= self.row[1]).all() and (sweep <= self.row[2]).all())
+
+    def _contact_points(self, angle: Floats, radius: Floats, out: Touch) -> None:
+        """Set the contact point from the sweep, checked against the domain."""
+        x, y = np.empty(angle.size), np.empty(angle.size)
+        self.kernel.under_edge(*self.edge, angle, radius, np.ascontiguousarray(out.sweep), x, y)
+        out.x[:], out.y[:] = x, y
+        inside = self.surface.inside(x, y)
+        if inside is not None and not inside.all():
+            self._outside(float(angle[~inside][0]), float(radius[~inside][0]))
+        out.surface_z[:] = out.z + self._edge_at(out.sweep)[2]
+
+    def _edge_at(self, sweep: Floats) -> Floats:
+        points = np.empty((3, sweep.size))
+        self.edge_points(*self.edge, np.ascontiguousarray(sweep), points)
+        return points
+
+    def _outside(self, angle: float, radius: float) -> None:
+        raise DomainError(
+            f"with the tip {radius:.6g} mm from the axis at azimuth {np.rad2deg(angle) % 360:.4g} deg the edge touches "
+            f"where {type(self.surface).__name__} is not defined, its domain is {self.surface.domain}: extend the "
+            "surface, or reduce the clear radius or the lead-in"
+        )
+
+    # ---------------------------------------------------------------------------------------------------- search
+
+    def search(self, angle: Floats, radius: Floats, out: Touch, progress: Progress | None) -> None:
+        """Fill ``out`` by sampling along the edge and refining every maximum that may be the greatest.
+
+        Points of one azimuth share one sampled line through the axis. Points that share nothing, or whose edge leaves the
+        radial plane, get a sampled track under the edge each.
+        """
+        turn = _turn_length(angle) if self.upright else None
+        width = self.arc[1] - self.arc[0]
+        step = min(self.surface.feature_size / SAMPLES_PER_FEATURE, width / SAMPLES_PER_EDGE)
+
+        def lines(start: int, stop: int) -> None:
+            points = np.arange(start, angle.size, turn)[:, None] + np.arange(stop - start)
+            points = np.minimum(points, angle.size).T
+            counts = np.count_nonzero(points < angle.size, axis=1)
+            self._widening(angle, radius, points[points < angle.size], counts, step, out)
+
+        def tracks(start: int, stop: int) -> None:
+            self._widening(angle, radius, np.arange(start, stop), None, step, out)
+
+        if turn is not None:
+            run_chunks(lines, turn, max(1, min(turn // 8, 4 * CHUNK * turn // angle.size)), progress)
+        else:
+            run_chunks(tracks, angle.size, int(np.clip(500_000 * step / width, 16, CHUNK)), progress)
+
+    def _widening(
+        self, angle: Floats, radius: Floats, points: Ints, counts: Ints | None, step: float, out: Touch
+    ) -> None:
+        """Find the contacts of ``points`` on the arc, or further up the flanks where the arc does not touch."""
+        a, r = angle[points], radius[points]
+        low, high = self.arc
+        for _ in range(12):
+            try:
+                part = self._touch(a, r, counts, step, low, high)
+            except _NarrowWindow:
+                low, high = 2 * low, 2 * high
+                continue
+            for target, values in zip(out, part, strict=True):
+                target[points] = values
+            return
+        raise GougeError(
+            f"no place on the edge touches with the tip {r[0]:.6g} mm from the axis, not even {high:.3g} mm up its flanks: "
+            "take a tool with a larger included angle"
+        )
+
+    def _touch(
+        self, angle: Floats, radius: Floats, counts: Ints | None, step: float, low: float, high: float
+    ) -> Touch:
+        """Find the contacts of points in rows of ``counts`` that share an azimuth, or (without) one to a row."""
+        if counts is None:
+            offsets = np.arange(angle.size + 1)
+            row_angle, row_radius, position = angle, radius, np.zeros(angle.size)
+        else:
+            # The line itself is the track of an edge whose tip stands on the axis.
+            offsets = np.concatenate([[0], np.cumsum(counts)])
+            row_angle, row_radius = angle[offsets[:-1]], np.full(counts.size, -self.row[5])
+            position = radius + self.row[5]
+        origin = float(position.min()) + low - 2 * step
+        samples = int(np.ceil((float(position.max()) + high - origin) / step)) + 3
+        u = np.ascontiguousarray(np.broadcast_to(origin + step * np.arange(samples), (row_angle.size, samples)))
+        x, y = np.empty(u.shape), np.empty(u.shape)
+        self.kernel.places(self.row, *self.profile[:2], row_angle, row_radius, u, x, y)
+        heights = self._heights(x, y)
+        pieces = self.surface.piece(x, y)
+        breaks = self._breaks(pieces, u, row_angle, row_radius)
+        found, direct, direct_at = self._candidates(heights, origin, step, offsets, position, breaks, low, high)
+        if found is None:
+            raise _NarrowWindow
+        if isinstance(found, int):
+            self._outside(float(angle[found]), float(radius[found]))
+            raise AssertionError  # unreachable: _outside raises
+        top, sweep = self._maximum(angle[found.point], radius[found.point], found)
+        best = np.empty(angle.size)
+        self.kernel.sweeps_at(*self.edge, direct_at, best)
+        z = direct - self.row[7]
+        self.kernel.keep_highest(found.point, top, sweep, z, best)
+        if not np.isfinite(z).all():
+            k = int(np.argmin(np.isfinite(z)))
+            raise GougeError(
+                f"no place on the edge touches with the tip {radius[k]:.6g} mm from the axis at azimuth "
+                f"{np.rad2deg(angle[k]) % 360:.4g} deg, the surface must be finite there: check the prescription"
+            )
+        part = Touch(z, best, *np.empty((3, angle.size)))
+        self._contact_points(angle, radius, part)
+        return part
+
+    def _heights(self, x: Floats, y: Floats) -> Floats:
+        """Return the surface's heights, -inf where it is not defined."""
+        with np.errstate(all="ignore"):
+            heights = self.surface.evaluate(x, y, 0)[0]
+        inside = self.surface.inside(x, y)
+        missing = np.isnan(heights) if inside is None else ~inside | np.isnan(heights)
+        heights[missing] = -np.inf
+        return heights
+
+    def _candidates(
+        self,
+        heights: Floats,
+        origin: float,
+        step: float,
+        offsets: Ints,
+        position: Floats,
+        breaks: _Breaks,
+        low: float,
+        high: float,
+    ) -> tuple[_Candidates | int | None, Floats, Floats]:
+        """Run the kernel of this name with as much room as it needs; None is a narrow window, an int is outside."""
+        direct, direct_at = np.empty(position.size), np.zeros(position.size)
+        size = 4 * position.size + 4 * heights.shape[1]
+        while True:
+            point = np.empty(size, dtype=np.int64)
+            start, stop, guess = np.empty((3, size))
+            found = self.kernel.candidates(
+                heights, origin, step, offsets, position, *breaks, self.row[3], *self.profile, low, high,
+                point, start, stop, guess, direct, direct_at,
+            )  # fmt: skip
+            if found >= 0:
+                return _Candidates(point[:found], start[:found], stop[:found], guess[:found]), direct, direct_at
+            if found == self.kernel.NARROW:
+                return None, direct, direct_at
+            if found <= self.kernel.OUTSIDE:
+                return self.kernel.OUTSIDE - found, direct, direct_at
+            size *= 4
+
+    # ------------------------------------------------------------------------------------------- kinks and steps
+
+    def _breaks(self, pieces: Ints | None, u: Floats, angle: Floats, radius: Floats) -> _Breaks:
+        """Return every kink or step between samples of different pieces, to the last bit."""
+        none = np.empty(0, dtype=np.int64)
+        if pieces is None:
+            return _Breaks(np.zeros(angle.size + 1, dtype=np.int64), none, np.empty(0), *np.empty((2, 2, 0)))
+        row, after = np.nonzero(pieces[:, 1:] != pieces[:, :-1])
+        row, after, before_at, behind_at = self._split(row, after, u[row, after], u[row, after + 1], angle, radius, 4)
+        order = np.lexsort((before_at, after, row))
+        row, after = row[order], after[order]
+        sides = np.stack([before_at[order], behind_at[order]])
+        height, slope = np.empty(sides.shape), np.empty(sides.shape)
+        for side in range(2):
+            x, y = self._place(angle[row], radius[row], sides[side])
+            with np.errstate(all="ignore"):
+                z, zx, zy = self.surface.evaluate(x, y, 1)
+            height[side] = np.where(np.isnan(z), -np.inf, z)
+            self.kernel.slopes_along(self.row, *self.profile[:2], angle[row], sides[side], zx, zy, slope[side])
+        offsets = np.searchsorted(row, np.arange(angle.size + 1))
+        return _Breaks(offsets, after, 0.5 * (sides[0] + sides[1]), height, slope)
+
+    def _place(self, angle: Floats, radius: Floats, u: Floats) -> tuple[Floats, Floats]:
+        x, y = np.empty((2, u.size, 1))
+        self.kernel.places(self.row, *self.profile[:2], angle, radius, u[:, None], x, y)
+        return x[:, 0], y[:, 0]
+
+    def _split(
+        self, row: Ints, after: Ints, a: Floats, b: Floats, angle: Floats, radius: Floats, depth: int
+    ) -> tuple[Ints, Ints, Floats, Floats]:
+        """Return where between a and b the piece changes: rows, samples before, and the two sides of each change.
+
+        A piece cuts a line in one interval. So where the piece of one end stops, and where that of the other begins,
+        are found by bisection; what lies between them, if anything, is other pieces and is split again.
+        """
+        at, dist = angle[row], radius[row]
+
+        def piece(place: Floats) -> Ints:
+            pieces = self.surface.piece(*self._place(at, dist, place))
+            assert pieces is not None  # noqa: S101 - only called for a surface in pieces
+            return pieces
+
+        first, last = piece(a), piece(b)
+        low, over = a.copy(), b.copy()  # last known in the first piece, first known out of it
+        under, high = a.copy(), b.copy()  # last known out of the last piece, first known in it
+        for _ in range(64):
+            middle = 0.5 * (low + over)
+            mine = piece(middle) == first
+            low, over = np.where(mine, middle, low), np.where(mine, over, middle)
+            middle = 0.5 * (under + high)
+            mine = piece(middle) == last
+            high, under = np.where(mine, middle, high), np.where(mine, under, middle)
+            if max((over - low).max(initial=0.0), (high - under).max(initial=0.0)) <= 4e-16 * self.farthest:
+                break
+        sliver = (under - over > 1e-13) & (depth > 0)
+        if not sliver.any():
+            return row, after, low, high
+        inner = self._split(row[sliver], after[sliver], over[sliver], under[sliver], angle, radius, depth - 1)
+        return (
+            np.concatenate([row[~sliver], row[sliver], row[sliver], inner[0]]),
+            np.concatenate([after[~sliver], after[sliver], after[sliver], inner[1]]),
+            np.concatenate([low[~sliver], low[sliver], under[sliver], inner[2]]),
+            np.concatenate([high[~sliver], over[sliver], high[sliver], inner[3]]),
+        )
+
+    def _maximum(self, angle: Floats, radius: Floats, found: _Candidates) -> tuple[Floats, Floats]:
+        """Return the greatest f - e in each short smooth interval of the nose, and where it is."""
+        begin, end, sweep = np.empty((3, angle.size))
+        for target, u in zip((begin, end, sweep), (found.start, found.stop, found.guess), strict=True):
+            self.kernel.sweeps_at(*self.edge, u, target)
+        best, place = np.full(angle.size, -np.inf), sweep.copy()
+        index = np.arange(angle.size)
+        state = np.stack([begin, end, begin, end, sweep])  # interval, bracket, where to look next
+        done = np.zeros(angle.size, dtype=np.bool_)
+        b, p, a, r = best, place, angle, radius
+        for _ in range(100):
+            x, y, value, first, top, step, bend = np.empty((7, a.size))
+            self.kernel.under_edge(*self.edge, a, r, state[4], x, y)
+            with np.errstate(all="ignore"):
+                jet = self.surface.evaluate(x, y, 2)
+            self.kernel.newton_step(*self.edge, a, state[4], *jet, value, first, top, step, bend)
+            self.kernel.bracket(*state, value, first, top, step, b, p, done)
+            if done.all():
+                best[index], place[index] = b, p
+                break
+            if 4 * np.count_nonzero(done) > done.size:
+                best[index], place[index] = b, p
+                keep = np.flatnonzero(~done)
+                index, a, r, b, p = index[keep], a[keep], r[keep], b[keep], p[keep]
+                state, done = np.ascontiguousarray(state[:, keep]), done[keep]
+        return best, place

@@ -1,0 +1,253 @@
+"""The surface a motion leaves: an independent witness that knows the motion and the edge, and nothing of the plan.
+
+Every point of the surface is as high as the lowest pass of the edge over it, over *every* pass that can reach, those
+from beyond the axis included:
+
+.. math:: h(x, y) = \\min_t \\; [\\, Z(t) + e(u) \\,]
+
+Sources
+-------
+[Li2018]_ takes three passes, which at R sin(slope) > 1.5 feed is wrong by tens of nanometres; [Troutman2016]_ ch. 8
+backplots on a polar grid with a linear tool table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from turnwright._arrays import Floats, Ints, frozen
+from turnwright.errors import InputError
+from turnwright.heightmap import HeightMap
+from turnwright.machine import Machine
+from turnwright.path import Motion
+from turnwright.progress import Progress, run_chunks
+from turnwright.tool import Tool
+
+__all__ = ["generate", "generate_points", "generate_polar"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Cut:
+    """A motion and an edge as the kernels take them."""
+
+    c: Floats
+    x: Floats
+    y: Floats
+    z: Floats
+    sense: int
+    starts: Ints
+    bounds: Floats
+    row: Floats
+    profile: Floats
+    table: Floats
+    convex: bool
+
+    @property
+    def upright(self) -> bool:
+        """Whether the whole edge moves in the plane through the axis."""
+        return bool(self.row[4] == 0 and self.row[6] == 0 and self.y.size == 0)
+
+
+def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
+    from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
+
+    machine = machine or motion.machine
+    c, x, z = (motion.axes[letter] for letter in "CXZ")
+    error = machine.z_error(x) if machine.squareness or machine.straightness is not None else None
+    if error is not None:
+        z = z + error
+    y = motion.axes.get("Y", np.empty(0))
+    if not y.any():
+        y = np.empty(0)
+    turns = max(int(np.ceil(abs(c[-1] - c[0]) / (2 * np.pi) - 1e-12)), 1)
+    starts = np.empty(turns + 1, dtype=np.int64)
+    kernel.turn_starts(c, motion.sense, starts)
+    bounds = np.empty((4, turns))
+    edge = tool.table(motion.sense)
+    kernel.turn_bounds(x, z, starts, edge.row[5], bounds)
+    profile = tool.profile()
+    return _Cut(c, x, y, z, motion.sense, starts, bounds, edge.row, profile.row, profile.table, profile.convex)
+
+
+def _ascending(values: ArrayLike, name: str) -> Floats:
+    array = frozen(values, name)
+    if array.size < 1 or not (np.diff(array) > 0).all():
+        raise InputError(f"{name} must ascend strictly and hold at least 1 value, it has {array.size}: sort it")
+    return array
+
+
+def _finish(z: Floats) -> Floats:
+    """Mark points that no pass covers, which happens beside the axis with the tool off centre."""
+    z[z >= 1e299] = np.nan
+    return z
+
+
+def generate_points(
+    motion: Motion,
+    tool: Tool,
+    *,
+    x: ArrayLike,
+    y: ArrayLike,
+    machine: Machine | None = None,
+    progress: Progress | None = None,
+) -> Floats:
+    """Return the height of the surface left at single points.
+
+    Parameters
+    ----------
+    motion, tool, machine, progress
+        See `generate`.
+    x, y
+        Points in the part frame. (n,) [mm]
+
+    Returns
+    -------
+    ndarray
+        Heights; nan where no pass covers the point. (n,) [mm]
+    """
+    x, y = frozen(x, "x"), frozen(y, "y")
+    if x.shape != y.shape:
+        raise InputError(f"x has {x.size} points and y {y.size}: give as many of one as of the other")
+    return _finish(_in_tiles(_cut(motion, tool, machine), x, y, np.arange(x.size + 1), progress))
+
+
+def _in_tiles(cut: _Cut, x: Floats, y: Floats, offsets: Ints, progress: Progress | None) -> Floats:
+    from turnwright._kernels import generation as kernel  # noqa: PLC0415
+
+    out = np.empty(x.size)
+
+    def work(start: int, stop: int) -> None:
+        kernel.tiles(
+            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, cut.row, cut.profile, cut.table,
+            cut.convex, x, y, offsets, start, stop, out,
+        )  # fmt: skip
+
+    tiles = offsets.size - 1
+    run_chunks(work, tiles, max(1, min(256, tiles // 16)), progress)
+    return out
+
+
+def _tile_order(ny: int, nx: int, side_y: int, side_x: int) -> tuple[Ints, Ints]:
+    """Return grid indices in order of tiles of ``side`` points, and where each tile begins."""
+    rows, columns = np.arange(ny) // side_y, np.arange(nx) // side_x
+    number = (rows[:, None] * (columns[-1] + 1) + columns).ravel()
+    order = np.argsort(number, kind="stable")
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(number))])
+    return order, offsets.astype(np.int64)
+
+
+def _tile_side(cut: _Cut, pixel: float) -> int:
+    """Return how many points a tile should be wide: a few tens of micrometres, where few passes matter."""
+    width = np.sqrt(8 * cut.profile[0] * 2e-5)  # over this the slopes of the edge differ by 20 nm
+    return int(np.clip(width / pixel, 1, 32))
+
+
+def generate(
+    motion: Motion,
+    tool: Tool,
+    *,
+    x: ArrayLike,
+    y: ArrayLike,
+    machine: Machine | None = None,
+    progress: Progress | None = None,
+) -> HeightMap:
+    """Return the surface that a motion leaves, over a rectangular grid.
+
+    Parameters
+    ----------
+    motion
+        Commanded axes, linear between the points.
+    tool
+        The *actual* tool; ``dataclasses.replace`` makes one that deviates from the planned one.
+    x, y
+        Ascending columns (nx,) and rows (ny,). [mm]
+    machine
+        The *actual* machine; by default the one the motion was made for, whose errors it corrects.
+    progress
+        Called with (done, total).
+
+    Returns
+    -------
+    HeightMap
+        Heights in the part frame; nan where no pass covers the point, which happens beside the axis when the tip
+        stands above or below centre. (ny, nx) [mm]
+
+    Raises
+    ------
+    InputError
+        If a grid axis does not ascend.
+    """
+    x, y = _ascending(x, "x"), _ascending(y, "y")
+    cut = _cut(motion, tool, machine)
+    pixels = [np.diff(axis).mean() for axis in (x, y) if axis.size > 1]
+    sides = [_tile_side(cut, float(np.diff(axis).mean())) if axis.size > 1 else 1 for axis in (y, x)]
+    del pixels
+    order, offsets = _tile_order(y.size, x.size, *sides)
+    flat = _in_tiles(cut, x[order % x.size], y[order // x.size], offsets, progress)
+    z = np.empty(flat.size)
+    z[order] = flat
+    return HeightMap(z=_finish(z).reshape(y.size, x.size), x=x, y=y, name="generated")
+
+
+def generate_polar(
+    motion: Motion,
+    tool: Tool,
+    *,
+    radius: ArrayLike,
+    angle: ArrayLike,
+    machine: Machine | None = None,
+    progress: Progress | None = None,
+) -> HeightMap:
+    """Return the surface that a motion leaves, over a polar grid. Along each azimuth it is one lower envelope.
+
+    Parameters
+    ----------
+    motion, tool, machine, progress
+        See `generate`.
+    radius
+        Ascending distances from the axis, at least 0. (n_radius,) [mm]
+    angle
+        Ascending azimuths. (n_angle,) [rad]
+
+    Returns
+    -------
+    HeightMap
+        (n_angle, n_radius) [mm]
+
+    Raises
+    ------
+    InputError
+        If a grid axis does not ascend, or a radius is negative.
+    """
+    radius, angle = _ascending(radius, "radius"), _ascending(angle, "angle")
+    if radius[0] < 0:
+        raise InputError(f"radius begins at {radius[0]:g} mm, the limit is 0 mm: use the azimuth for the other side")
+    cut = _cut(motion, tool, machine)
+    if cut.upright and cut.convex:
+        z = np.empty((angle.size, radius.size))
+        _envelopes(cut, radius, angle, z, progress)
+    else:
+        sides = [_tile_side(cut, float(radius[-1] * step)) for step in np.diff(angle[:2])] or [1]
+        sides += [_tile_side(cut, float(step)) for step in np.diff(radius[:2])] or [1]
+        order, offsets = _tile_order(angle.size, radius.size, *sides)
+        rho, phi = radius[order % radius.size], angle[order // radius.size]
+        flat = _in_tiles(cut, rho * np.cos(phi), rho * np.sin(phi), offsets, progress)
+        z = np.empty(flat.size)
+        z[order] = flat
+        z = z.reshape(angle.size, radius.size)
+    return HeightMap(z=_finish(z) if not (cut.upright and cut.convex) else z, radius=radius, angle=angle, name="generated")
+
+
+def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Progress | None) -> None:
+    from turnwright._kernels import generation as kernel  # noqa: PLC0415
+
+    def work(start: int, stop: int) -> None:
+        kernel.polar_block(
+            cut.c, cut.x, cut.z, cut.sense, cut.starts, cut.bounds, cut.row[5], cut.row[7], cut.profile, cut.table,
+            radius, angle[start:stop], z[start:stop],
+        )  # fmt: skip
+
+    run_chunks(work, angle.size, 16, progress)
