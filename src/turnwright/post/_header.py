@@ -25,6 +25,8 @@ __all__ = ["ProgramHeader", "ProgramInfo", "ProgramPass", "ProgramWarning", "ins
 SIGNATURE = "( TURNWRIGHT PROGRAM 1 )"
 SUB_SIGNATURE = "( TURNWRIGHT SUB-PROGRAM 1 )"
 NO_HASH = "0" * 64
+BOM = b"\xef\xbb\xbf"
+"""Three bytes that some text editors put before the first line."""
 
 
 class ProgramWarning(UserWarning):
@@ -170,7 +172,7 @@ def lines(header: ProgramHeader, machine: Machine, dialect: Dialect, passes: Seq
 
 FIELD = re.compile(r"^\( ([A-Z]+): (.*) \)$")
 CUT = re.compile(
-    r"^\( CUT (.+): (\d+) POINTS, ([\d.]+) MINUTES, FROM C (-?[\d.]+), SENSE ([+-]1), SHA256 ([0-9a-f]{64}) \)$"
+    r"^\( CUT (.+): (\d+) POINTS, (\d+\.\d+) MINUTES, FROM C (-?\d+\.\d+), SENSE ([+-]1), SHA256 ([0-9a-f]{64}) \)$"
 )
 
 
@@ -212,7 +214,7 @@ def _info(text: str) -> ProgramInfo | None:
 def read_info(path: Path) -> ProgramInfo | None:
     """Return what the header of a file says, or ``None`` if it has none of ours."""
     with path.open("rb") as file:
-        return _info(file.read(1 << 18).decode("latin-1"))
+        return _info(file.read(1 << 18).removeprefix(BOM).decode("latin-1"))
 
 
 def inspect_nc(path: str | PathLike[str]) -> ProgramInfo:

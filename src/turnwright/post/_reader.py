@@ -14,7 +14,7 @@ import numpy as np
 
 from turnwright.errors import InputError, ProgramError
 from turnwright.path import Motion
-from turnwright.post._header import ProgramInfo, ProgramPass, ProgramWarning, convention_line, read_info
+from turnwright.post._header import BOM, ProgramInfo, ProgramPass, ProgramWarning, convention_line, read_info
 from turnwright.post._macro import Macros
 from turnwright.post._registry import dialect_of
 
@@ -36,6 +36,8 @@ BUFFER = 1 << 22
 DEEPEST = 8
 LARGEST = 1e9
 AXES = "CXYZ"
+HARMLESS = frozenset("CXYZFTSODHPLQ")
+"""Letters that move the known axes, or nothing; the others may only say 0."""
 # Slots of the kernel's state, as in turnwright._kernels.text.
 LINEAR, FEED_MODE, OPEN, INVERSE, LINES, Y_SEEN = range(6)
 FEED = 4
@@ -232,6 +234,11 @@ class _Reader:
             self.total += sum(file.stat().st_size for file in called if file.is_file())
         self._file(self.path)
         self._close()
+        self._report(self.total)
+
+    def _report(self, done: int) -> None:
+        if self.progress is not None:
+            self.progress(done, self.total)
 
     def finish(self) -> tuple[_Cut, str]:
         """Return the cut that was asked for, and its hash."""
@@ -270,6 +277,7 @@ class _Reader:
                         raise self._error("is longer than 65536 letters", "give a text file with line ends")
                     self._line(bytes(data[at:stop]).decode("latin-1"))
                     at = stop
+            self._report(min(self.done, self.total))
             if self.over or self.ended:
                 break
         self.over = False
@@ -280,6 +288,7 @@ class _Reader:
         """Yield the file in pieces that end with a line end."""
         rest = b""
         with path.open("rb") as file:
+            file.seek(len(BOM) if file.read(len(BOM)) == BOM else 0)
             while True:
                 piece = file.read(BUFFER)
                 self.done += len(piece)
@@ -292,8 +301,6 @@ class _Reader:
                     data, rest = rest + b"\n", b""
                 if data:
                     yield np.frombuffer(data, dtype=np.uint8)
-                if self.progress is not None:
-                    self.progress(min(self.done, self.total), self.total)
                 if not piece:
                     return
 
@@ -492,9 +499,11 @@ class _Reader:
             if any(axes.values()):
                 raise self._error("shifts the origin within the program", "give a program of one pass without shifts")
             return
-        others = {letter: values[letter] for letter in values if letter in "ABUVWIJKR"}
-        if any(others.values()):
-            raise self._error(f"moves {', '.join(others)}, the axes are C, X, Y and Z", "give a program of these")
+        others = [letter for letter, value in values.items() if letter not in HARMLESS and (value or letter == "E")]
+        if others:
+            raise self._error(
+                f"has the word {', '.join(others)}, the axes are C, X, Y and Z in fixed-point numbers", "correct it"
+            )
         if axes:
             self._move(axes)
 

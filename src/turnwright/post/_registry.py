@@ -23,7 +23,7 @@ def dialect_of(machine: Machine) -> Dialect:
     Raises
     ------
     ProgramError
-        If there is no such dialect, or the machine's convention is not one.
+        If there is no such dialect.
     """
     dialect = DIALECTS.get(machine.dialect)
     if dialect is None:
@@ -31,11 +31,4 @@ def dialect_of(machine: Machine) -> Dialect:
             f"machine {machine.name} speaks the dialect {machine.dialect!r}, Turnwright writes "
             f"{', '.join(sorted(DIALECTS))}: name one of these, or add a file to turnwright/post"
         )
-    convention = machine.convention
-    for field in ("x_side", "c_sense", "z_sign"):
-        if getattr(convention, field) not in (-1, 1):
-            raise ProgramError(
-                f"{field} of machine {machine.name} is {getattr(convention, field)}, it must be +1 or -1: correct the "
-                "machine's convention"
-            )
     return dialect
