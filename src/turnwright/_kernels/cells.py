@@ -1,0 +1,40 @@
+"""The nearest of many centres, by looking only at those that can be nearest anywhere in a bin of the plane."""
+
+import numpy as np
+
+from turnwright._kernels import jit
+
+
+@jit
+def nearest(x, y, centres, corner, step, counts, first, candidates, index, u, v):
+    """Fill ``index`` (n,) with the centre nearest to each point, the lowest of several, and ``u, v`` from there.
+
+    Beyond the bins the index is -1.
+
+    Bins are squares of ``step`` from ``corner``, ``counts`` of them along x and y, row after row. The candidates of
+    bin b, ascending, are ``candidates[first[b]:first[b + 1]]``.
+    """
+    columns, rows = counts
+    for i in range(x.size):
+        across = (x[i] - corner[0]) / step
+        along = (y[i] - corner[1]) / step
+        if not (across >= 0.0 and along >= 0.0 and across < columns and along < rows):
+            index[i] = -1
+            continue
+        b = np.int64(along) * columns + np.int64(across)
+        found = candidates[first[b]]
+        near_u = x[i] - centres[found, 0]
+        near_v = y[i] - centres[found, 1]
+        best = near_u * near_u + near_v * near_v
+        for j in range(first[b] + 1, first[b + 1]):
+            other_u = x[i] - centres[candidates[j], 0]
+            other_v = y[i] - centres[candidates[j], 1]
+            square = other_u * other_u + other_v * other_v
+            if square < best:
+                best = square
+                found = candidates[j]
+                near_u = other_u
+                near_v = other_v
+        index[i] = found
+        u[i] = near_u
+        v[i] = near_v

@@ -1,0 +1,316 @@
+"""Surfaces made of surfaces: sums, and a surface moved in the part frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.errors import InputError
+from turnwright.surface._surface import Surface
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from turnwright._arrays import Bools, Floats, Ints
+
+__all__ = ["Placed", "Sum"]
+
+NEWTON_STEPS = 60
+"""Steps a tilted surface's height may take; a smooth one needs about five, a kink or a domain's edge some more."""
+
+OPEN = 1e-11
+"""A gap at which a tilted surface counts as met, far below any step that matters. [mm]."""
+
+WALK = (np.arange(16) + 0.5) / 16
+"""Where a tilted surface is looked at between the middle of the part and a point, as a fraction of the way."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sum(Surface):
+    """Heights added: a base with a departure on it.
+
+    Parameters
+    ----------
+    terms
+        The surfaces to add. Sums among them are taken apart, so that ``a + b + c`` has three terms.
+
+    Raises
+    ------
+    InputError
+        If there is no term, or one that is not a surface.
+    """
+
+    terms: tuple[Surface, ...]
+
+    def __post_init__(self) -> None:
+        flat: list[Surface] = []
+        for term in self.terms:
+            if not isinstance(term, Surface):
+                raise InputError(f"a sum holds {term!r}, which is not a surface: wrap it in one, a height for instance")
+            flat.extend(term.terms if isinstance(term, Sum) else (term,))
+        if not flat:
+            raise InputError("a sum has 0 terms, it needs at least 1: give the surfaces to add")
+        object.__setattr__(self, "terms", tuple(flat))
+
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return the sums of the terms' heights and derivatives. See `Surface.evaluate`."""
+        total = self.terms[0].evaluate(x, y, order)
+        for term in self.terms[1:]:
+            total = tuple(so_far + more for so_far, more in zip(total, term.evaluate(x, y, order), strict=True))
+        return total
+
+    def inside(self, x: Floats, y: Floats) -> Bools | None:
+        """Return where every term is defined."""
+        masks = [mask for term in self.terms if (mask := term.inside(x, y)) is not None]
+        return np.logical_and.reduce(masks) if masks else None
+
+    @property
+    def domain(self) -> str:
+        """Say in words where every term is defined."""
+        limits = dict.fromkeys(term.domain for term in self.terms if term.domain != "the whole plane")
+        return ", and ".join(limits) or "the whole plane"
+
+    def piece(self, x: Floats, y: Floats) -> Ints | None:
+        """Return a number for each combination of the terms' pieces; cells that are convex meet in convex cells."""
+        parts = [part for term in self.terms if (part := term.piece(x, y)) is not None]
+        if not parts:
+            return None
+        # Each term's number gets its own share of the 63 bits: two terms may have 2**31 pieces each.
+        share = 63 // len(parts)
+        number = parts[0]
+        for part in parts[1:]:
+            number = (number << share) + part
+        return number
+
+    @property
+    def feature_size(self) -> float:
+        """The finest of the terms. [mm]."""
+        return min(term.feature_size for term in self.terms)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Placed(Surface):
+    """A surface moved in the part frame: tilted, then rotated about z, then shifted. See `Surface.placed`.
+
+    A point p of the surface goes to ``shift + Rz(rotation) Rx(tilt[0]) Ry(tilt[1]) p``: the second tilt is about the
+    y axis as the first tilt has left it, the order of lens-design programs.
+
+    A tilted surface is a height again only where none of it overhangs. Its height over (x, y) is where the vertical
+    line meets the surface, found by Newton's method to rounding; its derivatives follow from the implicit function
+    theorem. A vertical line may meet a tilted bowl twice; the point whose normal looks up is the one meant. The domain
+    is what can be reached from the middle of the part (from the surface's own vertex, if it has no middle) without
+    passing an overhang; it is sampled on the way, at 16 places for each point asked.
+
+    Parameters
+    ----------
+    surface
+        What is moved.
+    shift
+        Where its vertex goes (x, y, z). [mm]
+    rotation
+        About z, counter-clockwise seen from the tool. [rad]
+    tilt
+        About its own x axis, then about its own y axis, before the rotation. [rad]
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or the tilt turns the surface's axis by a right angle or more.
+
+    Notes
+    -----
+    The pieces of a tilted surface with kinks meet along curves that are only nearly straight. Of a surface with steps,
+    the walls that a tilt shows are outside the domain; a step's rim that hides its foot is not noticed.
+
+    Examples
+    --------
+    >>> from turnwright.surface.expression import Expression
+    >>> wedge = Expression("0.01*x").placed(rotation=np.pi / 2)   # its slope now points along y
+    >>> float(np.round(wedge.sag(0.0, 2.0).item(), 12))
+    0.02
+    """
+
+    surface: Surface
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: float = 0.0
+    tilt: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.surface, Surface):
+            raise InputError(f"what is placed is {self.surface!r}, which is not a surface: give a Surface")
+        for name, size in (("shift", 3), ("tilt", 2)):
+            values = getattr(self, name)
+            if np.shape(values) != (size,) or not np.isfinite(values).all():
+                raise InputError(f"{name} is {values}, it must be {size} finite numbers: complete it")
+            object.__setattr__(self, name, tuple(float(value) for value in values))
+        if not np.isfinite(self.rotation):
+            raise InputError(f"rotation is {self.rotation}, it must be finite: give an angle in rad")
+        lean = np.rad2deg(np.arccos(np.clip(np.cos(self.tilt[0]) * np.cos(self.tilt[1]), -1, 1)))
+        if lean > 89.9:
+            raise InputError(
+                f"tilt turns the axis of {type(self.surface).__name__} by {lean:.4g} deg, the limit is 89.9 deg: "
+                "a surface seen from the side or from behind has no height, reduce the tilt"
+            )
+
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return the height and its derivatives in the part frame. See `Surface.evaluate`."""
+        flat = self._level(x, y, order) if self.tilt == (0.0, 0.0) else self._tilted(x, y, order)
+        return tuple(part.reshape(x.shape) for part in flat)
+
+    def inside(self, x: Floats, y: Floats) -> Bools | None:
+        """Return where the moved surface is defined and does not overhang."""
+        u, v, height = self._local(x, y)
+        if self.tilt == (0.0, 0.0):
+            found = self.surface.inside(u, v)
+            return None if found is None else found.reshape(x.shape)
+        found = np.isfinite(height)
+        # On a convex region of the surface where the normal keeps looking up no vertical line meets it twice.
+        u0, v0, middle = (part.item() for part in self._local(np.zeros(1), np.zeros(1)))
+        if not np.isfinite(middle):
+            u0 = v0 = 0.0
+        for part in WALK:
+            with np.errstate(all="ignore"):
+                _, up = self._gap(u0 + part * (u - u0), v0 + part * (v - v0), 0.0)
+            found &= ~(up <= 0)  # nan, outside the surface's own domain, is no overhang
+        return found.reshape(x.shape)
+
+    @property
+    def domain(self) -> str:
+        """Say in words where the moved surface is defined."""
+        overhang = "" if self.tilt == (0.0, 0.0) else ", no farther from the middle than where it starts to overhang"
+        if self.surface.domain == "the whole plane":
+            return self.surface.domain + overhang
+        return f"the moved {type(self.surface).__name__}'s ({self.surface.domain}){overhang}"
+
+    def piece(self, x: Floats, y: Floats) -> Ints | None:
+        """Return the pieces of the surface that is moved."""
+        u, v, _ = self._local(x, y)
+        number = self.surface.piece(u, v)
+        return None if number is None else number.reshape(x.shape)
+
+    @property
+    def feature_size(self) -> float:
+        """The surface's own, foreshortened by the tilt. [mm]."""
+        return float(self.surface.feature_size * self._turn()[2, 2])
+
+    def _turn(self) -> NDArray[np.float64]:
+        """Return the rotation matrix from the surface's frame to the part's."""
+        (ca, cb, cr), (sa, sb, sr) = (part([*self.tilt, self.rotation]) for part in (np.cos, np.sin))
+        about_x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
+        about_y = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]])
+        about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
+        return np.asarray(about_z @ about_x @ about_y)
+
+    def _level(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Evaluate without tilt: the heights are the surface's own."""
+        u, v, _ = self._local(x, y)
+        z, *rest = self.surface.evaluate(u, v, order)
+        z = z + self.shift[2]
+        if order == 0 or self.rotation == 0:
+            return z, *rest
+        c, s = np.cos(self.rotation), np.sin(self.rotation)
+        fu, fv, *second = rest
+        first = (c * fu - s * fv, s * fu + c * fv)
+        if order == 1:
+            return z, *first
+        fuu, fuv, fvv = second
+        zxx = c * c * fuu - 2 * c * s * fuv + s * s * fvv
+        zxy = c * s * (fuu - fvv) + (c * c - s * s) * fuv
+        zyy = s * s * fuu + 2 * c * s * fuv + c * c * fvv
+        return z, *first, zxx, zxy, zyy
+
+    def _tilted(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Evaluate with tilt, where the height is what a line through the surface finds."""
+        turn = self._turn()
+        u, v, height = self._local(x, y)
+        with np.errstate(all="ignore"):
+            z = height + self.shift[2]
+            if order == 0:
+                return (z,)
+            # Bad starts leave nan in u and v; they come back as nan without disturbing the others.
+            _, fu, fv, *second = self.surface.evaluate(u, v, order)
+            up = turn[2, 2] - turn[2, 0] * fu - turn[2, 1] * fv
+            zx = -(turn[0, 2] - turn[0, 0] * fu - turn[0, 1] * fv) / up
+            zy = -(turn[1, 2] - turn[1, 0] * fu - turn[1, 1] * fv) / up
+            if order == 1:
+                return z, zx, zy
+            # Along x the surface point moves by (1, 0, zx); (au, av) is that in the surface's own frame.
+            au, av = turn[0, 0] + turn[2, 0] * zx, turn[0, 1] + turn[2, 1] * zx
+            bu, bv = turn[1, 0] + turn[2, 0] * zy, turn[1, 1] + turn[2, 1] * zy
+            fuu, fuv, fvv = second
+            zxx = (au * au * fuu + 2 * au * av * fuv + av * av * fvv) / up
+            zxy = (au * bu * fuu + (au * bv + av * bu) * fuv + av * bv * fvv) / up
+            zyy = (bu * bu * fuu + 2 * bu * bv * fuv + bv * bv * fvv) / up
+        return z, zx, zy, zxx, zxy, zyy
+
+    def _local(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the point of the surface under (x, y): (u, v) in its own frame, and its height less the shift.
+
+        Without a tilt the height is left at zero; with one it is nan where no height was found. Each (n,).
+        """
+        dx, dy = x.ravel() - self.shift[0], y.ravel() - self.shift[1]
+        turn = self._turn()
+        u, v = turn[0, 0] * dx + turn[1, 0] * dy, turn[0, 1] * dx + turn[1, 1] * dy
+        if self.tilt == (0.0, 0.0):
+            return u, v, np.zeros_like(u)
+        # The vertical line over (x, y), in the surface's frame: (u, v, w) + t (lu, lv, lw); t is the height sought.
+        w = turn[0, 2] * dx + turn[1, 2] * dy
+        lu, lv, lw = turn[2]
+        height = np.full_like(u, np.nan)
+        # Good places to start: the part's own plane z = 0, the plane of the surface's vertex, that vertex's height,
+        # and where the line passes closest to the surface's axis, which is inside any disc that it crosses.
+        closest = -(u * lu + v * lv) / max(lu * lu + lv * lv, 1e-300)
+        starts = (np.full_like(u, -self.shift[2]), -w / lw, np.zeros_like(u), closest)
+        for start in starts:
+            missing = np.flatnonzero(np.isnan(height))
+            if missing.size == 0:
+                break
+            here, there, above, begin = (part[missing] for part in (u, v, w, start))
+            height[missing] = self._meet(here, there, above, begin)
+        return u + height * lu, v + height * lv, height
+
+    def _meet(self, u: Floats, v: Floats, w: Floats, start: Floats) -> Floats:
+        """Return where the lines meet the surface, nan where not: Newton from ``start``, steps halved until they help.
+
+        A step is taken only if it ends in the domain, where the normal looks up, and closer to the surface.
+        """
+        lu, lv, lw = self._turn()[2]
+        t = start.copy()
+        met = np.full_like(t, np.nan)
+        with np.errstate(all="ignore"):
+            gap, up = self._gap(u + t * lu, v + t * lv, w + t * lw)
+            # Differences of heights are no better than their own rounding.
+            grain = 4 * np.finfo(np.float64).eps
+            active = np.flatnonzero(np.isfinite(gap) & (up > 0))
+            step = np.zeros_like(t)
+            step[active] = -gap[active] / up[active]
+            for _ in range(NEWTON_STEPS):
+                trial = t[active] + step[active]
+                new, steep = self._gap(u[active] + trial * lu, v[active] + trial * lv, w[active] + trial * lw)
+                better = np.isfinite(new) & (steep > 0) & (np.abs(new) < np.abs(gap[active]))
+                won = active[better]
+                t[won], gap[won] = trial[better], new[better]
+                step[won] = -new[better] / steep[better]
+                step[active[~better]] /= 2
+                scale = np.abs(t[active]) + np.abs(w[active]) + np.abs(u[active]) + np.abs(v[active])
+                close = np.abs(step[active]) <= grain * scale
+                # A step that shrank by halving alone, with the gap still open, has run into a wall or an edge.
+                shut = np.abs(gap[active]) <= 64 * grain * scale + OPEN
+                met[active[close & shut]] = t[active[close & shut]]
+                active = active[~close]
+                if active.size == 0:
+                    break
+        return met
+
+    def _gap(self, u: Floats, v: Floats, w: Floats | float) -> tuple[Floats, Floats]:
+        """Return the height of a point over the surface along its own axis, and how much it grows along part z."""
+        z, fu, fv = self.surface.evaluate(u, v, 1)
+        lu, lv, lw = self._turn()[2]
+        gap, up = w - z, lw - lu * fu - lv * fv
+        inside = self.surface.inside(u, v)
+        if inside is not None:
+            gap = np.where(inside, gap, np.nan)
+            up = np.where(inside, up, np.nan)
+        return gap, up

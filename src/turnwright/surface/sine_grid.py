@@ -1,0 +1,81 @@
+"""The sinusoidal grid: two crossed sine waves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from turnwright._arrays import Floats, positive
+from turnwright.errors import InputError
+from turnwright.surface._surface import Surface
+
+__all__ = ["SineGrid"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SineGrid(Surface):
+    r"""A sinusoidal grid.
+
+    .. math:: z = a_x \sin(2\pi x / p_x + \phi_x) + a_y \sin(2\pi y / p_y + \phi_y)
+
+    Parameters
+    ----------
+    amplitude
+        Of the wave along x and of the wave along y; half of each wave's peak-to-valley. [mm]
+    period
+        Of the two waves. [mm]
+    phase
+        Of the two waves at the axis; pi/2 makes cosines. [rad]
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or a period is not positive.
+
+    Sources
+    -------
+    [Li2018]_ Tables 2 and 3.
+
+    >>> grid = SineGrid(amplitude=(0.002, 0.002), period=(2.5, 2.5))
+    >>> float(np.round(grid.sag(0.625, 0.625).item(), 12))   # both waves at their crest [mm]
+    0.004
+    """
+
+    amplitude: tuple[float, float]
+    period: tuple[float, float]
+    phase: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for name in ("amplitude", "period", "phase"):
+            values = getattr(self, name)
+            if np.shape(values) != (2,) or not np.isfinite(values).all():
+                raise InputError(
+                    f"{name} of a sine grid is {values}, it must be 2 finite numbers: give one for x and y"
+                )
+            object.__setattr__(self, name, tuple(float(value) for value in values))
+        for value, axis in zip(self.period, "xy", strict=True):
+            positive(value, f"period of a sine grid along {axis}", "mm")
+
+    def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
+        """Return the height and its derivatives. See `Surface.evaluate`."""
+        from turnwright._kernels.sines import wave  # noqa: PLC0415 - numba is costly to import
+
+        along_x, along_y = np.empty((order + 1, x.size)), np.empty((order + 1, x.size))
+        for points, out, a, p, phase in zip(
+            (x, y), (along_x, along_y), self.amplitude, self.period, self.phase, strict=True
+        ):
+            wave(points.ravel(), a, 2 * np.pi / p, phase, order, out)
+        along_x[0] += along_y[0]
+        flat = [along_x[0]]
+        if order > 0:
+            flat += [along_x[1], along_y[1]]
+        if order > 1:
+            flat += [along_x[2], np.zeros(x.size), along_y[2]]
+        return tuple(part.reshape(x.shape) for part in flat)
+
+    @property
+    def feature_size(self) -> float:
+        """An eighth of the shorter period that is there. [mm]."""
+        periods = [p for a, p in zip(self.amplitude, self.period, strict=True) if a]
+        return min(periods, default=float("inf")) / 8

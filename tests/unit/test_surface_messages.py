@@ -1,0 +1,136 @@
+"""Bad compound and numeric prescriptions are refused in one sentence that names the fault."""
+
+import numpy as np
+import pytest
+
+from turnwright.errors import InputError
+from turnwright.part import Part
+from turnwright.surface import Expression, Gridded, LensArray, Plane, SineGrid, Sum
+
+FLAT = Plane()
+AXIS = np.linspace(-1, 1, 7)
+HOLE = np.zeros((7, 7))
+HOLE[3, 4] = np.nan
+
+
+def square(**changes):
+    return LensArray.square(**{"pitch": 1.0, "lenslet": FLAT, "rows": 2, "columns": 2, **changes})
+
+
+BAD = {
+    "empty sum": (lambda: Sum(terms=()), "0 terms"),
+    "sum of numbers": (lambda: Sum(terms=(FLAT, 3.0)), "3.0, which is not a surface"),
+    "shift of two": (lambda: FLAT.placed(shift=(1.0, 2.0)), "3 finite numbers"),
+    "shift nan": (lambda: FLAT.placed(shift=(1.0, 2.0, np.nan)), "3 finite numbers"),
+    "rotation inf": (lambda: FLAT.placed(rotation=np.inf), "rotation is inf"),
+    "upside down": (lambda: FLAT.placed(tilt=(np.pi, 0.0)), "by 180 deg, the limit is 89.9 deg"),
+    "on edge": (lambda: FLAT.placed(tilt=(0.0, np.pi / 2)), "by 90 deg"),
+    "amplitude of one": (lambda: SineGrid(amplitude=0.1, period=(1, 1)), "amplitude of a sine grid is 0.1"),
+    "period zero": (lambda: SineGrid(amplitude=(1, 1), period=(1, 0)), "period of a sine grid along y is 0 mm"),
+    "phase nan": (lambda: SineGrid(amplitude=(1, 1), period=(1, 1), phase=(0, np.nan)), "phase of a sine grid"),
+    "no centre": (lambda: LensArray(centres=np.empty((0, 2)), lenslet=FLAT), r"shape \(0, 2\)"),
+    "centres in space": (lambda: LensArray(centres=np.zeros((2, 3)), lenslet=FLAT), r"shape \(2, 3\)"),
+    "centre nan": (lambda: LensArray(centres=[[0, np.nan]], lenslet=FLAT), "1 values that are not finite"),
+    "twice the same": (lambda: LensArray(centres=[[1, 2], [0, 0], [1, 2]], lenslet=FLAT), r"\(1, 2\) mm.*remove one"),
+    "no lenslet": (lambda: square(lenslet=1.0), "the lenslet is 1.0"),
+    "aperture alone": (lambda: square(aperture=0.4), "aperture is 0.4 and surround is None"),
+    "surround alone": (lambda: square(surround=0.0), "aperture is None and surround is 0.0"),
+    "apertures overlap": (lambda: square(aperture=0.6, surround=0.0), "0.6 mm, the limit is half .* 0.5 mm"),
+    "aperture negative": (lambda: square(aperture=-0.1, surround=0.0), "aperture of a lenslet is -0.1 mm"),
+    "pitch zero": (lambda: square(pitch=0.0), "pitch of a lens array is 0 mm"),
+    "no rows": (lambda: square(rows=0), "0 rows of 2"),
+    "rows and within": (lambda: square(within=3.0), "rows and columns, or within alone"),
+    "rows only": (lambda: square(columns=None), "columns None"),
+    "within too small": (lambda: square(rows=None, columns=None, within=0.4), "no lens of radius 0.5 mm"),
+    "within negative": (lambda: square(rows=None, columns=None, within=-4.0), "is -4 mm"),
+    "far too many": (lambda: square(rows=None, columns=None, within=1e6), "more than 1000000 lenses"),
+    "offset of one": (lambda: square(offset=(1.0,)), r"offset of a lens array is \(1.0,\)"),
+    "rings and within": (
+        lambda: LensArray.hexagonal(pitch=1.0, lenslet=FLAT, rings=1, within=2.0),
+        "takes one of them",
+    ),
+    "rings negative": (lambda: LensArray.hexagonal(pitch=1.0, lenslet=FLAT, rings=-1), "-1 rings"),
+    "table with a hole": (lambda: Gridded(x=AXIS, y=AXIS, z=HOLE), "1 values that are not finite"),
+    "table too small": (lambda: Gridded(x=AXIS[:5], y=AXIS, z=HOLE[:, :5]), "has 5 points, it needs 6"),
+    "table unsorted": (lambda: Gridded(x=AXIS, y=AXIS[::-1], z=HOLE), "y of a gridded surface does not ascend"),
+    "table turned": (lambda: Gridded(x=AXIS, y=AXIS, z=np.zeros((7, 8))), r"\(7, 8\) and its axes \(7, 7\)"),
+    "aperture beyond the table": (
+        lambda: Part(surface=Gridded(x=AXIS, y=AXIS, z=np.zeros((7, 7))), radius=1.5),
+        "clear radius is 1.5 mm",
+    ),
+    "empty formula": (lambda: Expression("  "), "0 characters"),
+    "endless formula": (lambda: Expression("x+" * 6000 + "x"), "12001 characters"),
+    "half a formula": (lambda: Expression("x +"), "cannot be read"),
+    "left-out product": (lambda: Expression("2x"), "every product with"),
+    "number run into a word": (lambda: Expression("1or x"), "formula '1or x'"),
+    "decimal comma": (lambda: Expression("0,5*x"), "decimals with a point"),
+    "hat for power": (lambda: Expression("x^2"), r"write \*\* for a power"),
+    "unknown name": (lambda: Expression("x + z"), "the name 'z', which is unknown"),
+    "unknown function": (lambda: Expression("gamma(x)"), r"'gamma\(x\)'"),
+    "not smooth": (lambda: Expression("abs(x)"), r"abs\(\), which is not smooth"),
+    "not smooth either": (lambda: Expression("max(x, 0)"), r"max\(\), which is not smooth"),
+    "wrong arguments": (lambda: Expression("sin(x, y)"), "give sin 1"),
+    "too few arguments": (lambda: Expression("atan2(y)"), "give atan2 2"),
+    "condition": (lambda: Expression("x if y > 0 else 0"), "use "),
+    "modulo": (lambda: Expression("x % 2"), "use "),
+    "complex": (lambda: Expression("x + 2j"), "'2j'"),
+    "text": (lambda: Expression("'x'"), "use "),
+    "truth": (lambda: Expression("True"), "'True'"),
+    "beyond floats": (lambda: Expression("1e999*x"), "beyond 1.8e308"),
+    "beyond floats, whole": (lambda: Expression("1" + "0" * 400 + "*x"), "beyond 1.8e308"),
+    "nested too deep": (lambda: Expression("(1 - " * 60 + "x" + ")" * 60), "nested too deep"),
+    "signs too deep": (lambda: Expression("-" * 3000 + "x"), "nested too deep"),
+    "brackets beyond the parser": (lambda: Expression("(" * 3000 + "x" + ")" * 3000), "cannot be read|too deep"),
+    "step at the cut": (lambda: Expression("x*sin(phi/2)"), "steps by .* where phi jumps"),
+    "kink at the cut": (lambda: Expression("rho*phi**2"), "steps by .* where phi jumps"),
+    "constant in the way": (lambda: Expression("rho", constants={"rho": 1.0}), "constant 'rho'"),
+    "constant without a name": (lambda: Expression("x", constants={"a b": 1.0}), "constant 'a b'"),
+    "constant nan": (lambda: Expression("a*x", constants={"a": np.nan}), "constant a is nan"),
+    "feature size zero": (lambda: Expression("x", feature_size=0.0), "feature_size of an expression is 0 mm"),
+    "axis in the part": (lambda: Part(surface=Expression("cos(3*phi)"), radius=2.0), "leaves out the axis"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_refused_in_one_sentence(case):
+    build, message = BAD[case]
+    with pytest.raises(InputError, match=message) as caught:
+        build()
+    text = str(caught.value)
+    assert "\n" not in text
+    assert len(text) < 400
+    assert ": " in text  # what is wrong, then the remedy
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "__import__('os').getcwd()",
+        "x.__class__",
+        "(lambda: x)()",
+        "[x for x in (1, 2)]",
+        "sin.__call__(x)",
+        "x[0]",
+        "exec('x')",
+        "f'{x}'",
+        "(y := x)",
+        "sin(*[x])",
+        "sin(x=1)",
+        "open",
+        "9**9**9**9 and x",
+        "x < y",
+        "not x",
+        "x @ y",
+        "x // y",
+        "...",
+        "x; y",
+        "x = 1",
+    ],
+)
+def test_a_formula_cannot_be_a_program(formula):
+    with pytest.raises(InputError, match="formula"):
+        Expression(formula)
+
+
+def test_a_tower_of_powers_costs_nothing():
+    assert not Expression("9**9**9**9**9 * x").inside(np.ones(1), np.ones(1)).any()
