@@ -112,6 +112,12 @@ def test_the_domain_is_where_the_value_is_finite():
         Expression("(x**2)**0.75").hessian(0.0, 1.0)
 
 
+def test_a_pole_is_outside_the_domain_and_warns_nobody():
+    ring = Expression("cos(phi)*rho/(rho - 25)")
+    assert not ring.inside(np.array([-25.0]), np.zeros(1)).any()
+    assert float(ring.sag(-24.0, 0.0)) == 24.0
+
+
 def test_constants_are_numbers_by_name():
     formula = "rho**2/(R*(1 + sqrt(1 - (1 + k)*rho**2/R**2)))"
     x, y = disc(15.0)

@@ -246,8 +246,9 @@ class Expression(Surface):
         # The azimuth's own derivative is not along the ray, so a full jet beside the cut is compared as well.
         full = [np.stack(self.evaluate(-radius, np.full(12, side), 1)) for side in (-0.0, 0.0)]
         for low, high in ((below, above), full):
-            step = np.abs(low - high)
-            bad = np.flatnonzero(step.max(axis=0) > 1e-9 * (1e-3 + np.abs(low).max(axis=0) + np.abs(high).max(axis=0)))
+            with np.errstate(all="ignore"):  # where the formula is not finite nothing can be compared
+                step, size = np.abs(low - high), np.maximum(np.abs(low), np.abs(high))
+                bad = np.flatnonzero(step.max(axis=0) > 1e-9 * (1e-3 + size.max(axis=0)))
             if bad.size:
                 raise InputError(
                     f"formula {self.formula!r} steps by {step[:, bad[0]].max():.3g} where phi jumps from 180 to -180 "
