@@ -1,7 +1,7 @@
 """The recipe: a job is data only, and `run` is the one place that knows the order of the stages."""
 
-from turnwright.job._result import Pass, Prediction, Result
-from turnwright.job._run import StageProgress, predict, run
+from turnwright.job._result import Pass, Prediction, Preview, Result
+from turnwright.job._run import StageProgress, predict, preview, run
 from turnwright.job._schema import Job
 
-__all__ = ["Job", "Pass", "Prediction", "Result", "StageProgress", "predict", "run"]
+__all__ = ["Job", "Pass", "Prediction", "Preview", "Result", "StageProgress", "predict", "preview", "run"]

@@ -19,7 +19,29 @@ if TYPE_CHECKING:
     from turnwright.post import ProgramFiles
     from turnwright.tool import Tool
 
-__all__ = ["Pass", "Prediction", "Result"]
+__all__ = ["Pass", "Prediction", "Preview", "Result"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Preview:
+    """What can be said of a job without placing a tool.
+
+    Parameters
+    ----------
+    access
+        Whether the tool reaches the part.
+    points
+        Number of program points by pass.
+    shortest_s
+        The shortest time that block rate and spindle allow, by pass; the slides may need longer. [s]
+    refused
+        Why `run` would refuse it, a sentence each.
+    """
+
+    access: Access
+    points: Mapping[str, int]
+    shortest_s: Mapping[str, float]
+    refused: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

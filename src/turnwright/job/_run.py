@@ -18,7 +18,7 @@ from turnwright.access import check_access
 from turnwright.contact import place
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate, generate_polar
-from turnwright.job._result import Pass, Prediction, Result
+from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.metrology import roughness
 from turnwright.motion import check_limits, drive
 from turnwright.post import ProgramHeader, dialect_of, read_nc, write_nc
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from turnwright.path import Motion, Path
     from turnwright.progress import Progress
 
-__all__ = ["StageProgress", "predict", "run"]
+__all__ = ["StageProgress", "predict", "preview", "run"]
 
 StageProgress: TypeAlias = Callable[[str, int, int], None]
 """Called with (stage, done, total); raising in it, as Ctrl-C does, stops the run cleanly."""
@@ -159,6 +159,35 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         program=program, predictions=predictions, rounding_nm=rounding, rounding_limit_nm=limit,
         warnings=tuple(dict.fromkeys(warnings)), timings=watch.timings, peak_memory_gb=_peak_memory(),
     )  # fmt: skip
+
+
+def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
+    """Check a job: whether the tool reaches the part, how many points each pass has, and how long it takes at least.
+
+    Parameters
+    ----------
+    job
+        What is asked for.
+    progress
+        Called with (stage, done, total).
+    """
+    watch = _Watch(progress)
+    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    with watch.stage("access"):
+        access = check_access(part, tool, sense=job.strategy.sense)
+    points, shortest = {}, {}
+    stock = part.stock
+    for cut in job.passes:
+        servo = job.strategy.servo(cut)
+        with watch.stage("plan") as tell:
+            spiral = servo.spiral(part, tool, progress=tell)
+        speed = servo.spindle_rpm or machine.spindle_rpm
+        times = cut.repeats(stock)
+        points[cut.name] = times * spiral.angle.size
+        shortest[cut.name] = times * max(spiral.turns * 60 / speed, (spiral.angle.size - 1) / machine.block_rate_hz)
+        stock = cut.allowance
+    refused = tuple(one.sentence for one in access.findings if not one.ok and one.name not in job.accept)
+    return Preview(access=access, points=points, shortest_s=shortest, refused=refused)
 
 
 def predict(

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Job", "PassTable"]
 
-PassName: TypeAlias = Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]{0,29}$")]
-"""What a controller takes as the name of a sub-program."""
+Name: TypeAlias = Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]{0,29}$")]
+"""What a controller takes as the name of a sub-program, and any computer as that of a file."""
 
 Accepted: TypeAlias = Literal["nose radius", "included angle", "clearance", "rake", "valley", "step", "limits", "gouge"]
 
@@ -231,7 +231,7 @@ class StrategyTable(Points):
 class PassTable(Points):
     """One pass: what it states otherwise than the strategy, and how much it leaves and takes off."""
 
-    name: PassName
+    name: Name
     feed: Feed | None = None  # type: ignore[assignment] # a pass need not state it, the strategy does
     allowance: Thickness = 0.0
     depth: Size | None = None
@@ -244,7 +244,7 @@ class PassTable(Points):
 class Patch(Table):
     """A rectangle on the part to be predicted."""
 
-    name: Text
+    name: Name
     centre: tuple[Length, Length]
     size: tuple[Size, Size]
     pixel: Size
@@ -317,8 +317,16 @@ class Actual(Table):
 class ProgramTable(Table):
     """How the program is written."""
 
-    name: Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")] = "part"
+    name: Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9_-]{1,30}$")] = "part"
     max_lines: Annotated[int, Strict(), Ge(100)] | None = None
+
+
+def _all_different(what: str, names: list[str]) -> None:
+    """Raise if two names would share a file."""
+    alike = [name.replace(" ", "-") for name in names]
+    for name, plain in zip(names, alike, strict=True):
+        if alike.count(plain) > 1:
+            raise JobError(f"{what} has the name {name!r} {alike.count(plain)} times, the limit is 1: rename one")
 
 
 class Job(Table):
@@ -369,10 +377,7 @@ class Job(Table):
 
     @model_validator(mode="after")
     def _passes_fit(self) -> Self:
-        names = [cut.name for cut in self.passes]
-        repeated = [name for name in names if names.count(name) > 1]
-        if repeated:
-            raise JobError(f"{len(repeated)} passes are called {repeated[0]!r}, the limit is 1: rename them")
+        _all_different("passes", [cut.name for cut in self.passes])
         allowance = self.part.stock
         for number, cut in enumerate(self.passes, 1):
             if cut.allowance > allowance:
@@ -392,6 +397,7 @@ class Job(Table):
                 raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
         if allowance > 0:
             raise JobError(f"the last pass leaves {allowance:g} mm, the limit is 0 mm: let it finish the part")
+        _all_different("simulation.patches", ["whole part", *(patch.name for patch in self.simulation.patches)])
         for number, patch in enumerate(self.simulation.patches, 1):
             reach = max(math.hypot(x, y) for x in patch.axes[0][[0, -1]] for y in patch.axes[1][[0, -1]])
             if reach > self.part.radius:

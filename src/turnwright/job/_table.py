@@ -191,7 +191,7 @@ _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
         f"has {context['actual_length']} values, it needs {context['min_length']}: add some"
     ),
     "string_pattern_mismatch": lambda value, _: (
-        f"is {_shown(value)}, it may hold up to 40 letters, digits, - and _: rename it"
+        f"is {_shown(value)}, it may hold up to 30 letters, digits, - and _: rename it"
     ),
 }
 

@@ -1,0 +1,201 @@
+"""What a run leaves on disk beside its program: numbers for programs, maps for any program, one archive of it all.
+
+``result.json`` (numbers in mm, rad, s and N unless a name wears its unit; ``null`` for what is infinite or cannot be
+stated) has the keys
+
+``schema``, ``turnwright``, ``ok``
+    1; the version; whether the tool reaches the part and the machine keeps all its limits.
+``part``, ``machine``, ``dialect``
+    Names.
+``access``
+    The fields of `turnwright.Access`, ``findings`` with their sentences.
+``passes``
+    One entry per pass: the fields of `turnwright.job.Pass`, ``limits`` with the fields of `turnwright.Limits`.
+``least_clearance``
+    Least height of the edge above the surface over the finishing path.
+``program``
+    The file names, main program first, lines, bytes, minutes and the hash of all its points.
+``predictions``
+    One entry per map: ``name``, ``file`` of the heights (cut minus design, mm), ``axes`` (files by name), ``shape`` and
+    ``roughness`` with the fields of `turnwright.Roughness`.
+``rounding_nm``, ``rounding_limit_nm``
+    How far the surfaces of the program on disk and of the motion in memory are apart, and how far they may be.
+``warnings``, ``timings``, ``peak_memory_gb``
+    Sentences; wall time of each stage; largest resident memory.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from turnwright.errors import InputError
+from turnwright.heightmap import HeightMap
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from os import PathLike
+
+    from turnwright._arrays import Floats
+    from turnwright.job import Prediction, Result
+    from turnwright.path import Motion
+
+__all__ = ["read_maps", "software_version", "write_archive", "write_maps"]
+
+AXES = ("x", "y", "radius", "angle")
+
+
+def software_version() -> str:
+    """Return the version of Turnwright, as it is installed."""
+    try:
+        return version("turnwright")
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def write_archive(result: Result, folder: str | PathLike[str]) -> None:
+    """Write ``job.toml``, ``result.json``, ``maps/*.npy`` and ``run.h5`` into a folder that exists.
+
+    Parameters
+    ----------
+    result
+        What a run found out.
+    folder
+        Where to; the program's files are there already.
+    """
+    folder = Path(folder)
+    job = result.job.to_toml()
+    (folder / "job.toml").write_text(job, encoding="utf-8")
+    numbers = {
+        "schema": 1,
+        "turnwright": software_version(),
+        "ok": result.ok,
+        "part": result.part.name,
+        "machine": result.machine.name,
+        "dialect": result.machine.dialect,
+        "access": result.access,
+        "passes": result.passes,
+        "least_clearance": result.least_clearance,
+        "program": {
+            "files": [file.name for file in result.program.files],
+            "lines": result.program.lines,
+            "bytes": result.program.bytes,
+            "minutes": result.program.minutes,
+            "hash": result.program.hash,
+        },
+        "predictions": write_maps(result.predictions, folder),
+        "rounding_nm": result.rounding_nm,
+        "rounding_limit_nm": result.rounding_limit_nm,
+        "warnings": result.warnings,
+        "timings": result.timings,
+        "peak_memory_gb": result.peak_memory_gb,
+    }
+    text = json.dumps(_plain(numbers), indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / "result.json").write_text(text + "\n", encoding="utf-8")
+    _write_h5(result, job, text, folder / "run.h5")
+
+
+def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -> list[dict[str, Any]]:
+    """Write the heights and the axes of maps as ``maps/NAME.npy`` and ``maps/NAME.x.npy`` and so on.
+
+    Returns
+    -------
+    list
+        What ``result.json`` says about them.
+    """
+    told = []
+    (Path(folder) / "maps").mkdir()
+    for one in predictions:
+        stem = f"maps/{re.sub('[^A-Za-z0-9_-]+', '-', one.name)}"
+        axes = {name: f"{stem}.{name}.npy" for name in AXES if getattr(one.error, name) is not None}
+        np.save(Path(folder) / f"{stem}.npy", one.error.z)
+        for name, file in axes.items():
+            np.save(Path(folder) / file, getattr(one.error, name))
+        told.append(
+            {
+                "name": one.name,
+                "file": f"{stem}.npy",
+                "axes": axes,
+                "shape": one.error.z.shape,
+                "roughness": _plain(one.roughness),
+            }
+        )
+    return told
+
+
+def _plain(value: object) -> object:
+    """Return a value as JSON takes it; arrays are left to the maps."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
+    """Write the archive: the job and the numbers as text, maps, path and motion as arrays with their units."""
+    import h5py  # noqa: PLC0415 - costly, and only a run needs it
+
+    with h5py.File(file, "w") as archive:
+        archive.attrs["turnwright"] = software_version()
+        archive.attrs["job"] = job
+        archive.attrs["result"] = numbers
+        for one in result.predictions:
+            group = archive.create_group(f"maps/{one.name.replace('/', '-')}")
+            group.attrs["name"] = one.name
+            _store(group, {"z": one.error.z} | {name: getattr(one.error, name) for name in AXES})
+        names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
+        _store(archive.create_group("path"), {name: getattr(result.path, name) for name in names})
+        _store_motion(archive.create_group("motion"), result.motion)
+        for number, turn in enumerate(result.turns):
+            _store_motion(archive.create_group(f"turns/{number}"), turn)
+
+
+def _store_motion(group: Any, motion: Motion) -> None:
+    _store(group, {"time": motion.time, **motion.axes})
+
+
+def _store(group: Any, arrays: Mapping[str, Floats | None]) -> None:
+    for name, values in arrays.items():
+        if values is not None:
+            unit = {"angle": "rad", "sweep": "rad", "C": "rad", "time": "s"}.get(name, "mm")
+            group.create_dataset(name, data=values).attrs["unit"] = unit
+
+
+def read_maps(path: str | PathLike[str]) -> dict[str, HeightMap]:
+    """Read the error maps of a run archive back.
+
+    Parameters
+    ----------
+    path
+        ``run.h5``.
+
+    Raises
+    ------
+    InputError
+        If the file is not a run archive.
+    """
+    import h5py  # noqa: PLC0415
+
+    try:
+        with h5py.File(path) as archive:
+            return {
+                group.attrs["name"]: HeightMap(
+                    z=group["z"][:], name=group.attrs["name"], **{key: group[key][:] for key in AXES if key in group}
+                )
+                for group in archive["maps"].values()
+            }
+    except (OSError, KeyError) as error:
+        raise InputError(f"{str(path)!r} is not a run archive ({error}): give the run.h5 of a run") from error
