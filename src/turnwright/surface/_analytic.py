@@ -118,13 +118,15 @@ def changing_length(sizes: Mapping[int, float]) -> float:
     if len(bending) < 2:
         return float("inf")
     d, q = bending.T
-    first = np.min((q[0] / q[1:]) ** (1 / (d[1:] - d[0])))
-    last = np.max((q[:-1] / q[-1]) ** (1 / (d[-1] - d[:-1])))
-    r = np.geomspace(first, max(first, last), 64)[:, None]
-    # In units of r, so that no power of it overflows: second derivative / third = r sum(w) / sum((d - 2) w).
-    weight = np.log(q) + (d - 2) * np.log(r)
+    # In logarithms, so that no power of a distance overflows; second derivative / third is r sum(w) / sum((d - 2) w).
+    log_q = np.log(q)
+    first = np.min((log_q[0] - log_q[1:]) / (d[1:] - d[0]))
+    last = np.max((log_q[:-1] - log_q[-1]) / (d[-1] - d[:-1]))
+    log_r = np.linspace(first, max(first, last), 64)[:, None]
+    weight = log_q + (d - 2) * log_r
     weight = np.exp(weight - weight.max(axis=1, keepdims=True))
-    return float(np.min(r[:, 0] * weight.sum(axis=1) / ((d - 2) * weight).sum(axis=1)))
+    log_ratio = log_r[:, 0] + np.log(weight.sum(axis=1) / ((d - 2) * weight).sum(axis=1))
+    return float(np.exp(min(log_ratio.min(), 700.0)))
 
 
 class OnConic(Surface):
