@@ -1,1 +1,199 @@
-"""Turnwright: from an optical prescription to a proven program for a diamond-turning lathe."""
+"""Turnwright: from an optical prescription to a proven program for a diamond-turning lathe, and back.
+
+The public names. Each is imported when it is first asked for, so that ``import turnwright`` costs nothing.
+"""
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from turnwright.access import Access, Finding, check_access
+    from turnwright.contact import place
+    from turnwright.errors import (
+        DomainError,
+        GougeError,
+        InputError,
+        JobError,
+        LimitError,
+        ProgramError,
+        Stopped,
+        TurnwrightError,
+        UnitError,
+    )
+    from turnwright.generation import generate, generate_points, generate_polar
+    from turnwright.heightmap import HeightMap
+    from turnwright.job import Job, Result, predict, preview, run
+    from turnwright.machine import Axis, Convention, Machine
+    from turnwright.metrology import Roughness, remove_form, roughness
+    from turnwright.motion import Limits, check_limits, drive
+    from turnwright.part import Part
+    from turnwright.path import Motion, Path, Spiral
+    from turnwright.post import (
+        ProgramFiles,
+        ProgramHeader,
+        ProgramInfo,
+        ProgramWarning,
+        inspect_nc,
+        read_nc,
+        read_table,
+        write_nc,
+    )
+    from turnwright.strategy import SlowToolServo, Strategy
+    from turnwright.surface import (
+        Biconic,
+        Conic,
+        EvenAsphere,
+        Expression,
+        Forbes,
+        Gridded,
+        LensArray,
+        Placed,
+        Plane,
+        RadialPolynomial,
+        SineGrid,
+        Sphere,
+        Sum,
+        Surface,
+        Toroid,
+        XYPolynomial,
+        Zernike,
+    )
+    from turnwright.tool import Tool, WavinessTable
+
+_HOMES = {
+    "access": ("Access", "Finding", "check_access"),
+    "contact": ("place",),
+    "errors": (
+        "DomainError",
+        "GougeError",
+        "InputError",
+        "JobError",
+        "LimitError",
+        "ProgramError",
+        "Stopped",
+        "TurnwrightError",
+        "UnitError",
+    ),
+    "generation": ("generate", "generate_points", "generate_polar"),
+    "heightmap": ("HeightMap",),
+    "job": ("Job", "Result", "predict", "preview", "run"),
+    "machine": ("Axis", "Convention", "Machine"),
+    "metrology": ("Roughness", "remove_form", "roughness"),
+    "motion": ("Limits", "check_limits", "drive"),
+    "part": ("Part",),
+    "path": ("Motion", "Path", "Spiral"),
+    "post": (
+        "ProgramFiles",
+        "ProgramHeader",
+        "ProgramInfo",
+        "ProgramWarning",
+        "inspect_nc",
+        "read_nc",
+        "read_table",
+        "write_nc",
+    ),
+    "strategy": ("SlowToolServo", "Strategy"),
+    "surface": (
+        "Biconic",
+        "Conic",
+        "EvenAsphere",
+        "Expression",
+        "Forbes",
+        "Gridded",
+        "LensArray",
+        "Placed",
+        "Plane",
+        "RadialPolynomial",
+        "SineGrid",
+        "Sphere",
+        "Sum",
+        "Surface",
+        "Toroid",
+        "XYPolynomial",
+        "Zernike",
+    ),
+    "tool": ("Tool", "WavinessTable"),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+__version__ = version("turnwright")
+
+__all__ = [
+    "Access",
+    "Axis",
+    "Biconic",
+    "Conic",
+    "Convention",
+    "DomainError",
+    "EvenAsphere",
+    "Expression",
+    "Finding",
+    "Forbes",
+    "GougeError",
+    "Gridded",
+    "HeightMap",
+    "InputError",
+    "Job",
+    "JobError",
+    "LensArray",
+    "LimitError",
+    "Limits",
+    "Machine",
+    "Motion",
+    "Part",
+    "Path",
+    "Placed",
+    "Plane",
+    "ProgramError",
+    "ProgramFiles",
+    "ProgramHeader",
+    "ProgramInfo",
+    "ProgramWarning",
+    "RadialPolynomial",
+    "Result",
+    "Roughness",
+    "SineGrid",
+    "SlowToolServo",
+    "Sphere",
+    "Spiral",
+    "Stopped",
+    "Strategy",
+    "Sum",
+    "Surface",
+    "Tool",
+    "Toroid",
+    "TurnwrightError",
+    "UnitError",
+    "WavinessTable",
+    "XYPolynomial",
+    "Zernike",
+    "check_access",
+    "check_limits",
+    "drive",
+    "generate",
+    "generate_points",
+    "generate_polar",
+    "inspect_nc",
+    "place",
+    "predict",
+    "preview",
+    "read_nc",
+    "read_table",
+    "remove_form",
+    "roughness",
+    "run",
+    "write_nc",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        raise AttributeError(f"turnwright has no public name {name!r}: see turnwright.__all__")
+    value = getattr(import_module(f"turnwright.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -4,16 +4,16 @@ For the commanded tip at distance :math:`\rho` from the axis in the plane of azi
 
 .. math:: Z(\rho, \theta) = \max_u \; [\, f(\rho + u, \theta) - e(u) \,]
 
-a grey-scale dilation of the surface by the edge: free of gouges by construction, whatever the surface and the edge. The
-maximum is found in one of two ways.
+a grey-scale dilation of the surface by the edge: free of gouges by construction, whatever the surface and the edge.
+The maximum is found in one of two ways.
 
-*One tangent.* If the surface curves up less than the edge everywhere, f - e is strictly concave and has one maximum, the
-tangent solution, which Newton finds from the tip. The condition is tested beforehand on a grid over the whole part and
+*One tangent.* If the surface curves up less than the edge everywhere, f - e is strictly concave and has one maximum,
+the tangent solution, which Newton finds from the tip. The condition is tested beforehand on a grid over the whole part and
 again at every point that Newton visits, that is at the density of the program itself.
 
-*Search.* Otherwise f - e is sampled along the edge well below the surface's `feature_size`; every sampled maximum that
-may be the greatest within the sampling error is refined, on either side of each kink or step, and the greatest is taken.
-Points that share an azimuth share one sampled line, so that this costs a few evaluations a point.
+*Search.* Otherwise f - e is sampled along the edge well below the surface's `feature_size`; every sampled maximum
+that may be the greatest within the sampling error is refined, on either side of each kink or step, and the greatest is
+taken. Points that share an azimuth share one sampled line, so that this costs a few evaluations a point.
 
 Sources
 -------
@@ -23,8 +23,7 @@ solution and the error of a wavy edge. Oracles: brute-force dilation, and closed
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -124,15 +123,17 @@ def touch(
     contact = _Contact(surface, tool, sense, float(radius.min()), float(radius.max()))
     out = Touch(*(np.empty(angle.size) for _ in range(5)))
     if contact.one_tangent():
-        doubtful = [False]
+        doubtful: list[int] = []
 
         def work(start: int, stop: int) -> None:
             part = slice(start, stop)
-            if not doubtful[0] and not contact.newton(angle[part], radius[part], Touch(*(a[part] for a in out))):
-                doubtful[0] = True
+            if doubtful:
+                return
+            if not contact.newton(angle[part], radius[part], Touch(*(a[part] for a in out))):
+                doubtful.append(start)
 
         run_chunks(work, angle.size, CHUNK, progress)
-        if not doubtful[0]:
+        if not doubtful:
             return out
     contact.search(angle, radius, out, progress)
     return out
@@ -205,8 +206,39 @@ class _Contact:
 
     def newton(self, angle: Floats, radius: Floats, out: Touch) -> bool:
         """Fill ``out`` with the tangent solution; return whether it is certain to be the only one."""
-        n = angle.size
-        sweep = np.zeros(n)
+        if self.upright and self.profile.table.shape[1] == 0:
+            certain = self._newton_round(angle, radius, out)
+        else:
+            certain = self._newton_edge(angle, radius, out)
+        # Nothing is said of the flanks beyond the arc.
+        return certain and bool((out.sweep >= self.row[1]).all() and (out.sweep <= self.row[2]).all())
+
+    def _newton_round(self, angle: Floats, radius: Floats, out: Touch) -> bool:
+        """Newton for a perfect nose in the radial plane, with loops that vectorise."""
+        cosine, sine = np.empty((2, angle.size))
+        u = np.zeros(angle.size)
+        self.kernel.round_start(self.row, angle, radius, cosine, sine, out.x, out.y)
+        for _ in range(12):
+            with np.errstate(all="ignore"):
+                jet = self.surface.evaluate(out.x, out.y, 2)
+            far, doubtful = self.kernel.round_step(
+                self.row, self.limit, cosine, sine, radius, u, *jet, out.z, out.x, out.y
+            )
+            if doubtful:
+                return False
+            if not far:
+                break
+        else:
+            return False
+        nose = self.row[0]
+        np.arcsin(u / nose, out=out.sweep)
+        np.add(out.z, (nose + self.row[7]) - np.sqrt(nose * nose - u * u), out=out.surface_z)
+        self._require_inside(angle, radius, out.x, out.y)
+        return True
+
+    def _newton_edge(self, angle: Floats, radius: Floats, out: Touch) -> bool:
+        """Newton for any convex edge, in the sweep; points that have arrived drop out."""
+        sweep = np.zeros(angle.size)
         active: Ints | slice = slice(None)
         a, r, s = angle, radius, sweep
         for _ in range(12):
@@ -231,16 +263,19 @@ class _Contact:
             return False
         out.sweep[:] = sweep
         self._contact_points(angle, radius, out)
-        return bool((sweep >= self.row[1]).all() and (sweep <= self.row[2]).all())
+        return True
+
+    def _require_inside(self, angle: Floats, radius: Floats, x: Floats, y: Floats) -> None:
+        inside = self.surface.inside(x, y)
+        if inside is not None and not inside.all():
+            self._outside(float(angle[~inside][0]), float(radius[~inside][0]))
 
     def _contact_points(self, angle: Floats, radius: Floats, out: Touch) -> None:
         """Set the contact point from the sweep, checked against the domain."""
         x, y = np.empty(angle.size), np.empty(angle.size)
         self.kernel.under_edge(*self.edge, angle, radius, np.ascontiguousarray(out.sweep), x, y)
         out.x[:], out.y[:] = x, y
-        inside = self.surface.inside(x, y)
-        if inside is not None and not inside.all():
-            self._outside(float(angle[~inside][0]), float(radius[~inside][0]))
+        self._require_inside(angle, radius, x, y)
         out.surface_z[:] = out.z + self._edge_at(out.sweep)[2]
 
     def _edge_at(self, sweep: Floats) -> Floats:
@@ -248,7 +283,7 @@ class _Contact:
         self.edge_points(*self.edge, np.ascontiguousarray(sweep), points)
         return points
 
-    def _outside(self, angle: float, radius: float) -> None:
+    def _outside(self, angle: float, radius: float) -> NoReturn:
         raise DomainError(
             f"with the tip {radius:.6g} mm from the axis at azimuth {np.rad2deg(angle) % 360:.4g} deg the edge touches "
             f"where {type(self.surface).__name__} is not defined, its domain is {self.surface.domain}: extend the "
@@ -260,8 +295,8 @@ class _Contact:
     def search(self, angle: Floats, radius: Floats, out: Touch, progress: Progress | None) -> None:
         """Fill ``out`` by sampling along the edge and refining every maximum that may be the greatest.
 
-        Points of one azimuth share one sampled line through the axis. Points that share nothing, or whose edge leaves the
-        radial plane, get a sampled track under the edge each.
+        Points of one azimuth share one sampled line through the axis. Points that share nothing, or whose edge leaves
+        the radial plane, get a sampled track under the edge each.
         """
         turn = _turn_length(angle) if self.upright else None
         width = self.arc[1] - self.arc[0]
@@ -297,13 +332,11 @@ class _Contact:
                 target[points] = values
             return
         raise GougeError(
-            f"no place on the edge touches with the tip {r[0]:.6g} mm from the axis, not even {high:.3g} mm up its flanks: "
-            "take a tool with a larger included angle"
+            f"no place on the edge touches with the tip {r[0]:.6g} mm from the axis, not even {high:.3g} mm up its "
+            "flanks: take a tool with a larger included angle"
         )
 
-    def _touch(
-        self, angle: Floats, radius: Floats, counts: Ints | None, step: float, low: float, high: float
-    ) -> Touch:
+    def _touch(self, angle: Floats, radius: Floats, counts: Ints | None, step: float, low: float, high: float) -> Touch:
         """Find the contacts of points in rows of ``counts`` that share an azimuth, or (without) one to a row."""
         if counts is None:
             offsets = np.arange(angle.size + 1)
@@ -324,9 +357,8 @@ class _Contact:
         found, direct, direct_at = self._candidates(heights, origin, step, offsets, position, breaks, low, high)
         if found is None:
             raise _NarrowWindow
-        if isinstance(found, int):
+        if not isinstance(found, _Candidates):
             self._outside(float(angle[found]), float(radius[found]))
-            raise AssertionError  # unreachable: _outside raises
         top, sweep = self._maximum(angle[found.point], radius[found.point], found)
         best = np.empty(angle.size)
         self.kernel.sweeps_at(*self.edge, direct_at, best)
@@ -437,7 +469,10 @@ class _Contact:
         sliver = (under - over > 1e-13) & (depth > 0)
         if not sliver.any():
             return row, after, low, high
-        inner = self._split(row[sliver], after[sliver], over[sliver], under[sliver], angle, radius, depth - 1)
+        # One piece in between has no change in it.
+        more = sliver.copy()
+        more[sliver] = piece(over)[sliver] != piece(under)[sliver]
+        inner = self._split(row[more], after[more], over[more], under[more], angle, radius, depth - 1)
         return (
             np.concatenate([row[~sliver], row[sliver], row[sliver], inner[0]]),
             np.concatenate([after[~sliver], after[sliver], after[sliver], inner[1]]),

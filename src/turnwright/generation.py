@@ -1,9 +1,9 @@
-"""The surface a motion leaves: an independent witness that knows the motion and the edge, and nothing of the plan.
+r"""The surface a motion leaves: an independent witness that knows the motion and the edge, and nothing of the plan.
 
 Every point of the surface is as high as the lowest pass of the edge over it, over *every* pass that can reach, those
 from beyond the axis included:
 
-.. math:: h(x, y) = \\min_t \\; [\\, Z(t) + e(u) \\,]
+.. math:: h(x, y) = \min_t \; [\\, Z(t) + e(u) \\,]
 
 Sources
 -------
@@ -142,7 +142,7 @@ def _tile_order(ny: int, nx: int, side_y: int, side_x: int) -> tuple[Ints, Ints]
 def _tile_side(cut: _Cut, pixel: float) -> int:
     """Return how many points a tile should be wide: a few tens of micrometres, where few passes matter."""
     width = np.sqrt(8 * cut.profile[0] * 2e-5)  # over this the slopes of the edge differ by 20 nm
-    return int(np.clip(width / pixel, 1, 32))
+    return int(np.clip(width / pixel, 1, 32)) if pixel > 0 else 1
 
 
 def generate(
@@ -182,9 +182,7 @@ def generate(
     """
     x, y = _ascending(x, "x"), _ascending(y, "y")
     cut = _cut(motion, tool, machine)
-    pixels = [np.diff(axis).mean() for axis in (x, y) if axis.size > 1]
     sides = [_tile_side(cut, float(np.diff(axis).mean())) if axis.size > 1 else 1 for axis in (y, x)]
-    del pixels
     order, offsets = _tile_order(y.size, x.size, *sides)
     flat = _in_tiles(cut, x[order % x.size], y[order // x.size], offsets, progress)
     z = np.empty(flat.size)
@@ -200,8 +198,12 @@ def generate_polar(
     angle: ArrayLike,
     machine: Machine | None = None,
     progress: Progress | None = None,
+    out: Floats | None = None,
 ) -> HeightMap:
-    """Return the surface that a motion leaves, over a polar grid. Along each azimuth it is one lower envelope.
+    """Return the surface that a motion leaves, over a polar grid.
+
+    Along each azimuth it is one lower envelope, found in time proportional to passes plus samples however many passes
+    the tool reaches; an edge out of the radial plane or not convex is taken as scattered points.
 
     Parameters
     ----------
@@ -211,6 +213,9 @@ def generate_polar(
         Ascending distances from the axis, at least 0. (n_radius,) [mm]
     angle
         Ascending azimuths. (n_angle,) [rad]
+    out
+        Where to put the heights, for callers that make many maps: fresh memory costs more than the heights in it.
+        (n_angle, n_radius), contiguous [mm]
 
     Returns
     -------
@@ -220,29 +225,32 @@ def generate_polar(
     Raises
     ------
     InputError
-        If a grid axis does not ascend, or a radius is negative.
+        If a grid axis does not ascend, a radius is negative, or ``out`` has another shape.
     """
     radius, angle = _ascending(radius, "radius"), _ascending(angle, "angle")
     if radius[0] < 0:
         raise InputError(f"radius begins at {radius[0]:g} mm, the limit is 0 mm: use the azimuth for the other side")
+    shape = (angle.size, radius.size)
+    z = np.empty(shape) if out is None else out
+    if z.shape != shape or z.dtype != np.float64 or not z.flags.c_contiguous:
+        raise InputError(f"out is {z.shape} of {z.dtype}, it must be contiguous, {shape} of float64: make it so")
     cut = _cut(motion, tool, machine)
     if cut.upright and cut.convex:
-        z = np.empty((angle.size, radius.size))
         _envelopes(cut, radius, angle, z, progress)
     else:
-        sides = [_tile_side(cut, float(radius[-1] * step)) for step in np.diff(angle[:2])] or [1]
-        sides += [_tile_side(cut, float(step)) for step in np.diff(radius[:2])] or [1]
-        order, offsets = _tile_order(angle.size, radius.size, *sides)
+        steps = (
+            float(radius[-1] * np.diff(angle).mean()) if angle.size > 1 else 0.0,
+            float(np.diff(radius).mean()) if radius.size > 1 else 0.0,
+        )
+        order, offsets = _tile_order(*shape, *(_tile_side(cut, step) for step in steps))
         rho, phi = radius[order % radius.size], angle[order // radius.size]
-        flat = _in_tiles(cut, rho * np.cos(phi), rho * np.sin(phi), offsets, progress)
-        z = np.empty(flat.size)
-        z[order] = flat
-        z = z.reshape(angle.size, radius.size)
-    return HeightMap(z=_finish(z) if not (cut.upright and cut.convex) else z, radius=radius, angle=angle, name="generated")
+        z.ravel()[order] = _in_tiles(cut, rho * np.cos(phi), rho * np.sin(phi), offsets, progress)
+        _finish(z)
+    return HeightMap(z=z, radius=radius, angle=angle, name="generated")
 
 
 def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Progress | None) -> None:
-    from turnwright._kernels import generation as kernel  # noqa: PLC0415
+    from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
 
     def work(start: int, stop: int) -> None:
         kernel.polar_block(
@@ -250,4 +258,5 @@ def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Pr
             radius, angle[start:stop], z[start:stop],
         )  # fmt: skip
 
+    # Neighbouring azimuths read the same cache lines of the program: sixteen of them share a chunk.
     run_chunks(work, angle.size, 16, progress)

@@ -126,12 +126,11 @@ class Tool:
 
     def __post_init__(self) -> None:
         positive(self.nose_radius, "nose_radius", "mm")
-        if self.included is not None:
-            if not 0 < self.included <= np.pi:
-                raise InputError(
-                    f"included is {np.rad2deg(self.included):g} deg, the limits are above 0 and up to 180 deg: "
-                    "give the included angle of the arc"
-                )
+        if self.included is not None and not 0 < self.included <= np.pi:
+            raise InputError(
+                f"included is {np.rad2deg(self.included):g} deg, the limits are above 0 and up to 180 deg: "
+                "give the included angle of the arc"
+            )
         between(np.rad2deg(self.rake), "rake", -80, 80, "deg")
         if self.clearance is not None:
             between(np.rad2deg(self.clearance), "clearance", 0, 80, "deg")

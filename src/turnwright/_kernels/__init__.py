@@ -10,14 +10,12 @@ import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numba
 import platformdirs
 
 __all__ = ["jit"]
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 
 def _cache_folder() -> Path:
@@ -33,7 +31,9 @@ def _cache_folder() -> Path:
 numba.config.CACHE_DIR = str(_cache_folder())
 
 
-def jit(function: F) -> F:
+def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a kernel: cached on disk, without the interpreter lock, fused multiply-adds, NumPy's error model."""
-    compiled: F = numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")(function)
+    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")(
+        function
+    )
     return compiled

@@ -5,14 +5,14 @@ sides: from azimuth a the tip stands at +X, from azimuth a + pi at -X with the e
 the motion: multiplied by its sense, so that they always grow.
 
 For a convex edge two passes cross at most once, so the lowest of all of them along a line is a lower envelope built
-with a stack in linear time. For everything else (points off a common line, an edge out of the radial plane, an edge that
-is not convex) small tiles of neighbouring points share one list of passes that can be lowest anywhere in the tile.
+with a stack in linear time. For everything else (points off a common line, an edge out of the radial plane, an edge
+that is not convex) small tiles of neighbouring points share one list of passes that can be lowest anywhere in the tile.
 """
 
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import height, hermite, slope
+from turnwright._kernels.edge import height, slope
 
 TURN = 2.0 * np.pi
 FAR = 1e300
@@ -297,14 +297,37 @@ def polar_block(c, x, z, sense, starts, bounds, dx, dz, profile, table, radius, 
             split[:] = count
     for row in range(rows):
         if symmetric:
-            envelope(position[row], level[row], count[row], False, True, profile, table, radius, out[row], stack, limit, winner)
+            envelope(
+                position[row],
+                level[row],
+                count[row],
+                False,
+                True,
+                profile,
+                table,
+                radius,
+                out[row],
+                stack,
+                limit,
+                winner,
+            )
         else:
             n = split[row]
             envelope(position[row], level[row], n, False, True, profile, table, radius, out[row], stack, limit, winner)
             if count[row] > n:
                 m = count[row] - n
                 envelope(
-                    position[row, n:], level[row, n:], m, True, False, profile, table, radius, out[row], stack, limit,
+                    position[row, n:],
+                    level[row, n:],
+                    m,
+                    True,
+                    False,
+                    profile,
+                    table,
+                    radius,
+                    out[row],
+                    stack,
+                    limit,
                     winner,
                 )
 

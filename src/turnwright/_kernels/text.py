@@ -12,9 +12,14 @@ from turnwright._kernels import jit
 
 __all__ = ["clock", "feeds", "format_blocks", "parse_blocks", "quantise", "unwrap"]
 
+U = np.uint64
+# Places in text are counted without sign: then the compiler need not ask whether an index counts from the end.
+ONE, TEN, HUNDRED, TEN_THOUSAND, HUNDRED_MILLION = U(1), U(10), U(100), U(10**4), U(10**8)
+ZERO_SIGN, BITS, LONGEST, EXACT = U(48), U(8), U(18), U(2**53)
+MARK = np.frombuffer(b"PASS:", dtype=np.uint8)
+
 POWERS = 10.0 ** np.arange(19)
-INT_POWERS = 10 ** np.arange(19, dtype=np.int64)
-PAIRS = np.array([[48 + i // 10, 48 + i % 10] for i in range(100)], dtype=np.uint8)
+POWERS_U = U(10) ** np.arange(19, dtype=np.uint64)
 
 # A feed stands for a block's time to this part of it, and a run of blocks shares one feed within twice this much:
 # together they stay below the 1e-9 that the header promises.
@@ -95,79 +100,117 @@ def feeds(time, start, stop, inverse, every, state, mantissa, places, duration):
 @jit
 def write_whole(out, at, number):
     """Write a whole number >= 0 without leading zeros; return where it ends."""
-    count = 1
-    while count < 18 and number >= INT_POWERS[count]:
-        count += 1
+    count = ONE
+    while count < LONGEST and number >= POWERS_U[count]:
+        count += ONE
     end = at + count
     write = end
-    while number >= 100:
-        rest = number // 100
-        pair = number - rest * 100
-        write -= 2
-        out[write] = PAIRS[pair, 0]
-        out[write + 1] = PAIRS[pair, 1]
+    while write > at:
+        rest = number // TEN
+        write -= ONE
+        out[write] = np.uint8(ZERO_SIGN + (number - rest * TEN))
         number = rest
-    if number >= 10:
-        out[at] = PAIRS[number, 0]
-        out[at + 1] = PAIRS[number, 1]
-    else:
-        out[at] = 48 + number
     return end
 
 
 @jit
+def eight_digits(number):
+    """Return the eight digits of a number below 10^8 as bytes, the first one lowest.
+
+    All digits at once: two lanes of four digits, then four of two, then eight of one; x * 10486 >> 20 is x // 100 for
+    x < 10^4, and x * 103 >> 10 is x // 10 for x < 100.
+    """
+    high = number // TEN_THOUSAND
+    lanes = high | ((number - high * TEN_THOUSAND) << U(32))
+    upper = ((lanes * U(10486)) >> U(20)) & U(0x0000007F0000007F)
+    lanes = upper | ((lanes - upper * HUNDRED) << U(16))
+    upper = ((lanes * U(103)) >> U(10)) & U(0x000F000F000F000F)
+    return upper | ((lanes - upper * TEN) << BITS) | U(0x3030303030303030)
+
+
+@jit
+def write_eight(out, at, letters):
+    """Write eight bytes; written out, so that the compiler makes one store of them."""
+    out[at] = np.uint8(letters)
+    out[at + ONE] = np.uint8(letters >> U(8))
+    out[at + U(2)] = np.uint8(letters >> U(16))
+    out[at + U(3)] = np.uint8(letters >> U(24))
+    out[at + U(4)] = np.uint8(letters >> U(32))
+    out[at + U(5)] = np.uint8(letters >> U(40))
+    out[at + U(6)] = np.uint8(letters >> U(48))
+    out[at + U(7)] = np.uint8(letters >> U(56))
+
+
+@jit
 def write_fixed(out, at, units, places):
-    """Write units / 10^places in fixed point; zero has no sign because integers have no negative zero."""
+    """Write units / 10^places in fixed point; zero has no sign because integers have no negative zero.
+
+    Up to seven bytes beyond the end may be written and are for the next one to overwrite.
+    """
     if units < 0:
         out[at] = 45
-        at += 1
+        at += ONE
         units = -units
+    number = U(units)
     if places == 0:
-        return write_whole(out, at, units)
-    scale = INT_POWERS[places]
-    whole = units // scale
-    part = units - whole * scale
+        return write_whole(out, at, number)
+    scale = POWERS_U[places]
+    shown = U(places)
+    if number < HUNDRED_MILLION and 5 <= places <= 6:
+        digits = eight_digits(number)
+        whole = U(8) - shown  # two or three digits, of which leading zeros are shifted out
+        zeros = whole - ONE
+        if number >= scale * TEN:
+            zeros -= ONE
+        if number >= scale * HUNDRED:
+            zeros -= ONE
+        write_eight(out, at, digits >> (zeros * BITS))
+        at += whole - zeros
+        out[at] = 46
+        write_eight(out, at + ONE, digits >> (whole * BITS))
+        return at + ONE + shown
+    whole = number // scale
+    part = number - whole * scale
     at = write_whole(out, at, whole)
     out[at] = 46
-    end = at + 1 + places
+    end = at + ONE + shown
     write = end
-    for _ in range(places // 2):
-        rest = part // 100
-        pair = part - rest * 100
-        write -= 2
-        out[write] = PAIRS[pair, 0]
-        out[write + 1] = PAIRS[pair, 1]
+    while write > at + ONE:
+        rest = part // TEN
+        write -= ONE
+        out[write] = np.uint8(ZERO_SIGN + (part - rest * TEN))
         part = rest
-    if places % 2:
-        out[at + 1] = 48 + part
     return end
 
 
 @jit
 def format_blocks(rows, letters, decimals, prefix, mantissa, places, out):
-    """Write one line per row: prefix, one word per letter, and the feed where its mantissa is not 0. Returns bytes."""
-    at = 0
+    """Write one line per row: prefix, one word per letter, and the feed where its mantissa is not 0.
+
+    Returns the number of bytes; ``out`` needs 7 more.
+    """
+    at = U(0)
     for i in range(rows.shape[0]):
         for k in range(prefix.size):
             out[at] = prefix[k]
-            at += 1
+            at += ONE
         for k in range(letters.size):
             if k > 0:
                 out[at] = 32
-                at += 1
+                at += ONE
             out[at] = letters[k]
-            at = write_fixed(out, at + 1, rows[i, k], decimals[k])
+            at = write_fixed(out, at + ONE, rows[i, k], decimals[k])
         if mantissa[i] > 0:
             out[at] = 32
-            out[at + 1] = 70
-            at = write_fixed(out, at + 2, mantissa[i], places[i])
+            out[at + ONE] = 70
+            at = write_fixed(out, at + U(2), mantissa[i], places[i])
         out[at] = 10
-        at += 1
-    return at
+        at += ONE
+    return np.int64(at)
 
 
 @jit
-def parse_blocks(data, at, end, whole, real, out):
+def parse_blocks(data, at, end, whole, real, out, first):
     """Read plain cutting blocks until something else stands in the way.
 
     Parameters
@@ -176,150 +219,156 @@ def parse_blocks(data, at, end, whole, real, out):
         Text, where to begin (at the start of a line), and its end (just after a newline).
     whole, real
         The state of the reader, updated: see the slots above. A position not yet known is nan.
-    out
-        (rows, 5): C [deg], X, Y, Z [mm], duration [s] of each block read.
+    out, first
+        (5, rows): C [deg], X, Y, Z [mm], duration [s] of each block read, from column ``first`` on. Y is left alone
+        where the program has none.
 
     Returns
     -------
-    at, count
-        Start of the line that was not taken (``end`` if all were), and the number of blocks read.
+    at, last
+        Start of the line that was not taken (``end`` if all were), and the column after the last one written.
     """
-    n = 0
-    limit = out.shape[0]
-    new = np.empty(5)
-    while at < end and n < limit:
-        i = at
-        for k in range(5):
-            new[k] = real[k]
-        moves = False
-        y_word = False
+    n = first
+    limit = out.shape[1]
+    c0, x0, y0, z0, f0 = real[AT_C], real[AT_X], real[AT_Y], real[AT_Z], real[FEED]
+    linear, mode, inverse, has_y = whole[LINEAR] == 1, whole[FEED_MODE], whole[INVERSE] == 1, whole[Y_SEEN] == 1
+    cutting = linear and whole[OPEN] == 1
+    lines = 0
+    line = U(at)
+    stop = U(end)
+    while line < stop and n < limit:
+        i = line
+        c, x, y, z, f = c0, x0, y0, z0, f0
         seen = 0
         plain = True
         while True:
             b = data[i]
-            if b == 10:
-                break
-            if b == 32 or 9 <= b <= 13:
-                i += 1
-                continue
-            if b == 59:  # ; comment
-                while data[i] != 10:
-                    i += 1
-                break
-            if b == 40:  # ( comment )
-                i += 1
-                while data[i] == 32:
-                    i += 1
-                # "PASS:" names the cut that follows; i + 5 stays inside because comparison stops at a newline.
-                if (
-                    data[i] == 80
-                    and data[i + 1] == 65
-                    and data[i + 2] == 83
-                    and data[i + 3] == 83
-                    and data[i + 4] == 58
-                ):
-                    plain = False
+            if b <= 32:
+                if b == 10:
                     break
-                while data[i] != 41 and data[i] != 10:
-                    i += 1
-                if data[i] == 10:
-                    plain = False
-                    break
-                i += 1
-                continue
+                if b == 32 or 9 <= b <= 13:
+                    i += ONE
+                    continue
+                plain = False
+                break
             if b >= 97:
                 b -= 32
             if b == 67:
-                slot = 0
-            elif b == 88:
                 slot = 1
-            elif b == 89:
+            elif b == 88:
                 slot = 2
             elif b == 90:
-                slot = 3
-            elif b == 70:
                 slot = 4
+            elif b == 70:
+                slot = 8
+            elif b == 89:
+                slot = 16
             elif b == 71:
-                slot = 5
+                slot = 32
             elif b == 78:
-                slot = 6
+                slot = 64
+            elif b == 59:  # ; comment
+                while data[i] != 10:
+                    i += ONE
+                break
+            elif b == 40:  # ( comment )
+                i += ONE
+                while data[i] == 32:
+                    i += ONE
+                # "PASS:" names the cut that follows; the comparison stops at a newline and so inside the text.
+                named = True
+                for k in range(5):
+                    if data[i + U(k)] != MARK[k]:
+                        named = False
+                        break
+                while data[i] != 41 and data[i] != 10:
+                    i += ONE
+                if named or data[i] == 10:
+                    plain = False
+                    break
+                i += ONE
+                continue
             else:
                 plain = False
                 break
-            i += 1
+            i += ONE
             while data[i] == 32:
-                i += 1
-            negative = False
-            if data[i] == 45:
-                negative = True
-                i += 1
-            elif data[i] == 43:
-                i += 1
-            mantissa = np.int64(0)
-            digits = 0
-            fraction = 0
-            while data[i] >= 48 and data[i] <= 57:
-                mantissa = mantissa * 10 + (data[i] - 48)
-                digits += 1
-                i += 1
-                if digits > 17:
-                    break
-            if data[i] == 46 and digits <= 17:
-                i += 1
-                while data[i] >= 48 and data[i] <= 57:
-                    mantissa = mantissa * 10 + (data[i] - 48)
-                    digits += 1
-                    fraction += 1
-                    i += 1
-                    if digits > 17:
-                        break
-            # A mantissa below 2^53 over a power of ten up to 10^17 < 10^22 is the correctly rounded number.
-            if digits == 0 or digits > 17 or mantissa > 9007199254740992:
+                i += ONE
+            negative = data[i] == 45
+            if negative or data[i] == 43:
+                i += ONE
+            begin = i
+            mantissa = U(0)
+            digit = U(data[i]) - ZERO_SIGN
+            while digit < TEN:
+                mantissa = mantissa * TEN + digit
+                i += ONE
+                digit = U(data[i]) - ZERO_SIGN
+            digits = i - begin
+            fraction = U(0)
+            if data[i] == 46:
+                i += ONE
+                begin = i
+                digit = U(data[i]) - ZERO_SIGN
+                while digit < TEN:
+                    mantissa = mantissa * TEN + digit
+                    i += ONE
+                    digit = U(data[i]) - ZERO_SIGN
+                fraction = i - begin
+                digits += fraction
+            # A mantissa up to 2^53 over a power of ten up to 10^17 < 10^22 is the correctly rounded number.
+            if digits == U(0) or digits > U(17) or mantissa > EXACT:
                 plain = False
                 break
-            value = mantissa / POWERS[fraction]
+            value = np.float64(np.int64(mantissa)) / POWERS[fraction]
             if value > LARGEST:
                 plain = False
                 break
             if negative:
                 value = -value
-            if slot < 5:
-                if (seen >> slot) & 1:
+            if slot <= 16:
+                if seen & slot:
                     plain = False
                     break
-                seen |= 1 << slot
-                new[slot] = value
-                if slot < 4:
-                    moves = True
-                    if slot == 2:
-                        y_word = True
-            elif slot == 5 and not (value == 1 and whole[LINEAR] == 1) and value != whole[FEED_MODE] and value != 90:
+                seen |= slot
+                if slot == 1:
+                    c = value
+                elif slot == 2:
+                    x = value
+                elif slot == 4:
+                    z = value
+                elif slot == 8:
+                    f = value
+                else:
+                    y = value
+            elif slot == 32 and not (value == 1 and linear) and not (value == mode or value == 90):
                 plain = False
                 break
         if not plain:
             break
-        if moves:
-            turn = new[AT_C] - real[AT_C]
-            feed = new[FEED]
-            if whole[OPEN] == 0 or whole[LINEAR] == 0 or turn == 0 or not feed > 0 or (y_word and whole[Y_SEEN] == 0):
+        if seen & 23:  # an axis moves
+            turn = c - c0
+            if not cutting or turn == 0 or not f > 0 or (seen & 16 and not has_y):
                 break
-            if whole[FEED_MODE] == 93:
-                duration = 60.0 / feed if whole[INVERSE] else feed
+            if mode == 93:
+                duration = 60.0 / f if inverse else f
             else:
-                dx = new[AT_X] - real[AT_X]
-                dz = new[AT_Z] - real[AT_Z]
-                dy = new[AT_Y] - real[AT_Y] if whole[Y_SEEN] else 0.0
+                dx, dy, dz = x - x0, y - y0 if has_y else 0.0, z - z0
                 length = np.sqrt(dx * dx + dy * dy + dz * dz)
-                duration = 60.0 * (length if length > 0 else abs(turn)) / feed
-            for k in range(4):
-                out[n, k] = new[k]
-            out[n, 4] = duration
+                duration = 60.0 * (length if length > 0 else abs(turn)) / f
+            out[0, n] = c
+            out[1, n] = x
+            if has_y:
+                out[2, n] = y
+            out[3, n] = z
+            out[4, n] = duration
             n += 1
-        for k in range(5):
-            real[k] = new[k]
-        whole[LINES] += 1
-        at = i + 1
-    return at, n
+        c0, x0, y0, z0, f0 = c, x, y, z, f
+        lines += 1
+        line = i + ONE
+    real[AT_C], real[AT_X], real[AT_Y], real[AT_Z], real[FEED] = c0, x0, y0, z0, f0
+    whole[LINES] += lines
+    return np.int64(line), n
 
 
 @jit
@@ -347,13 +396,13 @@ def unwrap(degrees, first):
 
 
 @jit
-def clock(duration, time):
-    """Sum durations to times; runs of equal ones are multiplied, so that millions of additions do not drift."""
+def clock(duration):
+    """Sum durations to times in place; runs of equal ones are multiplied, so that millions of additions do not drift."""
     base = 0.0
     lost = 0.0
     run = 0
     value = 0.0
-    time[0] = 0.0
+    duration[0] = 0.0
     for i in range(1, duration.size):
         if duration[i] != value:
             # The finished run goes into the base, with the part that the addition loses kept beside it.
@@ -364,4 +413,4 @@ def clock(duration, time):
             run = 0
             value = duration[i]
         run += 1
-        time[i] = base + (run * value - lost)
+        duration[i] = base + (run * value - lost)

@@ -43,7 +43,7 @@ class Surface(ABC):
             Fresh arrays of the shape of ``x``. [mm, 1, 1/mm] Outside the domain anything, or nan, without a warning.
         """
 
-    def inside(self, x: Floats, y: Floats) -> Bools | None:
+    def inside(self, x: Floats, y: Floats) -> Bools | None:  # noqa: ARG002
         """Return where the surface is defined, or ``None`` if it is everywhere."""
         return None
 
@@ -52,7 +52,7 @@ class Surface(ABC):
         """Say in words where the surface is defined."""
         return "the whole plane"
 
-    def piece(self, x: Floats, y: Floats) -> Ints | None:
+    def piece(self, x: Floats, y: Floats) -> Ints | None:  # noqa: ARG002
         """Return the number of the smooth piece that each point belongs to, or ``None`` if all is one piece.
 
         The height is twice differentiable inside a piece; between pieces it may have a kink or a step. A piece cuts
