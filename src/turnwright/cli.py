@@ -37,6 +37,7 @@ app = typer.Typer(
 )
 
 JobFile = Annotated[Path, typer.Argument(metavar="JOB.toml", help="The job file.", show_default=False)]
+INTERRUPTED = 130
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -65,12 +66,13 @@ def run(
 ) -> None:
     """Check, plan, place, drive, write the program, read it back, predict the surface it leaves, and report."""
     with _new_folder(out, force=force) as folder:
-        from turnwright import archive, report  # noqa: PLC0415 - costly
-        from turnwright import job as recipe  # noqa: PLC0415
+        from turnwright import job as recipe  # noqa: PLC0415 - costly
 
         with _progress() as progress:
             result = recipe.run(recipe.Job.load(job), progress=progress, out=folder)
             progress("report", 0, 1)
+            from turnwright import archive, report  # noqa: PLC0415 - matplotlib, only for a run that came so far
+
             archive.write_archive(result, folder)
             report.write_report(result, folder)
             progress("report", 1, 1)
@@ -242,7 +244,8 @@ def _say(text: str) -> None:
 def _disk_error(error: OSError) -> str:
     where = f" at {error.filename}" if error.filename else ""
     text = str(error)
-    if error.errno in FULL or any(f"errno = {number}," in text for number in FULL):  # as HDF5 says it
+    # HDF5 and NumPy say it in their own words: "errno = 28," and "1000 requested and 12 written".
+    if error.errno in FULL or "requested and" in text or any(f"errno = {number}," in text for number in FULL):
         return f"the disk is full{where}, nothing was kept: free some space, or choose another folder"
     return (
         f"the system refuses ({error.strerror or text.splitlines()[0]}){where}, nothing was kept: check name and rights"
@@ -272,13 +275,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
-    signal.signal(signal.SIGTERM, _interrupt)
-    warnings.showwarning = lambda message, *_args, **_more: _warn([str(message)])
+    before = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        code = typer.main.get_command(app).main(arguments, prog_name="turnwright", standalone_mode=False)
-    except (KeyboardInterrupt, typer.Abort, Stopped):
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_args, **_more: _warn([str(message)])
+            code = _carry_out(arguments)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    if code == INTERRUPTED:
         _say("interrupted, nothing was kept: start it again")
-        return 130
+    return code
+
+
+def _carry_out(arguments: Sequence[str] | None) -> int:
+    """Run a command and turn what ends it into a sentence and an exit code."""
+    try:
+        return typer.main.get_command(app).main(arguments, prog_name="turnwright", standalone_mode=False) or 0
+    except (KeyboardInterrupt, typer.Abort, Stopped):
+        return INTERRUPTED  # some versions of typer end so by themselves, with the same code
     except InputError as error:
         _say(str(error))
     except MemoryError as error:
@@ -291,6 +305,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _say(_defect())
             return 1
         _say(f"{error.format_message().rstrip('.')}: see turnwright --help")
-    else:
-        return int(code or 0)
     return 2

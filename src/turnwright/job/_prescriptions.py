@@ -383,7 +383,7 @@ class SumTable(Family):
     """Heights added; a list of tables where one surface is wanted means the same."""
 
     family: Literal["sum"]
-    terms: Annotated[tuple[AnySurface, ...], Field(min_length=1)]
+    terms: tuple[AnySurface, ...]
 
     def _build(self) -> Surface:
         return surfaces.Sum(terms=tuple(term.surface for term in self.terms))

@@ -367,7 +367,7 @@ class Job(Table):
     tool: ToolTable
     machine: MachineTable
     strategy: StrategyTable
-    passes: Annotated[tuple[PassTable, ...], Field(min_length=1)] = (PassTable(name="finish"),)
+    passes: tuple[PassTable, ...] = (PassTable(name="finish"),)
     simulation: SimulationTable = SimulationTable()
     actual: Actual = Actual()
     roughness: RoughnessTable = RoughnessTable()
@@ -377,6 +377,8 @@ class Job(Table):
 
     @model_validator(mode="after")
     def _passes_fit(self) -> Self:
+        if not self.passes:
+            raise JobError("passes is empty, it needs at least 1: add one, or leave it out for a finishing pass alone")
         _all_different("passes", [cut.name for cut in self.passes])
         allowance = self.part.stock
         for number, cut in enumerate(self.passes, 1):

@@ -1,0 +1,240 @@
+"""Wrong jobs: exit code 2, one sentence that says what is wrong, and no output left."""
+
+import re
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from job_files import GONE, changed, written
+
+from turnwright.cli import main
+from turnwright.errors import JobError
+from turnwright.job import Job
+
+LENS = Path(__file__).parents[2] / "examples" / "infrared_lens.toml"
+GRID = {"family": "gridded", "file": "sag.csv", "units": "mm", "sag_units": "um"}
+EXPRESSION = {"family": "expression", "units": "mm", "formula": "x**2/100"}
+DEEP = {"family": "sine grid", "amplitude": ["50 um", "0 um"], "period": ["1 mm", "1 mm"]}
+HEXAGONS = {"family": "lens array", "layout": "hexagonal", "pitch": "0.5 mm", "rings": 2,
+            "lenslet": {"family": "sphere", "radius": "-5 mm"}}  # fmt: skip
+PATCH = "simulation.patches.0"
+
+# What is changed, and what the sentence must say.
+# ruff: noqa: E501 - a table
+WRONG = {
+    "a length in degrees": ([("part.radius", "1 deg")], r"part\.radius: '1 deg' is an angle, it must be a length"),
+    "a length without a unit": ([("part.radius", 1)], r"part\.radius: 1 has no unit"),
+    "a decimal comma": ([("tool.nose_radius", "0,5 mm")], r"tool\.nose_radius: '0,5 mm' does not start with a plain"),
+    "two numbers": ([("tool.nose_radius", "2 mm 3")], r"tool\.nose_radius: '2 mm 3' has '3' after its unit"),
+    "a length of nan": ([("tool.nose_radius", "nan mm")], r"tool\.nose_radius: 'nan mm' does not start"),
+    "a bare nan": ([("tool.nose_radius", float("nan"))], r"tool\.nose_radius: nan has no unit"),
+    "a length beyond numbers": ([("tool.nose_radius", "1e400 mm")], r"'1e400 mm' is beyond the range of numbers"),
+    "a feed per turn of angle": ([("strategy.feed", "2 um/turn")], r"strategy\.feed: '2 um/turn' is a length per angle"),
+    "a feed in mm/min": ([("strategy.feed", "2 mm/min")], r"strategy\.feed: '2 mm/min' is a speed, it must be a feed"),
+    "a negative feed": ([("strategy.feed", "-8 um/rev")], r"strategy\.feed: '-8 um/rev' is not above 0"),
+    "a feed of zero": ([("strategy.feed", "0 um/rev")], r"strategy\.feed: '0 um/rev' is not above 0"),
+    "no feed": ([("strategy.feed", GONE)], r"strategy\.feed is missing and has no default"),
+    "no tool": ([("tool", GONE)], r"tool is missing"),
+    "no nose radius": ([("tool.nose_radius", GONE)], r"tool\.nose_radius is missing"),
+    "an unknown key": ([("part.raduis", "1 mm")], r"part\.raduis is not a key of a job: did you mean 'radius'\?"),
+    "an unknown table": ([("toool", {})], r"toool is not a key of a job: did you mean 'tool'\?"),
+    "an unknown family": ([("part.surface.family", "sfere")], r"part\.surface has the family 'sfere'.*'sphere'"),
+    "no family": ([("part.surface", {"radius": "5 mm"})], r"part\.surface lacks the key family"),
+    "an unknown machine": ([("machine.name", "lathe")], r"machine: machine 'lathe' is not one of generic"),
+    "a missing machine file": (
+        [("machine", {"file": "none.toml"})],
+        r"machine\.file: the file 'none\.toml' does not exist",
+    ),
+    "a machine named twice": ([("machine.file", "job.toml")], r"machine: name and file of the machine are both given"),
+    "an unknown dialect": ([("machine.dialect", "klingon")], r"dialect 'klingon'"),
+    "a missing sag table": ([("part.surface", GRID | {"file": "none.csv"})], r"part\.surface\.file: .*does not exist"),
+    "nan in a sag table": ([("part.surface", GRID | {"file": "nan.csv"})], r"holds 1 values that are not finite"),
+    "words in a sag table": ([("part.surface", GRID | {"file": "words.csv"})], r"words\.csv is not a table of numbers"),
+    "an aperture larger than the grid": (
+        [("part.surface", GRID), ("part.radius", "3 mm")],
+        r"clear radius is 3 mm but Gridded is not defined beyond",
+    ),
+    "an aperture outside the conic": ([("part.radius", "60 mm")], r"Sphere is not defined beyond about 5\d\.\d+ mm.* disc of radius 50 mm"),
+    "a formula that is a program": (
+        [("part.surface", EXPRESSION | {"formula": "__import__('os')"})],
+        r"part\.surface: formula \"__import__",
+    ),
+    "a formula without its units": (
+        [("part.surface", {"family": "expression", "formula": "x"})],
+        r"part\.surface\.units is missing",
+    ),
+    "a coefficient without a unit": (
+        [("part.surface", {"family": "xy polynomial", "terms": {"2,0": 0.01}})],
+        r"part\.surface\.terms\.2,0: 0\.01 has no unit",
+    ),
+    "a coefficient of the wrong power": (
+        [("part.surface", {"family": "xy polynomial", "terms": {"2,0": "0.01 1/mm^2"}})],
+        r"'0\.01 1/mm\^2' is a number per length\^2, it must be a number per length",
+    ),
+    "a Zernike index of words": (
+        [("part.surface", {"family": "zernike", "radius": "1 mm", "indexing": "noll", "terms": {"z": "1 um"}})],
+        r"the key 'z' is not a whole number",
+    ),
+    "a tool too large for a trough": (
+        [("part.surface", DEEP), ("tool.nose_radius", "5 mm"), ("tool.clearance", "40 deg")],
+        r"nose_radius is 5 mm, the limit is 0\.5\d+ mm",
+    ),
+    "a clearance that is too small": (
+        [("part.surface", DEEP), ("tool.clearance", "2 deg")],
+        r"clearance needs to be 17\.\d deg .* the tool has 2 deg",
+    ),
+    "a sharp valley not accepted": ([("part.surface", HEXAGONS)], r"a sharp valley turns by"),
+    "an included angle beyond half a turn": ([("tool.included", "200 deg")], r"included is 200 deg"),
+    "waviness in one unit": ([("tool.waviness", ["1 nm/deg", "1 nm/deg"])], r"tool\.waviness\[2\]: '1 nm/deg' is a leng"),
+    "two offsets": ([("tool.offset", ["1 um", "2 um"])], r"tool\.offset\[3\] is missing"),
+    "a certificate without units": ([("tool.waviness_file", "certificate.csv")], r"has no column 'sweep' in its first"),
+    "a feed wider than the nose": ([("strategy.feed", "2 mm/rev")], r"feed 2 mm per rev is at least the width of the"),
+    "points set twice": ([("strategy.chord", "5 nm")], r"set by points_per_rev and chord: give exactly one"),
+    "points not set": ([("strategy.points_per_rev", GONE)], r"set by nothing: give exactly one"),
+    "points in quotes": ([("strategy.points_per_rev", "120")], r"points_per_rev is '120', it must be a whole number"),
+    "a sense of 2": ([("strategy.sense", 2)], r"strategy\.sense is 2, it must be 1 or -1"),
+    "a spindle faster than the lathe": ([("strategy.spindle_speed", "1e6 rpm")], r"spindle|rev/min"),
+    "more blocks than the controller takes": ([("strategy.spindle_speed", "490 rpm"), ("strategy.points_per_rev", 720)], r"accept = \[\"limits\"\]"),
+    "a sum of nothing": ([("part.surface", [])], r"part\.surface: .*sum"),
+    "no pass": ([("passes", [])], r"passes is empty"),
+    "a pass that leaves stock": (
+        [("part.stock", "10 um"), ("passes", [{"name": "rough", "allowance": "5 um"}])],
+        r"the last pass leaves 0\.005 mm, the limit is 0 mm",
+    ),
+    "a pass above the stock": ([("passes", [{"name": "a", "allowance": "5 um"}])], r"passes\[1\]\.allowance is 0\.005 mm"),
+    "two passes of one name": ([("passes", [{"name": "a"}, {"name": "a"}])], r"passes has the name 'a' 2 times"),
+    "a pass named for a folder": ([("passes", [{"name": "../a"}])], r"passes\[1\]\.name is '\.\./a'"),
+    "a depth that is a slip": (
+        [("part.stock", "1 mm"), ("passes", [{"name": "a", "depth": "1 nm"}])],
+        r"the pass repeats 1000000 times, the limit is 100",
+    ),
+    "a patch outside the part": ([(PATCH + ".centre", ["1 mm", "0 mm"])], r"patches\[1\] reaches 1\.03\d* mm"),
+    "a patch of too many points": ([(PATCH + ".pixel", "1 nm"), (PATCH + ".size", ["1 mm", "1 mm"])], r"limit is 1e\+08"),
+    "a pixel larger than its patch": ([(PATCH + ".pixel", "1 mm")], r"it must fit at least once"),
+    "an unknown form": ([("roughness.form", "round")], r"roughness\.form: 'round' is neither"),
+    "something accepted that is nothing": ([("accept", ["all"])], r"accept\[1\] is 'all', it must be"),
+    "an actual tool without a nose": ([("actual.tool.radius_error", "-1 mm")], r"nothing is left of the nose"),
+}  # fmt: skip
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A folder with the files that wrong jobs name."""
+    folder = tmp_path / "jobs"
+    folder.mkdir()
+    nodes = [-2, -1.2, -0.4, 0.4, 1.2, 2]
+    rows = [[y, *(x * x + y * y for x in nodes)] for y in nodes]
+
+    def table(rows):
+        return "\n".join(",".join(map(str, row)) for row in [["", *nodes], *rows])
+
+    (folder / "sag.csv").write_text(table(rows))
+    (folder / "nan.csv").write_text(table([*rows[:-1], [*rows[-1][:-1], "nan"]]))
+    (folder / "words.csv").write_text("x,y,z\none,two,three\n")
+    (folder / "certificate.csv").write_text("sweep,deviation\n0,0\n1,1\n")
+    return folder
+
+
+def refused(folder, job, capsys, *options):
+    """Run a job that must be refused; return its one sentence."""
+    before = {entry: entry.stat().st_mtime_ns for entry in folder.rglob("*")}
+    assert main(["run", str(job), "--out", str(folder / "out"), *options]) == 2
+    assert {entry: entry.stat().st_mtime_ns for entry in folder.rglob("*")} == before  # nothing half-written
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("turnwright: ")]
+    assert len(said) == 1
+    return said[0]
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_job_is_refused_in_one_sentence(name, place, capsys):
+    changes, sentence = WRONG[name]
+    said = refused(place, written(place, *changes), capsys)
+    assert re.search(sentence, said), said
+    assert re.search(r"[:?]", said.removeprefix("turnwright: "))  # what is wrong, then the remedy
+
+
+def test_all_wrong_fields_are_told_at_once():
+    with pytest.raises(JobError) as caught:
+        Job.read(changed(("part.radius", 1), ("tool.nose_radius", GONE), ("strategy.sense", 0)))
+    assert [line.split()[0].rstrip(":") for line in str(caught.value).splitlines()] == [
+        "part.radius", "tool.nose_radius", "strategy.sense"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (None, r"cannot be read \(No such file or directory\)"),
+        (b"[part\n", r"is not TOML, .*line 1"),
+        (b"\xff\xfe\x00", r"is not UTF-8 text"),
+        (b"", r"part is missing"),
+    ],
+)
+def test_a_file_that_is_no_job_is_refused(content, sentence, tmp_path, capsys):
+    job = tmp_path / "job.toml"
+    if content is not None:
+        job.write_bytes(content)
+    if content == b"":
+        assert main(["check", str(job)]) == 2
+        assert re.search(sentence, capsys.readouterr().err)
+    else:
+        assert re.search(sentence, refused(tmp_path, job, capsys))
+
+
+def test_a_taken_folder_is_not_touched(place, capsys):
+    job = written(place)
+    (place / "out").mkdir()
+    (place / "out" / "thesis.txt").write_text("years of work")
+    assert "is there already and not empty" in refused(place, job, capsys)
+
+
+def test_a_folder_in_nowhere_is_refused(place, capsys):
+    assert main(["run", str(written(place)), "--out", str(place / "no" / "where")]) == 2
+    assert "does not exist: make it first" in capsys.readouterr().err
+
+
+def start(job, out, **more):
+    code = "import sys; from turnwright.cli import main; sys.exit(main())"
+    return subprocess.Popen(
+        [sys.executable, "-c", code, "run", str(job), "--out", str(out)],
+        stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, **more,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [("strategy.points_per_rev", 40000)],  # the program does not fit
+        [("simulation.whole_part", {"radii": 1000, "angles": 800})],  # the program does, a map does not
+    ],
+    ids=["program", "map"],
+)
+def test_a_full_disk_leaves_nothing(changes, tmp_path):
+    """Oracle: the kernel ends every file at 4 MB, as a full disk would."""
+    job = written(tmp_path, *changes)
+
+    def limit():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4_000_000, 4_000_000))
+
+    process = start(job, tmp_path / "out", preexec_fn=limit)
+    said = process.communicate(timeout=120)[1].splitlines()[-1]
+    assert process.returncode == 2, said
+    assert re.search(r"File too large|the disk is full", said)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["job.toml"]
+
+
+@pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_leaves_nothing(kill, tmp_path):
+    process = start(LENS, tmp_path / "out")
+    for line in process.stderr:
+        if line.strip() == "plan":
+            break
+    process.send_signal(kill)
+    said = process.communicate(timeout=120)[1]
+    assert process.returncode == 130, said
+    assert "turnwright: interrupted" in said
+    assert not list(tmp_path.iterdir())
