@@ -190,6 +190,8 @@ def format_blocks(rows, letters, decimals, prefix, mantissa, places, out):
     Returns the number of bytes; ``out`` needs 7 more.
     """
     at = U(0)
+    word, after = U(0), U(0)  # the last feed word: one that repeats is copied
+    digits, shift = np.int64(0), np.int64(0)
     for i in range(rows.shape[0]):
         for k in range(prefix.size):
             out[at] = prefix[k]
@@ -201,9 +203,16 @@ def format_blocks(rows, letters, decimals, prefix, mantissa, places, out):
             out[at] = letters[k]
             at = write_fixed(out, at + ONE, rows[i, k], decimals[k])
         if mantissa[i] > 0:
-            out[at] = 32
-            out[at + ONE] = 70
-            at = write_fixed(out, at + U(2), mantissa[i], places[i])
+            if mantissa[i] == digits and places[i] == shift:
+                for k in range(after - word):
+                    out[at + U(k)] = out[word + U(k)]
+                at += after - word
+            else:
+                digits, shift, word = mantissa[i], places[i], at
+                out[at] = 32
+                out[at + ONE] = 70
+                after = write_fixed(out, at + U(2), digits, shift)
+                at = after
         out[at] = 10
         at += ONE
     return np.int64(at)
@@ -341,7 +350,7 @@ def parse_blocks(data, at, end, whole, real, out, first):
                     f = value
                 else:
                     y = value
-            elif slot == 32 and not (value == 1 and linear) and not (value == mode or value == 90):
+            elif slot == 32 and not (value == 1 and linear) and value != mode and value != 90:
                 plain = False
                 break
         if not plain:
@@ -397,7 +406,7 @@ def unwrap(degrees, first):
 
 @jit
 def clock(duration):
-    """Sum durations to times in place; runs of equal ones are multiplied, so that millions of additions do not drift."""
+    """Sum durations to times in place; runs of equal ones are multiplied, so that millions of them do not drift."""
     base = 0.0
     lost = 0.0
     run = 0

@@ -6,7 +6,7 @@ import hashlib
 import re
 import warnings
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,7 +32,9 @@ if TYPE_CHECKING:
 __all__ = ["read_nc"]
 
 BUFFER = 1 << 22
-"""Bytes of text taken at a time; a line may not be longer."""
+"""Bytes of text taken at a time."""
+LONGEST = 1 << 16
+"""Letters in the longest line."""
 DEEPEST = 8
 LARGEST = 1e9
 AXES = "CXYZ"
@@ -151,9 +153,10 @@ class _Cut:
 
     name: str
     named: bool
+    rows: Floats  # (5, room): C [deg], X, Y, Z [mm], duration [s]; the first point has none
+    points: int = 1
     blocks: int = 0
     has_y: bool = False
-    parts: list[Floats] = field(default_factory=list)  # (n, 5): C [deg], X, Y, Z [mm], duration [s]
 
 
 def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine) -> Motion:
@@ -161,26 +164,16 @@ def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine)
     from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
 
     convention = machine.convention
-    size = found.blocks + 1
-    axes: dict[str, Floats] = {letter: np.empty(size) for letter in (AXES if found.has_y else "CXZ")}
-    duration = np.empty(size)
-    at = 0
-    for part in reversed(found.parts):  # from the end, so that each part is freed once it is copied
-        at += len(part)
-        where = slice(size - at, size - at + len(part))
-        for letter, values in axes.items():
-            values[where] = part[:, AXES.index(letter)]
-        duration[where] = part[:, 4]
-        found.parts.pop()
+    rows = found.rows[:, : found.points]
+    axes: dict[str, Floats] = {letter: rows[k] for k, letter in enumerate(AXES) if letter != "Y" or found.has_y}
     bad = text.unwrap(axes["C"], told.first_c if told else axes["C"][0])
     if bad >= 0:
         raise ProgramError(
             f"{path}: block {bad} of {found.name} turns C back, by nothing or by half a turn, to {axes['C'][bad]:g}, "
             "the sense of rotation must stay: split the program there"
         )
-    time = np.empty(size)
-    text.clock(duration, time)
-    del duration
+    time = rows[4]
+    text.clock(time)
     axes["C"] *= convention.c_sense * (np.pi / 180)
     axes["C"] -= convention.c_sense * convention.clocking
     axes["X"] *= convention.x_side
@@ -210,6 +203,7 @@ class _Reader:
         self.whole[[LINEAR, FEED_MODE]] = 1, 94
         self.whole[INVERSE] = dialect.feed == "inverse minutes"
         self.real: Floats = np.full(5, np.nan)
+        self.scratch: Floats = np.empty((5, 1 << 12))  # for blocks that nobody asked for
         self.macros = Macros(lambda what: self._error(what, "write it as a number"))
         self.loops: dict[int, str] = {}  # condition by label
         self.named: str | None = None
@@ -263,18 +257,17 @@ class _Reader:
             )
         self.stack.append(path)
         outer, self.whole[LINES] = self.whole[LINES], 0
-        out = np.empty((BUFFER // 16, 5))
         for data in self._buffers(path):
             at, end = 0, data.size
             while at < end and not (self.over or self.ended):
-                at, count = text.parse_blocks(data, at, end, self.whole, self.real, out)
-                if count:
-                    self._append(out[:count].copy())
-                if at < end and count < len(out):
-                    stop = at + bytes(data[at : at + 65536]).find(b"\n") + 1
+                rows, first = self._room()
+                at, last = text.parse_blocks(data, at, end, self.whole, self.real, rows, first)
+                self._added(rows, first, last)
+                if at < end and last < rows.shape[1]:
+                    stop = at + bytes(data[at : at + LONGEST]).find(b"\n") + 1
                     self.whole[LINES] += 1
                     if stop <= at:
-                        raise self._error("is longer than 65536 letters", "give a text file with line ends")
+                        raise self._error(f"is longer than {LONGEST} letters", "give a text file with line ends")
                     self._line(bytes(data[at:stop]).decode("latin-1"))
                     at = stop
             self._report(min(self.done, self.total))
@@ -285,24 +278,24 @@ class _Reader:
         self.stack.pop()
 
     def _buffers(self, path: Path) -> Iterator[NDArray[np.uint8]]:
-        """Yield the file in pieces that end with a line end."""
-        rest = b""
+        """Yield the file in pieces that end with a line end; each is gone when the next one is asked for."""
+        buffer = np.empty(BUFFER + LONGEST + 1, dtype=np.uint8)
+        kept = 0
         with path.open("rb") as file:
             file.seek(len(BOM) if file.read(len(BOM)) == BOM else 0)
-            while True:
-                piece = file.read(BUFFER)
-                self.done += len(piece)
-                if piece:
-                    cut = piece.rfind(b"\n") + 1
-                    if not cut and len(rest) > BUFFER:
-                        raise self._error(f"is longer than {BUFFER} letters", "give a text file with line ends")
-                    data, rest = (rest + piece[:cut], piece[cut:]) if cut else (b"", rest + piece)
-                else:
-                    data, rest = rest + b"\n", b""
-                if data:
-                    yield np.frombuffer(data, dtype=np.uint8)
-                if not piece:
-                    return
+            while count := file.readinto(buffer.data[kept : kept + BUFFER]):
+                self.done += count
+                filled = kept + count
+                end = bytes(buffer[max(0, filled - LONGEST) : filled]).rfind(b"\n") + 1 + max(0, filled - LONGEST)
+                if end == max(0, filled - LONGEST):
+                    if filled > LONGEST:
+                        raise self._error(f"is longer than {LONGEST} letters", "give a text file with line ends")
+                    end = 0
+                yield buffer[:end]
+                kept = filled - end
+                buffer[:kept] = buffer[end:filled]
+        buffer[kept] = 10
+        yield buffer[: kept + 1]
 
     def _error(self, what: str, remedy: str) -> ProgramError:
         """Return a sentence with file and line."""
@@ -310,38 +303,60 @@ class _Reader:
         return ProgramError(f"{where} line {int(self.whole[LINES]) or 1} {what}: {remedy}")
 
     # ------------------------------------------------------------------- cuts
-    def _append(self, rows: Floats) -> None:
-        """Keep blocks of the cut that is open, and hash them on the other core."""
+    def _room(self) -> tuple[Floats, int]:
+        """Return where the next blocks go: rows, and the first free column."""
         cut = self.cut
-        if cut is None:
-            return
-        cut.blocks += len(rows)
-        if self.wanted is not None and cut.name != self.wanted:
-            return
-        cut.parts.append(rows)
-        cut.has_y = cut.has_y or bool(self.whole[Y_SEEN])
-        if self.told is not None:
-            if self.hashing is not None:
-                self.hashing.result()
-            self.hashing = self.pool.submit(self._hash, rows)
+        if cut is None or not self._asked(cut):
+            return self.scratch, 0
+        if cut.points == cut.rows.shape[1]:
+            wider = np.empty((5, 2 * cut.points))
+            wider[:, : cut.points] = cut.rows
+            cut.rows = wider
+        return cut.rows, cut.points
 
-    def _hash(self, rows: Floats) -> None:
-        letters = [letter for letter in self.dialect.decimals if letter != "Y" or self.whole[Y_SEEN]]
-        units = np.empty((len(rows), len(letters) + 1), dtype="<i8")
+    def _asked(self, cut: _Cut) -> bool:
+        return self.wanted is None or cut.name == self.wanted
+
+    def _added(self, rows: Floats, first: int, last: int) -> None:
+        """Count the blocks that now stand in columns first to last - 1, and hash them on the other core."""
+        cut = self.cut
+        if cut is None or last == first:
+            return
+        cut.blocks += last - first
+        if rows is self.scratch:
+            return
+        cut.points = last
+        self._submit(rows, first, last)
+
+    def _submit(self, rows: Floats, first: int, last: int) -> None:
+        if self.told is not None:
+            self._drain()
+            letters = [letter for letter in self.dialect.decimals if letter != "Y" or self.whole[Y_SEEN]]
+            self.hashing = self.pool.submit(self._hash, rows[:, first:last], letters)
+
+    def _hash(self, rows: Floats, letters: list[str]) -> None:
+        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
+
+        units = np.empty((rows.shape[1], len(letters) + 1), dtype=np.int64)
         for column, letter in enumerate(letters):
-            units[:, column] = np.rint(rows[:, AXES.index(letter)] * 10.0 ** self.dialect.decimals[letter])
-        units[:, -1] = np.ascontiguousarray(rows[:, 4]).view(np.int64)
-        self.digest.update(units.data)
+            text.quantise(rows[AXES.index(letter)], 10.0 ** self.dialect.decimals[letter], 0.0, 0, units, column)
+        units[:, -1] = rows[4].view(np.int64)
+        self.digest.update(units.astype("<i8", copy=False).data)
 
     def _open(self) -> None:
         """Begin a cut at the present position."""
         self.cuts += 1
-        self.cut = _Cut(name=self.named or f"cut {self.cuts}", named=self.named is not None)
+        # As many points as the header says, if the text is long enough to hold them, and one to spare: only a full
+        # table is made wider.
+        room = max(2, min(self.told.points, self.total) + 1) if self.told else 1 << 16
+        cut = _Cut(name=self.named or f"cut {self.cuts}", named=self.named is not None, rows=np.empty((5, room)))
+        cut.rows[:4, 0] = self.real[:4]
+        cut.rows[4, 0] = 0.0
+        self.cut = cut
         self.whole[OPEN] = 1
         self._drain()
         self.digest = hashlib.sha256()
-        self._append(np.array([[*self.real[:4], 0.0]]))
-        self.cut.blocks = 0
+        self._submit(cut.rows, 0, 1)
 
     def _drain(self) -> None:
         if self.hashing is not None:
@@ -368,6 +383,7 @@ class _Reader:
                 f"ends a second cut in pass {cut.name}, of {cut.blocks} blocks after {kept.blocks}, the limit is 1",
                 "give every cut a pass of its own",
             )
+        cut.has_y = bool(self.whole[Y_SEEN])
         self._drain()
         self.kept, self.kept_digest = cut, self.digest.hexdigest()
 
@@ -541,4 +557,7 @@ class _Reader:
             self.real[:4] = before
             self._open()
             self.real[:] = after
-        self._append(np.array([[*self.real[:4], duration]]))
+        rows, first = self._room()
+        rows[:4, first] = self.real[:4]
+        rows[4, first] = duration
+        self._added(rows, first, first + 1)

@@ -382,7 +382,7 @@ class _Job:
                 raise _step_error(one, start - 1 + bad)
             rows = quantise(start, stop)
             rows[:, -1] = duration.view(np.int64)
-            out = np.empty((stop - start) * (prefix.size + 24 * (letters.size + 1)), dtype=np.uint8)
+            out = np.empty((stop - start) * (prefix.size + 24 * (letters.size + 1)) + 8, dtype=np.uint8)
             size = text.format_blocks(rows, letters, decimals, prefix, mantissa, places, out)
             return rows.astype("<i8", copy=False).data.cast("B"), out[:size].data
 
@@ -392,16 +392,19 @@ class _Job:
         self._count(1)
         state = np.zeros(3, dtype=np.int64)
         threads = cores()
-        with ThreadPoolExecutor(threads) as pool:
+        with ThreadPoolExecutor(threads) as pool, ThreadPoolExecutor(1) as hasher:
+            hashed = hasher.submit(digest.update, b"")
             for file, start, stop in spans:
                 state[1] = 0  # a file begins with its own feed
                 for rows, data in _in_order(pool, work, self._chunks(one, start, stop, state), 2 * threads):
-                    digest.update(rows)
+                    hashed.result()
+                    hashed = hasher.submit(digest.update, rows)
                     file.write(data)
                     self.bytes += len(data)
                     points = len(rows) // (8 * (len(one.letters) + 1))
                     self.lines += points
                     self._count(points)
+            hashed.result()
         return digest.hexdigest()
 
     def _count(self, points: int) -> None:
