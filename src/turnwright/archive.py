@@ -31,12 +31,12 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from turnwright import __version__
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 
@@ -48,17 +48,9 @@ if TYPE_CHECKING:
     from turnwright.job import Prediction, Result
     from turnwright.path import Motion
 
-__all__ = ["read_maps", "software_version", "write_archive", "write_maps"]
+__all__ = ["read_maps", "write_archive", "write_maps"]
 
 AXES = ("x", "y", "radius", "angle")
-
-
-def software_version() -> str:
-    """Return the version of Turnwright, as it is installed."""
-    try:
-        return version("turnwright")
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def write_archive(result: Result, folder: str | PathLike[str]) -> None:
@@ -76,7 +68,7 @@ def write_archive(result: Result, folder: str | PathLike[str]) -> None:
     (folder / "job.toml").write_text(job, encoding="utf-8")
     numbers = {
         "schema": 1,
-        "turnwright": software_version(),
+        "turnwright": __version__,
         "ok": result.ok,
         "part": result.part.name,
         "machine": result.machine.name,
@@ -149,7 +141,7 @@ def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
     import h5py  # noqa: PLC0415 - costly, and only a run needs it
 
     with h5py.File(file, "w") as archive:
-        archive.attrs["turnwright"] = software_version()
+        archive.attrs["turnwright"] = __version__
         archive.attrs["job"] = job
         archive.attrs["result"] = numbers
         for one in result.predictions:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from turnwright import __version__
 from turnwright.errors import InputError, JobError, Stopped
 
 if TYPE_CHECKING:
@@ -47,9 +48,7 @@ def _root(
     version: Annotated[bool, typer.Option("--version", help="Say which version this is, and stop.")] = False,
 ) -> None:
     if version:
-        from turnwright.archive import software_version  # noqa: PLC0415 - brings NumPy
-
-        typer.echo(f"turnwright {software_version()}")
+        typer.echo(f"turnwright {__version__}")
         raise typer.Exit
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())

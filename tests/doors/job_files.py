@@ -12,7 +12,7 @@ SMALL = {
     "strategy": {"kind": "slow tool servo", "feed": "20 um/rev", "points_per_rev": 120},
     "simulation": {
         "whole_part": {"radii": 41, "angles": 24},
-        "patches": [{"name": "patch", "centre": ["0.5 mm", "0 mm"], "size": ["60 um", "60 um"], "pixel": "1 um"}],
+        "patches": [{"name": "patch", "centre": ["0.5 mm", "0 mm"], "size": ["200 um", "200 um"], "pixel": "1 um"}],
     },
 }
 

@@ -111,7 +111,7 @@ WRONG = {
         [("part.stock", "1 mm"), ("passes", [{"name": "a", "depth": "1 nm"}])],
         r"the pass repeats 1000000 times, the limit is 100",
     ),
-    "a patch outside the part": ([(PATCH + ".centre", ["1 mm", "0 mm"])], r"patches\[1\] reaches 1\.03\d* mm"),
+    "a patch outside the part": ([(PATCH + ".centre", ["1 mm", "0 mm"])], r"patches\[1\] reaches 1\.10454 mm"),
     "a patch of too many points": ([(PATCH + ".pixel", "1 nm"), (PATCH + ".size", ["1 mm", "1 mm"])], r"limit is 1e\+08"),
     "a pixel larger than its patch": ([(PATCH + ".pixel", "1 mm")], r"it must fit at least once"),
     "an unknown form": ([("roughness.form", "round")], r"roughness\.form: 'round' is neither"),

@@ -1,0 +1,192 @@
+"""The command line and the run folder. Oracles: the library called by hand, plain readers of the files' formats."""
+
+import hashlib
+import json
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from job_files import written
+
+import turnwright as tw
+from turnwright import cli
+from turnwright.archive import read_maps
+from turnwright.cli import main
+from turnwright.errors import InputError
+from turnwright.job import Job
+
+WAVES = {"family": "sine grid", "amplitude": ["2 um", "2 um"], "period": ["1 mm", "1 mm"]}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """A small job, run by the command line."""
+    folder = tmp_path_factory.mktemp("run")
+    job = written(folder)
+    assert main(["run", str(job), "--out", str(folder / "out")]) == 0
+    return folder
+
+
+def test_a_run_leaves_what_it_promises_and_nothing_else(done):
+    assert sorted(entry.name for entry in done.iterdir()) == ["job.toml", "out"]
+    names = {str(file.relative_to(done / "out")) for file in (done / "out").rglob("*") if file.is_file()}
+    maps = {"whole-part": ("radius", "angle"), "patch": ("x", "y")}
+    expected = {"report.html", "result.json", "run.h5", "job.toml", "part.nc"}
+    expected |= {f"maps/{stem}{axis}.npy" for stem, axes in maps.items() for axis in ("", *(f".{a}" for a in axes))}
+    assert expected <= names
+    assert {name for name in names - expected if not re.fullmatch(r"part\..*\.nc", name)} == set()
+    assert Job.load(done / "out" / "job.toml") == Job.load(done / "job.toml")
+
+
+def test_the_numbers_are_those_of_the_library(done):
+    """Oracle: the stages called by hand on the motion in memory; strict JSON without nan."""
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    told = json.loads((done / "out" / "result.json").read_text(), parse_constant=refuse)
+    job = Job.load(done / "job.toml")
+    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    servo = tw.SlowToolServo(feed=0.02, points_per_rev=120)
+    motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)
+    assert told["schema"] == 1
+    assert told["turnwright"] == tw.__version__
+    assert told["ok"] is True
+    assert told["passes"][0]["limits"]["cycle_time_s"] == pytest.approx(tw.check_limits(motion, machine).cycle_time_s)
+    assert told["access"]["nose_radius_limit"] == pytest.approx(tw.check_access(part, tool).nose_radius_limit)
+    (finish,) = tw.inspect_nc(done / "out" / "part.nc").passes
+    assert told["program"]["hash"] == hashlib.sha256(finish.hash.encode()).hexdigest()
+    x, y = (np.load(done / "out" / told["predictions"][1]["axes"][name]) for name in "xy")
+    z = np.load(done / "out" / told["predictions"][1]["file"])
+    by_hand = tw.generate(motion, tool, x=x, y=y).minus(part.surface)
+    np.testing.assert_allclose(z, by_hand.z, atol=2e-6)  # the decimals of the program
+    assert told["predictions"][1]["roughness"]["sq_nm"] == pytest.approx(tw.roughness(by_hand).sq_nm, rel=0.01)
+    assert told["predictions"][0]["roughness"]["sal"] is None  # not stated on a polar grid
+
+
+def test_the_archive_holds_the_same_maps(done):
+    maps = read_maps(done / "out" / "run.h5")
+    assert list(maps) == ["patch", "whole part"]
+    np.testing.assert_array_equal(maps["patch"].z, np.load(done / "out" / "maps" / "patch.npy"))
+    np.testing.assert_array_equal(maps["whole part"].angle, np.load(done / "out" / "maps" / "whole-part.angle.npy"))
+    with pytest.raises(InputError, match="is not a run archive"):
+        read_maps(done / "out" / "result.json")
+
+
+def test_a_backplot_of_the_program_predicts_the_same(done, tmp_path, capsys):
+    program, job = str(done / "out" / "part.nc"), str(done / "job.toml")
+    assert main(["backplot", program, "--job", job, "--out", str(tmp_path / "maps")]) == 0
+    said = capsys.readouterr().out
+    told = json.loads((done / "out" / "result.json").read_text())
+    assert f"patch: Sq {told['predictions'][1]['roughness']['sq_nm']:.3g} nm" in said
+    np.testing.assert_array_equal(
+        np.load(tmp_path / "maps" / "maps" / "patch.npy"), np.load(done / "out" / "maps" / "patch.npy")
+    )
+    assert main(["backplot", program, "--job", job, "--pass", "rough"]) == 2
+    assert "rough" in capsys.readouterr().err
+
+
+def test_a_backplot_takes_a_table_of_axis_positions(done, tmp_path, capsys):
+    job = Job.load(done / "job.toml")
+    motion = tw.read_nc(done / "out" / "part.nc", job.machine.machine)
+    columns = [np.rad2deg(motion.axes["C"]), motion.axes["X"], motion.axes["Z"]]
+    table = tmp_path / "points.csv"
+    np.savetxt(table, np.column_stack(columns), delimiter=",", header="C_deg,X_mm,Z_mm", comments="", fmt="%.9f")
+    assert main(["backplot", str(table), "--job", str(done / "job.toml")]) == 0
+    told = json.loads((done / "out" / "result.json").read_text())
+    assert f"patch: Sq {told['predictions'][1]['roughness']['sq_nm']:.3g} nm" in capsys.readouterr().out
+
+
+def test_check_says_what_the_part_asks_of_the_tool(done, tmp_path, capsys):
+    assert main(["check", str(done / "job.toml")]) == 0
+    said = capsys.readouterr().out
+    assert said.count("ok: ") >= 4
+    points, minutes = re.search(r"finish: (\d+) points, at least ([\d.]+) min", said).groups()
+    assert int(points) > 6000
+    assert float(minutes) > 0
+    assert main(["check", str(written(tmp_path, ("part.surface", WAVES), ("tool.clearance", "0.1 deg")))]) == 2
+    caught = capsys.readouterr()
+    assert "NO: clearance needs" in caught.out
+    assert "turnwright: clearance needs" in caught.err
+
+
+def test_force_keeps_the_old_folder(done, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    again = ["backplot", str(done / "out" / "part.nc"), "--job", str(done / "job.toml"), "--out", str(out)]
+    assert main(again) == 0  # an empty folder is free
+    (out / "notes.txt").write_text("cut on Monday")
+    assert main([*again, "--force"]) == 0
+    assert (tmp_path / "out.old-1" / "notes.txt").read_text() == "cut on Monday"
+    assert not (out / "notes.txt").exists()
+    assert main([*again, "--force"]) == 0
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["out", "out.old-1", "out.old-2"]
+
+
+def test_a_defect_is_told_from_bad_input(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(cli.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr("turnwright.job.preview", lambda *_args, **_more: math.sqrt(-1))
+    assert main(["check", str(written(tmp_path))]) == 1
+    said = capsys.readouterr().err
+    log = Path(re.search(r"the traceback is in (\S+):", said).group(1))
+    assert "math.sqrt(-1)" in log.read_text()
+    assert len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (OSError(28, "No space left on device", "/out/map.npy"), "the disk is full at /out/map.npy"),
+        (OSError("Unable to write (file write failed: errno = 28, ...)"), "the disk is full"),
+        (OSError("1000 requested and 12 written"), "the disk is full"),
+        (PermissionError(13, "Permission denied", "/out"), r"the system refuses \(Permission denied\) at /out"),
+        (MemoryError("Unable to allocate 9 TiB"), "the memory is not enough"),
+    ],
+)
+def test_what_the_computer_refuses_is_one_sentence(error, sentence, monkeypatch, tmp_path, capsys):
+    def refuse(*_args, **_more):
+        raise error
+
+    monkeypatch.setattr("turnwright.job.preview", refuse)
+    assert main(["check", str(written(tmp_path))]) == 2
+    assert re.fullmatch(f"turnwright: {sentence}.*: .*\n", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["frobnicate"], "No such command"),
+        (["run", "job.toml"], "Missing option '--out'"),
+        (["check"], "Missing argument"),
+        (["check", "job.toml", "--fast"], "No such option"),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence(arguments, sentence, capsys):
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"turnwright: {sentence}")
+    assert len(said.splitlines()) == 1
+
+
+def test_help_and_version_import_nothing_heavy():
+    code = (
+        "import sys; from turnwright.cli import main; "
+        "assert main(['--help']) == 0 == main(['--version']); "
+        "print(sorted({'numpy', 'scipy', 'numba', 'matplotlib', 'h5py', 'jinja2'} & set(sys.modules)))"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.splitlines()[-1] == "[]"
+    assert f"turnwright {tw.__version__}" in said
+    assert all(command in said for command in ("run", "check", "backplot"))
+
+
+def test_bars_are_drawn_on_a_terminal(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with cli._progress() as progress:
+        progress("place", 0, 10)
+        progress("place", 10, 10)
+    assert "place" in capsys.readouterr().err
