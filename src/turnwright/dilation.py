@@ -199,7 +199,8 @@ class _Contact:
             bend[~inside] = np.nan
         bend = np.where(np.isfinite(bend), bend, -np.inf)
         # Between the rings of the grid the curvature may be greater by about what it changes from ring to ring.
-        steps = np.diff(bend, axis=0)
+        with np.errstate(invalid="ignore"):
+            steps = np.diff(bend, axis=0)
         change = np.abs(steps[np.isfinite(steps)]).max(initial=0.0)
         self.limit = CONCAVITY * self.edge_curvature()
         return bool(bend.max() + change < self.limit)

@@ -260,3 +260,6 @@ def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Pr
 
     # Neighbouring azimuths read the same cache lines of the program: sixteen of them share a chunk.
     run_chunks(work, angle.size, 16, progress)
+    if radius[0] == 0:
+        # The axis is one point, whichever azimuth it is approached along.
+        z[:, 0] = kernel.axis_height(cut.c, cut.x, cut.z, cut.row[5], cut.row[7], cut.profile, cut.table)

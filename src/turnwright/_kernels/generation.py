@@ -375,6 +375,34 @@ def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
 
 
 @jit
+def axis_height(c, x, z, dx, dz, profile, table):
+    """Return the height on the axis itself, which an upright tool passes at every moment: the least of them all."""
+    lowest = FAR
+    for i in range(c.size - 1):
+        first, last = -(x[i] + dx), -(x[i + 1] + dx)
+        bottom = min(z[i], z[i + 1]) + dz
+        if first * last > 0.0:
+            bottom += min(height(profile, table, first), height(profile, table, last))
+        if bottom > lowest:
+            continue
+        # Between two points the height of the edge over the axis is convex in time: narrow down on its least.
+        a, b = 0.0, 1.0
+        for _ in range(60):
+            middle = 0.5 * (a + b)
+            u = -(x[i] + middle * (x[i + 1] - x[i]) + dx)
+            if (z[i + 1] - z[i]) - slope(profile, table, u) * (x[i + 1] - x[i]) > 0.0:
+                b = middle
+            else:
+                a = middle
+            if b - a < 1e-12:
+                break
+        for share in (0.0, 0.5 * (a + b), 1.0):
+            u = -(x[i] + share * (x[i + 1] - x[i]) + dx)
+            lowest = min(lowest, z[i] + share * (z[i + 1] - z[i]) + dz + height(profile, table, u))
+    return lowest
+
+
+@jit
 def tile(c, x, y, z, sense, starts, bounds, row, profile, table, convex, r, azimuth, count, out, work, index):
     """Fill ``out`` (count,) at neighbouring points (r, azimuth along the motion).
 
@@ -494,6 +522,9 @@ def tiles(c, x, y, z, sense, starts, bounds, row, profile, table, convex, px, py
             around = around or abs(azimuth[j] - azimuth[0]) > 0.5 or r[j] == 0.0
         if around or r[0] == 0.0:
             for j in range(count):
+                if r[j] == 0.0 and row[4] == 0.0 and row[6] == 0.0 and y.size == 0:
+                    target[j] = axis_height(c, x, z, row[5], row[7], profile, table)
+                    continue
                 tile(
                     c, x, y, z, sense, starts, bounds, row, profile, table, convex,
                     r[j : j + 1], azimuth[j : j + 1], 1, target[j : j + 1], work, index,

@@ -1,0 +1,206 @@
+"""Placing the edge. Oracles: closed form on planes and spheres, the tangent condition, brute-force dilation."""
+
+import numpy as np
+import pytest
+
+import turnwright as tw
+from turnwright.dilation import touch
+
+DEG = np.pi / 180
+
+
+def spiral(radius, feed, points, sense=1):
+    k = np.arange(round(radius / feed) * points + 1)
+    angle = sense * k * (2 * np.pi / points)
+    return tw.Spiral(angle=angle, radius=radius - feed * np.abs(angle) / (2 * np.pi))
+
+
+def brute_force(surface, tool, angle, radius, sense):
+    """Dilate by sampling the edge every 10 nm or less, then refining around every maximum that comes near the best."""
+    low, high = tool.arc
+
+    def lift(s):
+        u, v, e = tool.edge(s, sense)
+        along, c, n = radius + u, np.cos(angle), np.sin(angle)
+        return surface.sag(along * c - v * n, along * n + v * c) - e
+
+    s = np.linspace(low, high, int((high - low) * tool.nose_radius / 1e-5) + 1)
+    g = lift(s)
+    best = g.max()
+    peaks = np.flatnonzero((g[1:-1] >= g[:-2]) & (g[1:-1] >= g[2:]) & (g[1:-1] > best - 1e-5)) + 1
+    for i in peaks:
+        a, b = s[i - 1], s[i + 1]
+        for _ in range(9):
+            fine = np.linspace(a, b, 101)
+            values = lift(fine)
+            j = int(values.argmax())
+            best = max(best, float(values[j]))
+            a, b = fine[max(j - 1, 0)], fine[min(j + 1, 100)]
+    return best
+
+
+ROUND = tw.Tool(nose_radius=0.5, included=100 * DEG)
+WAVY = tw.Tool(nose_radius=0.5, included=100 * DEG, waviness=(1e-4, 0.002, -0.003), radius_error=0.002)
+LEANING = tw.Tool(nose_radius=0.5, included=100 * DEG, rake=-25 * DEG, offset=(0.01, -0.02, 0.003))
+LEANING_WAVY = tw.Tool(
+    nose_radius=0.3, included=100 * DEG, rake=10 * DEG, waviness=(0.0, 0.001), offset=(0.0, 0.01, 0.0)
+)
+TOOLS = {"round": ROUND, "wavy": WAVY, "leaning": LEANING, "leaning wavy": LEANING_WAVY}
+
+SURFACES = {
+    "smooth grid": tw.SineGrid(amplitude=(0.02, 0.03), period=(2.5, 1.9)),
+    "several tangents": tw.SineGrid(amplitude=(0.02, 0.02), period=(0.5, 0.5), phase=(0.3, 1.0)),
+    "asphere": tw.EvenAsphere(radius=8.0, conic=-1.2, terms={4: 1e-4, 6: -2e-5}),
+    "dome": tw.Sphere(radius=-4.0),
+    "bowls": tw.LensArray.square(pitch=0.6, rows=11, columns=11, lenslet=tw.Sphere(radius=1.0)),
+    "domes": tw.LensArray.square(pitch=0.6, rows=11, columns=11, lenslet=tw.Sphere(radius=-1.0)),
+    "hexagonal domes": tw.LensArray.hexagonal(pitch=0.35, within=4.0, lenslet=tw.Sphere(radius=-0.8)),
+    "listed bowls": tw.LensArray(
+        centres=np.random.default_rng(3).uniform(-3, 3, (60, 2)), lenslet=tw.Sphere(radius=2.5)
+    ),
+    "steps": tw.LensArray.square(
+        pitch=0.7, rows=9, columns=9, lenslet=tw.Sphere(radius=1.5), aperture=0.25, surround=0.03
+    ),
+    "freeform": tw.Zernike(terms={4: 0.01, 6: 0.004, 11: 0.002, 17: 0.001}, radius=2.0, indexing="fringe"),
+}
+
+
+@pytest.mark.parametrize("tool", TOOLS.values(), ids=TOOLS)
+@pytest.mark.parametrize("name", SURFACES)
+def test_placing_equals_brute_force_dilation(name, tool):
+    surface = SURFACES[name]
+    sense = 1 if len(name) % 2 else -1
+    where = spiral(1.5, 0.05, 90, sense)
+    path = tw.place(where, tw.Part(surface=surface, radius=1.5), tool)
+    for i in np.random.default_rng(len(name)).integers(0, where.angle.size, 25):
+        expected = brute_force(surface, tool, where.angle[i], where.radius[i], sense)
+        assert path.z[i] == pytest.approx(expected, abs=1e-10), f"point {i}"
+    # The contact point lies on the surface and on the edge. (On a step it lies on the higher side of a wall.)
+    if name != "steps":
+        np.testing.assert_allclose(surface.sag(path.contact_x, path.contact_y), path.contact_z, atol=2e-12)
+    u, v, e = tool.edge(path.sweep, sense)
+    np.testing.assert_allclose(path.z + e, path.contact_z, atol=1e-13)
+    along = path.radius + u
+    np.testing.assert_allclose(along * np.cos(path.angle) - v * np.sin(path.angle), path.contact_x, atol=1e-12)
+
+
+def test_a_thousand_places_on_lens_valleys_against_brute_force():
+    surface, tool = SURFACES["domes"], ROUND
+    rng = np.random.default_rng(7)
+    # Places where the edge hangs over a valley between cells, the corners where four of them meet among them.
+    edge = 0.3 + 0.6 * rng.integers(-3, 3, 1000) + rng.normal(0, 0.02, 1000)
+    other = np.where(rng.random(1000) < 0.2, 0.3 + rng.normal(0, 0.01, 1000), rng.uniform(-1.5, 1.5, 1000))
+    angle, radius = np.arctan2(other, edge), np.hypot(edge, other)
+    got = touch(surface, tool, angle=angle, radius=radius, sense=1)
+    expected = [brute_force(surface, tool, a, r, 1) for a, r in zip(angle, radius, strict=True)]
+    assert np.abs(got.z - expected).max() < 1e-10
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("rake", [0.0, -25 * DEG])
+def test_tilted_plane_in_closed_form(rake, sense):
+    sx, sy = 0.12, -0.07
+    tool = tw.Tool(nose_radius=0.4, included=120 * DEG, rake=rake, offset=(0.02, 0.01, -0.005))
+    where = spiral(2.0, 0.1, 60, sense)
+    path = tw.place(where, tw.Part(surface=tw.Plane(slope=(sx, sy)), radius=2.0), tool)
+    c, s = np.cos(where.angle), np.sin(where.angle)
+    along, across = sx * c + sy * s, sy * c - sx * s
+    # Height of the plane over the rake plane's own axes: f - e = const + R (a sin t - b (1 - cos t)).
+    b = np.cos(rake) + across * sense * np.sin(rake)
+    expected = (where.radius + 0.02) * along + 0.01 * across + 0.005 + 0.4 * (np.hypot(along, b) - b)
+    np.testing.assert_allclose(path.z, expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("radius", [5.0, -5.0])
+def test_sphere_in_closed_form(radius):
+    tool = tw.Tool(nose_radius=0.7, included=150 * DEG)
+    where = spiral(3.0, 0.05, 48)
+    path = tw.place(where, tw.Part(surface=tw.Sphere(radius=radius), radius=3.0), tool)
+    # The centre of the nose runs on a sphere whose radius is less by the nose (for a dome: more).
+    inner = abs(radius) - 0.7 if radius > 0 else abs(radius) + 0.7
+    centre = np.sign(radius) * (abs(radius) - np.sqrt(inner**2 - where.radius**2))
+    np.testing.assert_allclose(path.z, centre - 0.7, atol=1e-14)
+
+
+@pytest.mark.parametrize("along", ["z", "normal"])
+def test_tangent_solution_on_a_smooth_freeform(along):
+    """At the contact the tangents agree, and the tip follows from it: the closed form of a round nose."""
+    surface, tool = SURFACES["freeform"], ROUND
+    where = spiral(1.8, 0.02, 72, -1)
+    path = tw.place(where, tw.Part(surface=surface, radius=1.8), tool, along=along)
+    zx, zy = surface.gradient(path.contact_x, path.contact_y)
+    slope = zx * np.cos(path.angle) + zy * np.sin(path.angle)
+    np.testing.assert_allclose(np.tan(path.sweep), slope, atol=1e-9)
+    phi = np.arctan(slope)
+    contact = np.hypot(path.contact_x, path.contact_y)
+    np.testing.assert_allclose(path.radius + 0.5 * np.sin(phi), contact, atol=1e-9)
+    tip = surface.sag(path.contact_x, path.contact_y) + 0.5 * np.cos(phi) - 0.5
+    np.testing.assert_allclose(path.z, tip, atol=1e-11)
+    if along == "normal":
+        np.testing.assert_allclose(contact, where.radius, atol=1e-12)
+        assert np.abs(path.clearance).max() < 1e-12
+
+
+def test_normal_placement_reports_where_it_gouges():
+    surface = tw.SineGrid(amplitude=(0.05, 0.0), period=(0.5, 1.0))
+    where = spiral(1.0, 0.02, 60)
+    path = tw.place(where, tw.Part(surface=surface, radius=1.0), ROUND, along="normal")
+    worst = int(path.clearance.argmin())
+    assert path.clearance[worst] < -1e-3
+    expected = path.z[worst] - brute_force(surface, ROUND, path.angle[worst], path.radius[worst], 1)
+    assert path.clearance[worst] == pytest.approx(expected, abs=1e-10)
+
+
+def test_points_that_share_no_azimuth_agree_with_points_that_do():
+    surface = SURFACES["hexagonal domes"]
+    where = spiral(1.2, 0.05, 40)
+    together = touch(surface, ROUND, angle=where.angle, radius=where.radius, sense=1)
+    order = np.random.default_rng(0).permutation(where.angle.size)
+    apart = touch(surface, ROUND, angle=where.angle[order], radius=where.radius[order], sense=1)
+    np.testing.assert_allclose(apart.z, together.z[order], atol=1e-13)
+
+
+def test_contact_on_the_flank_when_the_surface_is_steeper_than_the_arc():
+    tool = tw.Tool(nose_radius=0.2, included=40 * DEG)
+    surface = tw.Plane(slope=(0.2, 0.0)) + tw.SineGrid(amplitude=(0.3, 0.0), period=(3.0, 1.0))
+    got = touch(surface, tool, angle=[0.0], radius=[0.4], sense=1)
+    u = np.linspace(-2, 2, 4_000_001)
+    end = 0.2 * np.sin(20 * DEG)
+    e = np.where(
+        np.abs(u) < end,
+        0.2 - np.sqrt(0.2**2 - np.clip(u, -end, end) ** 2),
+        0.2 * (1 - np.cos(20 * DEG)) + (np.abs(u) - end) * np.tan(20 * DEG),
+    )
+    assert got.z[0] == pytest.approx((surface.sag(0.4 + u, 0 * u) - e).max(), abs=1e-11)
+    assert got.sweep[0] > tool.arc[1]
+
+
+def test_a_surface_that_ends_under_the_edge_is_refused_by_name():
+    surface = tw.Sphere(radius=2.0)
+    with pytest.raises(tw.DomainError, match="Sphere is not defined"):
+        touch(surface, tw.Tool(nose_radius=0.5), angle=[0.0, 1.0], radius=[1.0, 2.5], sense=1)
+    grid = np.linspace(-1, 1, 21)
+    table = tw.Gridded(x=grid, y=grid, z=0.1 * (grid**2 + grid[:, None] ** 2))
+    with pytest.raises(tw.DomainError, match="Gridded"):
+        touch(table, tw.Tool(nose_radius=0.5), angle=[0.0, 0.1], radius=[0.99, 0.98], sense=1)
+
+
+def test_unknown_direction_and_a_slope_beyond_the_arc_are_refused():
+    where = spiral(1.0, 0.1, 24)
+    part = tw.Part(surface=tw.Plane(slope=(1.0, 0.0)), radius=1.0)
+    with pytest.raises(tw.InputError, match='must be "z" or "normal"'):
+        tw.place(where, part, ROUND, along="x")
+    with pytest.raises(tw.GougeError, match="larger included angle"):
+        tw.place(where, part, tw.Tool(nose_radius=0.5, included=60 * DEG), along="normal")
+
+
+def test_progress_can_stop_the_work():
+    where = spiral(5.0, 0.01, 200)
+    part = tw.Part(surface=tw.Sphere(radius=50.0), radius=5.0)
+
+    def stop(done, total):
+        assert 0 < done <= total == where.angle.size
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tw.place(where, part, ROUND, progress=stop)

@@ -1,0 +1,249 @@
+"""The surface left. Oracles: closed form for cusps, and brute force over every pass written out here."""
+
+from dataclasses import replace
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import turnwright as tw
+
+DEG = np.pi / 180
+MACHINE = tw.Machine(
+    name="test", axes={letter: tw.Axis() for letter in "CXZ"}, spindle_rpm=3000.0, block_rate_hz=1000.0
+)
+
+
+def spiral_motion(radius, feed, points, height, sense=1, beyond=0.0, wobble=0.0, inside_out=False):
+    """A motion from ``radius`` to ``beyond`` the centre; ``height(x, y)`` of the tip."""
+    k = np.arange(round((radius + beyond) / feed * points) + 1)
+    turns = k / points
+    x = radius - feed * turns + wobble * np.sin(5 * 2 * np.pi * turns)
+    if inside_out:
+        x = x[::-1]
+    c = sense * 2 * np.pi * turns
+    z = height(x * np.cos(c), x * np.sin(c))
+    return tw.Motion(time=0.001 * k, axes={"C": c, "X": x, "Z": z}, machine=MACHINE)
+
+
+class BruteForce:
+    """Every crossing of every azimuth, the edge by dense interpolation of its definition."""
+
+    def __init__(self, motion, tool, squareness=0.0):
+        self.c = motion.sense * motion.axes["C"]
+        self.sense = motion.sense
+        self.x = motion.axes["X"]
+        self.z = motion.axes["Z"] + squareness * self.x
+        s = np.linspace(-3.0, 3.0, 600_001)
+        s = s[(s > -1.55) & (s < 1.55)] if tool.included is None else s
+        self.u, self.v, self.e = tool.edge(s, motion.sense)
+
+    def at(self, x, y):
+        r, azimuth = np.hypot(x, y), self.sense * np.arctan2(y, x)
+        lowest = np.inf
+        first, last = np.floor(self.c[0] / (2 * np.pi)) - 2, np.ceil(self.c[-1] / (2 * np.pi)) + 2
+        for side in (0, 1):
+            for turn in np.arange(first, last):
+                lowest = min(lowest, self.crossing(r, azimuth + np.pi * side + 2 * np.pi * turn, side))
+        return lowest
+
+    def crossing(self, r, t, side):
+        sign = 1 - 2 * side
+
+        def aside(at):
+            """How far aside of the edge the point stands when the tool is at ``at``, and the height of the edge."""
+            tip = np.interp(at, self.c, self.x)
+            u = sign * r * np.cos(at - t) - tip
+            v = np.interp(u, self.u, self.v)
+            return -self.sense * sign * r * np.sin(at - t) - v, u
+
+        if (self.v == self.v[0]).all() and self.v[0] == 0:
+            at = t
+        else:
+            a, b = t - 1.2, t + 1.2
+            if (aside(a)[0] > 0) == (aside(b)[0] > 0):
+                return np.inf
+            at = brentq(lambda q: aside(q)[0], a, b, xtol=1e-15, rtol=1e-15)
+        if not self.c[0] - 1e-12 <= at <= self.c[-1] + 1e-12:
+            return np.inf
+        return np.interp(at, self.c, self.z) + np.interp(aside(at)[1], self.u, self.e)
+
+
+def bowl(x, y):
+    return 0.03 * (x**2 + y**2) + 0.004 * np.sin(3 * x) * np.cos(2 * y) + 0.02 * x
+
+
+ROUND = tw.Tool(nose_radius=0.5, included=100 * DEG)
+RIPPLE = np.linspace(-0.9, 0.9, 361)
+TOOLS = {
+    "round": ROUND,
+    "narrow": tw.Tool(nose_radius=0.5, included=10 * DEG, offset=(0.013, 0.0, 0.002)),
+    "half circle": tw.Tool(nose_radius=0.3),
+    "wavy": tw.Tool(nose_radius=0.5, included=100 * DEG, waviness=(1e-3, 0.01, -0.02), radius_error=0.01),
+    "not convex": tw.Tool(
+        nose_radius=0.5,
+        included=100 * DEG,
+        waviness=tw.WavinessTable(sweep=RIPPLE, deviation=1e-4 * np.sin(80 * RIPPLE)),
+    ),
+    "off centre": tw.Tool(nose_radius=0.5, included=100 * DEG, offset=(0.0, 0.004, 0.0)),
+    "leaning": tw.Tool(nose_radius=0.5, included=100 * DEG, rake=-25 * DEG, offset=(-0.01, -0.003, 0.001)),
+}
+MOTIONS = {
+    "in": {"sense": 1},
+    "out, falling angle": {"sense": -1, "inside_out": True},
+    "beyond the centre": {"sense": -1, "beyond": 0.1},
+    "wobbling": {"sense": 1, "wobble": 0.03},
+}
+
+
+@pytest.mark.parametrize("how", MOTIONS.values(), ids=MOTIONS)
+@pytest.mark.parametrize("name", TOOLS)
+def test_generated_surface_equals_brute_force_over_every_pass(name, how):
+    tool = TOOLS[name]
+    motion = spiral_motion(1.0, 0.02, 37, bowl, **how)
+    brute = BruteForce(motion, tool)
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(-0.6, 0.6, (2, 10))
+    x[:4] *= 0.02  # close to the axis, where passes come from both sides
+    y[:4] *= 0.02
+    expected = np.array([brute.at(*point) for point in zip(x, y, strict=True)])
+    got = tw.generate_points(motion, tool, x=x, y=y)
+    reached = np.isfinite(expected)
+    assert (np.isfinite(got) == reached).all()
+    np.testing.assert_allclose(got[reached], expected[reached], atol=2e-11)
+
+
+@pytest.mark.parametrize("how", MOTIONS.values(), ids=MOTIONS)
+@pytest.mark.parametrize("name", TOOLS)
+def test_maps_equal_single_points(name, how):
+    """Tiles and envelopes share work between points; each point alone is the reference, checked above."""
+    tool = TOOLS[name]
+    motion = spiral_motion(1.0, 0.02, 61, bowl, **how)
+    maps = [
+        tw.generate(motion, tool, x=np.linspace(0.3, 0.34, 41), y=np.linspace(-0.01, 0.01, 21)),
+        tw.generate(motion, tool, x=np.linspace(-0.03, 0.03, 31), y=np.linspace(-0.03, 0.03, 31)),
+        tw.generate(motion, tool, x=np.linspace(-0.8, 0.8, 17), y=np.linspace(-0.8, 0.8, 17)),
+        tw.generate_polar(motion, tool, radius=np.linspace(0, 0.9, 181), angle=np.linspace(-1, 6, 15)),
+        tw.generate_polar(motion, tool, radius=np.geomspace(0.01, 0.9, 40), angle=[0.0, 2 * np.pi / 61]),
+    ]
+    for each in maps:
+        x, y = each.points()
+        alone = tw.generate_points(motion, tool, x=x.ravel(), y=y.ravel()).reshape(x.shape)
+        both = np.isfinite(each.z) & np.isfinite(alone)
+        np.testing.assert_allclose(each.z[both], alone[both], atol=1e-13)
+        # Where a point stands on the very rim of what an off-centre tool covers, rounding decides.
+        assert np.count_nonzero(np.isfinite(each.z) != np.isfinite(alone)) <= 2
+
+
+def flat_motion(feed, points=8, turns=60):
+    k = np.arange(points * turns + 1)
+    return tw.Motion(
+        time=0.01 * (k + 1),
+        axes={"C": 2 * np.pi * k / points, "X": feed * (turns - k / points), "Z": np.zeros(k.size)},
+        machine=MACHINE,
+    )
+
+
+@pytest.mark.parametrize(("nose", "feed"), [(0.514, 0.010), (1.5, 0.002), (0.1, 0.02)])
+def test_cusps_on_a_flat_in_closed_form(nose, feed):
+    motion = flat_motion(feed)
+    # On the azimuth of the first point the tips stand at whole feeds: samples hit every tip and every cusp.
+    radius = np.linspace(20 * feed, 40 * feed, 20 * 2 * 500 + 1)
+    z = tw.generate_polar(motion, tw.Tool(nose_radius=nose), radius=radius, angle=[0.0]).z
+    mpmath.mp.dps = 30
+    pv = float(mpmath.mpf(nose) - mpmath.sqrt(mpmath.mpf(nose) ** 2 - mpmath.mpf(feed) ** 2 / 4))
+    assert np.ptp(z) == pytest.approx(pv, rel=1e-7)
+    error = z[:, :-1] - z[:, :-1].mean(axis=1, keepdims=True)
+    # Sq and Sa of a parabolic cusp; a circular one differs by the order of (feed/R)^2, and 1000 samples a cusp by 1e-6.
+    tolerance = (feed / nose) ** 2 + 1e-5
+    assert np.sqrt((error**2).mean()) == pytest.approx(pv * np.sqrt(4 / 45), rel=tolerance)
+    assert np.abs(error).mean() == pytest.approx(pv * 4 / (9 * np.sqrt(3)), rel=tolerance)
+
+
+@pytest.mark.parametrize("curvature", [0.5, -0.5, 1.5])
+@pytest.mark.parametrize("along", ["z", "normal"])
+def test_cusps_on_a_curved_profile(curvature, along):
+    """PV f²/(8R(1-κR)) for a path placed along z, where the feed is constant along x at small slope."""
+    nose, feed = 0.4, 0.004
+    surface = tw.Sphere(radius=1 / curvature)
+    k = np.arange(24 * 40 + 1)
+    angle = 2 * np.pi * k / 24
+    where = tw.Spiral(angle=angle, radius=feed * (40 - angle / (2 * np.pi)))
+    path = tw.place(where, tw.Part(surface=surface, radius=0.2), tw.Tool(nose_radius=nose, included=2.5), along=along)
+    motion = tw.Motion(time=1.0 + k, axes={"C": path.angle, "X": path.radius, "Z": path.z}, machine=MACHINE)
+    # Close to the axis the surface is level: slopes up to 0.048, whose square the formulas neglect (1.5 * 0.048² =
+    # 0.0035). On an azimuth of a program point no chord error comes in.
+    ring = tw.generate_polar(
+        motion, tw.Tool(nose_radius=nose, included=2.5), radius=np.linspace(3 * feed, 8 * feed, 50_001), angle=[0.0]
+    )
+    error = ring.minus(surface).z[0]
+    assert error.min() > -1e-13
+    expected = feed**2 / (8 * nose * (1 - curvature * nose)) if along == "z" else feed**2 / 8 * (1 / nose - curvature)
+    assert error.max() == pytest.approx(expected, rel=4e-3)
+
+
+def test_linear_between_points_is_the_chord():
+    """Between points the tool runs straight in the machine's axes."""
+    motion = spiral_motion(1.0, 0.5, 12, lambda x, _: 0.1 * x)
+    at = 0.5 * (motion.axes["C"][3] + motion.axes["C"][4])
+    r = 0.5 * (motion.axes["X"][3] + motion.axes["X"][4])
+    z = tw.generate_points(motion, tw.Tool(nose_radius=0.01), x=[r * np.cos(at)], y=[r * np.sin(at)])
+    assert z[0] == pytest.approx(0.5 * (motion.axes["Z"][3] + motion.axes["Z"][4]), abs=1e-15)
+
+
+def test_squareness_and_straightness_of_the_actual_machine():
+    motion = spiral_motion(1.0, 0.01, 31, bowl)
+    wrong = replace(MACHINE, squareness=2e-4, straightness=(np.array([0.0, 1.0]), np.array([0.0, 1e-4])))
+    points = {"x": np.array([0.3, -0.4, 0.05]), "y": np.array([0.2, 0.5, -0.6])}
+    got = tw.generate_points(motion, ROUND, **points, machine=wrong)
+    brute = BruteForce(motion, ROUND, squareness=3e-4)
+    expected = [brute.at(x, y) for x, y in zip(points["x"], points["y"], strict=True)]
+    np.testing.assert_allclose(got, expected, atol=2e-11)
+    assert np.abs(got - tw.generate_points(motion, ROUND, **points)).min() > 1e-5
+
+
+def test_a_second_axis_across_moves_the_tip_aside():
+    """A constant Y is a tool off centre by as much."""
+    motion = spiral_motion(1.0, 0.02, 47, bowl)
+    moved = replace(motion, axes={**motion.axes, "Y": np.full(motion.time.size, 0.004)})
+    x, y = np.array([0.3, -0.2, 0.02]), np.array([0.1, 0.4, -0.03])
+    np.testing.assert_allclose(
+        tw.generate_points(moved, ROUND, x=x, y=y),
+        tw.generate_points(motion, TOOLS["off centre"], x=x, y=y),
+        atol=1e-15,
+    )
+
+
+def test_tool_off_centre_leaves_a_core():
+    motion = spiral_motion(1.0, 0.02, 60, bowl)
+    made = tw.generate(motion, TOOLS["off centre"], x=np.linspace(-0.01, 0.01, 41), y=np.linspace(-0.01, 0.01, 41))
+    x, y = made.points()
+    missing = np.isnan(made.z)
+    assert missing[np.hypot(x, y) < 0.0039].all()
+    assert not missing[np.hypot(x, y) > 0.0045].any()
+
+
+def test_output_array_is_used_and_checked():
+    motion = spiral_motion(1.0, 0.02, 60, bowl)
+    radius, angle = np.linspace(0.1, 0.5, 50), np.linspace(0, 1, 7)
+    out = np.empty((7, 50))
+    made = tw.generate_polar(motion, ROUND, radius=radius, angle=angle, out=out)
+    assert np.shares_memory(made.z, out)
+    np.testing.assert_array_equal(made.z, tw.generate_polar(motion, ROUND, radius=radius, angle=angle).z)
+    with pytest.raises(tw.InputError, match="out is"):
+        tw.generate_polar(motion, ROUND, radius=radius, angle=angle, out=np.empty((50, 7)))
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda m: tw.generate(m, ROUND, x=[1.0, 0.0], y=[0.0]), "x must ascend"),
+        (lambda m: tw.generate_polar(m, ROUND, radius=[-0.1, 0.0], angle=[0.0]), "radius begins at -0.1"),
+        (lambda m: tw.generate_points(m, ROUND, x=[0.0, 1.0], y=[0.0]), "as many of one"),
+        (lambda m: tw.generate(m, ROUND, x=[np.nan], y=[0.0]), "not finite"),
+    ],
+)
+def test_wrong_grids_are_refused(call, words):
+    with pytest.raises(tw.InputError, match=words):
+        call(spiral_motion(1.0, 0.1, 20, bowl))
