@@ -35,7 +35,7 @@ class BruteForce:
         self.sense = motion.sense
         self.x = motion.axes["X"]
         self.z = motion.axes["Z"] + squareness * self.x
-        s = np.linspace(-3.0, 3.0, 600_001)
+        s = np.linspace(-3.0, 3.0, 1_500_001)
         s = s[(s > -1.55) & (s < 1.55)] if tool.included is None else s
         self.u, self.v, self.e = tool.edge(s, motion.sense)
 
