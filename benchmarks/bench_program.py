@@ -1,10 +1,11 @@
-"""Write and read a long program, against Python's own formatting and parsing in the same run.
+"""Write and read programs, against Python's own formatting and parsing in the same run.
 
-    python benchmarks/bench_program.py [POINTS] [YARDSTICK_POINTS]
+    python benchmarks/bench_program.py [POINTS] [LONG]
 
-The yardsticks are plain loops, ``file.write(... % ...)`` over the points and ``float()`` over the words of every line,
-with fewer points because they are slow; ratios are of the time per point. Ours also choose feeds, hash, check the hash,
-split into files and make a `Motion`; "in memory" leaves the yardstick's file work out.
+Ratios are of the wall time for the same POINTS, file to file, the best of several of each, because short runs
+find quiet moments on a busy machine. The yardsticks are plain
+loops, ``file.write(... % ...)`` over the points and ``float()`` over the words of every line. Ours also choose feeds,
+hash, check the hash and make a `Motion`. LONG is the number of points of a program that only ours writes and reads.
 """
 
 import sys
@@ -30,20 +31,22 @@ def motion(points, machine):
     return Motion(time=np.arange(points) * 0.001, axes={"C": angle, "X": radius, "Z": z}, machine=machine)
 
 
-def timed(work):
-    """Seconds, and what the work gave."""
-    start = perf_counter()
-    result = work()
-    return perf_counter() - start, result
+def best(work, times):
+    """Least seconds of a few runs, and what the last one gave."""
+    taken = []
+    for _ in range(times):
+        result = None  # what an earlier run gave is free before the next one starts
+        start = perf_counter()
+        result = work()
+        taken.append(perf_counter() - start)
+    return min(taken), result
 
 
-def columns(cut, points, dialect):
-    """Plain lists of the words, in their order."""
-    c = np.rad2deg(cut.axes["C"][:points])
-    x, z = (cut.axes[letter][:points].tolist() for letter in "XZ")
-    if dialect == "nanotech":
-        return (c % 360).tolist(), x, z
-    return x, z, c.tolist(), [60000.0] * points
+def words(cut, dialect):
+    """Plain lists of the numbers, in their order."""
+    c = np.rad2deg(cut.axes["C"])
+    x, z = (cut.axes[letter].tolist() for letter in "XZ")
+    return ((c % 360).tolist(), x, z) if dialect == "nanotech" else (x, z, c.tolist(), [60000.0] * len(x))
 
 
 def python_write(path, table, line):
@@ -54,62 +57,53 @@ def python_write(path, table, line):
 
 
 def python_read(path):
-    """A loop of ``float()`` over a file, into one list per word."""
-    rows = []
+    """A loop of ``float()`` over a file."""
+    numbers = []
     with path.open() as file:
         for line in file:
             for word in line.split():
                 if word != "G1":
-                    rows.append(float(word[1:]))  # noqa: PERF401 - the plain loop is the yardstick
-    return rows
+                    numbers.append(float(word[1:]))  # noqa: PERF401 - the plain loop is the yardstick
+    return numbers
 
 
-def in_memory(table, line, lines):
-    """Seconds of the same two loops without files, and without keeping what they make."""
-
-    def write():
-        for row in zip(*table, strict=True):
-            line % row
-
-    def read():
-        for text in lines:
-            for word in text.split():
-                float(word[1:])
-
-    return timed(write)[0], timed(read)[0]
+def ours(cut, machine, path):
+    """Best seconds of writing and of reading, the summary, and the motion read."""
+    times = 9 if cut.time.size <= 1_000_000 else 3
+    wrote, done = best(lambda: write_nc(cut, machine, path), times)
+    took, again = best(lambda: read_nc(path, machine), times)
+    for letter, values in cut.axes.items():
+        assert np.abs(again.axes[letter] - values).max() < 6e-7
+    return (wrote, took), done
 
 
 def main():
-    points = int(float(sys.argv[1])) if len(sys.argv) > 1 else 13_500_000
-    yardstick = min(points, int(float(sys.argv[2])) if len(sys.argv) > 2 else 300_000)
-    print("dialect   what        points       s  ns/point   Python loop  ratio   in memory  ratio")
+    points = int(float(sys.argv[1])) if len(sys.argv) > 1 else 1_000_000
+    long = int(float(sys.argv[2])) if len(sys.argv) > 2 else 13_500_000
+    print(f"{'':17}{'points':>12}{'ours s':>9}{'ns/point':>10}{'Python s':>10}{'ratio':>7}")
     for dialect, line in FORMATS.items():
         axes = {letter: Axis() for letter in "CXZ"}
         machine = Machine(name="lathe", axes=axes, spindle_rpm=1000, block_rate_hz=1000, dialect=dialect)
-        cut = motion(points, machine)
-        table = columns(cut, yardstick, dialect)
         with tempfile.TemporaryDirectory() as folder:
             path, slow = Path(folder) / "part.nc", Path(folder) / "slow.nc"
-            write_nc(motion(1000, machine), machine, path)  # compile
-            read_nc(path, machine)
-            python = [
-                timed(lambda s=slow, t=table, f=line: python_write(s, t, f))[0],
-                timed(lambda s=slow: python_read(s))[0],
-            ]
-            bare = in_memory(table, line, slow.read_text().splitlines())
-            writes = [timed(lambda p=path, c=cut, m=machine: write_nc(c, m, p)) for _ in range(3)]
-            reads = [timed(lambda p=path, m=machine: read_nc(p, m)) for _ in range(3)]
-        for letter, values in cut.axes.items():
-            assert np.abs(reads[0][1].axes[letter] - values).max() < 6e-7
-        for k, (what, runs) in enumerate((("write", writes), ("read", reads))):
-            best = min(seconds for seconds, _ in runs)
-            each, loop, memory = best / points * 1e9, python[k] / yardstick * 1e9, bare[k] / yardstick * 1e9
-            print(
-                f"{dialect:10}{what:6}{points:12,}{best:8.2f}{each:10.0f}{loop:11.0f} ns{loop / each:7.1f}"
-                f"{memory:9.0f} ns{memory / each:7.1f}"
+            ours(motion(1000, machine), machine, path)  # compile
+            cut = motion(points, machine)
+            table = words(cut, dialect)
+            fast, _ = ours(cut, machine, path)
+            python = (
+                best(lambda p=slow, t=table, f=line: python_write(p, t, f), 3)[0],
+                best(lambda p=slow: python_read(p), 3)[0],
             )
-        done = writes[0][1]
-        print(f"{'':10}{done.bytes / 1e6:.0f} MB in {len(done.files)} files")
+            for k, what in enumerate(("write", "read")):
+                print(
+                    f"{dialect:10}{what:7}{points:12,}{fast[k]:9.3f}{fast[k] / points * 1e9:10.0f}{python[k]:10.3f}"
+                    f"{python[k] / fast[k]:7.1f}"
+                )
+            del table
+            whole, done = ours(motion(long, machine), machine, path)
+            for k, what in enumerate(("write", "read")):
+                print(f"{dialect:10}{what:7}{long:12,}{whole[k]:9.3f}{whole[k] / long * 1e9:10.0f}")
+            print(f"{'':10}{done.bytes / 1e6:.0f} MB in {len(done.files)} files")
     print(f"peak memory {getrusage(RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
 
 

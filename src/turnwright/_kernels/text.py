@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright._kernels import jit
 
-__all__ = ["clock", "feeds", "format_blocks", "parse_blocks", "quantise", "unwrap"]
+__all__ = ["clock", "feeds", "format_blocks", "pack", "parse_blocks", "quantise", "unwrap"]
 
 U = np.uint64
 # Places in text are counted without sign: then the compiler need not ask whether an index counts from the end.
@@ -24,6 +24,7 @@ POWERS_U = U(10) ** np.arange(19, dtype=np.uint64)
 # A feed stands for a block's time to this part of it, and a run of blocks shares one feed within twice this much:
 # together they stay below the 1e-9 that the header promises.
 FEED_ERROR = 2.5e-10
+HALF = np.int64(0xFFFFFFFF)
 LARGEST = 1e9  # mm or degrees: beyond any machine, and safe in 64 bits at 6 decimals
 
 # Slots of the reader's state.
@@ -39,6 +40,16 @@ def quantise(values, factor, shift, wrap, rows, column):
         if wrap > 0:
             units %= wrap
         rows[i, column] = units
+
+
+@jit
+def pack(rows, bits, packed):
+    """Write what is hashed: each whole number modulo 2^32, then the two halves of the duration's bits combined."""
+    last = rows.shape[1]
+    for i in range(rows.shape[0]):
+        for k in range(last):
+            packed[i, k] = np.uint32(rows[i, k] & HALF)
+        packed[i, last] = np.uint32((bits[i] ^ (bits[i] >> 32)) & HALF)
 
 
 @jit

@@ -68,8 +68,9 @@ class ProgramPass:
     sense
         +1 where the azimuth of the part under the tool grows, else -1.
     hash
-        SHA-256 over the points as written: one little-endian row of 64-bit integers per point, the axis words without
-        their decimal points, then the block's duration as the bits of a float64.
+        SHA-256 over the points as written: one row of little-endian unsigned 32-bit integers per point, the axis words
+        without their decimal points modulo 2^32, then the two halves of the bits of the block's duration [s, float64],
+        combined by exclusive or.
     """
 
     name: str

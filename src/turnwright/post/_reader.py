@@ -14,6 +14,7 @@ import numpy as np
 
 from turnwright.errors import InputError, ProgramError
 from turnwright.path import Motion
+from turnwright.post._digest import hashed_rows
 from turnwright.post._header import BOM, ProgramInfo, ProgramPass, ProgramWarning, convention_line, read_info
 from turnwright.post._macro import Macros
 from turnwright.post._registry import dialect_of
@@ -337,11 +338,10 @@ class _Reader:
     def _hash(self, rows: Floats, letters: list[str]) -> None:
         from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
 
-        units = np.empty((rows.shape[1], len(letters) + 1), dtype=np.int64)
+        units = np.empty((rows.shape[1], len(letters)), dtype=np.int64)
         for column, letter in enumerate(letters):
             text.quantise(rows[AXES.index(letter)], 10.0 ** self.dialect.decimals[letter], 0.0, 0, units, column)
-        units[:, -1] = rows[4].view(np.int64)
-        self.digest.update(units.astype("<i8", copy=False).data)
+        self.digest.update(hashed_rows(units, rows[4]))
 
     def _open(self) -> None:
         """Begin a cut at the present position."""

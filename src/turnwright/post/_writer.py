@@ -19,6 +19,7 @@ import numpy as np
 from turnwright._arrays import Floats, Ints
 from turnwright.errors import ProgramError
 from turnwright.path import Motion
+from turnwright.post._digest import hashed_rows
 from turnwright.post._header import (
     NO_HASH,
     SUB_SIGNATURE,
@@ -366,14 +367,14 @@ class _Job:
         digest = hashlib.sha256()
 
         def quantise(start: int, stop: int) -> Ints:
-            rows = np.empty((stop - start, len(one.letters) + 1), dtype=np.int64)
+            rows = np.empty((stop - start, len(one.letters)), dtype=np.int64)
             for column, letter in enumerate(one.letters):
                 values = one.motion.axes[letter][start:stop]
                 factor, shift = one.factors[letter] * scale[letter], one.shifts[letter] * scale[letter]
                 text.quantise(values, factor, shift, wraps.get(letter, 0), rows, column)
             return rows
 
-        def work(chunk: _Chunk) -> tuple[memoryview, memoryview]:
+        def work(chunk: _Chunk) -> tuple[int, memoryview, memoryview]:
             start, stop, mantissa, places, duration = chunk
             angle = one.motion.axes["C"][start - 1 : stop]
             factor, shift = one.factors["C"] * scale["C"], one.shifts["C"] * scale["C"]
@@ -381,14 +382,11 @@ class _Job:
             if bad >= 0:
                 raise _step_error(one, start - 1 + bad)
             rows = quantise(start, stop)
-            rows[:, -1] = duration.view(np.int64)
             out = np.empty((stop - start) * (prefix.size + 24 * (letters.size + 1)) + 8, dtype=np.uint8)
             size = text.format_blocks(rows, letters, decimals, prefix, mantissa, places, out)
-            return rows.astype("<i8", copy=False).data.cast("B"), out[:size].data
+            return stop - start, hashed_rows(rows, duration), out[:size].data
 
-        first = quantise(0, 1)
-        first[:, -1] = 0
-        digest.update(first.astype("<i8").tobytes())
+        digest.update(hashed_rows(quantise(0, 1), np.zeros(1)))
         self._count(1)
         state = np.zeros(3, dtype=np.int64)
         threads = cores()
@@ -396,12 +394,11 @@ class _Job:
             hashed = hasher.submit(digest.update, b"")
             for file, start, stop in spans:
                 state[1] = 0  # a file begins with its own feed
-                for rows, data in _in_order(pool, work, self._chunks(one, start, stop, state), 2 * threads):
+                for points, rows, data in _in_order(pool, work, self._chunks(one, start, stop, state), 2 * threads):
                     hashed.result()
                     hashed = hasher.submit(digest.update, rows)
                     file.write(data)
                     self.bytes += len(data)
-                    points = len(rows) // (8 * (len(one.letters) + 1))
                     self.lines += points
                     self._count(points)
             hashed.result()
@@ -449,12 +446,12 @@ def _step_error(one: _Pass, index: int) -> ProgramError:
 
 def _in_order(
     pool: ThreadPoolExecutor,
-    work: Callable[[_Chunk], tuple[memoryview, memoryview]],
+    work: Callable[[_Chunk], tuple[int, memoryview, memoryview]],
     chunks: Iterator[_Chunk],
     ahead: int,
-) -> Iterator[tuple[memoryview, memoryview]]:
+) -> Iterator[tuple[int, memoryview, memoryview]]:
     """Yield ``work(chunk)`` in the order of the chunks, with a few of them in flight."""
-    waiting: deque[Future[tuple[memoryview, memoryview]]] = deque()
+    waiting: deque[Future[tuple[int, memoryview, memoryview]]] = deque()
     try:
         for chunk in chunks:
             waiting.append(pool.submit(work, chunk))
