@@ -114,6 +114,35 @@ WRONG = {
     "a patch outside the part": ([(PATCH + ".centre", ["1 mm", "0 mm"])], r"patches\[1\] reaches 1\.10454 mm"),
     "a patch of too many points": ([(PATCH + ".pixel", "1 nm"), (PATCH + ".size", ["1 mm", "1 mm"])], r"limit is 1e\+08"),
     "a pixel larger than its patch": ([(PATCH + ".pixel", "1 mm")], r"it must fit at least once"),
+    "a map of too many points": (
+        [("simulation.whole_part", {"radii": 100000, "angles": 10000})],
+        r"whole_part: radii times angles is 1000000000, the limit is 1e\+08",
+    ),
+    "a map of one radius": ([("simulation.whole_part.radii", 1)], r"whole_part\.radii is 1, it must be at least 2"),
+    "half a radius": ([("simulation.whole_part.radii", 40.5)], r"radii is 40\.5, it must be a whole number"),
+    "three coordinates": (
+        [(PATCH + ".centre", ["0 mm", "0 mm", "0 mm"])],
+        r"patches\[1\]\.centre has 3 values, the limit is 2",
+    ),
+    "a length for a table": ([("tool", "0.5 mm")], r"tool is '0\.5 mm', it must be a table"),
+    "a number for terms": (
+        [("part.surface", {"family": "xy polynomial", "terms": 5})],
+        r"part\.surface\.terms is 5, it must be a table",
+    ),
+    "a word for a number": (
+        [("part.surface", {"family": "conic", "radius": "5 mm", "conic": "-1"})],
+        r"part\.surface\.conic is '-1', it must be a plain number",
+    ),
+    "an infinite conic": (
+        [("part.surface", {"family": "conic", "radius": "5 mm", "conic": float("inf")})],
+        r"part\.surface\.conic is inf, it must be a finite number",
+    ),
+    "a number for a name": ([("part.name", 5)], r"part\.name is 5, it must be text in quotes"),
+    "a word for yes": ([("strategy.inside_out", "yes")], r"strategy\.inside_out is 'yes', it must be true or false"),
+    "units of a formula that are none": (
+        [("part.surface", {"family": "xy polynomial", "units": "deg", "terms": {"2,0": 1}})],
+        r"part\.surface\.units: '1 deg' is an angle, it must be a length",
+    ),
     "an unknown form": ([("roughness.form", "round")], r"roughness\.form: 'round' is neither"),
     "something accepted that is nothing": ([("accept", ["all"])], r"accept\[1\] is 'all', it must be"),
     "an actual tool without a nose": ([("actual.tool.radius_error", "-1 mm")], r"nothing is left of the nose"),

@@ -279,6 +279,14 @@ class WholePart(Table):
     radii: Annotated[int, Strict(), Ge(2)] = 400
     angles: Annotated[int, Strict(), Ge(3)] = 360
 
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        if self.radii * self.angles > MOST_SAMPLES:
+            raise JobError(
+                f"radii times angles is {self.radii * self.angles}, the limit is {MOST_SAMPLES:.0e}: take fewer"
+            )
+        return self
+
 
 class SimulationTable(Table):
     """What to predict."""
