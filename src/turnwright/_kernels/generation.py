@@ -333,45 +333,66 @@ def polar_block(c, x, z, sense, starts, bounds, dx, dz, profile, table, radius, 
 
 
 @jit
+def stand(c, x, y, z, sense, row, profile, table, t, r, side, aside, hint):
+    """Let the tool stand where the point, at (r, t along the motion), lies ``aside`` of the plane through the axis.
+
+    Return (height of the edge over the point, how far aside the edge itself is there, place on the edge, index, whether
+    the motion gets there): the tool passes over the point where the two agree.
+    """
+    begin, end = sense * c[0], sense * c[c.size - 1]
+    sign = 1.0 if side == 0 else -1.0
+    at = t
+    if aside != 0.0:
+        at -= sign * sense * np.arcsin(max(-1.0, min(1.0, aside / r)))
+    reached = begin - ROUNDING <= at <= end + ROUNDING
+    at = min(max(at, begin), end)
+    i = locate(c, sense, at, hint)
+    ci = sense * c[i]
+    share = (at - ci) / (sense * c[i + 1] - ci)
+    tip = x[i] + share * (x[i + 1] - x[i]) + row[5]
+    u = sign * np.sqrt(max(r * r - aside * aside, 0.0)) - tip
+    w = height(profile, table, u)
+    across = row[6] + row[4] * w
+    if y.size > 0:
+        across += y[i] + share * (y[i + 1] - y[i])
+    return z[i] + share * (z[i + 1] - z[i]) + row[7] + row[3] * w, across, u, i, reached
+
+
+@jit
 def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
     """Return (height, index, u) of one pass over the point at distance ``r`` whose azimuth along the motion is ``t``.
 
-    With the edge out of the radial plane by v the tool passes over the point not at ``t`` but where the point stands
-    v aside: r sin(azimuth of the point - azimuth of the tool) = v(u). Solved by fixed point, which contracts by about
-    feed / r. The height is FAR where the tool does not pass over the point at all.
+    An edge out of the radial plane by v passes over the point not at ``t`` but where the point stands v aside,
+    r sin(azimuth of the point - azimuth of the tool) = v(u). A fixed point, which contracts by about feed / r, or close
+    to the axis bisection. The height is FAR where the tool does not pass over the point at all.
     """
-    begin, end = sense * c[0], sense * c[c.size - 1]
-    upright = row[4] == 0.0 and row[6] == 0.0 and y.size == 0
-    sign = 1.0 if side == 0 else -1.0
-    i, u, last = hint, 0.0, FAR
-    w, p, up, across = 0.0, 0.0, 0.0, 0.0
-    for _ in range(1 if upright else 50):
-        shift = 0.0
-        if not upright:
-            if _ == 0:
-                across = row[6] + (y[min(max(i, 0), y.size - 1)] if y.size > 0 else 0.0)
-            if abs(across) > r:
-                return FAR, i, u
-            shift = sign * sense * np.arcsin(across / r) if r > 0.0 else 0.0
-        at = t - shift
-        if at < begin - ROUNDING or at > end + ROUNDING:
-            return FAR, i, u
-        at = min(max(at, begin), end)
-        i = locate(c, sense, at, i)
-        ci = sense * c[i]
-        share = (at - ci) / (sense * c[i + 1] - ci)
-        p = x[i] + share * (x[i + 1] - x[i]) + row[5]
-        up = z[i] + share * (z[i + 1] - z[i]) + row[7]
-        u = sign * (r if upright else np.sqrt(r * r - across * across)) - p
-        w = height(profile, table, u)
-        if not upright:
-            across = row[6] + row[4] * w
-            if y.size > 0:
-                across += y[i] + share * (y[i + 1] - y[i])
-            if abs(across - last) < 1e-15:
-                break
-            last = across
-    return up + row[3] * w, i, u
+    if row[4] == 0.0 and row[6] == 0.0 and y.size == 0:
+        h, _, u, i, reached = stand(c, x, y, z, sense, row, profile, table, t, r, side, 0.0, hint)
+        return (h if reached else FAR), i, u
+    if r == 0.0:
+        return FAR, hint, 0.0
+    aside, i = 0.0, hint
+    for _ in range(50):
+        h, across, u, i, reached = stand(c, x, y, z, sense, row, profile, table, t, r, side, aside, i)
+        if abs(across) > r:
+            break
+        if abs(across - aside) < 1e-15:
+            return (h if reached else FAR), i, u
+        aside = across
+    low, high = -r, r
+    _, at_low, _, i, _ = stand(c, x, y, z, sense, row, profile, table, t, r, side, low, i)
+    _, at_high, _, i, _ = stand(c, x, y, z, sense, row, profile, table, t, r, side, high, i)
+    if at_low < low or at_high > high:
+        return FAR, i, 0.0
+    for _ in range(60):
+        aside = 0.5 * (low + high)
+        _, across, _, i, _ = stand(c, x, y, z, sense, row, profile, table, t, r, side, aside, i)
+        if across > aside:
+            low = aside
+        else:
+            high = aside
+    h, _, u, i, reached = stand(c, x, y, z, sense, row, profile, table, t, r, side, aside, i)
+    return (h if reached else FAR), i, u
 
 
 @jit
