@@ -154,10 +154,7 @@ def write_eight(out, at, letters):
 
 @jit
 def write_fixed(out, at, units, places):
-    """Write units / 10^places in fixed point; zero has no sign because integers have no negative zero.
-
-    Up to seven bytes beyond the end may be written and are for the next one to overwrite.
-    """
+    """Write units / 10^places in fixed point; zero has no sign because integers have no negative zero."""
     if units < 0:
         out[at] = 45
         at += ONE
@@ -167,19 +164,6 @@ def write_fixed(out, at, units, places):
         return write_whole(out, at, number)
     scale = POWERS_U[places]
     shown = U(places)
-    if number < HUNDRED_MILLION and 5 <= places <= 6:
-        digits = eight_digits(number)
-        whole = U(8) - shown  # two or three digits, of which leading zeros are shifted out
-        zeros = whole - ONE
-        if number >= scale * TEN:
-            zeros -= ONE
-        if number >= scale * HUNDRED:
-            zeros -= ONE
-        write_eight(out, at, digits >> (zeros * BITS))
-        at += whole - zeros
-        out[at] = 46
-        write_eight(out, at + ONE, digits >> (whole * BITS))
-        return at + ONE + shown
     whole = number // scale
     part = number - whole * scale
     at = write_whole(out, at, whole)
@@ -212,7 +196,24 @@ def format_blocks(rows, letters, decimals, prefix, mantissa, places, out):
                 out[at] = 32
                 at += ONE
             out[at] = letters[k]
-            at = write_fixed(out, at + ONE, rows[i, k], decimals[k])
+            at += ONE
+            units, shown = rows[i, k], decimals[k]
+            number = U(abs(units))
+            if number >= HUNDRED_MILLION or shown < 5 or shown > 6:
+                at = write_fixed(out, at, units, shown)
+                continue
+            # The common case, in line and eight bytes at a time: the bytes too many are overwritten by what follows.
+            out[at] = 45
+            at += U(units < 0)
+            ascii_digits = eight_digits(number)
+            whole = U(8 - shown)  # two or three digits, of which leading zeros are shifted out
+            scale = POWERS_U[shown]
+            zeros = whole - ONE - U(number >= scale * TEN) - U(number >= scale * HUNDRED)
+            write_eight(out, at, ascii_digits >> (zeros * BITS))
+            at += whole - zeros
+            out[at] = 46
+            write_eight(out, at + ONE, ascii_digits >> (whole * BITS))
+            at += ONE + U(shown)
         if mantissa[i] > 0:
             if mantissa[i] == digits and places[i] == shift:
                 for k in range(after - word):
