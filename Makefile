@@ -1,4 +1,62 @@
-.PHONY: help setup fmt check test docs bench demo clean
-PY := .venv/bin/python
-help: ## List the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
+.DEFAULT_GOAL := help
+.PHONY: help setup demo fmt check lint types layers test doctest docs bench clean
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+LENS := out/infrared_lens
+
+help: ## list the targets
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /	/' | expand -t 10
+
+# Stamps: an environment is made once, and again when what it is made from changes.
+$(VENV)/.installed: pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+$(VENV)/.testing: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	touch $@
+
+# CI installs the versions of requirements.lock; LOCK= takes the newest instead.
+LOCK ?= --constraint requirements.lock
+$(VENV)/.developing: $(VENV)/.installed requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(LOCK) --editable '.[test,docs,dev]'
+	touch $@ $(VENV)/.testing
+
+setup: $(VENV)/.developing ## make the environment with everything a developer needs
+
+demo: $(VENV)/.installed ## install, run the main example (the freeform infrared lens) and say where its report is
+	$(BIN)/turnwright run examples/infrared_lens.toml --out $(LENS) --force
+	@echo
+	@echo "The report: $(CURDIR)/$(LENS)/report.html"
+
+test: $(VENV)/.testing ## install what tests need and run them, doctests included
+	$(BIN)/python -m pytest tests src README.md -q
+
+fmt: setup ## format, and mend what can be mended
+	$(BIN)/ruff format src tests benchmarks docs
+	$(BIN)/ruff check --fix src tests benchmarks docs
+
+lint: setup
+	$(BIN)/ruff format --check src tests benchmarks docs
+	$(BIN)/ruff check src tests benchmarks docs
+
+types: setup
+	$(BIN)/mypy
+
+layers: setup
+	$(BIN)/lint-imports
+
+docs: setup ## build the documentation; every page is run
+	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+check: setup lint types layers test docs ## everything CI runs
+
+bench: setup ## ratios measured in one run
+	$(BIN)/python benchmarks/run.py
+
+clean:
+	rm -rf $(VENV) out docs/_build build dist
