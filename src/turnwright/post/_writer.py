@@ -148,7 +148,25 @@ def write_nc(
 
     Sources
     -------
-    The dialects' own sources stand in their files. Oracle of the formatting: Python's ``%.6f`` of exact decimals.
+    The dialects' own sources stand in their files. Oracle of the formatting: Python's decimal module.
+
+    Examples
+    --------
+    >>> from turnwright.machine import Axis, Machine
+    >>> machine = Machine(
+    ...     name="lathe", axes=dict.fromkeys("CXZ", Axis()), spindle_rpm=1000, block_rate_hz=1000, dialect="nanotech"
+    ... )
+    >>> axes = {"C": [6.1, 6.2, 6.3], "X": [5.0, 4.9, 4.8], "Z": [0.25, 0.24, 0.23]}
+    >>> motion = Motion(time=[0.0, 0.001, 0.002], axes=axes, machine=machine)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     done = write_nc(motion, machine, Path(folder) / "part.nc")
+    ...     text = done.files[-1].read_text()
+    >>> [file.name for file in done.files]
+    ['part.nc', 'part.finish.001.nc']
+    >>> print(text[text.index("G93") : text.rindex("G94")].rstrip())
+    G93
+    C355.23383 X4.900000 Z0.240000 F0.001
+    C0.96341 X4.800000 Z0.230000
     """
     path = Path(path)
     dialect = dialect_of(machine)
