@@ -1,0 +1,612 @@
+"""The page a person reads after a run: one HTML file with everything in it, for the screen and for paper."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path as File
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from turnwright.path import Motion
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from os import PathLike
+
+    from turnwright.access import Access
+    from turnwright.job import Job, Prediction, Result
+    from turnwright.machine import Machine
+    from turnwright.motion import Limits
+    from turnwright.part import Part
+    from turnwright.report._figures import Picture
+    from turnwright.tool import Tool
+
+__all__ = ["write_backplot", "write_report"]
+
+NM = 1e6
+TURN = 2 * math.pi
+
+PICTURED = 6
+"""Maps that get pictures; the page says so where there are more."""
+
+HEAD = 40
+"""Lines of a program that the page shows."""
+
+MANY_POINTS = 20_000
+"""Points of a motion that a picture needs."""
+
+
+class _Row(NamedTuple):
+    """A named fact, or one that was measured against a limit."""
+
+    name: str
+    value: str
+    limit: str = ""
+    margin: str = ""
+    where: str = ""
+    ok: bool = True
+    share: float | None = None  # of the limit that is used
+    binding: bool = False
+
+
+class _Verdict(NamedTuple):
+    """The first thing on the page."""
+
+    grade: str  # good, warn or bad
+    word: str
+    why: str
+
+
+class _Number(NamedTuple):
+    """One of the numbers that matter."""
+
+    label: str
+    value: str
+    unit: str
+    note: str
+    ok: bool = True
+
+
+class _Block(NamedTuple):
+    """A pass: what it is, and what it asks of the axes."""
+
+    title: str
+    facts: str
+    rows: list[_Row]
+
+
+class _Map(NamedTuple):
+    """A predicted place."""
+
+    name: str
+    note: str
+    picture: Picture
+    profile: Picture
+
+
+class _Link(NamedTuple):
+    """A file, with its address where it lies beside the page."""
+
+    name: str
+    address: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Page:
+    """What the page says, ready to be set."""
+
+    title: str
+    kind: str
+    verdict: _Verdict
+    numbers: Sequence[_Number]
+    warnings: Sequence[str]
+    facts: Mapping[str, Sequence[_Row]]
+    part: Sequence[Picture]
+    access: Sequence[_Row]
+    access_map: Picture | None
+    path: Sequence[Picture]
+    spiral: Sequence[_Row]
+    axes: Sequence[Picture]
+    passes: Sequence[_Block]
+    maps: Sequence[_Map]
+    left_out: int
+    parameters: Sequence[tuple[str, str, Sequence[str]]]
+    parameter_notes: Sequence[str]
+    program: Sequence[_Row]
+    files: Sequence[_Link]
+    head: str
+    timings: Sequence[_Row]
+    peak_memory: str
+    job: str
+    version: str
+
+
+def write_report(result: Result, path: str | PathLike[str]) -> File:
+    """Write the page of a run.
+
+    Parameters
+    ----------
+    result
+        What the run found out.
+    path
+        Where to; in a folder that exists the page is called ``report.html``.
+
+    Returns
+    -------
+    pathlib.Path
+        The file written.
+    """
+    from turnwright.report import _figures as draw  # noqa: PLC0415 - matplotlib is costly to import
+
+    path = _page_file(path)
+    tolerances = result.job.tolerances
+    numbers = _numbers(result.predictions, [cut.limits for cut in result.passes], tolerances.form_pv, tolerances.sq)
+    failed = _failed(numbers)
+    if result.rounding_nm > result.rounding_limit_nm:
+        failed.append("the program differs from the plan")
+    if failed:
+        verdict = _Verdict("bad", "Not ready", "; ".join(failed))
+    elif not result.ok:
+        verdict = _Verdict("warn", "Ready as accepted", "beyond a limit, which the job accepts")
+    else:
+        stated = tolerances.form_pv is not None or tolerances.sq is not None
+        verdict = _Verdict(
+            "good", "Ready to cut", "reach, limits and tolerances kept" if stated else "reach and limits kept"
+        )
+    feed = result.passes[-1].feed
+    maps, left_out = _maps(result.predictions, feed)
+    page = _Page(
+        title=result.part.name or "unnamed part",
+        kind="Run",
+        verdict=verdict,
+        numbers=numbers,
+        warnings=result.warnings,
+        facts=_facts(result.part, result.tool, result.actual_tool, result.machine, result.actual_machine),
+        part=[draw.sag_map(result.part), draw.view(result.part)],
+        access=_access_rows(result.access),
+        access_map=draw.access_map(result.part, result.access.findings),
+        path=[draw.spiral(result.motion, result.turns[len(result.turns) // 2], feed), draw.contact(result.path)],
+        spiral=[
+            *_spiral_rows(result.turns, result.limits, feed),
+            _Row("Placed along", "the surface normal" if result.job.strategy.along == "normal" else "z"),
+            _Row(
+                "Least clearance of the edge",
+                f"{result.least_clearance * NM + 0.0:.3g} nm (0 is contact, less a gouge)",
+            ),
+        ],
+        axes=[draw.z_over_turns(result.turns), draw.axes_over_time(result.motion)],
+        passes=[
+            _Block(
+                title=cut.name,
+                facts=" · ".join(
+                    [
+                        *([f"takes off {_length(cut.depth)}, leaves {_length(cut.allowance)}"] if cut.depth else []),
+                        f"{cut.feed * 1e3:.4g} µm/rev",
+                        f"{cut.spindle_rpm:.4g} rev/min",
+                        f"{cut.points:,} points",
+                        _duration(cut.limits.cycle_time_s),
+                    ]
+                ),
+                rows=_limit_rows(cut.limits, result.machine),
+            )
+            for cut in reversed(result.passes)
+        ],
+        maps=maps,
+        left_out=left_out,
+        parameters=_parameters(result.predictions),
+        parameter_notes=_parameter_notes(result.predictions),
+        program=[
+            _Row("Dialect", result.machine.dialect),
+            _Row("Lines", f"{result.program.lines:,}"),
+            _Row("Size", f"{result.program.bytes / 1e6:.3g} MB"),
+            _Row("Cutting time", _duration(result.program.minutes * 60)),
+            _Row("SHA-256", result.program.hash),
+            _Row(
+                "Back-plot of the file against the path in memory",
+                f"{result.rounding_nm:.3g} nm",
+                f"{result.rounding_limit_nm:.3g} nm",
+                ok=result.rounding_nm <= result.rounding_limit_nm,
+            ),
+        ],
+        files=[_link(file, path) for file in result.program.files],
+        head=_head(result.program.files[0]),
+        timings=_timings(result.timings),
+        peak_memory=f"{result.peak_memory_gb:.2f} GB" if math.isfinite(result.peak_memory_gb) else "not known here",
+        job=result.job.to_toml(),
+        version=_version(),
+    )
+    return _write(page, path)
+
+
+def write_backplot(
+    program: str | PathLike[str],
+    job: Job,
+    motion: Motion,
+    limits: Limits,
+    predictions: Sequence[Prediction],
+    path: str | PathLike[str],
+) -> File:
+    """Write the page of a program that was read and back-plotted, with no plan of its own.
+
+    Parameters
+    ----------
+    program
+        The file that was read.
+    job
+        Says what was designed, and with what it is simulated.
+    motion, limits
+        What the program asks of the axes.
+    predictions
+        What it leaves, see `turnwright.job.predict`.
+    path
+        Where to; in a folder that exists the page is called ``report.html``.
+
+    Returns
+    -------
+    pathlib.Path
+        The file written.
+    """
+    from turnwright.report import _figures as draw  # noqa: PLC0415 - matplotlib is costly to import
+
+    path, program = _page_file(path), File(program)
+    part, machine = job.part.part, job.machine.machine
+    numbers = _numbers(predictions, [limits], job.tolerances.form_pv, job.tolerances.sq)
+    failed = _failed(numbers)
+    if not limits.ok:
+        failed.append("the machine cannot follow")
+    verdict = (
+        _Verdict("bad", "Not within limits", "; ".join(failed)) if failed else _Verdict("good", "Within limits", "")
+    )
+    turns, feed = _single_turns(motion), _feed(motion)
+    shown = _thinned(motion)
+    maps, left_out = _maps(predictions, feed)
+    page = _Page(
+        title=part.name or program.name,
+        kind=f"Back-plot of {program.name}",
+        verdict=verdict,
+        numbers=numbers,
+        warnings=[*limits.findings, *_missing(predictions)],
+        facts=_facts(part, job.tool.tool, job.actual_tool, machine, job.actual_machine),
+        part=[draw.sag_map(part), draw.view(part)],
+        access=[],
+        access_map=None,
+        path=[draw.spiral(shown, turns[len(turns) // 2], feed)],
+        spiral=_spiral_rows(turns, limits, feed),
+        axes=[draw.z_over_turns(turns), draw.axes_over_time(shown)],
+        passes=[
+            _Block(
+                title=program.name,
+                facts=f"{limits.spindle_rpm:.4g} rev/min · {limits.points:,} points · {_duration(limits.cycle_time_s)}",
+                rows=_limit_rows(limits, machine),
+            )
+        ],
+        maps=maps,
+        left_out=left_out,
+        parameters=_parameters(predictions),
+        parameter_notes=_parameter_notes(predictions),
+        program=[_Row("Size", f"{program.stat().st_size / 1e6:.3g} MB")] if program.is_file() else [],
+        files=[_link(program, path)],
+        head=_head(program),
+        timings=[],
+        peak_memory="",
+        job=job.to_toml(),
+        version=_version(),
+    )
+    return _write(page, path)
+
+
+def _page_file(path: str | PathLike[str]) -> File:
+    path = File(path)
+    return path / "report.html" if path.is_dir() else path
+
+
+def _write(page: _Page, path: File) -> File:
+    """Set the page; it appears under its name only when it is whole."""
+    import jinja2  # noqa: PLC0415 - only the page needs it
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("turnwright.report", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["typeset"] = lambda text: re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text)
+    text = environment.get_template("template.html.j2").render(page=page)
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+def _version() -> str:
+    try:
+        return version("turnwright")
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _length(length: float) -> str:
+    """Return a length in the unit that suits it."""
+    size = abs(length)
+    if size == 0 or size >= 0.1:
+        return f"{length:.4g} mm"
+    return f"{length * 1e3:.4g} µm" if size >= 1e-4 else f"{length * NM:.4g} nm"
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 60:.1f} min" if seconds >= 60 else f"{seconds:.3g} s"
+
+
+def _number(value: float) -> str:
+    if math.isnan(value):
+        return "–"
+    if 1e4 <= abs(value) < 1e8:
+        return f"{value:,.0f}"
+    return f"{value:.4g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.3g}"
+
+
+def _numbers(
+    predictions: Sequence[Prediction], passes: Sequence[Limits], form_pv: float | None, sq: float | None
+) -> list[_Number]:
+    """Return the three numbers that matter: form, roughness, time."""
+    numbers = []
+
+    def judged(label: str, value: float, limit: float | None, note: str) -> _Number:
+        if limit is None:
+            return _Number(label, _number(value), "nm", note)
+        words = f"tolerance {_number(limit * NM)} nm, {note}"
+        return _Number(label, _number(value), "nm", words, ok=value <= limit * NM)
+
+    whole = [one for one in predictions if one.error.polar]
+    patches = [one for one in predictions if not one.error.polar]
+    if whole:
+        worst = max(whole, key=lambda one: one.roughness.pv_nm)
+        numbers.append(
+            judged("Form error PV", worst.roughness.pv_nm, form_pv, "whole part, cusps as the grid meets them")
+        )
+    if patches:
+        worst = max(patches, key=lambda one: one.roughness.sq_nm)
+        note = f"at “{worst.name}”" + (f", the roughest of {len(patches)} patches" if len(patches) > 1 else "")
+        numbers.append(judged("Sq", worst.roughness.sq_nm, sq, note))
+    last = passes[-1]
+    note = f"{last.binding} is nearest to its limit, {last.utilisation[last.binding]:.0%}"
+    if len(passes) > 1:
+        note = f"of {len(passes)} passes, the last {_duration(last.cycle_time_s)}; {note}"
+    value, unit = _duration(sum(limits.cycle_time_s for limits in passes)).split()
+    numbers.append(_Number("Cutting time", value, unit, note))
+    return numbers
+
+
+def _failed(numbers: Sequence[_Number]) -> list[str]:
+    """Return which numbers are out of tolerance."""
+    return [f"{number.label} above tolerance" for number in numbers if not number.ok]
+
+
+def _facts(part: Part, tool: Tool, actual: Tool, machine: Machine, real: Machine) -> dict[str, list[_Row]]:
+    """Return what was asked for, in words."""
+
+    def angle(value: float | None) -> str:
+        return "not stated" if value is None else f"{math.degrees(value):.4g}°"
+
+    shown = [_Row("Nose radius", f"{tool.nose_radius:.6g} mm"), _Row("Included angle", angle(tool.included))]
+    shown += [_Row("Rake", angle(tool.rake)), _Row("Clearance", angle(tool.clearance))]
+    planned, real_edge = _deviations(tool), _deviations(actual)
+    shown += [_Row(name, value) for name, value in planned.items() if value]
+    shown += [
+        _Row(f"{name}, simulated", value or "none") for name, value in real_edge.items() if value != planned[name]
+    ]
+    lathe = [_Row("Name", machine.name), _Row("Dialect", machine.dialect)]
+    lathe += [_Row("Highest spindle speed", f"{machine.spindle_rpm:.4g} rev/min")]
+    lathe += [_Row("Block rate", f"{machine.block_rate_hz:.4g} blocks/s")]
+    if machine.squareness:
+        lathe.append(_Row("Squareness", f"{machine.squareness * 1e6:.4g} µrad"))
+    if real.squareness != machine.squareness:
+        lathe.append(_Row("Squareness, simulated", f"{real.squareness * 1e6:.4g} µrad"))
+    sheet = [_Row("Name", part.name or "–"), _Row("Surface", type(part.surface).__name__)]
+    sheet += [_Row("Clear radius", f"{part.radius:.6g} mm"), _Row("Stock", _length(part.stock))]
+    sheet += [_Row("Material", part.material or "not stated")]
+    return {"Part": sheet, f"Tool {tool.name}".strip(): shown, "Machine": lathe}
+
+
+def _deviations(tool: Tool) -> dict[str, str]:
+    """Return how an edge differs from a perfect one, empty where it does not."""
+    waviness = float(np.abs(tool.deviation(np.linspace(*tool.arc, 721))).max())
+    return {
+        "Waviness": f"up to {_length(waviness)}" if waviness else "",
+        "Radius error": _length(tool.radius_error) if tool.radius_error else "",
+        "Tip offset x, y, z": ", ".join(_length(value) for value in tool.offset) if any(tool.offset) else "",
+    }
+
+
+def _access_rows(access: Access) -> list[_Row]:
+    """Return the access table."""
+    rows = []
+    for finding in access.findings:
+        lengths = finding.name in ("nose radius", "step")
+
+        def shown(value: float | None, *, lengths: bool = lengths) -> str:
+            if value is None:
+                return "–"
+            if math.isinf(value):
+                return "any"
+            return _length(value) if lengths else f"{math.degrees(value) + 0.0:.4g}°"
+
+        where = "–" if finding.where is None else "{:.4g}, {:.4g}".format(*(round(at, 6) + 0.0 for at in finding.where))
+        if finding.name == "rake":
+            value = f"{math.degrees(access.rake_range[0]):.4g}° to {math.degrees(access.rake_range[1]):.4g}°"
+        else:
+            value = shown(finding.value)
+        rows.append(_Row(finding.name, value, shown(finding.limit), shown(finding.margin), where, ok=finding.ok))
+    return rows
+
+
+def _spiral_rows(turns: Sequence[Motion], limits: Limits, feed: float) -> list[_Row]:
+    """Return what the finishing pass is, in plan."""
+    first, last = turns[0], turns[-1]
+    inward = abs(first.axes["X"][0]) > abs(last.axes["X"][-1])
+    counts = [(one.time.size - 1) * TURN / abs(float(one.axes["C"][-1] - one.axes["C"][0])) for one in turns]
+    fewest, most = round(min(counts)), round(max(counts))
+    return [
+        _Row("Feed", f"{feed * 1e3:.4g} µm/rev"),
+        _Row("Runs", "from outside in" if inward else "from inside out"),
+        _Row("Azimuth under the tool", "grows" if first.sense > 0 else "falls"),
+        _Row("Starts and ends at X", f"{first.axes['X'][0]:.6g} and {last.axes['X'][-1] + 0.0:.6g} mm"),
+        _Row("Points", f"{limits.points:,}"),
+        _Row("Points per turn", f"{fewest:,}" if most - fewest < 4 else f"{fewest:,} to {most:,}"),
+    ]
+
+
+def _limit_rows(limits: Limits, machine: Machine) -> list[_Row]:
+    """Return every peak with its limit, those that are stated with the share that is used."""
+    asked: list[tuple[str, float, str, float | None, float]] = [
+        ("block rate", limits.block_rate_hz, "blocks/s", machine.block_rate_hz, 1.0),
+    ]
+    letters = list(limits.peak_speed)
+    for letter in letters:
+        axis = machine.axes.get(letter)
+        turning = letter in "ABC"
+        kinds = (
+            ("speed", limits.peak_speed, "rev/min" if turning else "mm/s", 60 / TURN if turning else 1.0),
+            ("acceleration", limits.peak_acceleration, "rad/s²" if turning else "mm/s²", 1.0),
+            ("jerk", limits.peak_jerk, "rad/s³" if turning else "mm/s³", 1.0),
+        )
+        for kind, peaks, unit, factor in kinds:
+            stated = getattr(axis, kind, None)
+            if letter == "C" and kind == "speed":
+                asked.append(("spindle speed", peaks[letter], unit, machine.spindle_rpm / factor, factor))
+            else:
+                asked.append((f"{letter} {kind}", peaks[letter], unit, stated, factor))
+    rows = []
+    for name, value, unit, limit, factor in asked:
+        share = limits.utilisation.get(name)
+        rows.append(
+            _Row(
+                name, f"{_number(value * factor)} {unit}",
+                "not stated" if limit is None else f"{_number(limit * factor)} {unit}",
+                share=share, ok=share is None or share <= 1.001, binding=name == limits.binding,
+            )
+        )  # fmt: skip
+    for letter, (low, high) in limits.travel.items():
+        if letter != "C":
+            ends = " to ".join(f"{round(end, 9) + 0.0:.5g}" for end in (low, high))
+            rows.append(_Row(f"{letter} travel", f"{ends} mm", _travel(machine, letter)))
+    return rows
+
+
+def _travel(machine: Machine, letter: str) -> str:
+    axis = machine.axes.get(letter)
+    if axis is None or (axis.low is None and axis.high is None):
+        return "not stated"
+    low, high = (("–" if end is None else f"{end:.5g}") for end in (axis.low, axis.high))
+    return f"{low} to {high} mm"
+
+
+def _maps(predictions: Sequence[Prediction], feed: float) -> tuple[list[_Map], int]:
+    """Draw the predicted places, and say how many more there are."""
+    from turnwright.report import _figures as draw  # noqa: PLC0415 - matplotlib is costly to import
+
+    maps = []
+    for one in predictions[:PICTURED]:
+        rough, size = one.roughness, one.error.z.shape
+        note = f"{size[1]} radii × {size[0]} azimuths" if one.error.polar else f"{size[1]} × {size[0]} pixels"
+        if one.error.x is not None:
+            note += f" of {(one.error.x[1] - one.error.x[0]) * 1e3:.4g} µm"
+        note += f" · PV {_number(rough.pv_nm)} nm · Sq {_number(rough.sq_nm)} nm"
+        note += " from the design" if rough.form == "none" else f" after form removal ({_form(rough.form)})"
+        if one.error.radius is not None and (step := one.error.radius[1] - one.error.radius[0]) > feed / 4:
+            note += f" · radii {_length(float(step))} apart, {_length(feed)} per turn: cusps beat with this grid"
+        cut = draw.rings(one.error) if one.error.polar else draw.profile(one.error, feed)
+        maps.append(_Map(one.name, note, draw.error_map(one.error), cut))
+    return maps, max(len(predictions) - PICTURED, 0)
+
+
+def _form(form: str | int) -> str:
+    return form if isinstance(form, str) else f"polynomial of degree {form}"
+
+
+def _parameters(predictions: Sequence[Prediction]) -> list[tuple[str, str, list[str]]]:
+    """Return the table of surface parameters: name, unit, one value per place."""
+    names = [
+        ("Sa", "nm", "sa_nm"),
+        ("Sq", "nm", "sq_nm"),
+        ("Sz (PV)", "nm", "sz_nm"),
+        ("Ssk", "", "ssk"),
+        ("Sku", "", "sku"),
+    ]
+    names += [("Sdq", "", "sdq"), ("Sdr", "%", "sdr")]
+    table = [
+        (name, unit, [_number(getattr(one.roughness, field)) for one in predictions]) for name, unit, field in names
+    ]
+    table.append(("Sal", "µm", [_number(one.roughness.sal * 1e3) for one in predictions]))
+    bound = [any("upper bound" in note for note in one.roughness.notes) for one in predictions]
+    ratios = [_number(one.roughness.str) for one in predictions]
+    table.append(("Str", "", [f"≤ {value}" if least else value for value, least in zip(ratios, bound, strict=True)]))
+    table.append(("Form removed", "", [_form(one.roughness.form) for one in predictions]))
+    table.append(("Heights counted", "", [f"{one.roughness.valid:,}" for one in predictions]))
+    table.append(("Missing", "", [f"{one.roughness.missing:,}" for one in predictions]))
+    return table
+
+
+def _parameter_notes(predictions: Sequence[Prediction]) -> list[str]:
+    return [f"{one.name}: {note}." for one in predictions for note in one.roughness.notes]
+
+
+def _missing(predictions: Sequence[Prediction]) -> list[str]:
+    """Say which places no pass reaches."""
+    return [
+        f"{one.name}: {one.roughness.missing} of {one.error.z.size} points are not reached by any pass"
+        for one in predictions
+        if one.roughness.missing
+    ]
+
+
+def _timings(timings: Mapping[str, float]) -> list[_Row]:
+    total = sum(timings.values())
+    rows = [_Row(name, f"{value:.2f} s", share=value / total if total else 0.0) for name, value in timings.items()]
+    return [*rows, _Row("together", f"{total:.1f} s")]
+
+
+def _link(file: File, page: File) -> _Link:
+    beside = file.is_file() and file.resolve().parent == page.resolve().parent
+    return _Link(file.name, file.name if beside else None)
+
+
+def _head(file: File) -> str:
+    """Return the first lines of a program, if it is still there."""
+    if not file.is_file():
+        return ""
+    with file.open(encoding="utf-8", errors="replace") as lines:
+        return "".join(line[:200] for line, _ in zip(lines, range(HEAD), strict=False))
+
+
+def _thinned(motion: Motion) -> Motion:
+    few = slice(None, None, max(1, math.ceil(motion.time.size / MANY_POINTS)))
+    axes = {letter: values[few] for letter, values in motion.axes.items()}
+    return Motion(time=motion.time[few], axes=axes, machine=motion.machine)
+
+
+def _single_turns(motion: Motion) -> tuple[Motion, ...]:
+    """Return the first turn, one half-way and the last."""
+    angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
+    last = max(float(angle[-1]) - TURN, 0.0)
+    turns = []
+    for start in (0.0, last / 2, last):
+        first, stop = np.searchsorted(angle, (start, start + TURN * (1 + 1e-9)))
+        span = slice(max(int(first) - 1, 0), int(stop) + 1)
+        axes = {letter: values[span] for letter, values in motion.axes.items()}
+        turns.append(Motion(time=motion.time[span], axes=axes, machine=motion.machine))
+    return tuple(turns)
+
+
+def _feed(motion: Motion) -> float:
+    """Return the mean advance per turn. [mm/rev]."""
+    turns = abs(float(motion.axes["C"][-1] - motion.axes["C"][0])) / TURN
+    return abs(float(motion.axes["X"][-1] - motion.axes["X"][0])) / turns

@@ -1,0 +1,465 @@
+"""The pictures of the report: vector axes around raster maps, in the colours of the page.
+
+Every picture is an inline SVG whose ink, lines and series are CSS variables, so one copy serves a light page, a dark
+page and paper. matplotlib never sees more than some ten thousand points.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from matplotlib.axes import Axes
+
+    from turnwright._arrays import Floats
+    from turnwright.access import Finding
+    from turnwright.heightmap import HeightMap
+    from turnwright.part import Part
+    from turnwright.path import Motion, Path
+
+__all__ = [
+    "Picture",
+    "access_map",
+    "axes_over_time",
+    "contact",
+    "error_map",
+    "profile",
+    "rings",
+    "sag_map",
+    "spiral",
+    "view",
+    "z_over_turns",
+]
+
+TURN = 2 * math.pi
+NM = 1e6
+
+PIXELS = 480
+"""Side of a map that is drawn from a function or a polar grid."""
+
+MOST_PIXELS = 900
+"""Longest side of a map that is drawn as it is; a longer one is drawn with every second pixel, third, and so on."""
+
+SPAN = 99.9
+"""Share of the heights that the colours of an error map reach over; what lies beyond has the end colour. [%]"""
+
+INK, LINE, PAPER = "#010203", "#020304", "#030405"
+SERIES = ("#040506", "#050607", "#060708")
+VARIABLES = {INK: "ink", LINE: "line", PAPER: "panel", SERIES[0]: "one", SERIES[1]: "two", SERIES[2]: "three"}
+"""Stand-ins that no picture uses, and the CSS variables of the page that replace them."""
+
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "turnwright",
+    "font.size": 8.5,
+    "axes.titlesize": 8.5,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": LINE,
+    "axes.linewidth": 0.8,
+    "xtick.color": LINE,
+    "ytick.color": LINE,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "grid.color": LINE,
+    "grid.linewidth": 0.5,
+    "grid.alpha": 0.6,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    "lines.linewidth": 1.2,
+    "legend.frameon": False,
+}
+
+# Heights run over a map that is even to the eye, errors and angles away from a neutral middle; all can be told apart
+# with any colour vision.
+HEIGHTS, ERRORS, ANGLES = "viridis", "RdBu_r", "PuOr_r"
+
+
+class Picture(NamedTuple):
+    """An inline SVG."""
+
+    svg: str
+    alt: str
+
+
+class _Canvas:
+    """A figure on its way to the page."""
+
+    def __init__(self, width: float, height: float) -> None:
+        self.figure = Figure(figsize=(width, height), layout="compressed")
+        self.svg = ""
+
+
+@contextmanager
+def _canvas(width: float, height: float, dpi: int = 130) -> Iterator[_Canvas]:
+    """Yield a figure of that size [in]; afterwards its ``svg`` is fit for a page."""
+    with mpl.rc_context(STYLE):
+        canvas = _Canvas(width, height)
+        yield canvas
+        text = io.StringIO()
+        canvas.figure.savefig(text, format="svg", dpi=dpi, metadata={"Date": None, "Creator": None})
+    svg = text.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r' (?:id="[A-Za-z]+[\w.]*_\d+"|xmlns(?::\w+)?="[^"]*")', "", svg)
+    for colour, variable in VARIABLES.items():
+        svg = svg.replace(colour, f"var(--{variable})")
+    canvas.svg = svg
+
+
+def _length(extent: float) -> tuple[float, str]:
+    """Return the factor and the unit that a length in mm is best shown in."""
+    if extent >= 0.5:
+        return 1.0, "mm"
+    return (1e3, "µm") if extent >= 5e-4 else (1e6, "nm")
+
+
+def _bar(canvas: _Canvas, axes: Axes, image: Any, label: str, extend: str = "neither") -> None:
+    bar: Any = canvas.figure.colorbar(image, ax=axes, label=label, extend=extend, shrink=0.86, aspect=24)
+    bar.outline.set_linewidth(0.6)
+    bar.solids.set_rasterized(True)
+    bar.ax.yaxis.set_major_locator(MaxNLocator(6))
+
+
+def _square(radius: float) -> tuple[Floats, Floats, Floats]:
+    """Return x, y and the distance from the axis over the square around a part. Each (n, n) [mm]."""
+    x, y = np.meshgrid(*2 * [np.linspace(-radius, radius, PIXELS)])
+    return x, y, np.hypot(x, y)
+
+
+def _over_disc(radius: float, values: Floats, inside: Floats) -> Floats:
+    """Spread values inside the disc over the square, nan elsewhere."""
+    whole = np.full(inside.shape, np.nan)
+    whole[inside <= radius] = values
+    return whole
+
+
+def _plan(axes: Axes, image: Floats, radius: float, **how: Any) -> Any:
+    """Draw a map of the whole part."""
+    drawn = axes.imshow(
+        image, origin="lower", extent=(-radius, radius, -radius, radius), interpolation="nearest", **how
+    )
+    turn = np.linspace(0, TURN, 241)
+    axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=INK, linewidth=0.7)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]")
+    return drawn
+
+
+def sag_map(part: Part) -> Picture:
+    """Draw the design from above."""
+    x, y, r = _square(part.radius)
+    sag = _over_disc(part.radius, part.surface.sag(x[r <= part.radius], y[r <= part.radius]), r)
+    factor, unit = _length(float(np.nanmax(sag) - np.nanmin(sag)))
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        image = _plan(axes, sag * factor, part.radius, cmap=HEIGHTS)
+        if np.nanmax(sag) > np.nanmin(sag):
+            few = (slice(None, None, 4),) * 2
+            lines: dict[str, Any] = {"colors": "white", "linestyles": "solid", "linewidths": 0.5, "alpha": 0.55}
+            axes.contour(x[few], y[few], sag[few] * factor, levels=9, **lines)
+        _bar(canvas, axes, image, f"design height z [{unit}]")
+    low, high = float(np.nanmin(sag)) * factor, float(np.nanmax(sag)) * factor
+    return Picture(canvas.svg, f"Map of the design height over the part, from {low:.4g} to {high:.4g} {unit}.")
+
+
+def view(part: Part) -> Picture:
+    """Draw the design in perspective, its height stretched."""
+    radius, angle = np.meshgrid(np.linspace(0, part.radius, 91), np.linspace(0, TURN, 181))
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    z = part.surface.sag(x, y)
+    factor, unit = _length(float(np.ptp(z)))
+    stretch = 0.7 * part.radius / np.ptp(z) if np.ptp(z) > 0 else 1.0
+    with _canvas(4.6, 3.7, dpi=150) as canvas:
+        canvas.figure.set_layout_engine("none")
+        axes: Any = canvas.figure.add_axes((-0.06, -0.03, 1.04, 1.06), projection="3d")
+        surface = axes.plot_surface(
+            x, y, z * factor, cmap=HEIGHTS, rstride=1, cstride=1, linewidth=0, antialiased=False
+        )
+        surface.set_rasterized(True)
+        axes.set_box_aspect((1, 1, 0.35), zoom=0.92)
+        axes.view_init(elev=32, azim=-58)
+        for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+            axis.set_pane_color((0, 0, 0, 0))
+            axis.line.set_color(LINE)
+            axis._axinfo["grid"].update(color=LINE, linewidth=0.4)  # noqa: SLF001 - mplot3d offers no other way
+            axis.set_major_locator(MaxNLocator(4))
+        axes.tick_params(pad=0)
+        axes.set_xlabel("x [mm]", labelpad=0)
+        axes.set_ylabel("y [mm]", labelpad=0)
+        axes.set_zlabel(f"z [{unit}]", labelpad=2)
+    return Picture(canvas.svg, f"Perspective view of the design, heights stretched about {stretch:.3g} times.")
+
+
+def access_map(part: Part, findings: Sequence[Finding]) -> Picture:
+    """Draw where on the nose the part is touched, and the tightest places by the numbers of the access table."""
+    x, y, r = _square(part.radius)
+    inside = r <= part.radius
+    zx, zy = part.surface.gradient(x[inside], y[inside])
+    sweep = np.arctan((x[inside] * zx + y[inside] * zy) / np.maximum(r[inside], 1e-12))
+    image = np.degrees(_over_disc(part.radius, sweep, r))
+    limit = max(float(np.nanmax(np.abs(image))), 1e-6)
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        drawn = _plan(axes, image, part.radius, cmap=ANGLES, vmin=-limit, vmax=limit)
+        places: dict[tuple[float, float], list[str]] = {}
+        for number, finding in enumerate(findings, 1):
+            if finding.where is not None:
+                # Places closer than a marker share one.
+                at = next(
+                    (have for have in places if math.dist(have, finding.where) < 0.09 * part.radius), finding.where
+                )
+                places.setdefault(at, []).append(str(number))
+        for where, numbers in places.items():
+            box = {"boxstyle": "round,pad=0.28", "facecolor": PAPER, "edgecolor": INK, "linewidth": 0.8}
+            axes.text(*where, " ".join(numbers), ha="center", va="center", fontsize=7.5, bbox=box)
+        _bar(canvas, axes, drawn, "contact on the nose, from its tip [deg]")
+    return Picture(
+        canvas.svg,
+        f"Map of the angle on the nose that touches the part, within {limit:.3g} deg of the tip, with the "
+        "tightest places marked by the numbers of the table.",
+    )
+
+
+def _turn_number(motion: Motion) -> Floats:
+    return np.asarray(np.abs(motion.axes["C"] - motion.axes["C"][0]) / TURN)
+
+
+def spiral(motion: Motion, turn: Motion, feed: float) -> Picture:
+    """Draw the spiral in plan, and some turns of it where the given single turn stands."""
+    turns, x = _turn_number(motion), motion.axes["X"]
+    count = float(turns[-1])
+    every = max(1, math.ceil(count / 36))
+    dense = np.linspace(0, TURN, 181)
+    with _canvas(10.6, 4.2) as canvas:
+        plan, zoom = canvas.figure.subplots(1, 2, width_ratios=(1, 1.25))
+        for first in np.arange(0, count, every):
+            at = first + dense / TURN
+            at = at[at <= count]
+            angle = motion.axes["C"][0] + motion.sense * at * TURN
+            radius = np.interp(at, turns, x)
+            plan.plot(radius * np.cos(angle), radius * np.sin(angle), color=SERIES[0], linewidth=0.5)
+        plan.set_aspect("equal")
+        plan.set(
+            xlabel="x [mm]",
+            ylabel="y [mm]",
+            title=f"{count:.0f} turns" + (f", every {every}th drawn" if every > 1 else ""),
+        )
+        for side in ("top", "right"):
+            plan.spines[side].set_visible(False)
+
+        middle = turn.time.size // 2
+        radius, azimuth = float(turn.axes["X"][middle]), float(turn.axes["C"][middle])
+        spacing = abs(float(turn.axes["C"][middle] - turn.axes["C"][middle - 1])) * abs(radius) or feed
+        reach, half = 6 * spacing, 4.5 * feed
+        along = np.linspace(-reach, reach, 41)
+        here = abs(azimuth - motion.axes["C"][0]) / TURN
+        factor, unit = _length(max(reach, half) / 4)
+        for neighbour in range(-5, 6):
+            at = here + neighbour + motion.sense * along / max(abs(radius), 1e-12) / TURN
+            shown = (at >= 0) & (at <= count)
+            zoom.plot(
+                (np.interp(at, turns, x)[shown] - radius) * 1e3, along[shown] * factor, color=SERIES[0], linewidth=0.9
+            )
+        arc = (turn.axes["C"] - azimuth) * radius
+        near = np.abs(arc) <= reach
+        zoom.plot((turn.axes["X"][near] - radius) * 1e3, arc[near] * factor, "o", color=SERIES[1], markersize=3.6)
+        zoom.set(
+            xlim=(-half * 1e3, half * 1e3), ylim=(-reach * factor, reach * factor), xlabel="across the turns [µm]",
+            ylabel=f"along the turn [{unit}]", title=f"turns around radius {abs(radius):.4g} mm, and points of one",
+        )  # fmt: skip
+        zoom.grid(visible=True)
+    return Picture(
+        canvas.svg,
+        f"Plan view of the spiral of {count:.0f} turns, and an enlarged place at radius {abs(radius):.4g} mm "
+        f"where the points of one turn stand {spacing * 1e3:.3g} µm apart.",
+    )
+
+
+def _band(axes: Axes, at: Floats, values: Floats, bins: int) -> None:
+    """Draw how far values reach, along a position that is cut in bins."""
+    edges = np.linspace(at.min(), at.max(), bins + 1)
+    number = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, bins - 1)
+    low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
+    np.minimum.at(low, number, values)
+    np.maximum.at(high, number, values)
+    filled = low <= high
+    middle = (edges[1:] + edges[:-1])[filled] / 2
+    axes.fill_between(
+        middle, low[filled], high[filled], facecolor=SERIES[0], edgecolor=SERIES[0], linewidth=1.0, alpha=0.75
+    )
+    axes.set_axisbelow(True)
+    axes.grid(visible=True)
+    axes.margins(x=0)
+
+
+def contact(path: Path) -> Picture:
+    """Draw which part of the nose works at which distance from the axis."""
+    sweep = np.degrees(path.sweep)
+    with _canvas(4.6, 2.9) as canvas:
+        axes = canvas.figure.add_subplot()
+        axes.axhline(0, color=LINE, linewidth=0.8)
+        _band(axes, np.hypot(path.contact_x, path.contact_y), sweep, 200)
+        axes.set(xlabel="distance of the contact from the axis [mm]", ylabel="contact on the nose [deg]")
+    return Picture(
+        canvas.svg,
+        f"Range of the contact on the nose, over the distance from the axis: {sweep.min():.3g} to "
+        f"{sweep.max():.3g} deg from the tip.",
+    )
+
+
+def z_over_turns(turns: Sequence[Motion]) -> Picture:
+    """Draw the height and the speed of Z over single turns."""
+    with _canvas(4.6, 3.9) as canvas:
+        height, speed = canvas.figure.subplots(2, 1, sharex=True)
+        factor, unit = _length(max(float(np.ptp(turn.axes["Z"])) for turn in turns))
+        lift = [float(turn.axes["Z"].min() + turn.axes["Z"].max()) / 2 for turn in turns]
+        drawn = list(zip(turns, SERIES, ("-", "--", "-."), lift, strict=False))
+        for turn, colour, line, middle in drawn:
+            few = slice(None, None, max(1, math.ceil(turn.time.size / 1500)))
+            angle = np.degrees(np.abs(turn.axes["C"] - turn.axes["C"][0]))
+            label = f"r {abs(float(turn.axes['X'][turn.time.size // 2])):.3g} mm"
+            height.plot(angle[few], (turn.axes["Z"][few] - middle) * factor, line, color=colour, label=label)
+            rate = np.gradient(turn.axes["Z"], turn.time) if turn.time.size > 2 else np.zeros(turn.time.size)
+            speed.plot(angle[few], rate[few], line, color=colour)
+        height.set(ylabel=f"Z from its middle [{unit}]")
+        height.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), handlelength=2.4, columnspacing=1.2)
+        speed.set(xlabel="spindle angle from the start of the turn [deg]", ylabel="Z speed [mm/s]", xlim=(0, 360))
+        speed.xaxis.set_major_locator(MaxNLocator(steps=[1, 3, 6, 9]))
+        speed.set_xticks(np.arange(0, 361, 60))
+        for axes in (height, speed):
+            axes.grid(visible=True)
+    return Picture(
+        canvas.svg, "Height and speed of the Z axis over single turns at the rim, half-way and near the axis."
+    )
+
+
+def axes_over_time(motion: Motion) -> Picture:
+    """Draw where X and Z stand over the whole program."""
+    seconds = motion.time - motion.time[0]
+    scale, unit = (1 / 60, "min") if seconds[-1] > 120 else (1.0, "s")
+    with _canvas(4.6, 3.9) as canvas:
+        pair = canvas.figure.subplots(2, 1, sharex=True)
+        for axes, letter in zip(pair, "XZ", strict=True):
+            _band(axes, seconds * scale, motion.axes[letter], min(seconds.size, 400))
+            axes.set(ylabel=f"{letter} [mm]")
+        pair[1].set(xlabel=f"time [{unit}]")
+    return Picture(canvas.svg, f"Range of X and Z over the {seconds[-1] * scale:.4g} {unit} of the finishing pass.")
+
+
+def _resampled(heights: HeightMap) -> tuple[Floats, tuple[float, float, float, float]]:
+    """Return the nearest heights of a polar map on a square, and its extent. (n, n), [mm]."""
+    if heights.radius is None or heights.angle is None:
+        raise TypeError
+    reach = float(heights.radius[-1])
+    x, y, r = _square(reach)
+    column = np.searchsorted((heights.radius[1:] + heights.radius[:-1]) / 2, r)
+    start = float(heights.angle[0])
+    around = np.append(heights.angle, start + TURN)
+    row = (
+        np.searchsorted((around[1:] + around[:-1]) / 2, start + (np.arctan2(y, x) - start) % TURN) % heights.angle.size
+    )
+    return np.where(r <= reach, heights.z[row, column], np.nan), (-reach, reach, -reach, reach)
+
+
+def error_map(heights: HeightMap) -> Picture:
+    """Draw cut minus design, colours centred at zero."""
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        if heights.x is not None and heights.y is not None:
+            x, y, stride = heights.x, heights.y, math.ceil(max(heights.z.shape) / MOST_PIXELS)
+            image = heights.z[::stride, ::stride]
+            centre = (float(x[0] + x[-1]) / 2, float(y[0] + y[-1]) / 2)
+            factor, unit = _length(float(max(np.ptp(x), np.ptp(y))))
+            grown = float(x[1] - x[0]) / 2, float(y[1] - y[0]) / 2
+            extent = tuple(
+                (end - middle) * factor
+                for end, middle in (
+                    (x[0] - grown[0], centre[0]), (x[-1] + grown[0], centre[0]),
+                    (y[0] - grown[1], centre[1]), (y[-1] + grown[1], centre[1]),
+                )
+            )  # fmt: skip
+        else:
+            image, extent = _resampled(heights)
+            centre, unit = (0.0, 0.0), "mm"
+        sizes = np.abs(heights.z[np.isfinite(heights.z)]) * NM
+        limit = float(np.percentile(sizes, SPAN)) if sizes.size else 1.0
+        beyond = bool(sizes.size and sizes.max() > limit * 1.001)
+        limit = limit or 1e-3
+        if heights.polar:
+            drawn = _plan(axes, image * NM, float(extent[1]), cmap=ERRORS, vmin=-limit, vmax=limit)
+        else:
+            drawn = axes.imshow(
+                image * NM, origin="lower", extent=extent, cmap=ERRORS, vmin=-limit, vmax=limit,
+                interpolation="antialiased",
+            )  # fmt: skip
+            axes.set(
+                xlabel=f"x from {round(centre[0], 9) + 0.0:.6g} mm [{unit}]",
+                ylabel=f"y from {round(centre[1], 9) + 0.0:.6g} mm [{unit}]",
+            )
+        _bar(canvas, axes, drawn, "cut minus design [nm]", extend="both" if beyond else "neither")
+    low, high = (float(end(heights.z)) * NM if sizes.size else 0.0 for end in (np.nanmin, np.nanmax))
+    return Picture(canvas.svg, f"Map of cut minus design, from {low:.4g} to {high:.4g} nm.")
+
+
+def rings(heights: HeightMap) -> Picture:
+    """Draw the mean of a polar error map around the axis, and its range, over the radius."""
+    if heights.radius is None:
+        raise TypeError
+    filled = np.isfinite(heights.z).any(axis=0)
+    radius, z = heights.radius[filled], heights.z[:, filled] * NM
+    few = slice(None, None, max(1, math.ceil(radius.size / 600)))
+    low, mean, high = (end(z[:, few], axis=0) for end in (np.nanmin, np.nanmean, np.nanmax))
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        axes.axhline(0, color=LINE, linewidth=0.8)
+        axes.fill_between(
+            radius[few], low, high, color=SERIES[0], alpha=0.3, linewidth=0, label="range around the ring"
+        )
+        axes.plot(radius[few], mean, color=SERIES[0], label="mean around the ring")
+        axes.set(xlabel="distance from the axis [mm]", ylabel="cut minus design [nm]")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+        axes.margins(x=0)
+        axes.grid(visible=True)
+    return Picture(canvas.svg, "Mean and range of cut minus design around each ring, over the distance from the axis.")
+
+
+def profile(heights: HeightMap, feed: float) -> Picture:
+    """Draw a cut through the cusps: across the turns, through the middle of a rectangular map."""
+    x, y = heights.x, heights.y
+    if x is None or y is None:
+        raise TypeError
+    over_x = abs(x[0] + x[-1]) >= abs(y[0] + y[-1])
+    along, other = (x, y) if over_x else (y, x)
+    middle = other.size // 2
+    z = (heights.z[middle] if over_x else heights.z[:, middle]) * NM
+    at = (along - (along[0] + along[-1]) / 2) * 1e3
+    shown = np.abs(at) <= 7500 * feed
+    if np.count_nonzero(shown) < 20:
+        shown = np.ones(at.shape, dtype=bool)
+    few = slice(None, None, max(1, math.ceil(np.count_nonzero(shown) / 3000)))
+    letter, across = ("x", "y") if over_x else ("y", "x")
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        axes.axhline(0, color=LINE, linewidth=0.8)
+        axes.plot(at[shown][few], z[shown][few], color=SERIES[0])
+        axes.set(
+            xlabel=f"{letter} from the middle, at {across} = {other[middle]:.5g} mm [µm]",
+            ylabel="cut minus design [nm]",
+        )
+        axes.margins(x=0)
+        axes.grid(visible=True)
+    return Picture(canvas.svg, f"Profile of cut minus design along {letter}, cusps {feed * 1e3:.3g} µm apart.")
