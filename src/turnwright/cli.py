@@ -136,11 +136,14 @@ def backplot(
         import json  # noqa: PLC0415
 
         from turnwright.archive import write_maps  # noqa: PLC0415
+        from turnwright.report import write_backplot  # noqa: PLC0415
 
         with _new_folder(out, force=force) as folder:
             told = write_maps(predictions, folder)
             (folder / "backplot.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+            write_backplot(program, recipe, motion, limits, predictions, folder)
         typer.echo(f"maps: {out / 'maps'}")
+        typer.echo(f"report: {out / 'report.html'}")
 
 
 def _read(program: Path, recipe: Job, cut: str | None, progress: StageProgress) -> Motion:
