@@ -75,7 +75,7 @@ def useful_turns(bounds, mirrored, low, high, profile, table, keep):
     for end in range(2):
         r = high if end == 0 else low
         best, ceiling = -1, FAR
-        for m in range(turns):
+        for m in range(turns - 1):  # the last may be a part of a turn, which not every azimuth has
             reach = max(abs(r - bounds[0, m]), abs(r - bounds[1, m]))
             if reach < profile[4] and reach < -profile[1]:
                 top = bounds[3, m] + max(height(profile, table, reach), height(profile, table, -reach))
