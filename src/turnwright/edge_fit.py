@@ -1,0 +1,391 @@
+r"""From a measured trace of the diamond to the tool that cuts: nose radius, flanks and waviness.
+
+The trace is compared with what a `turnwright.Tool` is, an arc and the two straight flanks tangent to its ends. About
+the centre of the arc, the signed distance of a point :math:`p` from that edge is
+
+.. math:: d(p) = p \cdot n(\varphi) - R, \qquad \varphi = \min(\max(\angle p, -\alpha), \beta)
+
+with :math:`n(\varphi)` the normal at sweep :math:`\varphi` and :math:`-\alpha, \beta` the sweeps at which the flanks
+begin. Its five parameters are fitted with a loss that grows only linearly, so that dust and the broken ends of the
+trace do not pull; that parts the nose from the flanks. The nose alone then gives radius and waviness.
+
+Instruments trace a nose in strokes, one from each side, that overlap near the tip and do not meet there: on measured
+edges they miss each other by micrometres. So the circle has one radius, and a centre for each stroke.
+
+Sources
+-------
+The noise of neighbouring points of a trace is correlated, and the waviness even more so; the uncertainty of the radius
+counts only as many points as are independent (A. Sokal, Monte Carlo methods, 1997). Oracles: traces made from known
+edges; the algebraic circle of G. Taubin (IEEE PAMI 13, 1991) on a measured one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats, Ints, between, frozen, positive
+from turnwright.errors import InputError
+from turnwright.tool import Tool, WavinessTable
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import ArrayLike
+
+__all__ = ["EdgeFit", "fit_edge", "read_edge_trace"]
+
+FEWEST = 50
+"""Points below which a trace does not tell an arc from its flanks."""
+
+STARTS = 400
+"""Points of a trace that are enough to find where the search begins."""
+
+OUTLIER = 4.0
+"""Standard deviations, estimated from the median, beyond which a point is dust."""
+
+BLEND = np.deg2rad(2.0)
+"""How much of the arc is left out beside each flank, where grinding has rounded one into the other. [rad]"""
+
+STROKE = 20.0
+"""How many times its usual step the trace must jump back to begin another stroke."""
+
+SEEN = 5.0
+"""How many times the scatter the height of the arc must be, for its radius to mean anything."""
+
+PER_CUTOFF = 8
+"""Points of the waviness table in one cutoff wavelength."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EdgeFit:
+    """What a measured trace says of the diamond.
+
+    Parameters
+    ----------
+    tool
+        The tool with its measured radius error and waviness, its tip at the lowest point of the fitted arc. Its
+        included angle is symmetric, so that of the shorter side counts.
+    radius, radius_std
+        Of the nose, and its standard uncertainty from scatter and waviness (not that of the instrument's scale). [mm]
+    sweep
+        Where the flanks begin (lo, hi), which is where the arc ends. [rad]
+    tilt
+        How far the middle between the flanks is turned from the tip toward +X. [rad]
+    centre
+        Of the fitted arc in the trace's own (u, height), for each stroke. (strokes, 2) [mm]
+    nose
+        Which points of the trace the radius and the waviness rest on. (n,)
+    residual_rms
+        Of these points about the circle, waviness and noise together. [mm]
+    noise_rms
+        Of these points about the circle with its waviness. [mm]
+    cutoff
+        Wavelength along the edge of which the waviness keeps half of the height. [mm]
+    """
+
+    tool: Tool
+    radius: float
+    radius_std: float
+    sweep: tuple[float, float]
+    tilt: float
+    centre: Floats
+    nose: Bools
+    residual_rms: float
+    noise_rms: float
+    cutoff: float
+
+
+def read_edge_trace(path: str | PathLike[str]) -> tuple[Floats, Floats]:
+    """Read a single trace of an edge as the Mitaka MLP point-autofocus instruments export it.
+
+    Parameters
+    ----------
+    path
+        Lines of description, a line ``X,Y,Z``, then rows of X along the trace and Y across the edge in mm.
+
+    Returns
+    -------
+    u, height
+        Along the trace and across the edge. Each (n,) [mm]
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is not of this form, or holds several profiles.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
+    heads = [number for number, line in enumerate(lines) if line.replace(" ", "").upper() == "X,Y,Z"]
+    if not heads:
+        raise InputError(f"{path} has no line 'X,Y,Z' above its points: export the trace with its head")
+    head, body = lines[: heads[0]], lines[heads[0] + 1 :]
+    profiles = 1
+    for line in head:
+        cells = [cell.strip() for cell in line.split(",")]
+        if cells[0] in {"Number of points in Y direction", "Number of data"} and cells[-1].isdigit():
+            profiles = int(cells[-1])
+    if profiles != 1:
+        raise InputError(f"{path} holds {profiles} profiles, the limit is 1: export one profile a file")
+    try:
+        rows = np.array([[float(cell) for cell in line.split(",")[:2]] for line in body if line.strip()])
+    except ValueError as error:
+        raise InputError(f"{path} holds something that is not a number ({error}): correct it") from error
+    if rows.ndim != 2 or rows.shape[1] != 2:
+        raise InputError(f"{path} has {len(body)} lines below 'X,Y,Z', it needs rows of X,Y,Z: export the trace again")
+    return frozen(rows[:, 0], "trace X"), frozen(rows[:, 1], "trace Y")
+
+
+def fit_edge(
+    u: ArrayLike,
+    height: ArrayLike,
+    *,
+    toward_x: int,
+    cutoff: float,
+    nose_radius: float | None = None,
+    tilt: float = 0.0,
+    name: str = "",
+) -> EdgeFit:
+    r"""Find the nose in a measured trace of an edge, and return the tool with its radius and waviness.
+
+    Whether the edge points up or down in the trace is found from the trace; whether the trace runs toward +X of the
+    machine cannot be, and must be said.
+
+    Parameters
+    ----------
+    u, height
+        Along the trace and across the edge, in the order of tracing. Each (n,) [mm]
+    toward_x
+        +1 if ``u`` grows toward the machine's +X when the tool is mounted, -1 if it falls.
+    cutoff
+        Wavelength along the edge of which the waviness keeps half the height: shorter ones are taken for noise. [mm]
+    nose_radius
+        The nominal radius, to be kept as the tool's; the measured one if not given. [mm]
+    tilt
+        Turn of the mounted tool toward +X since it was traced; minus `EdgeFit.tilt` levels the flanks. [rad]
+    name
+        What the shop calls the tool.
+
+    Raises
+    ------
+    InputError
+        If there are too few points, or they show no arc above their scatter.
+
+    >>> tool = Tool(nose_radius=0.2, included=np.deg2rad(100), waviness=(0.0, 1e-4))
+    >>> u, _, e = tool.edge(np.deg2rad(np.linspace(-60, 60, 2401)))   # flanks beyond the arc
+    >>> fit = fit_edge(u, -e, toward_x=+1, cutoff=0.01)               # the edge points up
+    >>> fit.tool.nose_radius == fit.radius, np.rad2deg(fit.sweep).round(0)
+    (True, array([-50.,  50.]))
+    """
+    along, across = frozen(u, "trace u"), frozen(height, "trace height")
+    if along.size != across.size:
+        raise InputError(f"a trace has {along.size} u and {across.size} heights: give as many of one as of the other")
+    if along.size < FEWEST:
+        raise InputError(f"a trace has {along.size} points, it needs at least {FEWEST}: trace the edge more finely")
+    if toward_x not in (-1, 1):
+        raise InputError(f"toward_x is {toward_x!r}, it must be 1 or -1: say whether u grows toward the machine's +X")
+    positive(cutoff, "cutoff", "mm")
+    between(np.rad2deg(tilt), "tilt", -45, 45, "deg")
+
+    # Along +X, and outward: the way the edge points, whichever of the two ways lets an arc fit better.
+    found = {sign: _fit_shape(toward_x * along, sign * across) for sign in (1.0, -1.0)}
+    sign = min(found, key=lambda way: found[way].cost)
+    a, b = toward_x * along, sign * across
+    shape = found[sign].shape
+    radius, centre, stroke, nose = _fit_nose(a, b, shape, _strokes(along))
+    sweep, off = _polar(a, b, radius, centre[stroke])
+    low, high = _ends(sweep, off, shape)
+    inside, scatter = sweep[nose], _scatter(off[nose])
+    arc_height = radius * (1 - np.cos(np.ptp(inside) / 2)) if inside.size else 0.0
+    if inside.size < FEWEST or arc_height < SEEN * scatter:
+        raise InputError(
+            f"a trace of {along.size} points shows no arc: the best one holds {inside.size} points and is "
+            f"{1e3 * arc_height:.3g} um high where they scatter by {1e3 * scatter:.3g} um, it needs {FEWEST} points "
+            f"and {SEEN:g} times the scatter: clean the tool and trace its nose again"
+        )
+    table = _smooth(inside + tilt, off[nose], cutoff / radius)
+    nominal = radius if nose_radius is None else positive(nose_radius, "nose_radius", "mm")
+    tool = Tool(
+        nose_radius=nominal,
+        radius_error=radius - nominal,
+        included=2 * min(-(low + tilt), high + tilt, np.pi / 2),
+        waviness=table,
+        name=name,
+    )
+    return EdgeFit(
+        tool=tool,
+        radius=radius,
+        radius_std=_radius_std(inside, off[nose], stroke[nose]),
+        sweep=(low + tilt, high + tilt),
+        tilt=0.5 * (low + high) + tilt,
+        centre=frozen(centre * (toward_x, sign), "centre", ndim=2),
+        nose=nose,
+        residual_rms=float(np.sqrt(np.mean(off[nose] ** 2))),
+        noise_rms=float(np.sqrt(np.mean((off[nose] - tool.deviation(inside + tilt)) ** 2))),
+        cutoff=cutoff,
+    )
+
+
+class _Found(NamedTuple):
+    """The best arc with flanks: centre, radius, where the flanks begin; and what it costs."""
+
+    shape: Floats  # centre along and across, radius [mm], sweeps at which the flanks begin, as magnitudes [rad]
+    cost: float
+
+
+def _scatter(off: Floats) -> float:
+    """Return the standard deviation that the median of the magnitudes stands for."""
+    return float(1.4826 * np.median(np.abs(off))) if off.size else 0.0
+
+
+def _polar(a: Floats, b: Floats, radius: float, centre: Floats) -> tuple[Floats, Floats]:
+    """Return sweep [rad] and distance outside the circle [mm]; ``centre`` is one for all or one for each point."""
+    across, out = a - centre[..., 0], b - centre[..., 1]
+    return np.arctan2(across, out), np.hypot(across, out) - radius
+
+
+def _strokes(along: Floats) -> Ints:
+    """Return the number of the stroke that each point of the trace belongs to. (n,)."""
+    steps = np.diff(along)
+    steps = steps * np.sign(np.sum(np.sign(steps)) or 1.0)
+    return np.concatenate([[0], np.cumsum(steps < -STROKE * np.median(np.abs(steps)))])
+
+
+def _off_edge(shape: Floats, a: Floats, b: Floats) -> Floats:
+    """Return the signed distance from an arc with tangent flanks, positive outside. (n,) [mm]."""
+    across, out = a - shape[0], b - shape[1]
+    sweep = np.clip(np.arctan2(across, out), -shape[3], shape[4])
+    return np.asarray(across * np.sin(sweep) + out * np.cos(sweep) - shape[2])
+
+
+def _slopes_off_edge(shape: Floats, a: Floats, b: Floats) -> Floats:
+    """Return the derivatives of `_off_edge` by the parameters. (n, 5)."""
+    across, out = a - shape[0], b - shape[1]
+    angle = np.arctan2(across, out)
+    sweep = np.clip(angle, -shape[3], shape[4])
+    sine, cosine = np.sin(sweep), np.cos(sweep)
+    turn = across * cosine - out * sine  # 0 on the arc: its distance does not depend on where the flanks begin
+    return np.stack(
+        [
+            -sine,
+            -cosine,
+            np.full(a.size, -1.0),
+            np.where(angle < -shape[3], -turn, 0),
+            np.where(angle > shape[4], turn, 0),
+        ],
+        axis=1,
+    )
+
+
+def _fit_shape(a: Floats, b: Floats) -> _Found:
+    """Fit an arc with tangent flanks that points toward +b."""
+    from scipy.optimize import least_squares  # noqa: PLC0415 - costly to import
+
+    extent = max(np.ptp(a), np.ptp(b))
+    top = a[np.argsort(b)[-max(a.size // 20, 5) :]]
+    middle, peak = float(np.median(top)), float(np.quantile(b, 0.99))
+    low = [-np.inf, -np.inf, 1e-4 * extent, 0.01, 0.01]
+    high = [np.inf, np.inf, 100 * extent, np.pi / 2, np.pi / 2]
+
+    def fit(start: Floats, few: int, scale: float) -> Any:
+        chosen = a[::few], b[::few]
+        return least_squares(
+            _off_edge, start, _slopes_off_edge, bounds=(low, high), loss="soft_l1", f_scale=scale,
+            x_scale=[extent, extent, extent, 1.0, 1.0], args=chosen, max_nfev=200,
+        )  # fmt: skip
+
+    few = max(a.size // STARTS, 1)
+    starts = [
+        np.array([middle, peak - radius, radius, flank, flank])
+        for radius, flank in product(extent * np.geomspace(0.03, 3, 7), np.deg2rad([30, 60]))
+    ]
+    best = min((fit(start, few, 0.01 * extent) for start in starts), key=lambda result: float(result.cost))
+    shape = best.x
+    for _ in range(3):  # from a loss as wide as the trace to one as narrow as its scatter
+        scale = max(_scatter(_off_edge(shape, a, b)), 1e-7 * extent)
+        shape = fit(shape, 1, scale).x
+    # Both ways are judged by one loss.
+    return _Found(shape, float(np.minimum(np.abs(_off_edge(shape, a, b)), 0.01 * extent).sum()))
+
+
+def _fit_nose(a: Floats, b: Floats, shape: Floats, strokes: Ints) -> tuple[float, Floats, Ints, Bools]:
+    """Fit a circle to the nose alone, without flanks and dust.
+
+    Returns
+    -------
+    radius, centre, stroke, nose
+        Of the circle [mm]; for each stroke (strokes, 2) [mm]; the stroke of each point, and whether it counts. (n,)
+    """
+    from scipy.optimize import least_squares  # noqa: PLC0415
+
+    sweep, off = _polar(a, b, shape[2], shape[:2])
+    arc = (sweep > BLEND - shape[3]) & (sweep < shape[4] - BLEND)
+    # Strokes that hold too little of the arc are dust; numbers outside of the arc do not matter.
+    kept = np.flatnonzero(np.bincount(strokes[arc], minlength=1) >= FEWEST)
+    arc &= np.isin(strokes, kept)
+    stroke = np.clip(np.searchsorted(kept, strokes), 0, max(kept.size - 1, 0)).astype(np.int64)
+    circle = np.concatenate([shape[2:3], np.tile(shape[:2], max(kept.size, 1))])
+    nose = np.zeros(a.size, dtype=np.bool_)
+
+    def distance(circle: Floats, chosen: Bools) -> Floats:
+        return _polar(a[chosen], b[chosen], circle[0], circle[1:].reshape(-1, 2)[stroke[chosen]])[1]
+
+    everywhere = np.ones_like(nose)
+    for _ in range(10):
+        off = distance(circle, everywhere)
+        scale = max(_scatter(off[arc]), 1e-9 * circle[0])
+        last, nose = nose, arc & (np.abs(off) < OUTLIER * scale)
+        if np.count_nonzero(nose) < FEWEST or np.array_equal(last, nose):
+            break
+        circle = least_squares(distance, circle, loss="soft_l1", f_scale=scale, x_scale=circle[0], args=(nose,)).x
+    return float(circle[0]), circle[1:].reshape(-1, 2), stroke, nose
+
+
+def _ends(sweep: Floats, off: Floats, shape: Floats) -> tuple[float, float]:
+    """Return where the arc ends: at the flanks, or with the trace if that shows none."""
+    near = sweep[np.abs(off) < max(OUTLIER * _scatter(off), 0.01 * shape[2])]
+    if not near.size:
+        return -float(shape[3]), float(shape[4])
+    return max(-float(shape[3]), float(near.min())), min(float(shape[4]), float(near.max()))
+
+
+def _smooth(sweep: Floats, off: Floats, cutoff: float) -> WavinessTable:
+    """Return the deviation without wavelengths shorter than ``cutoff`` [rad].
+
+    A cubic smoothing spline through points h apart that minimises the squares plus lam times the squared second
+    derivative passes a wave of angular frequency w with 1 / (1 + lam h w^4) of its height.
+    """
+    from scipy.interpolate import make_smoothing_spline  # noqa: PLC0415
+
+    step = cutoff / PER_CUTOFF
+    number = np.floor((sweep - sweep.min()) / step).astype(np.int64)
+    count = np.bincount(number)
+    filled = count > 0
+    if np.count_nonzero(filled) < PER_CUTOFF:
+        raise InputError(
+            f"the arc spans {np.rad2deg(np.ptp(sweep)):.3g} deg and the cutoff {np.rad2deg(cutoff):.3g} deg of it, at "
+            "least one cutoff must fit: take a smaller cutoff"
+        )
+    at, height = (np.bincount(number, weights=values)[filled] / count[filled] for values in (sweep, off))
+    spline = make_smoothing_spline(at, height, lam=(cutoff / (2 * np.pi)) ** 4 / step)
+    return WavinessTable(sweep=at, deviation=spline(at))
+
+
+def _radius_std(sweep: Floats, off: Floats, stroke: Ints) -> float:
+    """Return the standard uncertainty of the radius of a circle fitted to points that scatter in a correlated way."""
+    order = np.argsort(sweep)
+    own = stroke[:, None] == np.arange(stroke.max() + 1)  # each stroke has its own centre
+    slopes = np.column_stack([np.ones(sweep.size), own * np.sin(sweep)[:, None], own * np.cos(sweep)[:, None]])
+    centred = off[order] - off.mean()
+    correlation = np.correlate(centred, centred, "full")[off.size - 1 :] / max(float(centred @ centred), 1e-300)
+    end = int(np.argmax(correlation <= 0)) or off.size
+    together = 1 + 2 * correlation[1:end].sum()  # points that count as one
+    variance = together * np.sum(off**2) / max(off.size - slopes.shape[1] * together, 1)
+    return float(np.sqrt(variance * np.linalg.inv(slopes.T @ slopes)[0, 0]))
