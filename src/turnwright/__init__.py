@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from turnwright.access import Access, Finding, check_access
     from turnwright.contact import place
+    from turnwright.edge_fit import EdgeFit, fit_edge, read_edge_trace
     from turnwright.errors import (
         DomainError,
         GougeError,
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "access": ("Access", "Finding", "check_access"),
     "contact": ("place",),
+    "edge_fit": ("EdgeFit", "fit_edge", "read_edge_trace"),
     "errors": (
         "DomainError",
         "GougeError",
@@ -126,6 +128,7 @@ __all__ = [
     "Conic",
     "Convention",
     "DomainError",
+    "EdgeFit",
     "EvenAsphere",
     "Expression",
     "Finding",
@@ -171,6 +174,7 @@ __all__ = [
     "check_access",
     "check_limits",
     "drive",
+    "fit_edge",
     "generate",
     "generate_points",
     "generate_polar",
@@ -178,6 +182,7 @@ __all__ = [
     "place",
     "predict",
     "preview",
+    "read_edge_trace",
     "read_nc",
     "read_table",
     "remove_form",

@@ -204,8 +204,8 @@ def _progress() -> Iterator[StageProgress]:
 def _new_folder(out: Path, *, force: bool) -> Iterator[Path]:
     """Yield a folder beside ``out`` that becomes ``out`` when all is well, and vanishes otherwise."""
     out = out.absolute()
-    if not out.parent.is_dir():
-        raise InputError(f"the folder {str(out.parent)!r} for the results does not exist: make it first")
+    made = [folder for folder in out.parents if not folder.exists()]  # deepest first
+    out.parent.mkdir(parents=True, exist_ok=True)
     taken = out.exists() and not (out.is_dir() and not any(out.iterdir()))
     if taken and not force:
         raise InputError(
@@ -229,6 +229,9 @@ def _new_folder(out: Path, *, force: bool) -> Iterator[Path]:
         # A second interrupt must not stop the cleaning.
         before = signal.signal(signal.SIGINT, signal.SIG_IGN), signal.signal(signal.SIGTERM, signal.SIG_IGN)
         shutil.rmtree(folder, ignore_errors=True)
+        for parent in made:
+            with suppress(OSError):  # somebody else put something in it meanwhile
+                parent.rmdir()
         signal.signal(signal.SIGINT, before[0])
         signal.signal(signal.SIGTERM, before[1])
         raise

@@ -1,6 +1,6 @@
 r"""The exact height at which the real edge touches a surface.
 
-For the commanded tip at distance :math:`\rho` from the axis in the plane of azimuth :math:`\theta`, moving only along Z,
+For the commanded tip at distance :math:`\rho` from the axis at azimuth :math:`\theta`, moving along Z only,
 
 .. math:: Z(\rho, \theta) = \max_u \; [\, f(\rho + u, \theta) - e(u) \,]
 
@@ -8,8 +8,8 @@ a grey-scale dilation of the surface by the edge: free of gouges by construction
 The maximum is found in one of two ways.
 
 *One tangent.* If the surface curves up less than the edge everywhere, f - e is strictly concave and has one maximum,
-the tangent solution, which Newton finds from the tip. The condition is tested beforehand on a grid over the whole part and
-again at every point that Newton visits, that is at the density of the program itself.
+the tangent solution, which Newton finds from the tip. The condition is tested beforehand on a grid over the whole part
+and again at every point that Newton visits, that is at the density of the program itself.
 
 *Search.* Otherwise f - e is sampled along the edge well below the surface's `feature_size`; every sampled maximum
 that may be the greatest within the sampling error is refined, on either side of each kink or step, and the greatest is
@@ -264,6 +264,7 @@ class _Contact:
             return False
         out.sweep[:] = sweep
         self._contact_points(angle, radius, out)
+        self._require_inside(angle, radius, out.x, out.y)
         return True
 
     def _require_inside(self, angle: Floats, radius: Floats, x: Floats, y: Floats) -> None:
@@ -272,11 +273,10 @@ class _Contact:
             self._outside(float(angle[~inside][0]), float(radius[~inside][0]))
 
     def _contact_points(self, angle: Floats, radius: Floats, out: Touch) -> None:
-        """Set the contact point from the sweep, checked against the domain."""
+        """Set the contact point from the sweep."""
         x, y = np.empty(angle.size), np.empty(angle.size)
         self.kernel.under_edge(*self.edge, angle, radius, np.ascontiguousarray(out.sweep), x, y)
         out.x[:], out.y[:] = x, y
-        self._require_inside(angle, radius, x, y)
         out.surface_z[:] = out.z + self._edge_at(out.sweep)[2]
 
     def _edge_at(self, sweep: Floats) -> Floats:
@@ -347,8 +347,9 @@ class _Contact:
             offsets = np.concatenate([[0], np.cumsum(counts)])
             row_angle, row_radius = angle[offsets[:-1]], np.full(counts.size, -self.row[5])
             position = radius + self.row[5]
-        origin = float(position.min()) + low - 2 * step
-        samples = int(np.ceil((float(position.max()) + high - origin) / step)) + 3
+        # Not on the axis, nor on any other round place where a prescription may be special.
+        origin = float(position.min()) + low - 2.381966 * step
+        samples = int(np.ceil((float(position.max()) + high - origin) / step)) + 4
         u = np.ascontiguousarray(np.broadcast_to(origin + step * np.arange(samples), (row_angle.size, samples)))
         x, y = np.empty(u.shape), np.empty(u.shape)
         self.kernel.places(self.row, *self.profile[:2], row_angle, row_radius, u, x, y)

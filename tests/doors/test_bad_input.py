@@ -220,9 +220,19 @@ def test_a_taken_folder_is_not_touched(place, capsys):
     assert "is there already and not empty" in refused(place, job, capsys)
 
 
-def test_a_folder_in_nowhere_is_refused(place, capsys):
-    assert main(["run", str(written(place)), "--out", str(place / "no" / "where")]) == 2
-    assert "does not exist: make it first" in capsys.readouterr().err
+def test_a_folder_inside_a_file_is_refused(place, capsys):
+    (place / "file").write_text("not a folder")
+    assert main(["run", str(written(place)), "--out", str(place / "file" / "out")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_folders_made_for_the_output_go_with_it(place, monkeypatch):
+    def stop(*_args, **_more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("turnwright.job.run", stop)
+    assert main(["run", str(written(place)), "--out", str(place / "deep" / "down" / "out")]) == 130
+    assert not (place / "deep").exists()
 
 
 def start(job, out, **more):

@@ -107,7 +107,7 @@ def test_generated_surface_equals_brute_force_over_every_pass(name, how):
     x, y = rng.uniform(-0.6, 0.6, (2, 10))
     x[:4] *= 0.02  # close to the axis, where passes come from both sides
     y[:4] *= 0.02
-    # Nearer the axis than the tip is off centre, a wobbling tool passes over a point several times in one turn, of which
+    # Nearer the axis than the tip is off centre, a wobbling tool passes over a point several times a turn, of which
     # the root finder here knows one.
     far = np.hypot(x, y) > 0.005
     x, y = x[far], y[far]

@@ -87,7 +87,7 @@ BAD = {
     "constant without a name": (lambda: Expression("x", constants={"a b": 1.0}), "constant 'a b'"),
     "constant nan": (lambda: Expression("a*x", constants={"a": np.nan}), "constant a is nan"),
     "feature size zero": (lambda: Expression("x", feature_size=0.0), "feature_size of an expression is 0 mm"),
-    "axis in the part": (lambda: Part(surface=Expression("cos(3*phi)"), radius=2.0), "leaves out the axis"),
+    "height on the axis": (lambda: Expression("cos(3*phi)").sag(0.0, 0.0), "leaves out the axis"),
 }
 
 

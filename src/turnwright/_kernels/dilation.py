@@ -188,6 +188,9 @@ def candidates(
             broken[break_after[b]] = b
         # How much f - e can rise between samples of one piece, and the range of slopes; steps are steep slopes.
         bend, steepest, falling = 0.0, -np.inf, np.inf
+        summit = -np.inf
+        for j in range(m):
+            summit = max(summit, f[j])
         for j in range(1, m):
             rate = (f[j] - f[j - 1]) / step
             if abs(rate) < np.inf:
@@ -196,6 +199,12 @@ def candidates(
                 second = abs(f[j - 2] - 2.0 * f[j - 1] + f[j])
                 if second < np.inf:
                     bend = max(bend, second)
+        # Where the surface is steeper than the edge at an end of the window it may touch beyond it, up to the summit.
+        above = np.inf
+        if steepest > rake_cos * slope(profile, table, high):
+            above = rake_cos * height(profile, table, high)
+        if falling < rake_cos * slope(profile, table, low):
+            above = min(above, rake_cos * height(profile, table, low))
         near, far = low, high
         if convex and steepest >= falling:
             near = max(low, distance_at_slope(profile, table, falling / rake_cos, low, high) - 2.0 * step)
@@ -225,7 +234,7 @@ def candidates(
                 return OUTSIDE - k
             if where < end and g[where + 1] == -np.inf and broken[where] < 0:
                 return OUTSIDE - k
-            if top == greatest and (where == begin or where == end):
+            if summit - above > top or (top == greatest and (where == begin or where == end)):
                 return NARROW
             u = origin + step * where - p
             curve = rake_cos * abs(
@@ -280,15 +289,14 @@ def candidates(
                         j = break_after[b] + side
                         next_at, following = origin + step * j - p, g[j]
                     inward = (break_slope[side, b] - rate) * (1.0 if side == 1 else -1.0)
-                    if inward > 0.0:
-                        # It rises into the smooth piece, and is no higher at the other end: a maximum in between.
-                        if value >= following:
-                            point[found] = k
-                            start[found], stop[found] = min(at, next_at), max(at, next_at)
-                            guess[found] = 0.5 * (at + next_at)
-                            found += 1
-                    elif value > direct[k]:
+                    if value > direct[k]:
                         direct[k], direct_at[k] = value, at
+                    # It rises into the smooth piece, and is no higher at the other end: a maximum in between.
+                    if inward > 0.0 and value >= following:
+                        point[found] = k
+                        start[found], stop[found] = min(at, next_at), max(at, next_at)
+                        guess[found] = 0.5 * (at + next_at)
+                        found += 1
     return found
 
 

@@ -297,9 +297,11 @@ class SimulationTable(Table):
 
 def _form(value: object) -> int | str:
     known = ("none", "mean", "plane", "sphere")
-    if value in known or (isinstance(value, int) and not isinstance(value, bool) and value >= 0):
+    if value in known or (isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 10):
         return value
-    raise JobError(f"{value!r} is neither one of {', '.join(known)} nor the degree of a polynomial: give one of them")
+    raise JobError(
+        f"{value!r} is neither one of {', '.join(known)} nor the degree of a polynomial, 0 to 10: give one of them"
+    )
 
 
 class RoughnessTable(Table):

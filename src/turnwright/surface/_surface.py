@@ -103,7 +103,9 @@ class Surface(ABC):
         return self.evaluate(x, y, order)
 
     def require_disc(self, radius: float, what: str) -> None:
-        """Raise unless the surface is defined all over the disc of ``radius``.
+        """Raise unless the surface is defined all over the disc of ``radius``; the axis alone may be missing.
+
+        A formula in the azimuth, such as cos(3 phi), has no height on the axis and is cut everywhere around it.
 
         Raises
         ------
@@ -111,7 +113,7 @@ class Surface(ABC):
             With the part of the disc that is missing.
         """
         angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
-        rings = radius * np.linspace(0, 1, 65)
+        rings = radius * np.linspace(0, 1, 65)[1:]
         inside = self.inside(np.outer(rings, np.cos(angle)), np.outer(rings, np.sin(angle)))
         if inside is not None and not inside.all():
             reach = rings[np.argmin(inside.all(axis=1))]

@@ -150,7 +150,7 @@ class Expression(Surface):
         """Return where the formula has a finite value."""
         finite = np.isfinite(self.evaluate(x, y, 0)[0])
         if self._axis is not None and self._axis.order < 0:
-            finite &= np.hypot(x, y) >= AXIS
+            finite &= (x != 0) | (y != 0)
         return finite
 
     @property
@@ -164,8 +164,9 @@ class Expression(Surface):
         """Return on which side of the axis a point is, if the formula is not smooth on the axis, as a cone is not."""
         if self._axis is None or self._axis.order == 2:
             return None
-        side: Bools = (x > 0) | ((x == 0) & (y > 0))
-        return side.astype(np.int64)
+        side = ((x > 0) | ((x == 0) & (y > 0))).astype(np.int64)
+        # An axis without a height belongs to neither side.
+        return side if self._axis.order >= 0 else np.where((x == 0) & (y == 0), 2, side)
 
     def _checked(self, x: ArrayLike, y: ArrayLike, order: int) -> tuple[Floats, ...]:
         values = Surface._checked(self, x, y, order)  # noqa: SLF001 - super() fails in a class with slots
@@ -187,7 +188,7 @@ class Expression(Surface):
     def _block(self, x: Floats, y: Floats, order: int, out: Floats) -> None:
         """Fill ``out`` (1, 3 or 6, n)."""
         on_axis = None
-        if self._axis is not None:
+        if self._axis is not None and self._axis.order >= 0:
             on_axis = np.flatnonzero((np.abs(x) < AXIS) & (np.hypot(x, y) < AXIS))
             if on_axis.size:
                 x = x.copy()
