@@ -41,6 +41,8 @@ CONCAVITY = 0.9
 SAMPLES_PER_FEATURE = 16
 SAMPLES_PER_EDGE = 128
 CHUNK = 8192
+BESIDE = 1e-9
+"""How far from a kink or step its slopes are looked at, which only say to which side it rises. [mm]"""
 
 
 class Touch(NamedTuple):
@@ -428,11 +430,13 @@ class _Contact:
         sides = np.stack([before_at[order], behind_at[order]])
         height, slope = np.empty(sides.shape), np.empty(sides.shape)
         for side in range(2):
-            x, y = self._place(angle[row], radius[row], sides[side])
+            height[side] = self._heights(*self._place(angle[row], radius[row], sides[side]))
+            # A little inside the piece: right on the axis, a slope is the difference of infinities.
+            beside = sides[side] + (2 * side - 1) * BESIDE
+            x, y = self._place(angle[row], radius[row], beside)
             with np.errstate(all="ignore"):
-                z, zx, zy = self.surface.evaluate(x, y, 1)
-            height[side] = np.where(np.isnan(z), -np.inf, z)
-            self.kernel.slopes_along(self.row, *self.profile[:2], angle[row], sides[side], zx, zy, slope[side])
+                _, zx, zy = self.surface.evaluate(x, y, 1)
+            self.kernel.slopes_along(self.row, *self.profile[:2], angle[row], beside, zx, zy, slope[side])
         offsets = np.searchsorted(row, np.arange(angle.size + 1))
         return _Breaks(offsets, after, 0.5 * (sides[0] + sides[1]), height, slope)
 

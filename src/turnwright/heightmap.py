@@ -55,7 +55,9 @@ class HeightMap:
         object.__setattr__(self, "z", frozen(self.z, "z", ndim=2, finite=False))
         shape = (getattr(self, given[1]).size, getattr(self, given[0]).size)
         if self.z.shape != shape:
-            raise InputError(f"z has the shape {self.z.shape} and its axes {shape}: rows are {given[1]}, columns {given[0]}")
+            raise InputError(
+                f"z has the shape {self.z.shape} and its axes {shape}: rows are {given[1]}, columns {given[0]}"
+            )
 
     @property
     def polar(self) -> bool:
@@ -87,4 +89,6 @@ class HeightMap:
             z = self.z - other.z
         else:
             z = self.z - other.sag(*self.points())
-        return HeightMap(z=z, x=self.x, y=self.y, radius=self.radius, angle=self.angle, name=f"{self.name} error".strip())
+        return HeightMap(
+            z=z, x=self.x, y=self.y, radius=self.radius, angle=self.angle, name=f"{self.name} error".strip()
+        )
