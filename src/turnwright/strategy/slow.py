@@ -83,9 +83,9 @@ class SlowToolServo(Strategy):
     sense
         +1 where the azimuth of the part under the tool grows, -1 where it falls.
     lead_in
-        How far beyond the clear radius the tip starts. ``None`` for just as far as the edge needs: where the surface
-        falls towards its rim, the edge touches on the inner side of the tip, and a tip that started at the clear
-        radius would leave a band uncut. [mm]
+        How far beyond the clear radius the tip starts. ``None`` for just as far as the rim needs: half a feed, so
+        that its cusp is no higher than the others, and where the surface falls towards the rim as far again as the edge
+        touches on the inner side of its tip. Given, it is kept exactly, unless a band would stay uncut. [mm]
 
     Raises
     ------
@@ -195,7 +195,7 @@ class SlowToolServo(Strategy):
         sweep = np.clip(np.arctan(zx * cosine + zy * sine), *tool.arc)
         needed = max(0.0, float(np.max(-tool.actual_radius * np.sin(sweep))) - tool.offset[0])
         if self.lead_in is None:
-            return needed
+            return needed + self.feed / 2
         # The outermost turn reaches as far as its neighbours would: a feed less is still cut.
         if self.lead_in < needed - self.feed:
             raise GougeError(

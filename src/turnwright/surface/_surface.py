@@ -62,7 +62,7 @@ class Surface(ABC):
 
     @property
     def feature_size(self) -> float:
-        """Length over which the curvature changes noticeably: the step of a search must be well below it. [mm]."""
+        """Length over which the curvature changes noticeably; the step of a search must be well below it. [mm]."""
         return float("inf")
 
     def sag(self, x: ArrayLike, y: ArrayLike) -> Floats:
