@@ -71,9 +71,14 @@ def place(
     if along == "normal":
         return _along_normal(spiral, part, tool, progress)
     at = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, progress=progress)
+    # Nowhere on the edge is there less clearance than at the maximum itself; there it is what rounding leaves of 0. On
+    # the wall of a step the contact point, rounded, may fall to the foot of the wall, and right on an axis without a
+    # height there is none to compare with: neither is less than 0.
+    with np.errstate(all="ignore"):
+        left = at.surface_z - part.surface.evaluate(at.x, at.y, 0)[0]
     return Path(
         angle=angle, radius=radius, z=at.z, sweep=at.sweep, contact_x=at.x, contact_y=at.y, contact_z=at.surface_z,
-        clearance=np.zeros(angle.size),
+        clearance=np.fmin(left, 0.0),
     )  # fmt: skip
 
 

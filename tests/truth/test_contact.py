@@ -80,6 +80,8 @@ def test_placing_equals_brute_force_dilation(name, tool):
     # The contact point lies on the surface and on the edge. (On a step it lies on the higher side of a wall.)
     if name != "steps":
         np.testing.assert_allclose(surface.sag(path.contact_x, path.contact_y), path.contact_z, atol=2e-12)
+    assert path.clearance.min() > -1e-12
+    assert path.clearance.max() <= 0
     u, v, e = tool.edge(path.sweep, sense)
     np.testing.assert_allclose(path.z + e, path.contact_z, atol=1e-13)
     along = path.radius + u
