@@ -14,6 +14,7 @@ backplots on a polar grid with a linear tool table.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +28,8 @@ from turnwright.progress import Progress, run_chunks
 from turnwright.tool import Tool
 
 __all__ = ["generate", "generate_points", "generate_polar"]
+
+RINGS = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,37 +114,62 @@ def generate_points(
     x, y = frozen(x, "x"), frozen(y, "y")
     if x.shape != y.shape:
         raise InputError(f"x has {x.size} points and y {y.size}: give as many of one as of the other")
-    return _finish(_in_tiles(_cut(motion, tool, machine), x, y, np.arange(x.size + 1), progress))
+    return _finish(_in_tiles(_cut(motion, tool, machine), x, y, _Tiles.of_points(x.size), progress))
 
 
-def _in_tiles(cut: _Cut, x: Floats, y: Floats, offsets: Ints, progress: Progress | None) -> Floats:
-    from turnwright._kernels import generation as kernel  # noqa: PLC0415
+class _Tiles(NamedTuple):
+    """Neighbouring points in tiles, and neighbouring tiles in groups."""
+
+    order: Ints  # of the points of a grid, tile by tile
+    offsets: Ints  # where each tile begins among them
+    groups: Ints  # where each group begins among the tiles
+
+    @classmethod
+    def of_points(cls, count: int) -> _Tiles:
+        """Return every point alone."""
+        each = np.arange(count + 1)
+        return cls(each[:-1], each, each)
+
+    @classmethod
+    def of_grid(cls, shape: tuple[int, int], sides: tuple[int, int]) -> _Tiles:
+        """Return a grid in tiles of ``sides`` points, sixteen tiles to a group."""
+        tile = [np.arange(n) // side for n, side in zip(shape, sides, strict=True)]
+        group = [index // 4 for index in tile]
+        wide = int(group[1][-1]) + 1
+        inside = ((tile[0] % 4)[:, None] * 4 + tile[1] % 4).ravel()
+        number = (group[0][:, None] * wide + group[1]).ravel() * 16 + inside
+        order = np.argsort(number, kind="stable")
+        filled, first = np.unique(number[order], return_index=True)
+        groups = np.unique(filled // 16, return_index=True)[1]
+        return cls(order, np.append(first, number.size), np.append(groups, filled.size))
+
+
+def _in_tiles(cut: _Cut, x: Floats, y: Floats, tiles: _Tiles, progress: Progress | None) -> Floats:
+    from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
 
     out = np.empty(x.size)
+    # Which turns can matter at all is settled once for each of a few hundred rings, if the edge allows to say.
+    rings = np.linspace(0.0, np.hypot(x, y).max(initial=0.0) * (1 + 1e-9) + 1e-9, RINGS + 1)
+    useful = np.empty((RINGS if cut.upright and cut.convex else 0, 2, 2), dtype=np.int64)
+    if useful.size:
+        kernel.useful_by_ring(cut.bounds, cut.profile, cut.table, rings, useful)
 
     def work(start: int, stop: int) -> None:
         kernel.tiles(
-            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, cut.row, cut.profile, cut.table,
-            cut.convex, x, y, offsets, start, stop, out,
+            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, rings, useful, cut.row, cut.profile, cut.table,
+            cut.convex, x, y, tiles.offsets, tiles.groups, start, stop, out,
         )  # fmt: skip
 
-    tiles = offsets.size - 1
-    run_chunks(work, tiles, max(1, min(256, tiles // 16)), progress)
+    groups = tiles.groups.size - 1
+    run_chunks(work, groups, max(1, min(256, groups // 16)), progress)
     return out
 
 
-def _tile_order(ny: int, nx: int, side_y: int, side_x: int) -> tuple[Ints, Ints]:
-    """Return grid indices in order of tiles of ``side`` points, and where each tile begins."""
-    rows, columns = np.arange(ny) // side_y, np.arange(nx) // side_x
-    number = (rows[:, None] * (columns[-1] + 1) + columns).ravel()
-    order = np.argsort(number, kind="stable")
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(number))])
-    return order, offsets.astype(np.int64)
-
-
 def _tile_side(cut: _Cut, pixel: float) -> int:
-    """Return how many points a tile should be wide: a few tens of micrometres, where few passes matter."""
-    width = np.sqrt(8 * cut.profile[0] * 2e-5)  # over this the slopes of the edge differ by 20 nm
+    """Return how many points a tile should be wide: one or two passes, up to where their slopes differ much."""
+    turns = cut.starts.size - 1
+    feed = (cut.bounds[1].max() - cut.bounds[0].min()) / turns
+    width = min(np.sqrt(8 * cut.profile[0] * 2e-5), max(2 * feed, 4 * pixel))
     return int(np.clip(width / pixel, 1, 32)) if pixel > 0 else 1
 
 
@@ -182,11 +210,10 @@ def generate(
     """
     x, y = _ascending(x, "x"), _ascending(y, "y")
     cut = _cut(motion, tool, machine)
-    sides = [_tile_side(cut, float(np.diff(axis).mean())) if axis.size > 1 else 1 for axis in (y, x)]
-    order, offsets = _tile_order(y.size, x.size, *sides)
-    flat = _in_tiles(cut, x[order % x.size], y[order // x.size], offsets, progress)
-    z = np.empty(flat.size)
-    z[order] = flat
+    rows, columns = (_tile_side(cut, float(np.diff(axis).mean())) if axis.size > 1 else 1 for axis in (y, x))
+    tiles = _Tiles.of_grid((y.size, x.size), (rows, columns))
+    z = np.empty(x.size * y.size)
+    z[tiles.order] = _in_tiles(cut, x[tiles.order % x.size], y[tiles.order // x.size], tiles, progress)
     return HeightMap(z=_finish(z).reshape(y.size, x.size), x=x, y=y, name="generated")
 
 
@@ -242,9 +269,9 @@ def generate_polar(
             float(radius[-1] * np.diff(angle).mean()) if angle.size > 1 else 0.0,
             float(np.diff(radius).mean()) if radius.size > 1 else 0.0,
         )
-        order, offsets = _tile_order(*shape, *(_tile_side(cut, step) for step in steps))
-        rho, phi = radius[order % radius.size], angle[order // radius.size]
-        z.ravel()[order] = _in_tiles(cut, rho * np.cos(phi), rho * np.sin(phi), offsets, progress)
+        tiles = _Tiles.of_grid(shape, (_tile_side(cut, steps[0]), _tile_side(cut, steps[1])))
+        rho, phi = radius[tiles.order % radius.size], angle[tiles.order // radius.size]
+        z.ravel()[tiles.order] = _in_tiles(cut, rho * np.cos(phi), rho * np.sin(phi), tiles, progress)
         _finish(z)
     return HeightMap(z=z, radius=radius, angle=angle, name="generated")
 

@@ -105,8 +105,7 @@ def height(profile, table, u):
         return profile[2] + (u - profile[1]) * profile[3]
     if u > profile[4]:
         return profile[5] + (u - profile[4]) * profile[6]
-    root = np.sqrt(profile[0] * profile[0] - u * u)
-    w = u * u / (profile[0] + root)
+    w = profile[0] - np.sqrt(profile[0] * profile[0] - u * u)
     if table.shape[1] > 0:
         w += hermite(profile, table, u)
     return w

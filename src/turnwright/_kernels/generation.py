@@ -367,8 +367,15 @@ def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
     to the axis bisection. The height is FAR where the tool does not pass over the point at all.
     """
     if row[4] == 0.0 and row[6] == 0.0 and y.size == 0:
-        h, _, u, i, reached = stand(c, x, y, z, sense, row, profile, table, t, r, side, 0.0, hint)
-        return (h if reached else FAR), i, u
+        begin, end = sense * c[0], sense * c[c.size - 1]
+        if t < begin - ROUNDING or t > end + ROUNDING:
+            return FAR, hint, 0.0
+        at = min(max(t, begin), end)
+        i = locate(c, sense, at, hint)
+        ci = sense * c[i]
+        share = (at - ci) / (sense * c[i + 1] - ci)
+        u = (r if side == 0 else -r) - (x[i] + share * (x[i + 1] - x[i]) + row[5])
+        return z[i] + share * (z[i + 1] - z[i]) + row[7] + height(profile, table, u), i, u
     if r == 0.0:
         return FAR, hint, 0.0
     aside, i = 0.0, hint
@@ -424,65 +431,84 @@ def axis_height(c, x, z, dx, dz, profile, table):
 
 
 @jit
-def tile(c, x, y, z, sense, starts, bounds, row, profile, table, convex, r, azimuth, count, out, work, index):
-    """Fill ``out`` (count,) at neighbouring points (r, azimuth along the motion).
+def useful_by_ring(bounds, profile, table, rings, out):
+    """Fill ``out`` (rings - 1, 2, 2): first and last turn of either side useful between neighbouring ``rings``."""
+    turns = bounds.shape[1]
+    keep = np.empty(turns, np.bool_)
+    for ring in range(rings.size - 1):
+        for which in range(2):
+            useful_turns(bounds, which == 1, rings[ring], rings[ring + 1], profile, table, keep)
+            out[ring, which, 0], out[ring, which, 1] = turns, -1
+            for m in range(turns):
+                if keep[m]:
+                    out[ring, which, 0] = min(out[ring, which, 0], m)
+                    out[ring, which, 1] = m
 
-    ``work`` (2, 2 * (turns + 2), 3) and ``index`` (2, 2 * (turns + 2)) are scratch. A pass is a candidate if, over the
-    extent of the tile, it can come below the lowest: its height at the tile's middle less the most that its slope can
-    differ, anywhere in the tile, from the slope of the pass that is lowest in the middle.
+
+@jit
+def gather(c, sense, starts, rings, useful, low, high, middle, side, shift, hint):
+    """List every pass that may matter between the distances ``low`` and ``high`` from the axis, near one azimuth.
+
+    Pass k comes from ``side`` k and passes over the azimuth a (along the motion) at a + ``shift`` k; ``hint`` k is
+    where in the motion to look. ``useful`` is of `useful_by_ring`, or empty if every turn may matter everywhere. Return
+    how many there are.
     """
     turns = starts.size - 1
     begin = sense * c[0]
-    low, high = r[0], r[0]
-    back, fore = azimuth[0], azimuth[0]
-    for k in range(1, count):
-        low, high = min(low, r[k]), max(high, r[k])
-        back, fore = min(back, azimuth[k]), max(fore, azimuth[k])
-    rc, ac = 0.5 * (low + high), 0.5 * (back + fore)
-    hr, ha = 0.5 * (high - low), 0.5 * (fore - back)
-    upright = row[4] == 0.0 and row[6] == 0.0 and y.size == 0
-    keep = np.ones((2, turns), np.bool_)
-    if upright and convex:
-        for side in range(2):
-            useful_turns(bounds, side == 1, low, high, profile, table, keep[side])
-    lowest, best = FAR, -1
     found = 0
-    for side in range(2):
-        along = ac + (np.pi if side == 1 else 0.0)
+    for which in range(2):
+        along = middle + (np.pi if which == 1 else 0.0)
         start = along + TURN * np.ceil((begin - along - ROUNDING) / TURN)
-        for m in range(-1, turns + 1):
-            if m >= 0 and m < turns and not keep[side, m]:
-                continue
+        first, last = 0, turns - 1
+        if useful.shape[0] > 0:
+            first, last = turns, -1
+            inner, outer = np.searchsorted(rings, low, side="right") - 1, np.searchsorted(rings, high)
+            for ring in range(max(inner, 0), min(max(outer, inner + 1), useful.shape[0])):
+                first, last = min(first, useful[ring, which, 0]), max(last, useful[ring, which, 1])
+        # At either end of the motion a pass more, which may cover some azimuths of a tile and not others.
+        for m in range(first - 1 if first == 0 else first, last + 2 if last == turns - 1 else last + 1):
             t = start + TURN * m
-            guess = guess_index(c, sense, t, starts)
-            h, i, u = pass_at(c, x, y, z, sense, row, profile, table, t, rc, side, guess)
-            index[0, found], index[1, found] = side, i
-            work[0, found, 0], work[0, found, 1], work[0, found, 2] = h, t - ac, u
-            if h < lowest:
-                lowest, best = h, found
+            side[found], shift[found], hint[found] = which, t - middle, guess_index(c, sense, t, starts)
             found += 1
-    if count == 1:
-        out[0] = lowest
-        return
-    # Slopes of each pass over the tile, against those of the lowest.
+    return found
+
+
+@jit
+def shorten(c, x, y, z, sense, row, profile, table, convex, rc, ac, hr, ha, count, side, shift, hint, work, chosen):
+    """Choose the passes that can be lowest within (hr, ha) of the place (rc, ac); return how many.
+
+    A pass can if its height in the middle, less the most that its slope can differ within reach from the slope of the
+    pass that is lowest in the middle, comes below the lowest. ``work`` (3, count) is scratch.
+    """
+    begin, end = sense * c[0], sense * c[c.size - 1]
+    upright = row[4] == 0.0 and row[6] == 0.0 and y.size == 0
+    lowest, best = FAR, -1
+    for k in range(count):
+        h, i, u = pass_at(c, x, y, z, sense, row, profile, table, ac + shift[k], rc, side[k], hint[k])
+        hint[k], work[0, k], work[1, k] = i, h, u
+        if h < lowest:
+            lowest, best = h, k
     steer_r, steer_a = 0.0, 0.0
     if best >= 0:
-        i, u = index[1, best], work[0, best, 2]
+        i = hint[best]
         step = sense * (c[i + 1] - c[i])
-        steer_r = row[3] * slope(profile, table, u) * (1.0 if index[0, best] == 0 else -1.0)
-        g = row[3] * slope(profile, table, u)
+        g = row[3] * slope(profile, table, work[1, best])
+        steer_r = g if side[best] == 0 else -g
         steer_a = ((z[i + 1] - z[i]) - g * (x[i + 1] - x[i])) / step
     ceiling = FAR
     slack = 1.0 if upright else 3.0
-    end = sense * c[c.size - 1]
-    for k in range(found):
-        t, u = ac + work[0, k, 1], work[0, k, 2]
-        # Where the motion begins or ends inside the tile a pass covers a part of it: test it at every point.
-        if work[0, k, 0] == FAR or t - ha < begin or t + ha > end:
-            work[1, k, 0] = FAR
+    aside = 0.0 if upright else 0.5 * np.pi  # how far off its azimuth a tool may pass over a point
+    for k in range(count):
+        t, u = ac + shift[k], work[1, k]
+        if t + ha + aside < begin - ROUNDING or t - ha - aside > end + ROUNDING:
+            work[0, k], work[2, k] = FAR, 0.0  # nowhere within reach
             continue
-        first = locate(c, sense, t - ha, index[1, k])
-        last = locate(c, sense, t + ha, index[1, k])
+        # Where the motion begins or ends within reach a pass covers a part of it: it stays on the list, to be tried.
+        if work[0, k] == FAR or t - ha < begin or t + ha > end:
+            work[2, k] = FAR
+            continue
+        first = locate(c, sense, t - ha, hint[k])
+        last = locate(c, sense, t + ha, hint[k])
         drift, rise, fall = 0.0, -FAR, FAR
         for i in range(first, last + 1):
             step = sense * (c[i + 1] - c[i])
@@ -491,67 +517,98 @@ def tile(c, x, y, z, sense, starts, bounds, row, profile, table, convex, r, azim
             rise, fall = max(rise, rate), min(fall, rate)
         du = slack * (hr + drift * ha)
         g1, g2 = row[3] * slope(profile, table, u - du), row[3] * slope(profile, table, u + du)
-        sign = 1.0 if index[0, k] == 0 else -1.0
-        bend = 0.0
-        if not convex:
-            bend = abs(g2 - g1) + 0.05  # a wavy edge may be steeper in between; waves steeper than 5 % do not exist
+        # An edge that is not convex may be steeper in between; waves steeper than 5 % do not exist.
+        bend = 0.0 if convex else abs(g2 - g1) + 0.05
+        sign = 1.0 if side[k] == 0 else -1.0
         dev_r = max(abs(sign * g1 - steer_r), abs(sign * g2 - steer_r)) + bend
         dev_a = max(abs(rise - steer_a), abs(fall - steer_a)) + max(abs(g1), abs(g2)) * drift
-        margin = slack * (hr * dev_r + ha * dev_a) + 1e-13
-        work[1, k, 0] = margin
-        ceiling = min(ceiling, work[0, k, 0] + margin)
+        work[2, k] = slack * (hr * dev_r + ha * dev_a) + 1e-13
+        ceiling = min(ceiling, work[0, k] + work[2, k])
+    found = 0
     for k in range(count):
-        out[k] = FAR
-    for k in range(found):
-        if work[0, k, 0] != FAR and work[0, k, 0] - work[1, k, 0] > ceiling:
-            continue
-        hint = index[1, k]
-        for j in range(count):
-            h, hint, _ = pass_at(
-                c, x, y, z, sense, row, profile, table, azimuth[j] + work[0, k, 1], r[j], index[0, k], hint
-            )
-            out[j] = min(out[j], h)
+        if work[2, k] == FAR or work[0, k] - work[2, k] <= ceiling:
+            chosen[found] = k
+            found += 1
+    return found
 
 
 @jit
-def tiles(c, x, y, z, sense, starts, bounds, row, profile, table, convex, px, py, offsets, start, stop, out):
-    """Fill ``out`` at the points (px, py), grouped in tiles: tile k holds the points offsets[k] to offsets[k + 1]."""
-    turns = starts.size - 1
-    most = 0
-    for k in range(start, stop):
-        most = max(most, offsets[k + 1] - offsets[k])
-    r = np.empty(most)
-    azimuth = np.empty(most)
-    work = np.empty((2, 2 * (turns + 2), 3))
-    index = np.empty((2, 2 * (turns + 2)), np.int64)
-    for k in range(start, stop):
-        count = offsets[k + 1] - offsets[k]
+def extent(values, start, stop):
+    """Return the middle and half of the range of ``values``."""
+    low, high = values[start], values[start]
+    for k in range(start + 1, stop):
+        low, high = min(low, values[k]), max(high, values[k])
+    return 0.5 * (low + high), 0.5 * (high - low)
+
+
+@jit
+def tiles(
+    c, x, y, z, sense, starts, rings, useful, row, profile, table, convex, px, py, offsets, groups, start, stop, out
+):  # fmt: skip
+    """Fill ``out`` at the points (px, py) of groups ``start`` to ``stop``.
+
+    Group g holds the tiles groups[g] to groups[g + 1], tile k the points offsets[k] to offsets[k + 1]. A group shortens
+    the list of all passes once for its tiles, and each tile again for its points.
+    """
+    room = 2 * (starts.size + 2)
+    most = 1
+    for g in range(start, stop):
+        most = max(most, offsets[groups[g + 1]] - offsets[groups[g]])
+    r, azimuth = np.empty(most), np.empty(most)
+    side, hint = np.empty(room, np.int64), np.empty(room, np.int64)
+    near_side, near_hint = np.empty(room, np.int64), np.empty(room, np.int64)
+    shift, near_shift = np.empty(room), np.empty(room)
+    chosen, picked = np.empty(room, np.int64), np.empty(room, np.int64)
+    work = np.empty((3, room))
+    upright = row[4] == 0.0 and row[6] == 0.0 and y.size == 0
+    for g in range(start, stop):
+        origin = offsets[groups[g]]
+        count = offsets[groups[g + 1]] - origin
+        together = count > 1
         for j in range(count):
-            i = offsets[k] + j
+            i = origin + j
             r[j] = np.sqrt(px[i] * px[i] + py[i] * py[i])
             azimuth[j] = sense * np.arctan2(py[i], px[i])
-            # One branch for the whole tile, even across the cut of the arc tangent.
-            if j > 0:
-                if azimuth[j] - azimuth[0] > np.pi:
-                    azimuth[j] -= TURN
-                elif azimuth[j] - azimuth[0] < -np.pi:
-                    azimuth[j] += TURN
-        target = out[offsets[k] : offsets[k + 1]]
-        around = False
-        for j in range(1, count):
-            # A tile around the axis spans all azimuths: its points share nothing, so each goes alone.
-            around = around or abs(azimuth[j] - azimuth[0]) > 0.5 or r[j] == 0.0
-        if around or r[0] == 0.0:
+            # One branch for the whole group, even across the cut of the arc tangent.
+            if azimuth[j] - azimuth[0] > np.pi:
+                azimuth[j] -= TURN
+            elif azimuth[j] - azimuth[0] < -np.pi:
+                azimuth[j] += TURN
+            # A group around the axis spans all azimuths: its points share nothing, so each goes alone.
+            together = together and r[j] > 0.0 and abs(azimuth[j] - azimuth[0]) < 0.5
+        if not together:
             for j in range(count):
-                if r[j] == 0.0 and row[4] == 0.0 and row[6] == 0.0 and y.size == 0:
-                    target[j] = axis_height(c, x, z, row[5], row[7], profile, table)
+                i = origin + j
+                if r[j] == 0.0 and upright:
+                    out[i] = axis_height(c, x, z, row[5], row[7], profile, table)
                     continue
-                tile(
-                    c, x, y, z, sense, starts, bounds, row, profile, table, convex,
-                    r[j : j + 1], azimuth[j : j + 1], 1, target[j : j + 1], work, index,
-                )  # fmt: skip
-        else:
-            tile(
-                c, x, y, z, sense, starts, bounds, row, profile, table, convex,
-                r, azimuth, count, target, work, index,
+                n = gather(c, sense, starts, rings, useful, r[j], r[j], azimuth[j], side, shift, hint)
+                out[i] = FAR
+                for k in range(n):
+                    t = azimuth[j] + shift[k]
+                    h, _, _ = pass_at(c, x, y, z, sense, row, profile, table, t, r[j], side[k], hint[k])
+                    out[i] = min(out[i], h)
+            continue
+        rc, hr = extent(r, 0, count)
+        ac, ha = extent(azimuth, 0, count)
+        n = gather(c, sense, starts, rings, useful, rc - hr, rc + hr, ac, side, shift, hint)
+        n = shorten(
+            c, x, y, z, sense, row, profile, table, convex, rc, ac, hr, ha, n, side, shift, hint, work, chosen
+        )  # fmt: skip
+        for k in range(n):
+            near_side[k], near_shift[k], near_hint[k] = side[chosen[k]], shift[chosen[k]], hint[chosen[k]]
+        for tile in range(groups[g], groups[g + 1]):
+            first, last = offsets[tile] - origin, offsets[tile + 1] - origin
+            rc, hr = extent(r, first, last)
+            ac, ha = extent(azimuth, first, last)
+            few = shorten(
+                c, x, y, z, sense, row, profile, table, convex, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
+                work, picked,
             )  # fmt: skip
+            for j in range(first, last):
+                out[origin + j] = FAR
+            for k in range(few):
+                which, turn, i = near_side[picked[k]], near_shift[picked[k]], near_hint[picked[k]]
+                for j in range(first, last):
+                    h, i, _ = pass_at(c, x, y, z, sense, row, profile, table, azimuth[j] + turn, r[j], which, i)
+                    out[origin + j] = min(out[origin + j], h)
