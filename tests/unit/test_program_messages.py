@@ -1,6 +1,8 @@
 """What cannot be written or read is refused in one sentence that names the place and the remedy."""
 
+import os
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ import pytest
 from turnwright.errors import ProgramError
 from turnwright.machine import Axis, Convention, Machine
 from turnwright.path import Motion
-from turnwright.post import ProgramWarning, inspect_nc, read_nc, read_table, write_nc
+from turnwright.post import ProgramHeader, ProgramWarning, inspect_nc, read_nc, read_table, write_nc
 
 
 def machine(dialect="nanotech", **convention):
@@ -145,9 +147,83 @@ def test_edited_program_is_read_and_reported(tmp_path):
     sub.write_text(sub.read_text().replace("X0.500000", "X0.500001"))
     with pytest.warns(ProgramWarning, match="pass finish is not as it was written"):
         assert read_nc(path, machine()).axes["X"][1] == 0.500001
-    sub.write_text(re.sub(r"\nC\d.*\n", "\n", sub.read_text(), count=1))  # a block less
-    with pytest.warns(ProgramWarning, match="edited or damaged"):
-        assert read_nc(path, machine()).time.size == 2
+
+
+def rows(text):
+    return text.splitlines(keepends=True)
+
+
+@pytest.mark.parametrize("dialect", ["nanotech", "generic"])
+def test_a_program_with_other_points_than_its_header_says_is_refused(tmp_path, dialect):
+    path = tmp_path / "part.nc"
+    done = write_nc(motion(np.arange(9) * 0.1, np.arange(9.0)), machine(dialect), path)
+    cuts, whole = done.files[-1], done.files[-1].read_text()
+    less = re.sub(r"\n(G1 X0\.5|C17).*\n", "\n", whole, count=1)
+    assert less != whole
+    more = re.sub(
+        r"\n(G94\nG1 Z\S+ F100)", lambda end: f"\n{'G1 ' * (dialect == 'generic')}C100 X0 Z0 F1\n{end[1]}", whole
+    )
+    assert more != whole
+    for text, count in ((less, 8), (more, 10)):
+        cuts.write_text(text)
+        with pytest.raises(ProgramError, match=f"pass finish has 9 points, its blocks make {count}: ") as error:
+            read_nc(path, machine(dialect))
+        sentence(error)
+    cuts.write_text("".join(rows(whole)[:-5]))
+    with pytest.raises(ProgramError, match=r"is the last one, a whole file ends with M30 or M99: ") as error:
+        read_nc(path, machine(dialect))
+    sentence(error)
+    cuts.write_text(whole)
+    path.write_text(path.read_text().replace("9 POINTS", "3 POINTS"))
+    with pytest.raises(ProgramError, match="pass finish has 3 points, its blocks make 9: ") as error:
+        read_nc(path, machine(dialect))
+    sentence(error)
+
+
+def test_an_empty_sub_program(tmp_path):
+    path = tmp_path / "part.nc"
+    write_nc(motion(), machine(), path)
+    (tmp_path / "part.finish.001.nc").write_text("")
+    with pytest.raises(ProgramError, match="pass finish has 3 points, its blocks make 0: take all files") as error:
+        read_nc(path, machine())
+    sentence(error)
+
+
+@pytest.mark.parametrize("kept", [1, 3, 7, 12])
+def test_a_header_cut_short(tmp_path, kept):
+    path = tmp_path / "part.nc"
+    write_nc(motion(), machine(), path)
+    path.write_text("".join(rows(path.read_text())[:kept]))
+    with pytest.raises(ProgramError, match=r"is cut short: take|names no pass in its header") as error:
+        read_nc(path, machine())
+    sentence(error)
+
+
+def test_a_sub_program_alone_knows_its_machine(tmp_path):
+    done = write_nc(motion(), machine(), tmp_path / "part.nc")
+    assert read_nc(done.files[1], machine()).time.tolist() == [0, 1, 2]
+    with pytest.raises(ProgramError, match=r"001.nc is written in the dialect nanotech, machine lathe speaks generic"):
+        read_nc(done.files[1], machine("generic"))
+    with pytest.raises(ProgramError, match=r"001.nc is written for the convention"):
+        read_nc(done.files[1], machine(x_side=-1))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with a name are a Unix matter")
+@pytest.mark.parametrize("read", [read_nc, lambda path, _: inspect_nc(path), read_table])
+def test_what_never_ends_is_not_read(tmp_path, read):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in (pipe, Path(os.devnull).with_name("zero")):
+        options = {"spindle_rpm": 50} if read is read_table else {}
+        with pytest.raises(ProgramError, match="is a device or a pipe and not a file: give") as error:
+            read(path, machine(), **options)
+        sentence(error)
+
+
+def test_control_characters_of_a_name_stay_out(tmp_path):
+    write_nc(motion(), machine(), tmp_path / "part.nc", header=ProgramHeader(design="le\x00ns\x1b[2J \x7f\x9b"))
+    assert inspect_nc(tmp_path / "part.nc").header.design == "lens[2J"
+    assert not re.search(rb"[^\n\x20-\x7e]", (tmp_path / "part.nc").read_bytes())
 
 
 def test_an_editor_that_marks_its_files_is_no_matter(tmp_path):

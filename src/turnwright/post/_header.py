@@ -40,7 +40,8 @@ class ProgramHeader:
     Parameters
     ----------
     design, tool, notes
-        Plain text; brackets, line breaks and letters beyond ASCII are replaced by what a controller can read.
+        Plain text; brackets, line breaks and letters beyond ASCII are replaced by what a controller can read, control
+        characters are left out.
     date
         Day of writing; today (UTC) if it is not given.
     """
@@ -108,7 +109,7 @@ class ProgramInfo:
 def plain(text: str) -> str:
     """Return text that can stand inside a controller's comment."""
     one_line = " ".join(text.split()).translate(str.maketrans("()", "[]"))
-    return one_line.encode("ascii", "replace").decode()
+    return "".join(letter for letter in one_line if letter.isprintable()).encode("ascii", "replace").decode()
 
 
 def comments(key: str, text: str) -> list[str]:
@@ -123,6 +124,11 @@ def convention_line(machine: Machine) -> str:
         f"X SIDE {convention.x_side:+d}, C SENSE {convention.c_sense:+d}, Z SIGN {convention.z_sign:+d}, "
         f"CLOCKING {np.rad2deg(convention.clocking) + 0.0:.9f} DEG"
     )
+
+
+def language(machine: Machine, dialect: Dialect) -> list[str]:
+    """Return the two comments without which the numbers of a file mean nothing; every file carries them."""
+    return [f"( DIALECT: {dialect.name} )", f"( CONVENTION: {convention_line(machine)} )"]
 
 
 def software() -> str:
@@ -140,10 +146,11 @@ def lines(header: ProgramHeader, machine: Machine, dialect: Dialect, passes: Seq
     for key in ("design", "tool", "notes"):
         text = getattr(header, key)
         written += comments(key.upper(), text) if text else []
+    spoken, counted = language(machine, dialect)
     written += [
         f"( DATE: {plain(header.date)} )",
         f"( MACHINE: {plain(machine.name)} )",
-        f"( DIALECT: {dialect.name} )",
+        spoken,
         "( UNITS: MM AND DEGREES, ABSOLUTE )",
         "( FEED: UNDER G93, F IS "
         + ("THE SECONDS OF A BLOCK" if dialect.feed == "seconds" else "ONE OVER THE MINUTES OF A BLOCK")
@@ -154,7 +161,7 @@ def lines(header: ProgramHeader, machine: Machine, dialect: Dialect, passes: Seq
         f"( C: {'GROWS' if convention.c_sense > 0 else 'FALLS'} WITH THE AZIMUTH OF THE PART UNDER THE TOOL, "
         + ("WRITTEN FROM 0 TO 360, SHORT WAY )" if dialect.wrapped else "CUMULATIVE )"),
         f"( MARK: C = {np.rad2deg(convention.clocking) + 0.0:.5f} WHERE THE +X MARK OF THE PART IS UNDER THE TOOL )",
-        f"( CONVENTION: {convention_line(machine)} )",
+        counted,
         "( SPINDLE: C AXIS, NO M03 OR M04; M03 IS CLOCKWISE SEEN FROM BEHIND THE SPINDLE )",
         "( BEFORE THE START: SELECT WORK OFFSET AND TOOL )",
     ]
@@ -177,10 +184,10 @@ CUT = re.compile(
 )
 
 
-def _info(text: str) -> ProgramInfo | None:
-    """Return what a header says, or ``None`` if the text does not begin with one of ours."""
+def _info(text: str, signature: str) -> ProgramInfo | None:
+    """Return what a header says, or ``None`` if the text does not begin with the signature."""
     rows = [row.strip() for row in text.splitlines()]
-    if not rows or rows[0] != SIGNATURE:
+    if not rows or rows[0] != signature:
         return None
     fields: dict[str, list[str]] = {}
     passes = []
@@ -212,10 +219,17 @@ def _info(text: str) -> ProgramInfo | None:
     )
 
 
-def read_info(path: Path) -> ProgramInfo | None:
-    """Return what the header of a file says, or ``None`` if it has none of ours."""
+def read_info(path: Path, signature: str = SIGNATURE) -> ProgramInfo | None:
+    """Return what the header of a file says, or ``None`` if it does not begin with the signature."""
+    require_regular(path)
     with path.open("rb") as file:
-        return _info(file.read(1 << 18).removeprefix(BOM).decode("latin-1"))
+        return _info(file.read(1 << 18).removeprefix(BOM).decode("latin-1"), signature)
+
+
+def require_regular(path: Path) -> None:
+    """Raise for a device or a pipe, which may never end."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ProgramError(f"{path} cannot be read, it is a device or a pipe and not a file: give a file on disk")
 
 
 def inspect_nc(path: str | PathLike[str]) -> ProgramInfo:

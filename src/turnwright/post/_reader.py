@@ -15,7 +15,16 @@ import numpy as np
 from turnwright.errors import InputError, ProgramError
 from turnwright.path import Motion
 from turnwright.post._digest import hashed_rows
-from turnwright.post._header import BOM, ProgramInfo, ProgramPass, ProgramWarning, convention_line, read_info
+from turnwright.post._header import (
+    BOM,
+    SIGNATURE,
+    SUB_SIGNATURE,
+    ProgramInfo,
+    ProgramPass,
+    ProgramWarning,
+    convention_line,
+    read_info,
+)
 from turnwright.post._macro import Macros
 from turnwright.post._registry import dialect_of
 
@@ -38,6 +47,8 @@ LONGEST = 1 << 16
 """Letters in the longest line."""
 DEEPEST = 8
 LARGEST = 1e9
+WHOLE = "take all files of the program from where they were written again"
+"""What to do about a program that is not whole."""
 AXES = "CXYZ"
 HARMLESS = frozenset("CXYZFTSODHPLQ")
 """Letters that move the known axes, or nothing; the others may only say 0."""
@@ -92,7 +103,8 @@ def read_nc(
     Raises
     ------
     ProgramError
-        If a file cannot be read or is damaged, commands something that is not a C X Z (Y) motion, or has no such pass.
+        If a file cannot be read or is damaged, commands something that is not a C X Z (Y) motion, or has no such pass;
+        if it has more or fewer points than its header says.
 
     Warns
     -----
@@ -103,6 +115,9 @@ def read_nc(
     dialect = dialect_of(machine)
     try:
         info = read_info(path)
+        part = read_info(path, SUB_SIGNATURE)
+        if part is not None:
+            _require_language(path, part, machine, dialect)
         told = _told(path, info, machine, dialect, name)
         with ThreadPoolExecutor(1) as pool:
             reader = _Reader(path, dialect, wanted=told.name if told else name, told=told, pool=pool, progress=progress)
@@ -127,6 +142,25 @@ def _told(
     """Return what the header says about the wanted pass, if it says anything; refuse another machine's program."""
     if info is None:
         return None
+    _require_language(path, info, machine, dialect)
+    for one in info.passes:
+        if one.name == name:
+            return one
+    if not info.passes:
+        raise ProgramError(f"{path} names no pass in its header, it must name at least 1: {WHOLE}")
+    if name is not None:
+        raise ProgramError(
+            f"{path} has no pass {name!r}, it has {', '.join(one.name for one in info.passes)}: name one of these"
+        )
+    return info.passes[-1]
+
+
+def _require_language(path: Path, info: ProgramInfo, machine: Machine, dialect: Dialect) -> None:
+    """Raise unless a file of ours is written the way that the machine counts."""
+    if not info.dialect or not info.convention:
+        raise ProgramError(
+            f"{path} has a header that does not state both dialect and convention, it is cut short: {WHOLE}"
+        )
     if info.dialect != dialect.name:
         raise ProgramError(
             f"{path} is written in the dialect {info.dialect}, machine {machine.name} speaks {dialect.name}: read it "
@@ -137,15 +171,6 @@ def _told(
             f"{path} is written for the convention {info.convention}, machine {machine.name} counts "
             f"{convention_line(machine)}: read it with the machine that it was written for"
         )
-    for one in info.passes:
-        if one.name == name:
-            return one
-    if name is not None or not info.passes:
-        raise ProgramError(
-            f"{path} has no pass {name!r}, it has {', '.join(one.name for one in info.passes) or 'none'}: name one of "
-            "these"
-        )
-    return info.passes[-1]
 
 
 @dataclass(slots=True)
@@ -237,6 +262,12 @@ class _Reader:
 
     def finish(self) -> tuple[_Cut, str]:
         """Return the cut that was asked for, and its hash."""
+        points = 0 if self.kept is None else self.kept.points
+        if self.told is not None and points != self.told.points:
+            raise ProgramError(
+                f"{self.path} says that pass {self.told.name} has {self.told.points} points, its blocks make {points}: "
+                f"{WHOLE}, or if they were changed on purpose, state the new number in the header"
+            )
         if self.kept is None:
             if self.wanted is not None:
                 raise ProgramError(
@@ -258,6 +289,8 @@ class _Reader:
             )
         self.stack.append(path)
         outer, self.whole[LINES] = self.whole[LINES], 0
+        with path.open("rb") as file:
+            ours = file.read(64).removeprefix(BOM).startswith((SIGNATURE.encode(), SUB_SIGNATURE.encode()))
         for data in self._buffers(path):
             at, end = 0, data.size
             while at < end and not (self.over or self.ended):
@@ -274,6 +307,8 @@ class _Reader:
             self._report(min(self.done, self.total))
             if self.over or self.ended:
                 break
+        if ours and not (self.over or self.ended):
+            raise self._error("is the last one, a whole file ends with M30 or M99", WHOLE)
         self.over = False
         self.whole[LINES] = outer
         self.stack.pop()

@@ -11,7 +11,7 @@ import numpy as np
 
 from turnwright.errors import InputError, ProgramError
 from turnwright.path import Motion
-from turnwright.post._header import ProgramWarning
+from turnwright.post._header import ProgramWarning, require_regular
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -123,6 +123,7 @@ def _refuse_standstill(path: Path, turning: Bools, rows: np.ndarray) -> None:
 def _columns(path: Path) -> dict[str, Floats]:
     """Return the columns by axis letter."""
     try:
+        require_regular(path)
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise ProgramError(f"{path} cannot be read ({error.strerror}): check its name and place") from error

@@ -25,6 +25,7 @@ from turnwright.post._header import (
     SUB_SIGNATURE,
     ProgramHeader,
     ProgramPass,
+    language,
     lines,
 )
 from turnwright.post._registry import dialect_of
@@ -208,6 +209,11 @@ def _disk_error(path: Path, error: OSError) -> ProgramError:
         return ProgramError(
             f"the disk is full while writing {path}, nothing was changed there: free some space, or write elsewhere"
         )
+    if error.errno == errno.EFBIG:
+        return ProgramError(
+            f"a file of {path} grew beyond the largest that the system allows here, nothing was changed there: raise "
+            "that limit (ulimit -f), or write elsewhere"
+        )
     return ProgramError(f"{path} cannot be written ({error.strerror}), nothing was changed: check the folder's rights")
 
 
@@ -365,7 +371,8 @@ class _Job:
                 with (self.folder / name).open("wb") as file:
                     part = f", PART {k + 1} OF {len(names)}" if len(names) > 1 else ""
                     begin = self._approach(one) if k == 0 else ["G93 G1"]
-                    self._text(file, [SUB_SIGNATURE, f"( PASS: {one.name}{part} )", *begin])
+                    head = [SUB_SIGNATURE, f"( PASS: {one.name}{part} )", *language(self.machine, self.dialect)]
+                    self._text(file, head + begin)
                     yield file, start, min(start + each, points)
                     self._text(file, [*(self._retract(one) if k == len(names) - 1 else []), "M99"])
 
