@@ -26,6 +26,12 @@ TURN = 2 * math.pi
 SLACK = 1e-3
 """A limit counts as kept up to this share above it: no data sheet is more exact, and a program read back is rounded."""
 
+STATED = "spindle speed as stated"
+"""What binds a motion that keeps every limit with room to spare."""
+
+FULL = 0.99
+"""Share of a limit from which on it is the limit that binds: the speed that `drive` finds uses all of one."""
+
 POWERS = {"speed": 1, "acceleration": 2, "jerk": 3}
 """How each quantity grows with the spindle speed."""
 
@@ -62,7 +68,8 @@ class Limits:
     utilisation
         Share of each stated limit that is used, by its name such as "block rate" or "Z acceleration".
     binding
-        Name of the limit that is used most.
+        What the cycle time is bound by: the limit that is used most, or "spindle speed as stated" where every limit has
+        room, so that whoever chose the speed could have chosen a higher one.
     ok
         Whether every stated limit is kept.
     findings
@@ -81,6 +88,11 @@ class Limits:
     binding: str
     ok: bool
     findings: tuple[str, ...]
+
+    @property
+    def nearest(self) -> str:
+        """Name of the limit that is used most, whether it binds or not."""
+        return max(self.utilisation, key=self.utilisation.__getitem__)
 
 
 def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
@@ -203,7 +215,7 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
         peak_jerk=MappingProxyType({letter: top["jerk"] for letter, (top, _) in peaks.items()}),
         travel=MappingProxyType({letter: (top["low"], top["high"]) for letter, (top, _) in peaks.items()}),
         utilisation=MappingProxyType(utilisation),
-        binding=max(utilisation, key=utilisation.__getitem__),
+        binding=max(utilisation, key=utilisation.__getitem__) if max(utilisation.values()) >= FULL else STATED,
         ok=not findings,
         findings=tuple(findings),
     )

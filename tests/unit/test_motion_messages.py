@@ -52,6 +52,15 @@ def test_a_finding_says_what_where_how_much_and_the_remedy():
     assert limits.binding == "X speed"
 
 
+def test_what_binds_is_the_stated_speed_where_every_limit_has_room():
+    slow = check_limits(drive(PATH, servo(3), MACHINE), MACHINE)
+    assert slow.ok
+    assert (slow.binding, slow.nearest) == ("spindle speed as stated", "X speed")
+    assert slow.utilisation[slow.nearest] < 0.1
+    fastest = check_limits(drive(PATH, servo(None), MACHINE), MACHINE)
+    assert fastest.binding == fastest.nearest == "X speed"
+
+
 def test_rounding_of_a_program_read_back_stays_below_what_is_stated():
     # Positions rounded to q show at most 2 q / t^2 of acceleration and 4 q / t^3 of jerk that is not there.
     machine = replace(MACHINE, spindle_rpm=500, block_rate_hz=1000)
