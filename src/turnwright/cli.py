@@ -128,7 +128,7 @@ def backplot(
         predictions = predict(recipe, motion, progress=progress)
     typer.echo(
         f"{program.name}: {limits.points} points, {limits.cycle_time_s / 60:.1f} min at {limits.spindle_rpm:.4g} rpm, "
-        f"{limits.binding} is nearest to its limit"
+        f"{limits.nearest} is nearest to its limit"
     )
     _say_predictions(predictions)
     _warn(limits.findings)
@@ -151,6 +151,8 @@ def _read(program: Path, recipe: Job, cut: str | None, progress: StageProgress) 
     from turnwright.post import read_nc, read_table  # noqa: PLC0415
 
     machine = recipe.machine.machine
+    if program.suffix.lower() == ".csv" and cut is not None:
+        raise InputError(f"a table holds one pass without a name, --pass is {cut!r}: leave it out")
     if program.suffix.lower() != ".csv":
         return read_nc(program, machine, name=cut, progress=lambda done, total: progress("read program", done, total))
     speed = recipe.strategy.spindle_speed

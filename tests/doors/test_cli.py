@@ -99,6 +99,8 @@ def test_a_backplot_takes_a_table_of_axis_positions(done, tmp_path, capsys):
     assert main(["backplot", str(table), "--job", str(done / "job.toml")]) == 0
     told = json.loads((done / "out" / "result.json").read_text())
     assert f"patch: Sq {told['predictions'][1]['roughness']['sq_nm']:.3g} nm" in capsys.readouterr().out
+    assert main(["backplot", str(table), "--job", str(done / "job.toml"), "--pass", "finish"]) == 2
+    assert "a table holds one pass without a name, --pass is 'finish': leave it out" in capsys.readouterr().err
 
 
 def test_check_says_what_the_part_asks_of_the_tool(done, tmp_path, capsys):

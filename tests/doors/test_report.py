@@ -113,6 +113,13 @@ def test_names_from_a_job_are_text_and_not_markup(page):
     assert SMALL["part"]["name"] in read(page).text
 
 
+def test_no_control_character_reaches_the_page(small, tmp_path):
+    result, _ = small
+    text = write_report(dataclasses.replace(result, warnings=("a \x1b[2J\x00name\x9b",)), tmp_path).read_text(encoding="utf-8")
+    assert "a [2Jname" in text
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", text)
+
+
 def test_every_picture_has_its_words_and_every_axis_its_unit(page):
     seen = read(page)
     assert len(seen.pictures) == 11
@@ -147,7 +154,7 @@ def test_the_page_says_what_the_result_says(page, small):
         assert finding.name in text
     for cut in result.passes:
         assert f"{cut.points:,} points" in text
-    assert f"{result.limits.binding} is nearest to its limit" in text
+    assert f"{result.limits.nearest} is nearest to its limit" in text
     assert result.program.hash in text
     assert 'family = "sphere"' in text
     for stage, seconds in result.timings.items():

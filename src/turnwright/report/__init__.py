@@ -317,6 +317,7 @@ def _write(page: _Page, path: File) -> File:
     )
     environment.filters["typeset"] = lambda text: re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text)
     text = environment.get_template("template.html.j2").render(page=page)
+    text = re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "", text)  # no page may hold them, whatever a name does
     part = path.with_name(f".{path.name}.part")
     try:
         part.write_text(text, encoding="utf-8")
@@ -377,7 +378,7 @@ def _numbers(
         note = f"at “{worst.name}”" + (f", the roughest of {len(patches)} patches" if len(patches) > 1 else "")
         numbers.append(judged("Sq", worst.roughness.sq_nm, sq, note))
     last = passes[-1]
-    note = f"{last.binding} is nearest to its limit, {last.utilisation[last.binding]:.0%}"
+    note = f"{last.nearest} is nearest to its limit, {last.utilisation[last.nearest]:.0%}"
     if len(passes) > 1:
         note = f"of {len(passes)} passes, the last {_duration(last.cycle_time_s)}; {note}"
     value, unit = _duration(sum(limits.cycle_time_s for limits in passes)).split()
@@ -491,7 +492,7 @@ def _limit_rows(limits: Limits, machine: Machine) -> list[_Row]:
             _Row(
                 name, f"{_number(value * factor)} {unit}",
                 "not stated" if limit is None else f"{_number(limit * factor)} {unit}",
-                share=share, ok=share is None or share <= 1.001, binding=name == limits.binding,
+                share=share, ok=share is None or share <= 1.001, binding=name == limits.nearest,
             )
         )  # fmt: skip
     for letter, (low, high) in limits.travel.items():
