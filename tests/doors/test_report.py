@@ -115,7 +115,9 @@ def test_names_from_a_job_are_text_and_not_markup(page):
 
 def test_no_control_character_reaches_the_page(small, tmp_path):
     result, _ = small
-    text = write_report(dataclasses.replace(result, warnings=("a \x1b[2J\x00name\x9b",)), tmp_path).read_text(encoding="utf-8")
+    text = write_report(dataclasses.replace(result, warnings=("a \x1b[2J\x00name\x9b",)), tmp_path).read_text(
+        encoding="utf-8"
+    )
     assert "a [2Jname" in text
     assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", text)
 
