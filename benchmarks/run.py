@@ -1,0 +1,366 @@
+"""Ratios, each against a yardstick measured in the same run, so that they mean the same on any machine.
+
+    python benchmarks/run.py [--quick]
+
+Every measurement is warmed up, then taken in turns with its yardstick; the table states medians,
+the ratio being that of the pairs. Arrays that are timed
+are reused: fresh memory costs a page fault every 4 KiB on either side, as much as the heights in it. The full run takes
+some minutes and writes RESULTS.md beside this file; ``--quick`` takes a fraction of the sizes and writes nothing.
+"""
+
+import argparse
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+
+import bench_program
+import numpy as np
+import thesis_backplotter
+
+from turnwright.contact import place
+from turnwright.generation import generate, generate_polar
+from turnwright.machine import Axis, Machine
+from turnwright.motion import drive
+from turnwright.part import Part
+from turnwright.path import Spiral
+from turnwright.post import read_nc, write_nc
+from turnwright.progress import cores
+from turnwright.strategy import SlowToolServo
+from turnwright.surface import LensArray, RadialPolynomial, Sphere
+from turnwright.tool import Tool
+
+HERE = Path(__file__).parent
+EXAMPLES = HERE.parent / "examples"
+TURN = 2 * np.pi
+
+LENS = RadialPolynomial(
+    radial=(-3.62e-3, 8.50e-8, -4.00e-12, 2.88e-16, -1.61e-18, 2.31e-20, -1.31e-22),
+    slope=(-1.01e-3, 9.45e-8, -1.78e-11, 4.39e-15, -7.61e-18, 9.49e-20, -5.34e-22),
+    tilt=0.0262,
+)
+"""The freeform infrared lens of Troutman 2016, appendix A.1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    what: str
+    ours: list[float]
+    yardstick: str = ""
+    theirs: list[float] | None = None  # taken in turns with ours, so that a busy moment slows both
+    faster: bool = False  # whether the ratio says how many times faster, not how many times the yardstick
+    limit: float | None = None
+
+    @property
+    def value(self):
+        if self.theirs is None:
+            return median(self.ours)
+        pairs = zip(self.ours, self.theirs, strict=True)
+        return median(theirs / ours if self.faster else ours / theirs for ours, theirs in pairs)
+
+    def cells(self):
+        theirs = "" if self.theirs is None else seconds(median(self.theirs))
+        ratio = "" if self.theirs is None else f"{self.value:.3g}" + (" times faster" if self.faster else "")
+        limit = ""
+        if self.limit is not None:
+            met = self.value >= self.limit if self.faster else self.value <= self.limit
+            limit = f"{'≥' if self.faster else '≤'} {self.limit:g}{' s' if self.theirs is None else ''}"
+            limit += ": met" if met else ": **not met**"
+        return [self.what, seconds(median(self.ours)), self.yardstick, theirs, ratio, limit]
+
+
+@dataclass
+class Table:
+    rows: list[Row] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, **row):
+        self.rows.append(Row(**row))
+        print("  ".join(cell for cell in self.rows[-1].cells() if cell), flush=True)
+
+    def note(self, text):
+        self.notes.append(text)
+        print(f"  {text}", flush=True)
+
+    def markdown(self):
+        head = ["what", "time", "yardstick", "its time", "ratio", "target"]
+        lines = [" | ".join(cells) for cells in (head, ["---"] * len(head), *(row.cells() for row in self.rows))]
+        return (
+            "\n".join(f"| {line} |" for line in lines) + "\n\n" + "\n".join(f"- {note}" for note in self.notes) + "\n"
+        )
+
+
+def seconds(value):
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
+        if value >= size:
+            return f"{value / size:.3g} {unit}"
+    return f"{value / 1e-9:.3g} ns"
+
+
+def timed(*works: Callable[[], object], times=5):
+    """Seconds of each work, several times in turns after one run of each to warm up."""
+    taken = [[] for _ in works]
+    for turn in range(times + 1):
+        for work, spent in zip(works, taken, strict=True):
+            start = perf_counter()
+            work()
+            if turn:
+                spent.append(perf_counter() - start)
+    return taken
+
+
+@contextmanager
+def processors(count):
+    """Keep this process, and the threads it starts, on so many processors."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, sorted(allowed)[:count])
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, allowed)
+
+
+def core_counts():
+    return [1, cores()] if cores() > 1 else [1]
+
+
+def plural(count):
+    return "1 core" if count == 1 else f"{count} cores"
+
+
+def lathe(dialect="generic"):
+    return Machine(
+        name="lathe", axes={letter: Axis() for letter in "CXZ"}, spindle_rpm=1000, block_rate_hz=1000, dialect=dialect
+    )
+
+
+def spiral(points, points_per_rev, radius):
+    """Turns of equal azimuths from ``radius`` to the axis."""
+    angle = np.arange(points) * (TURN / points_per_rev)
+    return Spiral(angle=angle, radius=radius * (1 - np.arange(points) / (points - 1)))
+
+
+def cut(surface, tool, *, radius, feed, points_per_rev):
+    servo = SlowToolServo(feed=feed, points_per_rev=points_per_rev, spindle_rpm=50)
+    part = Part(surface=surface, radius=radius)
+    return drive(place(servo.spiral(part, tool), part, tool), servo, lathe())
+
+
+def bench_place(table, scale):
+    points, points_per_rev = int(1e6 * scale), int(3600 * np.sqrt(scale))
+    sphere = {sign: Sphere(radius=8.0 * sign) for sign in (-1, 1)}
+    cases = {
+        "the infrared lens": (LENS, Tool(nose_radius=1.5, included=np.deg2rad(120)), 7.25, 20),
+        "square array, convex lenses": (
+            LensArray.square(pitch=1.0, rows=7, columns=7, lenslet=sphere[-1]),
+            Tool(nose_radius=0.1, included=np.deg2rad(60)),
+            2.5,
+            60,
+        ),
+        "square array, concave lenses": (
+            LensArray.square(pitch=1.0, rows=7, columns=7, lenslet=sphere[1]),
+            Tool(nose_radius=0.1, included=np.deg2rad(60)),
+            2.5,
+            60,
+        ),
+        "hexagonal array, convex lenses": (
+            LensArray.hexagonal(pitch=1.0, rings=3, lenslet=sphere[-1]),
+            Tool(nose_radius=0.1, included=np.deg2rad(60)),
+            2.5,
+            60,
+        ),
+    }
+    for name, (surface, tool, radius, limit) in cases.items():
+        plan, part = spiral(points, points_per_rev, radius), Part(surface=surface, radius=radius)
+        path = place(plan, part, tool)
+        x, y = path.contact_x, path.contact_y
+        for count in core_counts():
+            with processors(count):
+                ours, sag, jet = timed(
+                    lambda plan=plan, part=part, tool=tool: place(plan, part, tool),
+                    lambda surface=surface, x=x, y=y: surface.sag(x, y),
+                    lambda surface=surface, x=x, y=y: surface.evaluate(x, y, 2),
+                )
+            table.add(
+                what=f"place {points:.0e} points on {name}, {plural(count)}",
+                ours=ours, yardstick="`surface.sag` of the same points", theirs=sag,
+                limit=limit if count == cores() else None,
+            )  # fmt: skip
+            if surface is LENS and count == 1:
+                table.note(
+                    "The floor of placing a smooth surface is two evaluations of height, slopes and curvatures, one "
+                    f"to step and one to prove: on the lens {2 * median(jet) / median(sag):.2g} times one sag."
+                )
+
+
+def bench_polar(table, scale):
+    radius, angle = np.linspace(0.0, 5.0, 10000), np.linspace(0, TURN, int(10000 * scale), endpoint=False)
+    source, target, out = np.random.default_rng(1).random((3, angle.size, radius.size))
+    feed = 0.005  # ten samples from pass to pass
+    for nose, included in ((0.05, 60), (0.5, 60), (2.0, 120)):
+        tool = Tool(nose_radius=nose, included=np.deg2rad(included))
+        reach = 2 * nose * np.sin(np.deg2rad(included / 2)) / feed
+        motion = cut(LENS, tool, radius=5.0, feed=feed, points_per_rev=720)
+        for count in core_counts():
+            with processors(count):
+                ours, root = timed(
+                    lambda motion=motion, tool=tool: generate_polar(motion, tool, radius=radius, angle=angle, out=out),
+                    lambda: np.sqrt(source, out=target),
+                    times=3,
+                )
+            table.add(
+                what=f"generate_polar, {out.size:.0e} samples, {reach:.0f} passes in reach, {plural(count)}",
+                ours=ours, yardstick="`np.sqrt` into an existing array", theirs=root,
+                limit=3 if count == cores() else None,
+            )  # fmt: skip
+    fresh, root = timed(
+        lambda: generate_polar(motion, tool, radius=radius, angle=angle),
+        lambda: np.sqrt(source),
+        times=3,
+    )
+    table.note("There are ten samples from pass to pass; the time grows with samples plus passes, not with the reach.")
+    table.note(
+        "`generate_polar` and `np.sqrt` both write into arrays that exist; into fresh memory the last case takes "
+        f"{seconds(median(fresh))} on {plural(cores())} and `np.sqrt` {seconds(median(root))}."
+    )
+
+
+def bench_patch(table, scale):
+    tool = Tool(nose_radius=1.5, included=np.deg2rad(120))
+    motion = cut(LENS, tool, radius=5.0, feed=0.002, points_per_rev=720)
+    pixels = 0.0005 * np.arange(int(2000 * np.sqrt(scale)))
+    x, y = 3.0 + pixels, 0.1 + pixels
+    source, target = np.random.default_rng(1).random((2, x.size, y.size))
+    ours, root = timed(lambda: generate(motion, tool, x=x, y=y), lambda: np.sqrt(source, out=target), times=3)
+    table.add(
+        what=f"generate, {x.size} x {y.size} pixels of 0.5 um, {2.6 / 0.002:.0f} passes in reach, {plural(cores())}",
+        ours=ours, yardstick="`np.sqrt` into an existing array", theirs=root,
+    )  # fmt: skip
+    table.note(f"`generate` makes {x.size * y.size / median(ours):.2g} pixels a second.")
+
+
+def bench_program_files(table, scale):
+    for dialect in bench_program.FORMATS:
+        with tempfile.TemporaryDirectory() as folder:
+            bench_dialect(table, dialect, int(1e6 * scale), Path(folder))
+
+
+def bench_dialect(table, dialect, points, folder):
+    machine = lathe(dialect)
+    motion = bench_program.motion(points, machine)
+    ours, plain = folder / "part.nc", folder / "plain.nc"
+    words = bench_program.words(motion, dialect)
+    line = bench_program.FORMATS[dialect]
+    pairs = {
+        "write_nc": (
+            lambda: write_nc(motion, machine, ours),
+            lambda: bench_program.python_write(plain, words, line),
+            "`%` in a loop",
+        ),
+        "read_nc": (
+            lambda: read_nc(ours, machine),
+            lambda: bench_program.python_read(plain),
+            "`float()` in a loop",
+        ),
+    }
+    for what, (work, loop, name) in pairs.items():
+        taken, theirs = timed(work, loop)
+        table.add(
+            what=f"{what}, {dialect}, {points:.0e} points",
+            ours=taken, yardstick=name, theirs=theirs, faster=True, limit=10,
+        )  # fmt: skip
+
+
+def bench_doors(table, scale):
+    command = str(Path(sys.executable).with_name("turnwright"))
+
+    def run(*arguments):
+        subprocess.run([command, *arguments], check=True, capture_output=True)
+
+    (help_,) = timed(lambda: run("--help"))
+    table.add(what="turnwright --help", ours=help_, limit=0.4)
+    with tempfile.TemporaryDirectory() as folder:
+        example = str(EXAMPLES / "li2018_sine_grid.toml")
+        again = ["run", example, "--force", "--out", str(Path(folder) / "run")]
+        (whole,) = timed(lambda: run(*again), times=3 if scale == 1 else 1)
+    table.add(what="turnwright run, Li's sinusoidal grid, second run", ours=whole, limit=5)
+
+
+def exact_bowl(axes, tool, bowl, radius, angle):
+    """Heights left on a concave sphere in closed form: the centre of the nose runs on a sphere less by its radius."""
+    c, x = axes["C"], axes["X"]
+    inner = bowl - tool.nose_radius
+    heights = np.full((angle.size, radius.size), np.inf)
+    for row, azimuth in zip(heights, angle, strict=True):
+        turns = np.arange(np.ceil(c[0] / TURN), np.floor((c[-1] - azimuth) / TURN) + 1)
+        tips = np.interp(azimuth + TURN * turns, c, x)[::-1]
+        nearest = np.searchsorted(tips, radius * inner / bowl)
+        for step in range(-4, 4):
+            tip = tips[np.clip(nearest + step, 0, tips.size - 1)]
+            u = radius - tip
+            # bowl - sqrt(inner² - tip²) is the height of the centre, both without cancellation.
+            centre = tool.nose_radius + tip**2 / (inner + np.sqrt(inner**2 - tip**2))
+            np.minimum(row, centre - np.sqrt(tool.nose_radius**2 - u**2), out=row)
+    return heights
+
+
+def bench_thesis(table, scale):
+    bowl, feed = 60.0, 0.010
+    tool = Tool(nose_radius=1.5, included=np.deg2rad(120))
+    motion = cut(Sphere(radius=bowl), tool, radius=5.0, feed=feed, points_per_rev=720)
+    radius = np.linspace(1.5, 4.8, 6601)
+    azimuths = np.arange(720) * (TURN / 720)
+    ours_on, theirs_on = (azimuths, azimuths[:: 720 // 6]) if scale == 1 else (azimuths[::4], azimuths[:2])
+    out = np.empty((ours_on.size, radius.size))
+    whole = thesis_backplotter.tool_table(tool.nose_radius, np.deg2rad(60), 1e-3)
+    # The least of the edge that does: to where it touches on this bowl, and two feeds more.
+    least = radius[-1] / bowl * tool.nose_radius + 2 * feed
+    part = thesis_backplotter.tool_table(tool.nose_radius, np.arcsin(least / tool.nose_radius), 1e-3)
+    exact = exact_bowl(motion.axes, tool, bowl, radius, theirs_on)
+    made = generate_polar(motion, tool, radius=radius, angle=theirs_on).z
+    table.note(f"Off the closed form on a bowl of R {bowl:g} mm: Turnwright {np.abs(made - exact).max() * 1e6:.1g} nm.")
+    for name, edge in (("whole edge", whole), ("only what touches", part)):
+        peer = thesis_backplotter.backplot(motion.axes, edge, radius, theirs_on)
+        table.note(f"The thesis's backplotter, {name}: {np.abs(peer - exact).max() * 1e6:.2g} nm (table every 1 um).")
+        with processors(1):
+            ours, theirs = timed(
+                lambda: generate_polar(motion, tool, radius=radius, angle=ours_on, out=out),
+                lambda edge=edge: thesis_backplotter.backplot(motion.axes, edge, radius, theirs_on),
+                times=3,
+            )
+        table.add(
+            what=f"generate_polar, an azimuth of {radius.size} samples, 1 core",
+            ours=[time / ours_on.size for time in ours], yardstick=f"the thesis's backplotter, {name}",
+            theirs=[time / theirs_on.size for time in theirs], faster=True, limit=50,
+        )  # fmt: skip
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a fraction of the sizes; nothing is written")
+    scale = 0.04 if parser.parse_args().quick else 1
+    table = Table()
+    table.note(
+        f"Measured on {plural(cores())} ({platform.machine()}), Python {platform.python_version()}, NumPy "
+        f"{np.__version__}, numba {version('numba')}, Turnwright {version('turnwright')}; other work kept "
+        f"{os.getloadavg()[0]:.1f} cores busy."
+    )
+    for bench in (bench_place, bench_polar, bench_patch, bench_program_files, bench_doors, bench_thesis):
+        bench(table, scale)
+    if scale == 1:
+        (HERE / "RESULTS.md").write_text(table.markdown(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
