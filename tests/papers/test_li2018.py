@@ -124,10 +124,11 @@ def radial_error(motion, tool, surface, radius, angle):
 
 @pytest.mark.parametrize("count", [5, 6, 7, 200])
 def test_samples_half_way_between_the_passes_lose_roughness(count):
-    # On a flat the turns cross azimuth 0 at whole feeds from the axis.
+    # On a flat the turns cross azimuth 0 at whole feeds from where the motion begins.
     surface = Plane()
     motion, tool = cut_li(surface, 0.5, 0.9)
-    radius = 0.6 + FEED * (np.arange(20 * count) + 0.5) / count - FEED / 2
+    tip = motion.axes["X"][0] - 30 * FEED
+    radius = tip + FEED * (np.arange(20 * count) + 0.5) / count - FEED / 2
     sq = 1e6 * np.std(radial_error(motion, tool, surface, radius, 0.0))
     n = float(count)
     assert sq == pytest.approx(SQ * np.sqrt((1 - 1 / n**2) * (1 - 4 / n**2)), rel=1e-4)
