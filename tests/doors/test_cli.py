@@ -6,6 +6,7 @@ import math
 import re
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 from job_files import written
 
 import turnwright as tw
-from turnwright import cli
+from turnwright import _commands
+from turnwright._stop import Stop
 from turnwright.archive import read_maps
 from turnwright.cli import main
 from turnwright.errors import InputError
@@ -116,6 +118,29 @@ def test_check_says_what_the_part_asks_of_the_tool(done, tmp_path, capsys):
     assert "turnwright: clearance needs" in caught.err
 
 
+def test_check_refuses_what_run_would(tmp_path, capsys):
+    """Beyond the surface's end, and with the same words about what a job may accept."""
+    end = ("part.surface", {"family": "sphere", "radius": "1.5 mm"}), ("strategy.lead_in", "1 mm")
+    slow = ("part.surface", WAVES), ("tool.clearance", "0.1 deg")
+    for changes, sentence in ((end, "Sphere is not defined"), (slow, 'accept = ["clearance"]')):
+        job = str(written(tmp_path, *changes, ("tool.included", "120 deg"), ("tool.clearance", "60 deg"), *changes[1:]))
+        assert main(["run", job, "--out", str(tmp_path / "out")]) == 2
+        told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("turnwright: ")]
+        assert sentence in told[0]
+        assert main(["check", job]) == 2
+        assert sentence in capsys.readouterr().err
+
+
+def test_the_decimals_are_judged_where_the_actual_tool_cuts(tmp_path):
+    """A tool far from its planned place meets other slopes than the design has there."""
+    tool = {"nose_radius": "0.5 mm", "included": "100 deg", "clearance": "40 deg"}
+    offset = ("actual.tool.offset", ["0.3 mm", "0.4 mm", "0 mm"])
+    where = ("part.surface", {"family": "sphere", "radius": "3 mm"}), ("tool", tool), ("simulation.patches", [])
+    planned, result = (tw.run(Job.load(written(tmp_path, *where, *more))) for more in ((), (offset,)))
+    assert result.rounding_limit_nm > 1.2 * planned.rounding_limit_nm
+    assert result.rounding_nm <= result.rounding_limit_nm
+
+
 def test_force_keeps_the_old_folder(done, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
@@ -130,7 +155,7 @@ def test_force_keeps_the_old_folder(done, tmp_path):
 
 
 def test_a_defect_is_told_from_bad_input(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(cli.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr("turnwright.job.preview", lambda *_args, **_more: math.sqrt(-1))
     assert main(["check", str(written(tmp_path))]) == 1
     said = capsys.readouterr().err
@@ -186,9 +211,73 @@ def test_help_and_version_import_nothing_heavy():
     assert all(command in said for command in ("run", "check", "backplot"))
 
 
+def shell(line, **more):
+    """Run a line of shell, where {} is the command line."""
+    line = line.replace("{}", f"{sys.executable} -m turnwright")
+    return subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False, **more)
+
+
+def test_the_package_is_the_command_line():
+    assert shell("{} --version").stdout == f"turnwright {tw.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("where", "code", "said"),
+    [(">/dev/full", 2, "the standard output cannot be written (No space left on device)"), ("| true", 0, "")],
+)
+def test_results_are_kept_when_nobody_hears_of_them(where, code, said, done, tmp_path):
+    told = shell(
+        f"set -o pipefail; {{}} backplot {done}/out/part.nc --job {done}/job.toml --out {tmp_path}/out {where}"
+    )
+    assert (tmp_path / "out" / "report.html").exists()
+    assert told.returncode == code
+    assert "nothing was kept" not in told.stderr
+    assert said in told.stderr
+    assert "Traceback" not in told.stderr
+
+
+def test_a_process_without_error_output_works(done):
+    told = shell(f"{{}} check {done}/job.toml 2>&-")
+    assert told.returncode == 0
+    assert "ok: " in told.stdout
+    assert shell("{} check no.toml 2>&- >&-").returncode == 2
+
+
+def test_a_link_to_nowhere_is_followed(done, tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "disk" / "out")
+    again = [
+        "backplot",
+        str(done / "out" / "part.nc"),
+        "--job",
+        str(done / "job.toml"),
+        "--out",
+        str(tmp_path / "link"),
+    ]
+    assert main(again) == 0
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "disk" / "out" / "report.html").exists()
+
+
+@pytest.mark.parametrize("kind", ["mount", "loop", "taken"])
+def test_a_folder_that_cannot_be_is_refused_first(kind, done, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "out"
+    if kind == "loop":
+        out.symlink_to(out)
+    else:
+        out.mkdir()
+    if kind == "mount":
+        monkeypatch.setattr(Path, "is_mount", lambda self: self == out)
+    if kind == "taken":
+        (out / "notes.txt").write_text("cut on Monday")
+    monkeypatch.setattr("turnwright.job.predict", lambda *_args, **_more: math.sqrt(-1))
+    assert main(["backplot", str(done / "out" / "part.nc"), "--job", str(done / "job.toml"), "--out", str(out)]) == 2
+    sentence = {"mount": "is where a disk is mounted", "loop": "points to itself", "taken": "is there already"}[kind]
+    assert sentence in capsys.readouterr().err
+
+
 def test_bars_are_drawn_on_a_terminal(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with cli._progress() as progress:
+    with _commands._progress(Stop()) as progress:
         progress("place", 0, 10)
         progress("place", 10, 10)
     assert "place" in capsys.readouterr().err

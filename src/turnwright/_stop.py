@@ -1,0 +1,41 @@
+"""The wish to stop, heard from the first moment on: Ctrl-C, a polite kill, a terminal that was closed."""
+
+from __future__ import annotations
+
+import signal
+from types import TracebackType
+from typing import Self
+
+
+class Stop:
+    """Raises `KeyboardInterrupt` at each wish to stop, and remembers it where the interrupt gets lost.
+
+    Python drops an exception that comes while it cleans up or calls back from compiled code; so whoever works asks
+    `check` from time to time.
+    """
+
+    def __init__(self) -> None:
+        self.wanted = False
+        self.deaf = False
+        self._before: dict[int, object] = {}
+
+    def __enter__(self) -> Self:
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup asks for that
+                self._before[number] = signal.signal(number, self._hear)
+        return self
+
+    def __exit__(self, _kind: type[BaseException] | None, _error: object, _trace: TracebackType | None) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)  # type: ignore[arg-type] # as it was
+
+    def _hear(self, _number: int, _frame: object) -> None:
+        self.wanted = True
+        if not self.deaf:
+            raise KeyboardInterrupt
+
+    def check(self) -> None:
+        """Raise `KeyboardInterrupt` if a stop was wanted."""
+        if self.wanted:
+            raise KeyboardInterrupt
