@@ -26,6 +26,7 @@ stated) has the keys
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
@@ -140,7 +141,8 @@ def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
     """Write the archive: the job and the numbers as text, maps, path and motion as arrays with their units."""
     import h5py  # noqa: PLC0415 - costly, and only a run needs it
 
-    with h5py.File(file, "w") as archive:
+    image = io.BytesIO()  # HDF5 itself does not survive a full disk
+    with h5py.File(image, "w") as archive:
         archive.attrs["turnwright"] = __version__
         archive.attrs["job"] = job
         archive.attrs["result"] = numbers
@@ -153,6 +155,7 @@ def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
         _store_motion(archive.create_group("motion"), result.motion)
         for number, turn in enumerate(result.turns):
             _store_motion(archive.create_group(f"turns/{number}"), turn)
+    file.write_bytes(image.getbuffer())
 
 
 def _store_motion(group: Any, motion: Motion) -> None:
