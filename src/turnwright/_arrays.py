@@ -27,7 +27,7 @@ def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool =
     """
     try:
         array = np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} holds something that is not a number: give plain numbers") from error
     if ndim is not None and np.ndim(values) != ndim:
         raise InputError(f"{name} has {np.ndim(values)} dimensions where {ndim} are needed: reshape it")
@@ -49,6 +49,8 @@ def same_length(arrays: Iterable[tuple[str, Floats]]) -> None:
 
 def positive(value: float, name: str, unit: str) -> float:
     """Return ``value`` if it is a finite number above zero."""
+    if isinstance(value, int) and value.bit_length() > 1000:
+        raise InputError(f"{name} is beyond the range of numbers, about 1e308 {unit}: give a smaller value")
     if not np.isfinite(value) or value <= 0:
         raise InputError(f"{name} is {value:g} {unit}, it must be finite and above 0 {unit}: give a positive value")
     return float(value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, field, fields
 from importlib import resources
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 
 from turnwright import units
 from turnwright._arrays import Floats, between, frozen, positive
+from turnwright._toml import read_toml
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -91,9 +91,10 @@ class Convention:
 
     def __post_init__(self) -> None:
         for name in ("x_side", "c_sense", "z_sign"):
-            if getattr(self, name) not in (-1, 1):
+            sign = getattr(self, name)
+            if isinstance(sign, bool) or not isinstance(sign, int) or sign not in (-1, 1):
                 raise InputError(
-                    f"{name} of the convention is {getattr(self, name)!r}, it must be 1 or -1: give the sign"
+                    f"{name} of the convention is {sign!r}, it must be the whole number 1 or -1: give the sign"
                 )
         if not np.isfinite(self.clocking):
             raise InputError(f"clocking of the convention is {self.clocking}, it must be finite: give an angle")
@@ -191,19 +192,20 @@ class Machine:
         folder = resources.files("turnwright") / "machines"
         known = sorted(Path(entry.name).stem for entry in folder.iterdir() if entry.name.endswith(".toml"))
         if name in known:
-            text = (folder / f"{name}.toml").read_text(encoding="utf-8")
+            data = (folder / f"{name}.toml").read_bytes()
         else:
             try:
-                text = Path(name).read_text(encoding="utf-8")
-            except (OSError, UnicodeDecodeError) as error:
-                why = getattr(error, "strerror", None) or "not UTF-8 text"
+                data = Path(name).read_bytes()
+            except (OSError, ValueError) as error:
+                why = getattr(error, "strerror", None) or "it is no name of a file"
                 raise InputError(
                     f"machine {str(name)!r} is not one of {', '.join(known)} and cannot be read as a file ({why}): "
                     "name one of these, or give the path of a .toml file"
                 ) from error
+        table = read_toml(data, f"machine file {str(name)!r}")
         try:
-            return _from_table(tomllib.loads(text))
-        except (tomllib.TOMLDecodeError, InputError) as error:
+            return _from_table(table)
+        except InputError as error:
             raise InputError(f"machine file {str(name)!r}: {error}") from error
 
     def z_error(self, x: ArrayLike) -> Floats:

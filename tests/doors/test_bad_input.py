@@ -5,11 +5,13 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 from job_files import GONE, changed, written
 
+import turnwright
 from turnwright.cli import main
 from turnwright.errors import JobError
 from turnwright.job import Job
@@ -106,6 +108,35 @@ WRONG = {
     ),
     "a pass above the stock": ([("passes", [{"name": "a", "allowance": "5 um"}])], r"passes\[1\]\.allowance is 0\.005 mm"),
     "two passes of one name": ([("passes", [{"name": "a"}, {"name": "a"}])], r"passes has the name 'a' 2 times"),
+    "a name that a repetition takes": (
+        [("part.stock", "20 um"), ("passes", [{"name": "rough", "allowance": "5 um", "depth": "8 um"}, {"name": "Rough-1"}])],
+        r"passes has the name 'rough 1' 2 times",
+    ),
+    "two names that differ in case": ([("passes", [{"name": "a"}, {"name": "A"}])], r"passes has the name 'a' 2 times"),
+    "one coefficient written twice": (
+        [("part.surface", {"family": "xy polynomial", "units": "mm", "terms": {"2,0": 0.01, "02,0": 0.02}})],
+        r"the key '02,0' means the same as '2,0': remove one",
+    ),
+    "one power written twice": (
+        [("part.surface", {"family": "even asphere", "radius": "50 mm", "conic": 0, "units": "mm", "terms": {"4": 1e-6, "04": 1e-6}})],
+        r"the key '04' means the same as '4': remove one",
+    ),
+    "a degree beyond all series": (
+        [("part.surface", {"family": "xy polynomial", "units": "mm", "terms": {"2000,0": 1}})],
+        r"part\.surface\.terms\.2000,0: its unit is mm\^-1999, the limit is mm\^-99",
+    ),
+    "a power of thousands of digits": (
+        [("part.surface", {"family": "even asphere", "radius": "50 mm", "conic": 0, "units": "mm", "terms": {"4" * 5000: 1}})],
+        r"is not a whole number",
+    ),
+    "points beyond numbers": ([("strategy.points_per_rev", 10**400)], r"points_per_rev is 1000.*, it must be at most 1000000000"),
+    "a certificate that is no text": ([("tool.waviness_file", "utf16.csv")], r"utf16\.csv is not a CSV table in UTF-8 .*: save it as plain text"),
+    "a certificate of one endless cell": ([("tool.waviness_file", "cell.csv")], r"cell\.csv is not a CSV table in UTF-8 .*: save it"),
+    "a machine sign that is no sign": ([("machine", {"file": "sign.toml"})], r"x_side of the convention is -1\.0, it must be the whole number"),
+    "a machine sign that is a yes": ([("machine", {"file": "yes.toml"})], r"x_side of the convention is True, it must be the whole number"),
+    "a machine faster than numbers": ([("machine", {"file": "fast.toml"})], r"spindle_rpm is beyond the range of numbers"),
+    "a machine that is no TOML": ([("machine", {"file": "broken.toml"})], r"broken\.toml' is not TOML, .*: correct that place"),
+    "a machine too deep to read": ([("machine", {"file": "deep.toml"})], r"deep\.toml' holds lists or tables within each other too deep"),
     "a pass named for a folder": ([("passes", [{"name": "../a"}])], r"passes\[1\]\.name is '\.\./a'"),
     "a depth that is a slip": (
         [("part.stock", "1 mm"), ("passes", [{"name": "a", "depth": "1 nm"}])],
@@ -164,6 +195,14 @@ def place(tmp_path):
     (folder / "nan.csv").write_text(table([*rows[:-1], [*rows[-1][:-1], "nan"]]))
     (folder / "words.csv").write_text("x,y,z\none,two,three\n")
     (folder / "certificate.csv").write_text("sweep,deviation\n0,0\n1,1\n")
+    (folder / "utf16.csv").write_text("sweep [deg],deviation [nm]\n0,0\n", encoding="utf-16")
+    (folder / "cell.csv").write_text("sweep [deg],deviation [nm]\n0," + "1" * 200_000)
+    generic = (Path(turnwright.__file__).parent / "machines" / "generic.toml").read_text(encoding="utf-8")
+    (folder / "sign.toml").write_text(generic + "\n[convention]\nx_side = -1.0\n")
+    (folder / "yes.toml").write_text(generic + "\n[convention]\nx_side = true\n")
+    (folder / "fast.toml").write_text(re.sub("(?m)^spindle_rpm = .*$", "spindle_rpm = 1" + "0" * 400, generic))
+    (folder / "broken.toml").write_text("[axes\n")
+    (folder / "deep.toml").write_text("a = " + "[" * 5000)
     return folder
 
 
@@ -199,6 +238,8 @@ def test_all_wrong_fields_are_told_at_once():
         (None, r"cannot be read \(No such file or directory\)"),
         (b"[part\n", r"is not TOML, .*line 1"),
         (b"\xff\xfe\x00", r"is not UTF-8 text"),
+        (b"a = " + b"1" * 5000, r"holds a whole number of thousands of digits: shorten it"),
+        (b"a = " + b"[" * 5000, r"holds lists or tables within each other too deep to read: make them flat"),
         (b"", r"part is missing"),
     ],
 )
@@ -211,6 +252,27 @@ def test_a_file_that_is_no_job_is_refused(content, sentence, tmp_path, capsys):
         assert re.search(sentence, capsys.readouterr().err)
     else:
         assert re.search(sentence, refused(tmp_path, job, capsys))
+
+
+def test_a_byte_order_mark_is_no_mistake(place):
+    """Windows editors write one; oracle: the same job without."""
+    job = written(place)
+    generic = (Path(turnwright.__file__).parent / "machines" / "generic.toml").read_bytes()
+    (place / "marked.toml").write_bytes(b"\xef\xbb\xbf" + generic)
+    plain = Job.load(job)
+    job.write_bytes(b"\xef\xbb\xbf" + job.read_bytes())
+    assert Job.load(job) == plain
+    marked = turnwright.Machine.load(place / "marked.toml")
+    assert marked.spindle_rpm == plain.machine.machine.spindle_rpm
+
+
+def test_units_of_no_terms_are_read_too(tmp_path):
+    """Oracle: what a job says is read back to an equal job."""
+    none = {"family": "zernike", "radius": "1 mm", "indexing": "noll", "units": "um", "terms": {}}
+    job = Job.read(changed(("part.surface", [{"family": "plane"}, none])))
+    (tmp_path / "again.toml").write_text(job.to_toml())
+    assert Job.load(tmp_path / "again.toml") == job
+    assert job.part.surface.terms[1].units == "mm"
 
 
 def test_a_taken_folder_is_not_touched(place, capsys):
@@ -248,8 +310,9 @@ def start(job, out, **more):
     [
         [("strategy.points_per_rev", 40000)],  # the program does not fit
         [("simulation.whole_part", {"radii": 1000, "angles": 800})],  # the program does, a map does not
+        [("simulation.whole_part", {"radii": 700, "angles": 700})],  # each map does, the archive of all does not
     ],
-    ids=["program", "map"],
+    ids=["program", "map", "archive"],
 )
 def test_a_full_disk_leaves_nothing(changes, tmp_path):
     """Oracle: the kernel ends every file at 4 MB, as a full disk would."""
@@ -262,11 +325,11 @@ def test_a_full_disk_leaves_nothing(changes, tmp_path):
     process = start(job, tmp_path / "out", preexec_fn=limit)
     said = process.communicate(timeout=120)[1].splitlines()[-1]
     assert process.returncode == 2, said
-    assert re.search(r"File too large|the disk is full", said)
+    assert re.search(r"the largest that the system allows|File too large|the disk is full", said)
     assert [entry.name for entry in tmp_path.iterdir()] == ["job.toml"]
 
 
-@pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_run_leaves_nothing(kill, tmp_path):
     process = start(LENS, tmp_path / "out")
     for line in process.stderr:
@@ -276,4 +339,33 @@ def test_an_interrupted_run_leaves_nothing(kill, tmp_path):
     said = process.communicate(timeout=120)[1]
     assert process.returncode == 130, said
     assert "turnwright: interrupted" in said
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.3, 0.6])
+def test_an_early_interrupt_is_not_lost(kill, delay, tmp_path):
+    """Imports may swallow the exception; what was wanted is done all the same."""
+    code = """if True:
+        import sys
+        from turnwright import _stop, cli
+        class Telling(_stop.Stop):
+            def __enter__(self):
+                super().__enter__()
+                print("in", flush=True)
+                return self
+        cli.Stop = Telling
+        sys.exit(cli.main())
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "run", str(LENS), "--out", str(tmp_path / "out")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout.readline() == "in\n"
+    time.sleep(delay)
+    process.send_signal(kill)
+    said = process.communicate(timeout=120)[1]
+    assert process.returncode == 130, said
+    assert said.splitlines()[-1].startswith("turnwright: interrupted")
+    assert "Traceback (most recent call last)" not in said
     assert not list(tmp_path.iterdir())

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 
 __all__ = ["FAMILIES", "AnySurface"]
 
+HIGHEST = 99
+"""A coefficient of a higher power of 1/mm belongs to no series."""
+
 Coordinate: TypeAlias = tuple[Length, Length]
 
 
@@ -110,13 +113,16 @@ class Series(Family):
         for field in cls.series:
             given = data.get(field)
             values: dict[Any, float] = {}
+            problems |= {(field, key): error for key, error in _repeated(given).items()}
             for key, value in _entries(given):
                 try:
                     values[key] = _coefficient(value, units, cls._power(field, str(key)))
                 except (UnitError, JobError) as error:
                     problems[field, key] = error
             if values:
-                read |= {field: values if isinstance(given, Mapping) else list(values.values()), "units": "mm"}
+                read[field] = values if isinstance(given, Mapping) else list(values.values())
+            if values or units is not None:
+                read["units"] = "mm"
         if problems:
             raise refuse(cls.__name__, problems, data)
         return read
@@ -131,6 +137,8 @@ def _entries(given: object) -> list[tuple[Any, object]]:
 
 def _coefficient(value: object, units: str | None, power: int) -> float:
     """Return a coefficient in mm^power."""
+    if abs(power) > HIGHEST:
+        raise JobError(f"its unit is mm^{power}, the limit is mm^-{HIGHEST}, a degree of {HIGHEST + 1}: leave it out")
     if units is not None and isinstance(value, int | float) and not isinstance(value, bool):
         return parse(f"{value!r} {_power_of(units, power)}", _power_of("mm", power))
     if not isinstance(value, str):
@@ -146,9 +154,28 @@ def _power_of(units: str, power: int) -> str:
     return raised if power > 0 else f"1/{raised}"
 
 
+_DIGITS = "[0-9]{1,9}"
+"""An index of more digits is none that any series has."""
+
+
+def _indices(key: object) -> tuple[int, ...]:
+    """Return the numbers that a key names, however it writes them."""
+    return tuple(int(digits) for digits in re.findall(rf"-?{_DIGITS}", str(key)))
+
+
+def _repeated(given: object) -> dict[Any, JobError]:
+    """Return what is wrong with keys that say the same as one before them."""
+    seen: dict[tuple[int, ...], object] = {}
+    return {
+        key: JobError(f"the key {key!r} means the same as {first!r}: remove one")
+        for key, _ in _entries(given)
+        if (first := seen.setdefault(_indices(key), key)) != key
+    }
+
+
 def _pair(key: str) -> tuple[int, int]:
     """Return a key that must be two whole numbers."""
-    match = re.fullmatch(r"\s*([0-9]+)\s*,\s*(-?[0-9]+)\s*", key)
+    match = re.fullmatch(rf"\s*({_DIGITS})\s*,\s*(-?{_DIGITS})\s*", key)
     if match is None:
         raise JobError(f"the key {key!r} is not two whole numbers: name each coefficient like '2,0'")
     return int(match.group(1)), int(match.group(2))
@@ -156,7 +183,7 @@ def _pair(key: str) -> tuple[int, int]:
 
 def _whole(key: str) -> int:
     """Return a key that must be a whole number."""
-    if not key.isascii() or not key.isdigit():
+    if re.fullmatch(_DIGITS, key) is None:
         raise JobError(f"the key {key!r} is not a whole number: name each coefficient by its number")
     return int(key)
 

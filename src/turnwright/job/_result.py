@@ -24,7 +24,7 @@ __all__ = ["Pass", "Prediction", "Preview", "Result"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Preview:
-    """What can be said of a job without placing a tool.
+    """What can be said of a job without placing the tool beyond its outermost turn.
 
     Parameters
     ----------

@@ -21,11 +21,13 @@ from turnwright.generation import generate, generate_polar
 from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.metrology import roughness
 from turnwright.motion import check_limits, drive
+from turnwright.path import Spiral
 from turnwright.post import ProgramHeader, dialect_of, read_nc, write_nc
 
 if TYPE_CHECKING:
     from os import PathLike
 
+    from turnwright._arrays import Floats
     from turnwright.access import Access
     from turnwright.job._schema import Job
     from turnwright.path import Motion, Path
@@ -108,12 +110,11 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         with watch.stage("drive"):
             motion = drive(path, servo, machine)
         warnings += _accepted_gouge(job, path)
-        times = cut.repeats(stock)
-        depth = (stock - cut.allowance) / times
-        for number in range(1, times + 1):
+        names = cut.names(stock)
+        depth = (stock - cut.allowance) / len(names)
+        for name in names:
             stock -= depth
-            name = cut.name if times == 1 else f"{cut.name} {number}"
-            lifted = motion if number == times and not cut.allowance else _lifted(motion, max(stock, 0.0))
+            lifted = motion if name == names[-1] and not cut.allowance else _lifted(motion, max(stock, 0.0))
             with watch.stage("limits"):
                 limits = check_limits(lifted, machine)
             if not limits.ok:
@@ -181,12 +182,15 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         servo = job.strategy.servo(cut)
         with watch.stage("plan") as tell:
             spiral = servo.spiral(part, tool, progress=tell)
+            place(_outermost(spiral), part, tool, along=job.strategy.along)  # raises where the surface has an end
         speed = servo.spindle_rpm or machine.spindle_rpm
         times = cut.repeats(stock)
         points[cut.name] = times * spiral.angle.size
         shortest[cut.name] = times * max(spiral.turns * 60 / speed, (spiral.angle.size - 1) / machine.block_rate_hz)
         stock = cut.allowance
-    refused = tuple(one.sentence for one in access.findings if not one.ok and one.name not in job.accept)
+    refused = tuple(
+        _or_accept(one.sentence, one.name) for one in access.findings if not one.ok and one.name not in job.accept
+    )
     return Preview(access=access, points=points, shortest_s=shortest, refused=refused)
 
 
@@ -229,8 +233,13 @@ def predict(
 def _accepted(job: Job, what: str, error: GougeError | LimitError) -> list[str]:
     """Return a finding as a warning if the job accepts it, else raise it."""
     if what not in job.accept:
-        raise type(error)(f'{error} (or accept it in the job: accept = ["{what}"])')
+        raise type(error)(_or_accept(str(error), what))
     return [str(error)]
+
+
+def _or_accept(sentence: str, what: str) -> str:
+    """Add how a job accepts a finding."""
+    return f'{sentence} (or accept it in the job: accept = ["{what}"])'
 
 
 def _accepted_access(job: Job, access: Access) -> list[str]:
@@ -247,6 +256,14 @@ def _accepted_gouge(job: Job, path: Path) -> list[str]:
         return []
     cut = f"placed along the {job.strategy.along}, the edge cuts {-least * 1e6:.3g} nm below the surface"
     return _accepted(job, "gouge", GougeError(f'{cut}, the limit is 0 nm: place it along "z"'))
+
+
+def _outermost(spiral: Spiral) -> Spiral:
+    """Return the turn that is farthest from the axis."""
+    first, last = spiral.angle[[0, -1]]
+    outer = first if spiral.radius[0] > spiral.radius[-1] else last
+    turn = np.abs(spiral.angle - outer) <= 2 * np.pi
+    return Spiral(angle=spiral.angle[turn], radius=spiral.radius[turn])
 
 
 def _lifted(motion: Motion, height: float) -> Motion:
@@ -293,19 +310,29 @@ def _rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
 
     A program's numbers are wrong by up to half of their last decimal. The surface follows Z itself, X by its slope
     along the radius (that of the cusps, half a feed over the nose radius, included) and C by its slope around the axis
-    times the distance.
+    times the distance. Where the actual tool stands elsewhere than planned it meets other slopes, so what a motion
+    leaves that is moved by as much counts where it is more.
     """
     part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
     radius, angle = part.radius * (np.arange(96) + 0.5) / 96, np.linspace(0, 2 * np.pi, 36, endpoint=False)
-    here, there = (generate_polar(one, tool, radius=radius, angle=angle, machine=machine).z for one in (motion, again))
+    decimals = dialect_of(machine).decimals
+    c, x, z = (0.5 * 10.0 ** -decimals[letter] for letter in "CXZ")
+    c = np.deg2rad(c)
+
+    def made(one: Motion, **moved: float) -> Floats:
+        axes = {**one.axes, **{letter: one.axes[letter] + by for letter, by in moved.items()}}
+        return generate_polar(replace(one, axes=axes), tool, radius=radius, angle=angle, machine=machine).z
+
+    here = made(motion)
+    apart, by_x, by_c = (
+        float(np.nanmax(np.abs(other - here))) for other in (made(again), made(motion, X=x), made(motion, C=c))
+    )
     dense = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     cosine, sine = np.cos(dense)[:, None], np.sin(dense)[:, None]
     zx, zy = part.surface.gradient(radius * cosine, radius * sine)
     along = np.abs(zx * cosine + zy * sine).max() + job.strategy.feed / (2 * tool.actual_radius)
     around = (np.abs(zy * cosine - zx * sine) * radius).max()
-    decimals = dialect_of(machine).decimals
-    c, x, z = (0.5 * 10.0 ** -decimals[letter] for letter in "CXZ")
-    return float(np.nanmax(np.abs(there - here))) * 1e6, float(z + x * along + np.deg2rad(c) * around) * 1e6
+    return apart * 1e6, float(z + max(x * along, by_x) + max(c * around, by_c)) * 1e6
 
 
 def _assumed(job: Job, passes: list[Pass]) -> list[str]:

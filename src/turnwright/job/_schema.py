@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import tomllib
+import re
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path as File
@@ -14,6 +14,7 @@ import tomli_w
 from annotated_types import Ge
 from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator, Strict, ValidationError, model_validator
 
+from turnwright._toml import read_toml
 from turnwright.errors import InputError, JobError, UnitError
 from turnwright.job._prescriptions import FAMILIES, AnySurface
 from turnwright.job._table import (
@@ -34,6 +35,7 @@ from turnwright.job._table import (
 )
 from turnwright.machine import Machine
 from turnwright.part import Part
+from turnwright.post import dialect_of
 from turnwright.strategy import SlowToolServo
 from turnwright.tool import Tool, WavinessTable
 from turnwright.units import parse, unit
@@ -187,7 +189,9 @@ class MachineTable(MachineDeviations):
             raise JobError("name and file of the machine are both given or both missing: give one of them")
         machine = Machine.load(self.file or self.name or "")
         stated = self.stated if self.dialect is None else {**self.stated, "dialect": self.dialect}
-        return replace(machine, **stated)
+        machine = replace(machine, **stated)
+        dialect_of(machine)
+        return machine
 
     @model_validator(mode="after")
     def _is_known(self) -> Self:
@@ -239,6 +243,11 @@ class PassTable(Points):
     def repeats(self, stock: float) -> int:
         """Return how often the pass is cut, each time deeper, to take ``stock`` [mm] down to its allowance."""
         return max(1, math.ceil((stock - self.allowance) / self.depth - 1e-9)) if self.depth else 1
+
+    def names(self, stock: float) -> list[str]:
+        """Return the name of each repetition."""
+        times = self.repeats(stock)
+        return [self.name] if times == 1 else [f"{self.name} {number}" for number in range(1, times + 1)]
 
 
 class Patch(Table):
@@ -333,10 +342,12 @@ class ProgramTable(Table):
 
 def _all_different(what: str, names: list[str]) -> None:
     """Raise if two names would share a file."""
-    alike = [name.replace(" ", "-") for name in names]
+    alike = [re.sub("[ -]+", "-", name).casefold() for name in names]
     for name, plain in zip(names, alike, strict=True):
         if alike.count(plain) > 1:
-            raise JobError(f"{what} has the name {name!r} {alike.count(plain)} times, the limit is 1: rename one")
+            raise JobError(
+                f"{what} has the name {name!r} {alike.count(plain)} times as a file name, the limit is 1: rename one"
+            )
 
 
 class Job(Table):
@@ -389,8 +400,7 @@ class Job(Table):
     def _passes_fit(self) -> Self:
         if not self.passes:
             raise JobError("passes is empty, it needs at least 1: add one, or leave it out for a finishing pass alone")
-        _all_different("passes", [cut.name for cut in self.passes])
-        allowance = self.part.stock
+        allowance, names = self.part.stock, []
         for number, cut in enumerate(self.passes, 1):
             if cut.allowance > allowance:
                 raise JobError(
@@ -402,11 +412,13 @@ class Job(Table):
                     f"passes[{number}].depth is {cut.depth:g} mm, so the pass repeats {cut.repeats(allowance)} times, "
                     f"the limit is {MOST_REPEATS}: increase it"
                 )
+            names += cut.names(allowance)
             allowance = cut.allowance
             try:
                 self.strategy.servo(cut)
             except InputError as error:
                 raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
+        _all_different("passes", names)
         if allowance > 0:
             raise JobError(f"the last pass leaves {allowance:g} mm, the limit is 0 mm: let it finish the part")
         _all_different("simulation.patches", ["whole part", *(patch.name for patch in self.simulation.patches)])
@@ -459,14 +471,14 @@ class Job(Table):
         """
         path = File(path)
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
+            data = path.read_bytes()
         except OSError as error:
             raise JobError(f"the job file {str(path)!r} cannot be read ({error.strerror}): check its name") from error
-        except UnicodeDecodeError as error:
-            raise JobError(f"the job file {str(path)!r} is not UTF-8 text: save it as a plain text file") from error
-        except tomllib.TOMLDecodeError as error:
-            raise JobError(f"the job file {str(path)!r} is not TOML, {error}: correct that place") from error
-        return cls.read(data, folder=path.parent)
+        try:
+            table = read_toml(data, f"the job file {str(path)!r}")
+        except InputError as error:
+            raise JobError(str(error)) from error
+        return cls.read(table, folder=path.parent)
 
     def to_toml(self) -> str:
         """Return the job as a file that `load` reads back to an equal job; files it names get their whole path."""

@@ -9,7 +9,7 @@ from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
 
 import numpy as np
-from annotated_types import Ge
+from annotated_types import Ge, Le
 from pydantic import AfterValidator, AllowInfNan, BaseModel, ConfigDict, Strict, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
@@ -29,7 +29,7 @@ Feed: TypeAlias = Annotated[float, unit("mm/rev", above=0.0)]
 Speed: TypeAlias = Annotated[float, unit("rpm", above=0.0)]
 Slope: TypeAlias = Annotated[float, unit("rad", "1")]
 Number: TypeAlias = Annotated[float, Strict(), AllowInfNan(False)]
-Count: TypeAlias = Annotated[int, Strict(), Ge(1)]
+Count: TypeAlias = Annotated[int, Strict(), Ge(1), Le(10**9)]
 Text: TypeAlias = Annotated[str, Strict()]
 
 
@@ -86,12 +86,15 @@ def read_columns(file: File, columns: Mapping[str, str]) -> Iterator[Floats]:
     Raises
     ------
     JobError
-        If a column is missing or a value is not a number.
+        If the file is no table, a column is missing or a value is not a number.
     UnitError
         If a column has the wrong unit.
     """
-    with file.open(encoding="utf-8-sig", newline="") as lines:
-        rows = [row for row in csv.reader(lines) if row and not row[0].lstrip().startswith("#")]
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as lines:
+            rows = [row for row in csv.reader(lines) if row and not row[0].lstrip().startswith("#")]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise JobError(f"{file.name} is not a CSV table in UTF-8 ({error}): save it as plain text") from error
     heads = [re.fullmatch(r"\s*(.*?)\s*\[(.*)\]\s*", cell) for cell in (rows[0] if rows else [])]
     units = {head.group(1): (place, head.group(2)) for place, head in enumerate(heads) if head}
     for name, wanted in columns.items():
@@ -184,6 +187,7 @@ _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
     "greater_than_equal": lambda value, context: (
         f"is {_shown(value)}, it must be at least {context['ge']}: increase it"
     ),
+    "less_than_equal": lambda value, context: f"is {_shown(value)}, it must be at most {context['le']}: reduce it",
     "too_long": lambda _, context: (
         f"has {context['actual_length']} values, the limit is {context['max_length']}: remove some"
     ),
