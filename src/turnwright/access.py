@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from turnwright.errors import InputError
+from turnwright.errors import DomainError, InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -226,10 +226,19 @@ def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) ->
     """Return the surface as the edge meets it. Each (n,)."""
     c, s = np.cos(angle), np.sin(angle)
     _, zx, zy, zxx, zxy, zyy = part.surface.evaluate(radius * c, radius * s, 2)
-    fu, fv = zx * c + zy * s, zy * c - zx * s
-    fuu = zxx * c**2 + 2 * zxy * c * s + zyy * s**2
-    fuv = (zyy - zxx) * c * s + zxy * (c**2 - s**2)
-    fvv = zxx * s**2 - 2 * zxy * c * s + zyy * c**2
+    with np.errstate(all="ignore"):  # what is not finite is refused below
+        fu, fv = zx * c + zy * s, zy * c - zx * s
+        fuu = zxx * c**2 + 2 * zxy * c * s + zyy * s**2
+        fuv = (zyy - zxx) * c * s + zxy * (c**2 - s**2)
+        fvv = zxx * s**2 - 2 * zxy * c * s + zyy * c**2
+    bad = ~np.isfinite(fu + fv + fuu + fuv + fvv) & (radius > 1e-9)  # the axis alone may be missing
+    if bad.any():
+        x, y = float((radius * c)[bad][0]), float((radius * s)[bad][0])
+        raise DomainError(
+            f"the surface has no finite slope and curvature {_at((x, y))} ({np.count_nonzero(bad)} of {bad.size} "
+            "places), everywhere but on the axis it needs both: keep the part clear of poles and of places where a "
+            "term ends"
+        )
     up, back = math.cos(tool.rake), -sense * math.sin(tool.rake)
     # Not positive where the surface climbs over the rake face: there no edge cuts, and the limit of the nose is zero.
     open_ = np.maximum(up - back * fv, 1e-9)

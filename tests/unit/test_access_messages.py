@@ -1,12 +1,13 @@
 """What check_access says, and what it refuses."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from turnwright.access import check_access
-from turnwright.errors import InputError
+from turnwright.errors import DomainError, InputError
 from turnwright.part import Part
 from turnwright.surface import Surface
 from turnwright.tool import Tool
@@ -70,3 +71,14 @@ def test_what_is_not_needed_need_not_be_stated():
 def test_the_sense_is_a_sign():
     with pytest.raises(InputError, match="sense is 0, it must be 1 or -1"):
         check_access(PART, TOOL, sense=0)
+
+
+def test_a_pole_that_is_met_is_a_sentence_and_no_warning():
+    class Wall(Surface):
+        def evaluate(self, x, y, order):
+            return tuple(np.where(x > 1, np.inf, 0.0 * y) for _ in range((1, 3, 6)[order]))
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(DomainError, match=r"no finite slope and curvature at x = 1\.\d+ mm.*: keep the part clear"):
+            check_access(Part(surface=Wall(), radius=2.0), Tool(nose_radius=0.5))

@@ -5,7 +5,7 @@ import pytest
 
 from turnwright.errors import InputError
 from turnwright.part import Part
-from turnwright.surface import Expression, Gridded, LensArray, Plane, SineGrid, Sum
+from turnwright.surface import Expression, Gridded, LensArray, Plane, SineGrid, Sphere, Sum
 
 FLAT = Plane()
 AXIS = np.linspace(-1, 1, 7)
@@ -79,6 +79,31 @@ BAD = {
     "beyond floats": (lambda: Expression("1e999*x"), "beyond 1.8e308"),
     "beyond floats, whole": (lambda: Expression("1" + "0" * 400 + "*x"), "beyond 1.8e308"),
     "nested too deep": (lambda: Expression("(1 - " * 60 + "x" + ")" * 60), "nested too deep"),
+    "too many terms": (
+        lambda: Expression("+".join(["x"] * 3000)),
+        "has 2999 signs .* the limit is 2000: give it as a sum",
+    ),
+    "pole in a disc": (
+        lambda: Expression("0.001/(x - 0.3)").require_disc(5.0, "it"),
+        r"divides by 0 at x = 0.3 mm, y = 0",
+    ),
+    "pole on a line": (lambda: Expression("1/x").require_disc(5.0, "it"), r"divides by 0 at x = 0 mm, y = 0.078"),
+    "pole on the axis": (lambda: Expression("1/rho").require_disc(5.0, "it"), r"divides by 0 at x = 0 mm, y = 0 mm"),
+    "double pole": (lambda: Expression("1/(rho - 1.23)**2").require_disc(5.0, "it"), "divides by 0 at x = 1.2"),
+    "pole of a power": (
+        lambda: Expression("(y - 2.2)**-1").require_disc(5.0, "it"),
+        "divides by 0 at x = 0 mm, y = 2.2",
+    ),
+    "pole of a tangent": (lambda: Expression("tan(x)").require_disc(5.0, "it"), "divides by 0 at x = [14]"),
+    "pole in a sum": (lambda: (Expression("x") + Expression("1/x")).require_disc(5.0, "it"), "divides by 0 at x = 0"),
+    "two lenses on a place": (
+        lambda: LensArray(centres=[[0, 0], [1, 1], [2, 2], [1, 1]], lenslet=Sphere(radius=5.0)),
+        r"lenses 2 and 4, counted from 1, both stand at \(1, 1\) mm",
+    ),
+    "four lenses on a place": (
+        lambda: LensArray(centres=[[1, 1]] * 4, lenslet=Sphere(radius=5.0)),
+        "lenses 1 and 2, counted from 1,",
+    ),
     "signs too deep": (lambda: Expression("-" * 3000 + "x"), "nested too deep"),
     "brackets beyond the parser": (lambda: Expression("(" * 3000 + "x" + ")" * 3000), "cannot be read|too deep"),
     "step at the cut": (lambda: Expression("x*sin(phi/2)"), "steps by .* where phi jumps"),
@@ -130,6 +155,11 @@ def test_bad_input_is_refused_in_one_sentence(case):
 def test_a_formula_cannot_be_a_program(formula):
     with pytest.raises(InputError, match="formula"):
         Expression(formula)
+
+
+@pytest.mark.parametrize("formula", ["sin(rho)/rho", "cos(3*phi)", "x/(x - 5.1)", "x/(1 + rho**2)", "rho*x/rho"])
+def test_what_divides_without_a_pole_in_the_disc_is_allowed(formula):
+    Expression(formula).require_disc(5.0, "it")
 
 
 def test_a_tower_of_powers_costs_nothing():

@@ -54,6 +54,11 @@ class Sum(Surface):
             raise InputError("a sum has 0 terms, it needs at least 1: give the surfaces to add")
         object.__setattr__(self, "terms", tuple(flat))
 
+    def require_disc(self, radius: float, what: str) -> None:
+        """Raise unless every term is defined all over the disc. See `Surface.require_disc`."""
+        for term in self.terms:
+            term.require_disc(radius, what)
+
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the sums of the terms' heights and derivatives. See `Surface.evaluate`."""
         total = self.terms[0].evaluate(x, y, order)

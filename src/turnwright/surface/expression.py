@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
@@ -24,11 +25,17 @@ __all__ = ["Expression"]
 LONGEST = 10_000
 """Characters a formula may have."""
 
+MOST = 2000
+"""Signs + and -, or * and /, that a formula may have; the parser of the language follows a few more."""
+
 DEEPEST = 50
 """Brackets a formula may have inside one another."""
 
 AXIS = 1e-12
 """Points closer to the axis than this lie on it: no optic is finer, and polar terms cancel badly there. [mm]."""
+
+HUGE = 1e3
+"""No optic is as high; where a divisor vanishes, a pole is. [mm]."""
 
 BLOCK = 8192
 """Points worked on at once, so that all terms of a formula stay in the cache."""
@@ -152,6 +159,47 @@ class Expression(Surface):
         if self._axis is not None and self._axis.order < 0:
             finite &= (x != 0) | (y != 0)
         return finite
+
+    def require_disc(self, radius: float, what: str) -> None:
+        """Raise unless the formula is defined all over the disc, poles included. See `Surface.require_disc`.
+
+        The zeros of whatever divides are found by Newton's method, from the nearest place on each of 64 rings.
+        """
+        Surface.require_disc(self, radius, what)
+        angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+        rings = radius * np.linspace(0, 1, 65)[1:, None]
+        x, y = rings * np.cos(angle), rings * np.sin(angle)
+        with np.errstate(all="ignore"):
+            for k, (value, by_x, by_y) in enumerate(self._divisors(x, y)):
+                away = np.nan_to_num(np.abs(value) / np.hypot(by_x, by_y), nan=np.inf)
+                close = np.flatnonzero(away.min(axis=1) < radius / 16)
+                if close.size:
+                    near = np.argmin(away[close], axis=1)
+                    self._require_no_pole(k, x[close, near], y[close, near], radius, what)
+
+    def _require_no_pole(self, k: int, x: Floats, y: Floats, radius: float, what: str) -> None:
+        """Raise if a divisor has a zero near one of the points, and the formula no height there."""
+        start = np.arctan2(y, x)
+        for _ in range(60):  # a double zero is approached by half the way each time
+            value, by_x, by_y = self._divisors(x, y)[k]
+            share = value / (by_x**2 + by_y**2)
+            x, y = (at - np.where(np.isfinite(share * by), share * by, 0) for at, by in ((x, by_x), (y, by_y)))
+        # The axis alone may be missing: the formula is looked at beside it.
+        axis = np.hypot(x, y) < 1e-9
+        x, y = np.where(axis, 1e-9 * np.cos(start), x), np.where(axis, 1e-9 * np.sin(start), y)
+        pole = ~(np.abs(self.evaluate(x, y, 0)[0]) < HUGE) & (np.hypot(x, y) <= radius)
+        if pole.any():
+            at_x, at_y = (round(float(at[pole][0]), 6) + 0.0 for at in (x, y))
+            raise DomainError(
+                f"{what} is {radius:g} mm but the formula {_short(self.formula)!r} divides by 0 at x = {at_x:g} mm, "
+                f"y = {at_y:g} mm, where it has no height: reduce the radius or change the formula"
+            )
+
+    def _divisors(self, x: Floats, y: Floats) -> list[tuple[Floats, ...]]:
+        """Return whatever the formula divides by, with its slopes; constants are left out."""
+        divisors: list[Jet] = []
+        _run(self._steps, {"x": _jet(1, x, 1.0), "y": _jet(1, y, 0.0, 1.0), **_polar(x, y, 1)}, 1, divisors=divisors)
+        return [tuple(np.broadcast_to(part, x.shape) for part in jet) for jet in divisors]
 
     @property
     def domain(self) -> str:
@@ -285,6 +333,12 @@ def _read(formula: str, numbers: Mapping[str, float]) -> tuple[Step, ...]:
     text = " ".join(formula.split())
     if not 0 < len(text) <= LONGEST:
         raise InputError(f"a formula has {len(text)} characters, the limits are 1 to {LONGEST}: shorten or give it")
+    signs = max(len(re.findall(rf"(?<!\d[eE])(?<=[\w.)]) ?[{pair}]", text)) for pair in ("+-", "*/"))
+    if signs > MOST:
+        raise InputError(
+            f"a formula has {signs} signs between its terms or factors, the limit is {MOST}: give it as a sum of "
+            "several formulas"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # such as a number that runs into a word
@@ -404,9 +458,16 @@ def _polar(x: Floats, y: Floats, order: int) -> dict[str, Jet]:
 
 
 def _run(
-    steps: tuple[Step, ...], seeds: Mapping[str, Jet], order: int, watch: list[tuple[Value, Value]] | None = None
+    steps: tuple[Step, ...],
+    seeds: Mapping[str, Jet],
+    order: int,
+    watch: list[tuple[Value, Value]] | None = None,
+    divisors: list[Jet] | None = None,
 ) -> Jet:
-    """Work a formula through on a stack of jets; ``watch`` collects how fast arguments change, and their effect."""
+    """Work a formula through on a stack of jets.
+
+    ``watch`` collects how fast arguments change, and their effect; ``divisors`` what makes a pole where it vanishes.
+    """
     stack: list[Jet] = []
     for kind, what in steps:
         match kind, what:
@@ -417,16 +478,31 @@ def _run(
             case "call", str():
                 argument = stack.pop()
                 stack.append(_call(what, argument, order))
+                if divisors is not None and what == "tan":
+                    divisors.append(_call("cos", argument, order))
                 if watch is not None and what in SHARP:
                     watch.append((np.abs(argument[1]), np.abs(stack[-1][1])))
             case _, str():
                 second = stack.pop()
                 first = stack.pop()
                 stack.append(OPERATIONS[what](first, second, order))
+                if divisors is not None and (divisor := _divisor(what, first, second)) is not None:
+                    divisors.append(divisor)
                 if watch is not None and what == "/":
                     rate = np.abs(second[1] / second[0])
                     watch.append((rate, np.abs(stack[-1][0]) * rate))
     return stack[0]
+
+
+def _divisor(operator: str, first: Jet, second: Jet) -> Jet | None:
+    """Return what an operation divides by, unless it is a constant."""
+    if operator == "**" and isinstance(second[0], float) and second[0] < 0:
+        jet = first
+    elif operator == "/":
+        jet = second
+    else:
+        return None
+    return None if all(isinstance(part, float) for part in jet) else jet
 
 
 def _times(a: Value, b: Value) -> Value:

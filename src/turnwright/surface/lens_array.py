@@ -96,14 +96,16 @@ class LensArray(Surface):
         tree = cKDTree(centres)
         spacing = float("inf")
         if centres.shape[0] > 1:
-            distance, other = (np.asarray(part)[:, 1] for part in tree.query(centres, k=2))
-            closest = int(np.argmin(distance))
-            spacing = float(distance[closest])
+            distance, index = (np.asarray(part) for part in tree.query(centres, k=2))
+            closest = int(np.argmin(distance[:, 1]))
+            spacing = float(distance[closest, 1])
             if spacing <= 1e-9 * np.abs(centres).max():
                 at = f"{centres[closest, 0]:g}, {centres[closest, 1]:g}"
+                # On one place the tree may name a lens itself second.
+                first, second = sorted({closest, *index[closest].tolist()})[:2]
                 raise InputError(
-                    f"lenses {closest} and {other[closest]} both stand at ({at}) mm, the limit is one on a place: "
-                    "remove one"
+                    f"lenses {first + 1} and {second + 1}, counted from 1, both stand at ({at}) mm, the limit is one "
+                    "on a place: remove one"
                 )
         if (self.aperture is None) != (self.surround is None):
             raise InputError(
