@@ -211,8 +211,8 @@ def _disk_error(path: Path, error: OSError) -> ProgramError:
         )
     if error.errno == errno.EFBIG:
         return ProgramError(
-            f"a file of {path} grew beyond the largest that the system allows here, nothing was changed there: raise "
-            "that limit (ulimit -f), or write elsewhere"
+            f"{path} cannot be written, a file grew beyond the largest that the system allows here ({error.strerror}), "
+            "nothing was changed: raise that limit (ulimit -f), or write elsewhere"
         )
     return ProgramError(f"{path} cannot be written ({error.strerror}), nothing was changed: check the folder's rights")
 
@@ -449,7 +449,7 @@ class _Job:
                 span = one.motion.time[bad] - one.motion.time[bad - 1]
                 raise ProgramError(
                     f"block {bad} of pass {one.name} lasts {span:.3g} s, the limits are 1e-6 s to 1e4 s: check the "
-                    "feed and the number of points"
+                    "spindle speed and the points per turn"
                 )
             yield begin, end, mantissa, places, duration
 
