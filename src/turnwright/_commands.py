@@ -273,7 +273,12 @@ def _new_folder(out: Path, door: Door, *, force: bool) -> Iterator[Path]:
             out.rmdir()
         folder.rename(out)
         door.kept = out
-    except BaseException:
+    except BaseException as error:
+        # Whoever reads the message knows the folder that was asked for.
+        here, asked = str(folder), str(out)
+        error.args = tuple(one.replace(here, asked) if isinstance(one, str) else one for one in error.args)
+        if isinstance(error, OSError) and isinstance(error.filename, str | os.PathLike):
+            error.filename = os.fspath(error.filename).replace(here, asked)
         door.stop.deaf = True  # a second interrupt must not stop the cleaning
         shutil.rmtree(folder, ignore_errors=True)
         for parent in made:

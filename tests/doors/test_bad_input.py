@@ -326,6 +326,7 @@ def test_a_full_disk_leaves_nothing(changes, tmp_path):
     said = process.communicate(timeout=120)[1].splitlines()[-1]
     assert process.returncode == 2, said
     assert re.search(r"the largest that the system allows|File too large|the disk is full", said)
+    assert f"{tmp_path}/." not in said  # the folder that was asked for, not the one of the meantime
     assert [entry.name for entry in tmp_path.iterdir()] == ["job.toml"]
 
 
