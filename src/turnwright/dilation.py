@@ -40,7 +40,13 @@ CONCAVITY = 0.9
 """Largest share of the edge's own curvature that the surface may have where a single tangent is taken for granted."""
 SAMPLES_PER_FEATURE = 16
 SAMPLES_PER_EDGE = 128
+SAMPLES_PER_PERIOD = 4
+"""Samples per feature size of the grid that settles whether there is one tangent."""
+MOST_SAMPLES = 2_000_000
+"""Samples of that grid, and of the tracks under the edge that are held at once."""
 CHUNK = 8192
+WIDEST = 32
+"""How far up the flanks a contact is looked for, in half widths of the arc."""
 BESIDE = 1e-9
 """How far from a kink or step its slopes are looked at, which only say to which side it rises. [mm]"""
 
@@ -167,6 +173,8 @@ class _Contact:
         self.nearest = nearest + self.row[5]
         self.farthest = farthest + self.row[5]
         self.arc = (float(self.profile.row[1]), float(self.profile.row[4]))
+        # What the plan covers.
+        self.reach = max(abs(self.nearest), abs(self.farthest)) + max(self.arc[1], -self.arc[0])
 
     def edge_curvature(self) -> float:
         """Return the least curvature of the edge anywhere on its arc, as height over distance. [1/mm]."""
@@ -183,29 +191,44 @@ class _Contact:
         """Say whether, on a grid over the part, the surface curves up less than the edge everywhere."""
         if not self.profile.convex or self.surface.piece(np.zeros(1), np.zeros(1)) is not None:
             return False
-        reach = min(self.arc[1], self.farthest - self.nearest + self.row[0])
-        rings = np.linspace(max(self.nearest - reach, -reach), self.farthest + reach, 193)
-        angle, radius = np.meshgrid(np.linspace(0, 2 * np.pi, 120, endpoint=False), rings)
-        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        self.limit = CONCAVITY * self.edge_curvature()
+        # The grid is finer than the surface's features; where that is too fine, the search is as quick.
+        fine = self.surface.feature_size / SAMPLES_PER_PERIOD
+        rings = max(97, int(np.ceil(self.reach / fine))) if fine > 0 else MOST_SAMPLES
+        spokes = max(120, int(np.ceil(2 * np.pi * self.reach / fine))) if fine > 0 else MOST_SAMPLES
+        if rings * spokes > MOST_SAMPLES:
+            return False
+        ring = np.linspace(0, self.reach, rings)
+        steepest, sharpest, change = 0.0, -np.inf, 0.0
+        for angle in np.array_split(np.linspace(0, 2 * np.pi, spokes, endpoint=False), -(-rings * spokes // 65536)):
+            c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+            slope, bend = self._steepness(ring * c, ring * s, c, s)
+            steepest = max(steepest, float(slope.max(initial=0.0)))
+            sharpest = max(sharpest, float(bend.max(initial=-np.inf)))
+            # Between the rings the curvature may be greater by about what it changes from ring to ring.
+            with np.errstate(invalid="ignore"):
+                steps = np.abs(np.diff(bend, axis=1))
+            change = max(change, float(steps[np.isfinite(steps)].max(initial=0.0)))
+        # On the flanks, which are straight, the surface may come up again unless it is nowhere as steep as they are.
+        flank = self.row[3] * min(-self.profile.row[3], self.profile.row[6])
+        return bool(steepest < CONCAVITY * flank and sharpest + change < self.limit)
+
+    def _steepness(self, x: Floats, y: Floats, c: Floats, s: Floats) -> tuple[Floats, Floats]:
+        """Return the greatest slope, and the curvature upward, that an edge at azimuth (c, s) may meet at (x, y)."""
         inside = self.surface.inside(x, y)
         with np.errstate(all="ignore"):
             _, zx, zy, zxx, zxy, zyy = self.surface.evaluate(x, y, 2)
-        c, s = np.cos(angle), np.sin(angle)
-        bend = zxx * c * c + 2 * zxy * c * s + zyy * s * s
+        slope, bend = np.abs(zx * c + zy * s), zxx * c * c + 2 * zxy * c * s + zyy * s * s
         if not self.upright:
             # Out of the radial plane any direction counts, and the slope across lifts a leaning edge.
+            slope, lean = np.hypot(zx, zy), abs(self.row[4])
             mean, half = 0.5 * (zxx + zyy), np.hypot(0.5 * (zxx - zyy), zxy)
-            lean = abs(self.row[4])
-            bend = (mean + half) * (1 + lean) ** 2 + np.hypot(zx, zy) * lean / self.row[0]
+            bend = (mean + half) * (1 + lean) ** 2 + slope * lean / self.row[0]
+            slope = slope * (1 + lean)
+        there = np.isfinite(bend) & np.isfinite(slope)
         if inside is not None:
-            bend[~inside] = np.nan
-        bend = np.where(np.isfinite(bend), bend, -np.inf)
-        # Between the rings of the grid the curvature may be greater by about what it changes from ring to ring.
-        with np.errstate(invalid="ignore"):
-            steps = np.diff(bend, axis=0)
-        change = np.abs(steps[np.isfinite(steps)]).max(initial=0.0)
-        self.limit = CONCAVITY * self.edge_curvature()
-        return bool(bend.max() + change < self.limit)
+            there &= inside
+        return np.where(there, slope, 0.0), np.where(there, bend, -np.inf)
 
     def newton(self, angle: Floats, radius: Floats, out: Touch) -> bool:
         """Fill ``out`` with the tangent solution; return whether it is certain to be the only one."""
@@ -317,27 +340,31 @@ class _Contact:
         if turn is not None:
             run_chunks(lines, turn, max(1, min(turn // 8, 4 * CHUNK * turn // angle.size)), progress)
         else:
-            run_chunks(tracks, angle.size, int(np.clip(500_000 * step / width, 16, CHUNK)), progress)
+            run_chunks(tracks, angle.size, int(np.clip(MOST_SAMPLES // 4 * step / width, 1, CHUNK)), progress)
 
     def _widening(
         self, angle: Floats, radius: Floats, points: Ints, counts: Ints | None, step: float, out: Touch
     ) -> None:
         """Find the contacts of ``points`` on the arc, or further up the flanks where the arc does not touch."""
-        a, r = angle[points], radius[points]
         low, high = self.arc
-        for _ in range(12):
+        waiting = [(points, counts, low, high)]
+        while waiting:
+            some, counts, low, high = waiting.pop()
             try:
-                part = self._touch(a, r, counts, step, low, high)
+                part = self._touch(angle[some], radius[some], counts, step, low, high)
             except _NarrowWindow:
-                low, high = 2 * low, 2 * high
+                if high > WIDEST * self.arc[1]:
+                    raise GougeError(
+                        f"with the tip {radius[some[0]]:.6g} mm from the axis the surface stands above the flanks of "
+                        f"the edge more than {high:.3g} mm from the tip: take a tool with a larger included angle, or a "
+                        "surface that does not run away outside the part"
+                    ) from None
+                # A wider window takes more room: where every point has its own, fewer points at a time.
+                pieces = [some] if counts is not None else np.array_split(some, min(2, some.size))
+                waiting += [(piece, counts, 2 * low, 2 * high) for piece in pieces]
                 continue
             for target, values in zip(out, part, strict=True):
-                target[points] = values
-            return
-        raise GougeError(
-            f"no place on the edge touches with the tip {r[0]:.6g} mm from the axis, not even {high:.3g} mm up its "
-            "flanks: take a tool with a larger included angle"
-        )
+                target[some] = values
 
     def _touch(self, angle: Floats, radius: Floats, counts: Ints | None, step: float, low: float, high: float) -> Touch:
         """Find the contacts of points in rows of ``counts`` that share an azimuth, or (without) one to a row."""

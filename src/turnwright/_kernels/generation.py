@@ -211,6 +211,8 @@ def stacked(position, level, count, mirrored, profile, table, low, high, stack, 
 def envelope(position, level, count, mirrored, first, profile, table, radius, out, stack, limit, winner):
     """Lower ``out`` (n_radius,) to the lowest of ``count`` passes; with ``first`` set it instead of lowering it."""
     low, high = radius[0], radius[radius.size - 1]
+    if count > 1 and position[0] < position[count - 1]:
+        position[:count], level[:count] = position[:count][::-1].copy(), level[:count][::-1].copy()
     # From outside in; a spiral's passes are nearly in order, so insertion sorts them in linear time.
     for i in range(1, count):
         p, z = position[i], level[i]
