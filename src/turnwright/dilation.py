@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats, Ints, frozen, same_length
-from turnwright.errors import DomainError, GougeError
+from turnwright.errors import DomainError, GougeError, InputError
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
 from turnwright.tool import EdgeTable, Profile, Tool
@@ -45,6 +45,8 @@ SAMPLES_PER_PERIOD = 4
 MOST_SAMPLES = 2_000_000
 """Samples of that grid, and of the tracks under the edge that are held at once."""
 CHUNK = 8192
+LONGEST = 20_000_000
+"""Samples of one line or track beyond which a search is refused."""
 WIDEST = 32
 """How far up the flanks a contact is looked for, in half widths of the arc."""
 BESIDE = 1e-9
@@ -337,8 +339,16 @@ class _Contact:
         def tracks(start: int, stop: int) -> None:
             self._widening(angle, radius, np.arange(start, stop), None, step, out)
 
+        samples = (width + (self.farthest - self.nearest if turn is not None else 0.0)) / step
+        if samples > LONGEST:
+            raise InputError(
+                f"{type(self.surface).__name__} has features of {self.surface.feature_size:.3g} mm, which take "
+                f"{samples:.3g} samples a line, the limit is {LONGEST:.3g}: state a larger feature_size, or cut the "
+                "features in a part of their own"
+            )
         if turn is not None:
-            run_chunks(lines, turn, max(1, min(turn // 8, 4 * CHUNK * turn // angle.size)), progress)
+            together = min(turn // 8, 4 * CHUNK * turn // angle.size, int(MOST_SAMPLES / samples))
+            run_chunks(lines, turn, max(1, together), progress)
         else:
             run_chunks(tracks, angle.size, int(np.clip(MOST_SAMPLES // 4 * step / width, 1, CHUNK)), progress)
 
@@ -355,9 +365,9 @@ class _Contact:
             except _NarrowWindow:
                 if high > WIDEST * self.arc[1]:
                     raise GougeError(
-                        f"with the tip {radius[some[0]]:.6g} mm from the axis the surface stands above the flanks of "
-                        f"the edge more than {high:.3g} mm from the tip: take a tool with a larger included angle, or a "
-                        "surface that does not run away outside the part"
+                        f"with the tip {radius[some[0]]:.6g} mm from the axis the surface stands above the edge even "
+                        f"{high:.3g} mm up its flanks: take a tool with a larger included angle, or a surface that does "
+                        "not run away outside the part"
                     ) from None
                 # A wider window takes more room: where every point has its own, fewer points at a time.
                 pieces = [some] if counts is not None else np.array_split(some, min(2, some.size))
