@@ -365,9 +365,9 @@ class _Contact:
             except _NarrowWindow:
                 if high > WIDEST * self.arc[1]:
                     raise GougeError(
-                        f"with the tip {radius[some[0]]:.6g} mm from the axis the surface stands above the edge even "
-                        f"{high:.3g} mm up its flanks: take a tool with a larger included angle, or a surface that does "
-                        "not run away outside the part"
+                        f"with the tip {radius[some[0]]:.6g} mm from the axis the surface stands above the edge "
+                        f"even {high:.3g} mm up its flanks: take a tool with a larger included angle, or a surface "
+                        "that does not run away outside the part"
                     ) from None
                 # A wider window takes more room: where every point has its own, fewer points at a time.
                 pieces = [some] if counts is not None else np.array_split(some, min(2, some.size))
