@@ -280,7 +280,7 @@ class _Contact:
             # Newton from the tip could leave the arc on a steep place: walk there.
             s = s + np.clip(step, -0.3, 0.3)
             out.z[active], sweep[active] = top, s
-            far = np.abs(step) > self.kernel.CLOSE
+            far = (np.abs(step) > self.kernel.CLOSE) | (np.abs(top - value) > self.kernel.LITTLE)
             if not far.any():
                 break
             if 2 * np.count_nonzero(far) < far.size:

@@ -230,3 +230,12 @@ def test_a_formula_in_the_azimuth_is_cut_around_an_axis_that_has_no_height():
 def rise_at(tool, u):
     """Height of a perfect nose above its tip at the distance ``u``; infinite beyond its arc."""
     return tool.nose_radius - np.sqrt(tool.nose_radius**2 - u**2) if u < 0.38 else np.inf
+
+
+def test_a_ridge_far_sharper_than_the_nose():
+    """A smooth ridge of 0.5 um radius: concave all over, so there is one tangent, but a parabola fits only the crest."""
+    surface = tw.Expression("-0.2*sqrt((x-1.1)**2+1e-8)")
+    where = spiral(1.6, 0.05, 60)
+    path = tw.place(where, tw.Part(surface=surface, radius=1.6), ROUND)
+    for i in range(0, where.angle.size, 97):
+        assert path.z[i] == pytest.approx(brute_force(surface, ROUND, where.angle[i], where.radius[i], 1), abs=1e-10)
