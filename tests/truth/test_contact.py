@@ -233,7 +233,7 @@ def rise_at(tool, u):
 
 
 def test_a_ridge_far_sharper_than_the_nose():
-    """A smooth ridge of 0.5 um radius: concave all over, so there is one tangent, but a parabola fits only the crest."""
+    """A smooth ridge of 0.5 um radius: concave all over, with one tangent, but a parabola fits the crest only."""
     surface = tw.Expression("-0.2*sqrt((x-1.1)**2+1e-8)")
     where = spiral(1.6, 0.05, 60)
     path = tw.place(where, tw.Part(surface=surface, radius=1.6), ROUND)
