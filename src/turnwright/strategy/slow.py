@@ -99,7 +99,7 @@ class SlowToolServo(Strategy):
     step :math:`\Delta\theta` apart is :math:`z_{\theta\theta}\Delta\theta^2/8`, so the step is
     :math:`\sqrt{8\,\mathrm{chord} / \max|z_{\theta\theta}|}`, with the tip's own height, not the surface's.
 
-    >>> servo = SlowToolServo(feed=0.025, points_per_rev=3600)
+    >>> servo = SlowToolServo(feed=0.025, points_per_rev=3600, lead_in=0.0)
     >>> from turnwright.surface import Plane
     >>> from turnwright.part import Part
     >>> from turnwright.tool import Tool
