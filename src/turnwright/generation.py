@@ -156,8 +156,8 @@ def _in_tiles(cut: _Cut, x: Floats, y: Floats, tiles: _Tiles, progress: Progress
 
     def work(start: int, stop: int) -> None:
         kernel.tiles(
-            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, rings, useful, cut.row, cut.profile, cut.table,
-            cut.convex, x, y, tiles.offsets, tiles.groups, start, stop, out,
+            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, rings, useful, cut.row, cut.profile,
+            cut.table, cut.convex, x, y, tiles.offsets, tiles.groups, start, stop, out,
         )  # fmt: skip
 
     groups = tiles.groups.size - 1
@@ -285,8 +285,10 @@ def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Pr
             radius, angle[start:stop], z[start:stop],
         )  # fmt: skip
 
-    # Neighbouring azimuths read the same cache lines of the program: sixteen of them share a chunk.
-    run_chunks(work, angle.size, 16, progress)
+    # Neighbouring azimuths read the same cache lines of the program, so that many of them share a chunk.
+    run_chunks(work, angle.size, int(np.clip(angle.size // 32, 16, 128)), progress)
     if radius[0] == 0:
         # The axis is one point, whichever azimuth it is approached along.
-        z[:, 0] = kernel.axis_height(cut.c, cut.x, cut.z, cut.row[5], cut.row[7], cut.profile, cut.table)
+        z[:, 0] = kernel.axis_height(
+            cut.x, cut.z, cut.starts, cut.bounds, cut.row[5], cut.row[7], cut.profile, cut.table
+        )

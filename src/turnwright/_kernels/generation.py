@@ -405,30 +405,41 @@ def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
 
 
 @jit
-def axis_height(c, x, z, dx, dz, profile, table):
-    """Return the height on the axis itself, which an upright tool passes at every moment: the least of them all."""
+def axis_height(x, z, starts, bounds, dx, dz, profile, table):
+    """Return the height on the axis itself, which an upright tool passes at every moment: the least of them all.
+
+    Turns whose bounds stand above what is found already are passed over; those at the axis come first.
+    """
+    turns = starts.size - 1
+    floor = np.empty(turns)
+    for m in range(turns):
+        low, high = bounds[0, m], bounds[1, m]
+        floor[m] = bounds[2, m] + dz
+        if low * high > 0.0:
+            floor[m] += min(height(profile, table, -low), height(profile, table, -high))
     lowest = FAR
-    for i in range(c.size - 1):
-        first, last = -(x[i] + dx), -(x[i + 1] + dx)
-        bottom = min(z[i], z[i + 1]) + dz
-        if first * last > 0.0:
-            bottom += min(height(profile, table, first), height(profile, table, last))
-        if bottom > lowest:
-            continue
-        # Between two points the height of the edge over the axis is convex in time: narrow down on its least.
-        a, b = 0.0, 1.0
-        for _ in range(60):
-            middle = 0.5 * (a + b)
-            u = -(x[i] + middle * (x[i + 1] - x[i]) + dx)
-            if (z[i + 1] - z[i]) - slope(profile, table, u) * (x[i + 1] - x[i]) > 0.0:
-                b = middle
-            else:
-                a = middle
-            if b - a < 1e-12:
-                break
-        for share in (0.0, 0.5 * (a + b), 1.0):
-            u = -(x[i] + share * (x[i + 1] - x[i]) + dx)
-            lowest = min(lowest, z[i] + share * (z[i + 1] - z[i]) + dz + height(profile, table, u))
+    for m in np.argsort(floor):
+        if floor[m] > lowest:
+            break
+        for i in range(max(starts[m] - 1, 0), min(starts[m + 1] + 1, x.size - 1)):
+            first, last = -(x[i] + dx), -(x[i + 1] + dx)
+            bottom = min(z[i], z[i + 1]) + dz
+            if first * last > 0.0:
+                bottom += min(height(profile, table, first), height(profile, table, last))
+            if bottom > lowest:
+                continue
+            # Between two points the height of the edge over the axis is convex in time: narrow down on its least.
+            a, b = 0.0, 1.0
+            while b - a > 1e-12:
+                middle = 0.5 * (a + b)
+                u = -(x[i] + middle * (x[i + 1] - x[i]) + dx)
+                if (z[i + 1] - z[i]) - slope(profile, table, u) * (x[i + 1] - x[i]) > 0.0:
+                    b = middle
+                else:
+                    a = middle
+            for share in (0.0, 0.5 * (a + b), 1.0):
+                u = -(x[i] + share * (x[i + 1] - x[i]) + dx)
+                lowest = min(lowest, z[i] + share * (z[i + 1] - z[i]) + dz + height(profile, table, u))
     return lowest
 
 
@@ -545,7 +556,8 @@ def extent(values, start, stop):
 
 @jit
 def tiles(
-    c, x, y, z, sense, starts, rings, useful, row, profile, table, convex, px, py, offsets, groups, start, stop, out
+    c, x, y, z, sense, starts, bounds, rings, useful, row, profile, table, convex, px, py, offsets, groups,
+    start, stop, out,
 ):  # fmt: skip
     """Fill ``out`` at the points (px, py) of groups ``start`` to ``stop``.
 
@@ -582,7 +594,7 @@ def tiles(
             for j in range(count):
                 i = origin + j
                 if r[j] == 0.0 and upright:
-                    out[i] = axis_height(c, x, z, row[5], row[7], profile, table)
+                    out[i] = axis_height(x, z, starts, bounds, row[5], row[7], profile, table)
                     continue
                 n = gather(c, sense, starts, rings, useful, r[j], r[j], azimuth[j], side, shift, hint)
                 out[i] = FAR
