@@ -45,6 +45,8 @@ SAMPLES_PER_PERIOD = 4
 MOST_SAMPLES = 2_000_000
 """Samples of that grid, and of the tracks under the edge that are held at once."""
 CHUNK = 8192
+FINEST = 1e-4
+"""Least feature that is looked for, as a share of the nose radius."""
 LONGEST = 20_000_000
 """Samples of one line or track beyond which a search is refused."""
 WIDEST = 32
@@ -175,6 +177,8 @@ class _Contact:
         self.nearest = nearest + self.row[5]
         self.farthest = farthest + self.row[5]
         self.arc = (float(self.profile.row[1]), float(self.profile.row[4]))
+        # A curvature that vanishes may change by its own size over no distance at all; the nose does not feel it.
+        self.feature = max(surface.feature_size, FINEST * float(self.row[0]))
         # What the plan covers.
         self.reach = max(abs(self.nearest), abs(self.farthest)) + max(self.arc[1], -self.arc[0])
 
@@ -195,7 +199,7 @@ class _Contact:
             return False
         self.limit = CONCAVITY * self.edge_curvature()
         # The grid is finer than the surface's features; where that is too fine, the search is as quick.
-        fine = self.surface.feature_size / SAMPLES_PER_PERIOD
+        fine = self.feature / SAMPLES_PER_PERIOD
         rings = max(97, int(np.ceil(self.reach / fine))) if fine > 0 else MOST_SAMPLES
         spokes = max(120, int(np.ceil(2 * np.pi * self.reach / fine))) if fine > 0 else MOST_SAMPLES
         if rings * spokes > MOST_SAMPLES:
@@ -328,7 +332,7 @@ class _Contact:
         """
         turn = _turn_length(angle) if self.upright else None
         width = self.arc[1] - self.arc[0]
-        step = min(self.surface.feature_size / SAMPLES_PER_FEATURE, width / SAMPLES_PER_EDGE)
+        step = min(self.feature / SAMPLES_PER_FEATURE, width / SAMPLES_PER_EDGE)
 
         def lines(start: int, stop: int) -> None:
             points = np.arange(start, angle.size, turn)[:, None] + np.arange(stop - start)

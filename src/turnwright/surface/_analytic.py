@@ -120,8 +120,7 @@ def changing_length(sizes: Mapping[int, float]) -> float:
     d, q = bending.T
     # In logarithms, so that no power of a distance overflows; second derivative / third is r sum(w) / sum((d - 2) w).
     log_q = np.log(q)
-    # Closer to the vertex than a tenth of a millimetre a vanishing curvature may change by its own size: no matter.
-    first = max(np.min((log_q[0] - log_q[1:]) / (d[1:] - d[0])), np.log(0.1))
+    first = np.min((log_q[0] - log_q[1:]) / (d[1:] - d[0]))
     last = np.max((log_q[:-1] - log_q[-1]) / (d[-1] - d[:-1]))
     log_r = np.linspace(first, max(first, last), 64)[:, None]
     weight = log_q + (d - 2) * log_r
