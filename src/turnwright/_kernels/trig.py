@@ -60,10 +60,3 @@ def sincos(angle):
     sine = -first if quadrant >= 2.0 else first
     cosine = -second if (quadrant == 1.0 or quadrant == 2.0) else second
     return sine, cosine
-
-
-@jit
-def sincos_array(angle, sine, cosine):
-    """Fill ``sine`` and ``cosine`` of ``angle`` (n,) [rad]."""
-    for i in range(angle.size):
-        sine[i], cosine[i] = sincos(angle[i])
