@@ -57,11 +57,11 @@ def test_feed_is_fixed_point_and_left_out_where_it_stays():
 
 
 def parse(block_text, *, feed=1.0, mode=93, inverse=False, position=(0.0, 0.0, np.nan, 0.0)):
-    data = np.frombuffer(block_text.encode(), dtype=np.uint8)
+    data = np.frombuffer(block_text.encode() + bytes(text.BEHIND), dtype=np.uint8)
     whole = np.array([1, mode, 1, inverse, 0, 0], dtype=np.int64)
     real = np.array([*position, feed])
     out = np.full((5, len(data)), np.nan)
-    at, count = text.parse_blocks(data, 0, data.size, whole, real, out, 0)
+    at, count = text.parse_blocks(data, 0, len(block_text), whole, real, out, 0)
     return at, out[:, :count].T, whole, real
 
 

@@ -25,6 +25,7 @@ POWERS_U = U(10) ** np.arange(19, dtype=np.uint64)
 # together they stay below the 1e-9 that the header promises.
 FEED_ERROR = 2.5e-10
 HALF = np.int64(0xFFFFFFFF)
+BEHIND = 7  # letters behind a text that its reader looks at, for it takes eight at a time
 LARGEST = 1e9  # mm or degrees: beyond any machine, and safe in 64 bits at 6 decimals
 
 # Slots of the reader's state.
@@ -231,13 +232,50 @@ def format_blocks(rows, letters, decimals, prefix, mantissa, places, out):
 
 
 @jit
+def run_of_digits(data, at):
+    """Return the number that digits make from ``at`` on, and how many they are: a number only if they are 18 or less.
+
+    Eight letters at a time: each byte's highest bit is set in ``other`` where it is no digit, and what stands before
+    the lowest of these is moved up to the end of the word, over zeros.
+    """
+    number, count = U(0), U(0)
+    while True:
+        word = (
+            U(data[at])
+            | U(data[at + ONE]) << U(8)
+            | U(data[at + U(2)]) << U(16)
+            | U(data[at + U(3)]) << U(24)
+            | U(data[at + U(4)]) << U(32)
+            | U(data[at + U(5)]) << U(40)
+            | U(data[at + U(6)]) << U(48)
+            | U(data[at + U(7)]) << U(56)
+        ) ^ U(0x3030303030303030)
+        other = (((word & U(0x7F7F7F7F7F7F7F7F)) + U(0x7676767676767676)) | word) & U(0x8080808080808080)
+        # The ones below the lowest bit of ``other``: one in each byte up to its own.
+        below = (((other - ONE) & ~other & U(0x0101010101010101)) * U(0x0101010101010101)) >> U(56)
+        found = U(8) if other == U(0) else below - ONE
+        if found == U(0):
+            return number, count
+        word <<= (U(8) - found) * BITS
+        word = (word * TEN + (word >> U(8))) & U(0x00FF00FF00FF00FF)
+        word = (word * HUNDRED + (word >> U(16))) & U(0x0000FFFF0000FFFF)
+        word = (word * TEN_THOUSAND + (word >> U(32))) & U(0xFFFFFFFF)
+        number = number * POWERS_U[found] + word
+        count += found
+        if found < U(8):
+            return number, count
+        at += U(8)
+
+
+@jit
 def parse_blocks(data, at, end, whole, real, out, first):
     """Read plain cutting blocks until something else stands in the way.
 
     Parameters
     ----------
     data, at, end
-        Text, where to begin (at the start of a line), and its end (just after a newline).
+        Text, where to begin (at the start of a line), and its end (just after a newline);
+        BEHIND letters more follow it.
     whole, real
         The state of the reader, updated: see the slots above. A position not yet known is nan.
     out, first
@@ -318,25 +356,14 @@ def parse_blocks(data, at, end, whole, real, out, first):
             negative = data[i] == 45
             if negative or data[i] == 43:
                 i += ONE
-            begin = i
-            mantissa = U(0)
-            digit = U(data[i]) - ZERO_SIGN
-            while digit < TEN:
-                mantissa = mantissa * TEN + digit
-                i += ONE
-                digit = U(data[i]) - ZERO_SIGN
-            digits = i - begin
+            mantissa, digits = run_of_digits(data, i)
+            i += digits
             fraction = U(0)
             if data[i] == 46:
-                i += ONE
-                begin = i
-                digit = U(data[i]) - ZERO_SIGN
-                while digit < TEN:
-                    mantissa = mantissa * TEN + digit
-                    i += ONE
-                    digit = U(data[i]) - ZERO_SIGN
-                fraction = i - begin
+                part, fraction = run_of_digits(data, i + ONE)
+                i += ONE + fraction
                 digits += fraction
+                mantissa = mantissa * POWERS_U[min(fraction, U(18))] + part
             # A mantissa up to 2^53 over a power of ten up to 10^17 < 10^22 is the correctly rounded number.
             if digits == U(0) or digits > U(17) or mantissa > EXACT:
                 plain = False

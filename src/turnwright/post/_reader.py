@@ -291,14 +291,14 @@ class _Reader:
         outer, self.whole[LINES] = self.whole[LINES], 0
         with path.open("rb") as file:
             ours = file.read(64).removeprefix(BOM).startswith((SIGNATURE.encode(), SUB_SIGNATURE.encode()))
-        for data in self._buffers(path):
-            at, end = 0, data.size
+        for data, end in self._buffers(path):
+            at = 0
             while at < end and not (self.over or self.ended):
                 rows, first = self._room()
                 at, last = text.parse_blocks(data, at, end, self.whole, self.real, rows, first)
                 self._added(rows, first, last)
                 if at < end and last < rows.shape[1]:
-                    stop = at + bytes(data[at : at + LONGEST]).find(b"\n") + 1
+                    stop = at + bytes(data[at : min(at + LONGEST, end)]).find(b"\n") + 1
                     self.whole[LINES] += 1
                     if stop <= at:
                         raise self._error(f"is longer than {LONGEST} letters", "give a text file with line ends")
@@ -313,9 +313,11 @@ class _Reader:
         self.whole[LINES] = outer
         self.stack.pop()
 
-    def _buffers(self, path: Path) -> Iterator[NDArray[np.uint8]]:
-        """Yield the file in pieces that end with a line end; each is gone when the next one is asked for."""
-        buffer = np.empty(BUFFER + LONGEST + 1, dtype=np.uint8)
+    def _buffers(self, path: Path) -> Iterator[tuple[NDArray[np.uint8], int]]:
+        """Yield the file in pieces, each with where its last line ends; it is gone when the next one is asked for."""
+        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
+
+        buffer = np.zeros(BUFFER + LONGEST + 1 + text.BEHIND, dtype=np.uint8)
         kept = 0
         with path.open("rb") as file:
             file.seek(len(BOM) if file.read(len(BOM)) == BOM else 0)
@@ -327,11 +329,11 @@ class _Reader:
                     if filled > LONGEST:
                         raise self._error(f"is longer than {LONGEST} letters", "give a text file with line ends")
                     end = 0
-                yield buffer[:end]
+                yield buffer, end
                 kept = filled - end
                 buffer[:kept] = buffer[end:filled]
         buffer[kept] = 10
-        yield buffer[: kept + 1]
+        yield buffer, kept + 1
 
     def _error(self, what: str, remedy: str) -> ProgramError:
         """Return a sentence with file and line."""
