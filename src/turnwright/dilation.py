@@ -23,12 +23,13 @@ solution and the error of a wavy edge. Oracles: brute-force dilation, and closed
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Floats, Ints, frozen, same_length
+from turnwright._arrays import Bools, Floats, Ints, frozen, same_length
 from turnwright.errors import DomainError, GougeError, InputError
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
@@ -397,9 +398,8 @@ class _Contact:
         x, y = np.empty(u.shape), np.empty(u.shape)
         self.kernel.places(self.row, *self.profile[:2], row_angle, row_radius, u, x, y)
         heights = self._heights(x, y)
-        pieces = self.surface.piece(x, y)
-        breaks = self._breaks(pieces, u, row_angle, row_radius)
-        found, direct, direct_at = self._candidates(heights, origin, step, offsets, position, breaks, low, high)
+        breaks = self._breaks(self.surface.piece(x, y), heights, u, row_angle, row_radius)
+        found, direct, direct_at, ended = self._candidates(heights, origin, step, offsets, position, breaks, low, high)
         if found is None:
             raise _NarrowWindow
         if not isinstance(found, _Candidates):
@@ -408,7 +408,10 @@ class _Contact:
         best = np.empty(angle.size)
         self.kernel.sweeps_at(*self.edge, direct_at, best)
         z = direct - self.row[7]
-        self.kernel.keep_highest(found.point, top, sweep, z, best)
+        self.kernel.keep_highest(found.point, top, sweep, z, best, ended)
+        if ended.any():
+            k = int(np.argmax(ended))
+            self._outside(float(angle[k]), float(radius[k]))
         if not np.isfinite(z).all():
             k = int(np.argmin(np.isfinite(z)))
             raise GougeError(
@@ -438,34 +441,43 @@ class _Contact:
         breaks: _Breaks,
         low: float,
         high: float,
-    ) -> tuple[_Candidates | int | None, Floats, Floats]:
+    ) -> tuple[_Candidates | int | None, Floats, Floats, Bools]:
         """Run the kernel of this name with as much room as it needs; None is a narrow window, an int is outside."""
-        direct, direct_at = np.empty(position.size), np.zeros(position.size)
+        direct, direct_at, ended = np.empty(position.size), np.zeros(position.size), np.empty(position.size, np.bool_)
         size = 4 * position.size + 4 * heights.shape[1]
         while True:
             point = np.empty(size, dtype=np.int64)
             start, stop, guess = np.empty((3, size))
             found = self.kernel.candidates(
                 heights, origin, step, offsets, position, *breaks, self.row[3], *self.profile, low, high,
-                point, start, stop, guess, direct, direct_at,
+                point, start, stop, guess, direct, direct_at, ended,
             )  # fmt: skip
             if found >= 0:
-                return _Candidates(point[:found], start[:found], stop[:found], guess[:found]), direct, direct_at
+                intervals = _Candidates(point[:found], start[:found], stop[:found], guess[:found])
+                return intervals, direct, direct_at, ended
             if found == self.kernel.NARROW:
-                return None, direct, direct_at
+                return None, direct, direct_at, ended
             if found <= self.kernel.OUTSIDE:
-                return self.kernel.OUTSIDE - found, direct, direct_at
+                return self.kernel.OUTSIDE - found, direct, direct_at, ended
             size *= 4
 
     # ------------------------------------------------------------------------------------------- kinks and steps
 
-    def _breaks(self, pieces: Ints | None, u: Floats, angle: Floats, radius: Floats) -> _Breaks:
-        """Return every kink or step between samples of different pieces, to the last bit."""
-        none = np.empty(0, dtype=np.int64)
-        if pieces is None:
+    def _breaks(self, pieces: Ints | None, heights: Floats, u: Floats, angle: Floats, radius: Floats) -> _Breaks:
+        """Return every kink or step between samples of different pieces, and every end of the domain, to the last bit.
+
+        Beyond an end of the domain the height is -inf.
+        """
+        found: list[tuple[Ints, Ints, Floats, Floats]] = []
+        missing = heights == -np.inf
+        for labels, label in ((pieces, self.surface.piece), (missing if missing.any() else None, self._missing)):
+            if labels is not None:
+                row, after = np.nonzero(labels[:, 1:] != labels[:, :-1])
+                found.append(self._split(label, row, after, u[row, after], u[row, after + 1], angle, radius, 4))
+        if not found:
+            none = np.empty(0, dtype=np.int64)
             return _Breaks(np.zeros(angle.size + 1, dtype=np.int64), none, np.empty(0), *np.empty((2, 2, 0)))
-        row, after = np.nonzero(pieces[:, 1:] != pieces[:, :-1])
-        row, after, before_at, behind_at = self._split(row, after, u[row, after], u[row, after + 1], angle, radius, 4)
+        row, after, before_at, behind_at = (np.concatenate(parts) for parts in zip(*found, strict=True))
         order = np.lexsort((before_at, after, row))
         row, after = row[order], after[order]
         sides = np.stack([before_at[order], behind_at[order]])
@@ -486,10 +498,22 @@ class _Contact:
         self.kernel.places(self.row, *self.profile[:2], angle, radius, u[:, None], x, y)
         return x[:, 0], y[:, 0]
 
+    def _missing(self, x: Floats, y: Floats) -> Ints:
+        """Return 1 where the surface has no height, else 0."""
+        return np.where(self._heights(x, y) == -np.inf, 1, 0)
+
     def _split(
-        self, row: Ints, after: Ints, a: Floats, b: Floats, angle: Floats, radius: Floats, depth: int
+        self,
+        label: Callable[[Floats, Floats], Ints | None],
+        row: Ints,
+        after: Ints,
+        a: Floats,
+        b: Floats,
+        angle: Floats,
+        radius: Floats,
+        depth: int,
     ) -> tuple[Ints, Ints, Floats, Floats]:
-        """Return where between a and b the piece changes: rows, samples before, and the two sides of each change.
+        """Return where between a and b the label, a piece, changes: rows, samples before, and the sides of each change.
 
         A piece cuts a line in one interval. So where the piece of one end stops, and where that of the other begins,
         are found by bisection; what lies between them, if anything, is other pieces and is split again.
@@ -497,7 +521,7 @@ class _Contact:
         at, dist = angle[row], radius[row]
 
         def piece(place: Floats) -> Ints:
-            pieces = self.surface.piece(*self._place(at, dist, place))
+            pieces = label(*self._place(at, dist, place))
             assert pieces is not None  # noqa: S101 - only called for a surface in pieces
             return pieces
 
@@ -519,7 +543,7 @@ class _Contact:
         # One piece in between has no change in it.
         more = sliver.copy()
         more[sliver] = piece(over)[sliver] != piece(under)[sliver]
-        inner = self._split(row[more], after[more], over[more], under[more], angle, radius, depth - 1)
+        inner = self._split(label, row[more], after[more], over[more], under[more], angle, radius, depth - 1)
         return (
             np.concatenate([row[~sliver], row[sliver], row[sliver], inner[0]]),
             np.concatenate([after[~sliver], after[sliver], after[sliver], inner[1]]),

@@ -189,6 +189,30 @@ def test_a_surface_that_ends_under_the_edge_is_refused_by_name():
         touch(table, tw.Tool(nose_radius=0.5), angle=[0.0, 0.1], radius=[0.99, 0.98], sense=1)
 
 
+@pytest.mark.parametrize("short", [1e-2, 3e-3, 1e-3, 1e-4, 1e-5])
+def test_a_contact_close_to_the_equator_of_a_dome_is_found(short):
+    """The centre of the nose stands on a sphere of the radii's sum; the search's step is 0.008 mm."""
+    dome, nose = tw.Sphere(radius=-2.0), 0.5
+    tip = (2.0 - short) * (2.0 + nose) / 2.0
+    got = touch(dome, tw.Tool(nose_radius=nose), angle=[0.0, 0.3], radius=[tip, 1.0], sense=1)
+    assert got.x[0] == pytest.approx(2.0 - short, abs=1e-9)
+    assert got.z[0] == pytest.approx(np.sqrt((2.0 + nose) ** 2 - tip**2) - 2.0 - nose, abs=1e-12)
+
+
+@pytest.mark.parametrize("short", [1e-2, 1e-3, 1e-5, 1e-7, 1e-10])
+def test_a_contact_close_to_the_border_of_a_table_is_found(short):
+    """z = 0.1 (x² + y²) has the slope 0.2 x; a surface in pieces is searched, not followed by Newton."""
+    grid = np.linspace(-1, 1, 21)
+    table = tw.Gridded(x=grid, y=grid, z=0.1 * (grid**2 + grid[:, None] ** 2))
+    contact = 1 - short
+    sweep = np.arctan(0.2 * contact)
+    tip = contact - 0.5 * np.sin(sweep)
+    surface = tw.LensArray(centres=[[0, 0]], lenslet=table)
+    got = touch(surface, ROUND, angle=[0.0, 0.3], radius=[tip, 0.3], sense=1)
+    assert got.x[0] == pytest.approx(contact, abs=1e-9)
+    assert got.z[0] == pytest.approx(0.1 * contact**2 - 0.5 * (1 - np.cos(sweep)), abs=1e-14)
+
+
 def test_unknown_direction_and_a_slope_beyond_the_arc_are_refused():
     where = spiral(1.0, 0.1, 24)
     part = tw.Part(surface=tw.Plane(slope=(1.0, 0.0)), radius=1.0)

@@ -149,7 +149,7 @@ def candidates(
     heights, origin, step, offsets, position,
     break_offsets, break_after, break_at, break_height, break_slope,
     rake_cos, profile, table, convex, low, high,
-    point, start, stop, guess, direct, direct_at,
+    point, start, stop, guess, direct, direct_at, ended,
 ):  # fmt: skip
     """Find where f - e may be greatest: on each row a sampled line, and on it one or more tool positions.
 
@@ -160,21 +160,22 @@ def candidates(
     offsets, position
         Row i holds the tip positions offsets[i] to offsets[i + 1] of ``position``. [mm]
     break_offsets, break_after, break_at, break_height, break_slope
-        Kinks and steps, row by row and ascending: the sample before, where exactly, and heights and slopes (2, n) of
-        the line just before and just after.
+        Kinks, steps and ends of the domain, row by row and ascending: the sample before, where exactly, and heights
+        and slopes (2, n) of the line just before and just after; beyond an end the height is -inf.
     low, high
         Window of the edge to look at, from its tip. [mm]
     point, start, stop, guess
         Filled: tip position, ends of a short smooth interval and a first guess in it, from the tip. A sampled maximum
         within the sampling error of the greatest counts too, so that exact heights decide between several tangents.
-    direct, direct_at
-        Filled for each tip position: the greatest f - e of those that stand exactly on a kink or step, and where.
+    direct, direct_at, ended
+        Filled for each tip position: the greatest f - e of those that stand exactly on a break, where, and whether the
+        domain ends there.
 
     Returns
     -------
     int
         Number of intervals; or `FULL` if they do not fit; `NARROW` if a contact is at the end of the window, so that
-        the edge touches beyond it; or `OUTSIDE` - k if the contact of position k is at the end of the domain.
+        the edge touches beyond it; or `OUTSIDE` - k if there is no surface under the edge at position k.
     """
     rows, m = heights.shape
     g = np.empty(m)
@@ -200,6 +201,13 @@ def candidates(
                 second = abs(f[j - 2] - 2.0 * f[j - 1] + f[j])
                 if second < np.inf:
                     bend = max(bend, second)
+        for b in range(first_break, last_break):
+            # Close to the end of its domain a surface may be steeper than between any two samples.
+            for side in range(2):
+                rate = break_slope[side, b]
+                if break_height[side, b] > -np.inf == break_height[1 - side, b] and abs(rate) < np.inf:
+                    steepest, falling = max(steepest, rate), min(falling, rate)
+                    summit = max(summit, break_height[side, b])
         # Where the surface is steeper than the edge at an end of the window it may touch beyond it, up to the summit.
         above = np.inf
         if steepest > rake_cos * slope(profile, table, high):
@@ -212,8 +220,9 @@ def candidates(
             far = min(high, distance_at_slope(profile, table, steepest / rake_cos, low, high) + 2.0 * step)
         for k in range(offsets[row], offsets[row + 1]):
             p = position[k]
-            begin = max(int(np.ceil((p + near - origin) / step)), 0)
-            end = min(int(np.floor((p + far - origin) / step)), m - 1)
+            # Outward to the next sample, so that the window is covered.
+            begin = max(int(np.floor((p + near - origin) / step)), 0)
+            end = min(int(np.ceil((p + far - origin) / step)), m - 1)
             lower_edge(rake_cos, profile, table, f, origin, step, p, begin, end, g)
             greatest, where = -np.inf, -1
             for j in range(begin, end + 1):
@@ -221,7 +230,7 @@ def candidates(
                     greatest, where = g[j], j
             if where < 0:
                 return OUTSIDE - k
-            direct[k] = -np.inf
+            direct[k], ended[k] = -np.inf, False
             top = greatest
             first, last = -1, -1
             for b in range(first_break, last_break):
@@ -231,10 +240,6 @@ def candidates(
                 last = b
                 e = rake_cos * height(profile, table, break_at[b] - p)
                 top = max(top, max(break_height[0, b], break_height[1, b]) - e)
-            if where > begin and g[where - 1] == -np.inf and broken[where - 1] < 0:
-                return OUTSIDE - k
-            if where < end and g[where + 1] == -np.inf and broken[where] < 0:
-                return OUTSIDE - k
             if summit - above > top or (top == greatest and (where == begin or where == end)):
                 return NARROW
             u = origin + step * where - p
@@ -245,7 +250,10 @@ def candidates(
             if found + (end - begin) + 2 * (last_break - first_break) + 4 > point.size:
                 return FULL
             for j in range(begin, end + 1):
-                if g[j] < threshold:
+                # A last step, shorter than the others, may hide more than the samples say.
+                at_end = j < end and broken[j] >= 0 and break_height[1, broken[j]] == -np.inf
+                at_end |= j > begin and broken[j - 1] >= 0 and g[j - 1] == -np.inf
+                if g[j] == -np.inf or (g[j] < threshold and not at_end):
                     continue
                 at = origin + step * j - p
                 # Neighbours of a sample: the next sample, or the near side of a kink or step before it.
@@ -279,7 +287,8 @@ def candidates(
                 e, rate = rake_cos * height(profile, table, at), rake_cos * slope(profile, table, at)
                 for side in range(2):
                     value = break_height[side, b] - e
-                    if value < threshold:
+                    at_end = break_height[1 - side, b] == -np.inf
+                    if value == -np.inf or (value < threshold and not at_end):
                         continue
                     # The neighbour on this side: a sample, or the facing side of the next break in the same interval.
                     beside = b - 1 if side == 0 else b + 1
@@ -291,7 +300,7 @@ def candidates(
                         next_at, following = origin + step * j - p, g[j]
                     inward = (break_slope[side, b] - rate) * (1.0 if side == 1 else -1.0)
                     if value > direct[k]:
-                        direct[k], direct_at[k] = value, at
+                        direct[k], direct_at[k], ended[k] = value, at, at_end
                     # It rises into the smooth piece, and is no higher at the other end: a maximum in between.
                     if inward > 0.0 and value >= following:
                         point[found] = k
@@ -310,7 +319,9 @@ def bracket(begin, end, low, high, sweep, value, first, top, step, best, place, 
     """
     for i in range(sweep.size):
         s = sweep[i]
-        rising = first[i] > 0.0
+        # At an end of the domain, rounded, there may be no slope any more: then the maximum is farther in.
+        blind = not abs(first[i]) < np.inf
+        rising = s <= begin[i] if blind else first[i] > 0.0
         if rising:
             low[i] = s
         else:
@@ -322,7 +333,8 @@ def bracket(begin, end, low, high, sweep, value, first, top, step, best, place, 
         if found > best[i]:
             best[i], place[i] = found, at
         at_end = s >= end[i] if rising else s <= begin[i]
-        done[i] = (small and inside) or at_end or high[i] - low[i] <= 1e-15 or not abs(first[i]) < np.inf
+        done[i] = (small and inside) or at_end or high[i] - low[i] <= 1e-15
+        done[i] |= blind and begin[i] < s < end[i]
         if not inside:
             # Beyond an end: try the end itself, once. No parabola, or an end of the bracket tried before: halve.
             if following >= high[i] and high[i] == end[i]:
@@ -335,12 +347,13 @@ def bracket(begin, end, low, high, sweep, value, first, top, step, best, place, 
 
 
 @jit
-def keep_highest(point, top, sweep, z, best):
-    """Raise ``z`` and ``best`` of each point to its highest candidate."""
+def keep_highest(point, top, sweep, z, best, ended):
+    """Raise ``z`` and ``best`` of each point to its highest candidate, which is at no end of the domain."""
     for i in range(point.size):
         if top[i] > z[point[i]]:
             z[point[i]] = top[i]
             best[point[i]] = sweep[i]
+            ended[point[i]] = False
 
 
 @jit
