@@ -3,6 +3,7 @@
 import mpmath
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from turnwright._kernels import edge as kernel
 from turnwright._kernels.trig import sincos
@@ -96,6 +97,88 @@ def test_profile_over_the_distance_equals_the_edge(tool):
     assert np.abs(slope - (near[0] - near[1]) / (2 * step))[inside].max() < 1e-8
 
 
+def certificate(low, high, points=41):
+    sweep = np.linspace(low, high, points) * DEG
+    return WavinessTable(sweep=sweep, deviation=1e-4 * np.sin(9 * sweep + 0.3))
+
+
+def table_and_formula(tool, sweep, deviation, rate):
+    """Height and slope as tabulated, and by the definition of the deviation."""
+    radius = tool.nose_radius + deviation
+    u, w = radius * np.sin(sweep), tool.nose_radius - radius * np.cos(sweep)
+    angle = sweep - np.arctan(rate / radius)
+    profile = tool.profile()
+    height, slope = (
+        np.array([lookup(profile.row, profile.table, at) for at in u]) for lookup in (kernel.height, kernel.slope)
+    )
+    return np.abs(height - w), np.abs(np.arctan(slope) - angle), angle
+
+
+@pytest.mark.parametrize(
+    ("ends", "included"),
+    [((-20, 25), 100), ((-60, 30), 100), ((-10, 60), 100), ((-0.1, 0.1), 100), ((-50, 50), 100), ((-20, 25), None)],
+    ids=["inside", "one end", "other end", "narrow", "with the arc", "half a circle"],
+)
+def test_profile_is_exact_where_a_certificate_ends_inside_the_arc(ends, included):
+    table = certificate(*ends)
+    tool = Tool(nose_radius=0.5, included=included and included * DEG, waviness=table)
+    near = np.linspace(-3e-4, 3e-4, 2000)
+    sweep = np.concatenate([np.linspace(-0.85, 0.85, 2000), *(end * DEG + near for end in ends)])
+    sweep = sweep[(sweep > -50 * DEG) & (sweep < 50 * DEG)]
+    held = np.clip(sweep, *table.sweep[[0, -1]])
+    spline = CubicSpline(table.sweep, table.deviation)
+    height, angle, _ = table_and_formula(tool, sweep, spline(held), np.where(held == sweep, spline(held, 1), 0))
+    assert height.max() < 1e-13
+    assert angle.max() < 1e-9
+
+
+@pytest.mark.parametrize(("included", "limit"), [(100 * DEG, 6e-14), (None, 6e-13)])
+def test_profile_of_a_ragged_certificate_errs_as_stated(included, limit):
+    sweep = np.linspace(-60, 60, 121) * DEG
+    table = WavinessTable(sweep=sweep, deviation=2e-5 * np.random.default_rng(3).standard_normal(121))
+    tool = Tool(nose_radius=0.5, included=included, waviness=table)
+    spline = CubicSpline(table.sweep, table.deviation)
+    sweep = np.linspace(-0.85, 0.85, 20001)
+    height, _, _ = table_and_formula(tool, sweep, spline(sweep), spline(sweep, 1))
+    assert height.max() < limit * np.abs(np.diff(spline(table.sweep[:-1], 3))).max()
+
+
+@pytest.mark.parametrize(
+    ("waviness", "limit"),
+    [
+        ((0.0, 1e-4, -1e-4), 1e-10),
+        ((1e-5, 0.0, 3e-5), 1e-10),
+        ((1e-3,), 1e-8),
+        ((0.0, 5e-3, 0.0, 0.0, -1e-3), 1e-8),
+        ((0.0, 0.0, 0.0, -1e-3), 1e-8),
+    ],
+)
+def test_profile_of_a_wavy_half_circle_is_exact_up_to_its_walls(waviness, limit):
+    tool = Tool(nose_radius=0.5, waviness=waviness)
+    low, high = tool.arc
+    sweep = np.concatenate([np.linspace(low, high, 2000)[1:-1], low + 1e-2 * np.geomspace(1e-6, 1, 2000)])
+    sweep = np.concatenate([sweep, high - 1e-2 * np.geomspace(1e-6, 1, 2000)])
+    wave = np.polynomial.Polynomial((0, *waviness))
+    height, _, angle = table_and_formula(tool, sweep, wave(sweep), wave.deriv()(sweep))
+    assert height[np.abs(angle) < 89.5 * DEG].max() < 5e-13
+    assert height.max() < limit
+    # The arc goes as far as the edge does not stand up straight, and no further than half a circle.
+    assert np.abs(angle).max() <= np.pi / 2 - 1e-3
+    assert max(abs(low), high) <= np.pi / 2 - 1e-3
+    for end, side in ((low, -1), (high, 1)):
+        if abs(end) < np.pi / 2 - 1e-3:
+            beyond = end + side * 2e-4
+            assert side * (beyond - np.arctan(wave.deriv()(beyond) / (0.5 + wave(beyond)))) > np.pi / 2 - 1e-3
+
+
+@pytest.mark.parametrize(("rate", "convex"), [(1e-6, False), (-1e-6, True), (0.0, True)])
+def test_the_least_dent_where_a_certificate_begins_is_seen(rate, convex):
+    # The slope falls by rate / nose_radius where the deviation begins to rise, and by less at its quiet end.
+    sweep = np.linspace(-0.3, 0.9, 25)
+    table = WavinessTable(sweep=sweep, deviation=rate * np.clip(sweep + 0.3, 0, None))
+    assert Tool(nose_radius=0.5, included=60 * DEG, waviness=table).profile().convex is convex
+
+
 def test_convexity_is_seen():
     assert Tool(nose_radius=0.2, included=60 * DEG).profile().convex
     waves = np.linspace(-0.6, 0.6, 400)
@@ -115,6 +198,10 @@ def test_convexity_is_seen():
         ({"nose_radius": 0.5, "offset": (0.0, 1.0)}, "three finite lengths"),
         ({"nose_radius": 0.5, "waviness": (float("inf"),)}, "every coefficient must be finite"),
         ({"nose_radius": 0.5, "waviness": (1.0,)}, "check its unit"),
+        (
+            {"nose_radius": 0.5, "included": 2.6, "waviness": (0.0, 0.0, -0.04)},
+            "turns the edge to 100.7 deg at sweep 74.48",
+        ),
     ],
 )
 def test_a_wrong_tool_cannot_exist(wrong, words):
@@ -129,6 +216,7 @@ def test_a_wrong_tool_cannot_exist(wrong, words):
         ([0, 1, 2, 3], [0, 0, 0], "as many"),
         ([0, 2, 1, 3], [0, 0, 0, 0], "do not ascend"),
         ([0, 1, 2, 3], [0, 0, 0, np.nan], "not finite"),
+        ([0, 1e-4, 2e-4, 3e-4], [0, 0, 0, 0], "covers 0.0003 rad, the limit is 0.001 rad"),
     ],
 )
 def test_a_wrong_certificate_cannot_exist(sweep, deviation, words):

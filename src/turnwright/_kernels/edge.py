@@ -88,14 +88,10 @@ def sweep_at(row, breaks, coefficients, u):
 
 
 @jit
-def profile_table(row, breaks, coefficients, base, u, out):
-    """Fill ``out`` (2, n) with the height of the edge above the circle of radius ``base``, and its slope, at ``u``."""
-    for i in range(u.size):
-        s = sweep_at(row, breaks, coefficients, u[i])
-        _, w, du, dw, _, _ = edge(row, breaks, coefficients, s)
-        root = np.sqrt(base * base - u[i] * u[i])
-        out[0, i] = w - (base - root)
-        out[1, i] = dw / du - u[i] / root
+def trace(row, breaks, coefficients, sweep, out):
+    """Fill ``out`` (4, n) with (u, w, u', w') along the edge."""
+    for i in range(sweep.size):
+        out[0, i], out[1, i], out[2, i], out[3, i], _, _ = edge(row, breaks, coefficients, sweep[i])
 
 
 @jit
@@ -105,10 +101,10 @@ def height(profile, table, u):
         return profile[2] + (u - profile[1]) * profile[3]
     if u > profile[4]:
         return profile[5] + (u - profile[4]) * profile[6]
-    w = profile[0] - np.sqrt(profile[0] * profile[0] - u * u)
-    if table.shape[1] > 0:
-        w += hermite(profile, table, u)
-    return w
+    if table.shape[1] == 0:
+        return profile[0] - np.sqrt(profile[0] * profile[0] - u * u)
+    i, t, _ = piece(profile, table, u)
+    return table[i, 0] + t * (table[i, 1] + t * (table[i, 2] + t * table[i, 3]))
 
 
 @jit
@@ -118,23 +114,18 @@ def slope(profile, table, u):
         return profile[3]
     if u > profile[4]:
         return profile[6]
-    g = u / np.sqrt(profile[0] * profile[0] - u * u)
-    if table.shape[1] > 0:
-        t = (u - profile[1]) * profile[7]
-        i = min(int(t), table.shape[1] - 2)
-        t -= i
-        a, b = table[0, i], table[0, i + 1]
-        c, d = table[1, i] / profile[7], table[1, i + 1] / profile[7]
-        g += profile[7] * (c + t * (2.0 * (3.0 * (b - a) - 2.0 * c - d) + 3.0 * t * (2.0 * (a - b) + c + d)))
-    return g
+    if table.shape[1] == 0:
+        return u / np.sqrt(profile[0] * profile[0] - u * u)
+    i, t, q = piece(profile, table, u)
+    rate = table[i, 1] + t * (2.0 * table[i, 2] + 3.0 * t * table[i, 3])
+    return rate * profile[7] * profile[0] / (q * (profile[0] + q))
 
 
 @jit
-def hermite(profile, table, u):
-    """Return the tabulated departure from the circle at ``u`` inside the arc."""
-    t = (u - profile[1]) * profile[7]
-    i = min(int(t), table.shape[1] - 2)
-    t -= i
-    a, b = table[0, i], table[0, i + 1]
-    c, d = table[1, i] / profile[7], table[1, i + 1] / profile[7]
-    return a + t * (c + t * (3.0 * (b - a) - 2.0 * c - d + t * (2.0 * (a - b) + c + d)))
+def piece(profile, table, u):
+    """Return (which cubic of the arc stands at ``u``, place within it from 0 to 1, height of the centre above u)."""
+    p = u - profile[9]
+    q = np.sqrt(profile[0] * profile[0] - p * p)
+    t = (p / (profile[0] + q) - profile[8]) * profile[7]
+    i = min(int(t), table.shape[0] - 1)
+    return i, t - i, q
