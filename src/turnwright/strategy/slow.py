@@ -15,7 +15,7 @@ from turnwright.path import Spiral
 from turnwright.strategy._strategy import Strategy
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from turnwright._arrays import Floats
     from turnwright.part import Part
@@ -36,6 +36,15 @@ WIDEST_STEP = TURN / 12
 FINENESS = 36
 """A sampled path is fine enough where its possible bulge between samples is below the tolerance over this: samples are
 then at least 12 times as dense as program points, since a bulge falls with the square of the step."""
+
+SURENESS = 300
+"""A path is smooth enough for cubics where they may miss it by the tolerance over this."""
+
+MOST_PARTS = 8
+"""Parts of an interval that are filled in by a cubic: at least two samples to a program point are placed."""
+
+FEW = 8
+"""Where more than one in so many intervals of a path is not smooth enough, all its samples are set closer together."""
 
 FINEST = 1e-9
 """A path that is not straight over this angle jumps. [rad]"""
@@ -225,9 +234,13 @@ class SlowToolServo(Strategy):
         from turnwright.dilation import tip_height  # noqa: PLC0415
 
         pitch = self.feed / TURN
-        whole = (start - end) / pitch
         widest = self.max_step or WIDEST_STEP
         tolerance = float(self.chord)  # type: ignore[arg-type]
+        steps = math.ceil(TURN / widest - 1e-9)
+        finest = max(256, 12 * steps, 8 * TURN * part.radius / part.surface.feature_size)
+        per_turn = steps * math.ceil(finest / steps)
+        samples = _steps((start - end) / self.feed * per_turn)
+        whole = float(samples[-1]) * TURN / per_turn
 
         def height(turned: Floats) -> Floats:
             angle = turned if self.inside_out else whole - turned
@@ -236,8 +249,9 @@ class SlowToolServo(Strategy):
             )
 
         kept = [np.zeros(1)]
-        for coarse in self._coarse(part, whole, widest):
-            turned, z, bulge = _refined(coarse, height, tolerance)
+        borders = np.linspace(0, samples.size - 1, math.ceil((samples.size - 1) / BLOCK) + 1).astype(np.int64)
+        for low, high in pairwise(borders):  # neighbours share their end
+            turned, z, bulge = _refined(samples[low : high + 1] * (TURN / per_turn), height, tolerance)
             keep = np.empty(turned.size, dtype=np.int64)
             count = kernel.fewest(turned, z, tolerance - bulge, widest, keep)
             kept.append(turned[keep[1:count]])
@@ -245,17 +259,6 @@ class SlowToolServo(Strategy):
                 progress(round(float(turned[-1]) / TURN), round(whole / TURN))
         _check_count(sum(part.size for part in kept))
         return np.concatenate(kept)
-
-    @staticmethod
-    def _coarse(part: Part, whole: float, widest: float) -> Iterator[Floats]:
-        """Yield the first samples of the path in blocks of turns; neighbours share their end. (n,) [rad]."""
-        steps = math.ceil(TURN / widest - 1e-9)
-        finest = max(256, 12 * steps, 8 * TURN * part.radius / part.surface.feature_size)
-        per_turn = steps * math.ceil(finest / steps)
-        blocks = math.ceil(whole / TURN * per_turn / BLOCK)
-        borders = np.linspace(0, whole, blocks + 1)
-        for low, high in pairwise(borders):
-            yield np.linspace(low, high, math.ceil((high - low) / TURN * per_turn) + 1)
 
 
 def _check_count(count: float) -> None:
@@ -291,6 +294,49 @@ def _invert_arc(length: Floats) -> Floats:
     return psi
 
 
+def _interpolated(turned: Floats, height: Callable[[Floats], Floats], tolerance: float) -> tuple[Floats, Floats, float]:
+    """Sample a path evenly, and closer together by cubics wherever it is smooth enough for them.
+
+    A cubic through four even samples about an interval or on either side of it misses a smooth path by at most 1/24 of
+    its fourth difference, and one with a kink by less than the greater of two neighbouring ones: that is what counts.
+    The same azimuths in every turn are placed at a fraction of the cost of as many scattered ones.
+
+    Returns
+    -------
+    turned, z, doubt
+        Angles [rad], heights (n,) [mm] and how far any of those may be wrong [mm].
+    """
+    while True:
+        z = height(turned)
+        fourth = np.nan_to_num(np.abs(np.diff(np.pad(z, 2, constant_values=np.nan), 4)), nan=np.inf)
+        pairs = np.pad(np.maximum(fourth[1:], fourth[:-1]), 2, constant_values=np.inf)
+        sides = np.stack([pairs[2:-2], pairs[:-4], pairs[4:]])  # samples about the interval, before it, behind it
+        side = sides.argmin(axis=0)
+        doubt = sides.min(axis=0)
+        # Beside a kink the bulge is that of the other side.
+        bend = np.abs(np.diff(np.pad(z, 1, mode="edge"), 2))
+        parts = np.sqrt(FINENESS / tolerance * np.minimum(bend[1:], bend[:-1]))
+        smooth = (doubt <= tolerance / SURENESS) & (parts <= MOST_PARTS)
+        if np.count_nonzero(~smooth) <= max(smooth.size // FEW, 4):
+            break
+        _check_count(2 * turned.size)
+        turned = np.linspace(turned[0], turned[-1], 2 * smooth.size + 1)
+    most = max(2, math.ceil(parts[smooth].max(initial=0.0)))
+    _check_count(smooth.size * most)
+    fine = np.repeat(z[:-1, None], most, axis=1)
+    for number, first in enumerate((-1, -2, 0)):
+        rows = np.flatnonzero(smooth & (side == number))
+        t = np.arange(1, most) / most - first
+        u, v, w = t - 1, t - 2, t - 3
+        weights = np.stack([-u * v * w / 6, t * v * w / 2, -t * u * w / 2, t * u * v / 6])
+        fine[rows, 1:] = z[rows[:, None] + np.arange(first, first + 4)] @ weights
+    turned = np.linspace(turned[0], turned[-1], fine.size + 1)
+    placed = np.flatnonzero(~smooth)[:, None] * most + np.arange(1, most)
+    if placed.size:
+        fine[~smooth, 1:] = height(turned[placed.ravel()]).reshape(placed.shape)
+    return turned, np.append(fine, z[-1]), float(doubt[smooth].max(initial=0.0))
+
+
 def _refined(turned: Floats, height: Callable[[Floats], Floats], tolerance: float) -> tuple[Floats, Floats, Floats]:
     """Sample a path until nothing between the samples matters.
 
@@ -302,7 +348,7 @@ def _refined(turned: Floats, height: Callable[[Floats], Floats], tolerance: floa
     turned, z, bulge
         Angles [rad], heights [mm] and the largest bulge beside each sample [mm]. Each (n,)
     """
-    z = height(turned)
+    turned, z, doubt = _interpolated(turned, height, tolerance)
     while True:
         step = np.diff(turned)
         bend = np.abs(np.diff(np.diff(z) / step))
@@ -310,7 +356,7 @@ def _refined(turned: Floats, height: Callable[[Floats], Floats], tolerance: floa
         bulge[[0, -1]] *= 2  # only one neighbour tells of a kink there
         coarse = np.flatnonzero(bulge > tolerance / FINENESS)
         if coarse.size == 0:
-            return turned, z, np.maximum(np.append(bulge, 0.0), np.append(0.0, bulge))
+            return turned, z, np.maximum(np.append(bulge, 0.0), np.append(0.0, bulge)) + 2 * doubt
         if step[coarse].min() < FINEST:
             where = turned[coarse[np.argmin(step[coarse])]] / TURN
             raise InputError(
