@@ -43,7 +43,8 @@ def place(
     part, tool
         What is to be left, and the real tool: its waviness, rake, radius error and offset are compensated.
     along
-        "z" moves only Z and never gouges; "normal" moves X and Z, and reports the clearance it leaves.
+        "z" moves only Z and never gouges inside the clear radius and the lead-in; "normal" moves X and Z, and reports
+        the clearance it leaves.
     progress
         Called with (done, total).
 
@@ -70,7 +71,7 @@ def place(
     angle, radius, sense = spiral.angle, spiral.radius, spiral.sense
     if along == "normal":
         return _along_normal(spiral, part, tool, progress)
-    at = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, progress=progress)
+    at = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.radius, progress=progress)
     # Nowhere on the edge is there less clearance than at the maximum itself; there it is what rounding leaves of 0. On
     # the wall of a step the contact point, rounded, may fall to the foot of the wall, and right on an axis without a
     # height there is none to compare with: neither is less than 0.
@@ -87,7 +88,7 @@ def _along_normal(spiral: Spiral, part: Part, tool: Tool, progress: Progress | N
     sweep, x, y, surface_z = _tangent(part, tool, angle, contact, sense)
     u, _, e = tool.edge(sweep, sense)
     radius, z = contact - u, surface_z - e
-    at = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, progress=progress)
+    at = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.radius, progress=progress)
     return Path(
         angle=angle, radius=radius, z=z, sweep=sweep, contact_x=x, contact_y=y, contact_z=surface_z,
         clearance=z - at.z,

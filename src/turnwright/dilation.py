@@ -15,6 +15,10 @@ and again at every point that Newton visits, that is at the density of the progr
 that may be the greatest within the sampling error is refined, on either side of each kink or step, and the greatest is
 taken. Points that share an azimuth share one sampled line, so that this costs a few evaluations a point.
 
+*The rim.* The nose hangs over the outermost turn, so the surface is continued as far as the arc reaches from there;
+what a formula does farther out keeps no tool away. Nor does what it does under that overhang, if it would lift a tip
+off the part: then nothing counts outside the rim, for every tip that would have touched there.
+
 Sources
 -------
 [Li2018]_ Eq. 8 takes the normal at the tip, exact only on a straight profile; [Troutman2016]_ ch. 6 has the tangent
@@ -54,6 +58,8 @@ WIDEST = 32
 """How far up the flanks a contact is looked for, in half widths of the arc."""
 BESIDE = 1e-9
 """How far from a kink or step its slopes are looked at, which only say to which side it rises. [mm]"""
+LIFTED = 1e-9
+"""By how much what lies outside the rim must lift a tip to be left out. [mm]"""
 
 
 class Touch(NamedTuple):
@@ -89,6 +95,10 @@ class _NarrowWindow(Exception):  # noqa: N818 - a signal between two functions
     """The edge touches beyond the window looked at."""
 
 
+class _RunsAway(Exception):  # noqa: N818 - as above
+    """Outside the rim the surface is too high for the edge to come down."""
+
+
 def tip_height(
     surface: Surface,
     tool: Tool,
@@ -96,10 +106,11 @@ def tip_height(
     angle: ArrayLike,
     radius: ArrayLike,
     sense: int,
+    rim: float = np.inf,
     progress: Progress | None = None,
 ) -> Floats:
     """Return the commanded tip heights at which the edge touches the surface. (n,) [mm]. See `touch`."""
-    return touch(surface, tool, angle=angle, radius=radius, sense=sense, progress=progress).z
+    return touch(surface, tool, angle=angle, radius=radius, sense=sense, rim=rim, progress=progress).z
 
 
 def touch(
@@ -109,6 +120,7 @@ def touch(
     angle: ArrayLike,
     radius: ArrayLike,
     sense: int,
+    rim: float = np.inf,
     progress: Progress | None = None,
 ) -> Touch:
     """Bring the edge down onto the surface along Z.
@@ -121,6 +133,10 @@ def touch(
         Commanded tip in plan view. (n,) [rad], (n,) [mm]
     sense
         +1 where the angle grows with time, -1 where it falls.
+    rim
+        How far from the axis the surface is wanted; no nearer than the farthest tip. Outside, it is continued under
+        the arc of the outermost tips, unless it ends there, or keeps a tip off the place that it would touch inside:
+        then the edge is lowered onto what is inside alone, if need be onto the rim. By default all of it counts. [mm]
     progress
         Called with (done, total).
 
@@ -129,11 +145,12 @@ def touch(
     DomainError
         If the edge touches where the surface is not defined.
     GougeError
-        If no place on the edge can be found that touches, which a surface with infinite heights does.
+        If no place on the edge can be found that touches, which a surface with infinite heights does, or one that is
+        steeper than the flanks as far as the rim.
     """
     angle, radius = frozen(angle, "angle"), frozen(radius, "radius")
     same_length([("angle", angle), ("radius", radius)])
-    contact = _Contact(surface, tool, sense, float(radius.min()), float(radius.max()))
+    contact = _Contact(surface, tool, sense, radius, rim)
     out = Touch(*(np.empty(angle.size) for _ in range(5)))
     if contact.one_tangent():
         doubtful: list[int] = []
@@ -148,7 +165,23 @@ def touch(
         run_chunks(work, angle.size, CHUNK, progress)
         if not doubtful:
             return out
-    contact.search(angle, radius, out, progress)
+    try:
+        contact.search(angle, radius, out, progress)
+    except _RunsAway:
+        contact.end = contact.rim
+        contact.search(angle, radius, out, progress)
+        return out
+    beyond = np.flatnonzero(np.hypot(out.x, out.y) > contact.rim * (1 + 1e-12))
+    if beyond.size:
+        # Those in between, which touch inside, are found again; so whole turns go together.
+        some = slice(int(beyond[0]), int(beyond[-1]) + 1)
+        lowered = Touch(*(np.empty(some.stop - some.start) for _ in range(5)))
+        contact.end = contact.rim
+        contact.search(angle[some], radius[some], lowered, None)
+        inside = np.hypot(lowered.x, lowered.y) < contact.rim - BESIDE
+        if contact.open_end or (inside & (out.z[some] - lowered.z > LIFTED)).any():
+            for all_, values in zip(out, lowered, strict=True):
+                all_[some] = values
     return out
 
 
@@ -164,7 +197,7 @@ def _turn_length(angle: Floats) -> int | None:
 class _Contact:
     """One surface and one edge, with what both ways of finding the contact share."""
 
-    def __init__(self, surface: Surface, tool: Tool, sense: int, nearest: float, farthest: float) -> None:
+    def __init__(self, surface: Surface, tool: Tool, sense: int, radius: Floats, rim: float) -> None:
         from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
         from turnwright._kernels.edge import edge_points  # noqa: PLC0415
 
@@ -175,13 +208,18 @@ class _Contact:
         self.profile: Profile = tool.profile()
         self.row = self.edge.row
         self.upright = bool(self.row[4] == 0 and self.row[6] == 0)
-        self.nearest = nearest + self.row[5]
-        self.farthest = farthest + self.row[5]
+        self.nearest = float(radius.min() + self.row[5])
+        self.farthest = float(radius.max() + self.row[5])
         self.arc = (float(self.profile.row[1]), float(self.profile.row[4]))
         # A curvature that vanishes may change by its own size over no distance at all; the nose does not feel it.
         self.feature = max(surface.feature_size, FINEST * float(self.row[0]))
         # What the plan covers.
-        self.reach = max(abs(self.nearest), abs(self.farthest)) + max(self.arc[1], -self.arc[0])
+        outermost = max(abs(self.nearest), abs(self.farthest))
+        self.reach = outermost + max(self.arc[1], -self.arc[0])
+        # Where the surface is wanted, as far as which it counts, and whether an edge touched its end outside the rim.
+        self.rim = max(rim, outermost)
+        self.end = self.rim + max(self.arc[1], -self.arc[0])
+        self.open_end = False
 
     def edge_curvature(self) -> float:
         """Return the least curvature of the edge anywhere on its arc, as height over distance. [1/mm]."""
@@ -266,8 +304,7 @@ class _Contact:
         nose = self.row[0]
         np.arcsin(u / nose, out=out.sweep)
         np.add(out.z, (nose + self.row[7]) - np.sqrt(nose * nose - u * u), out=out.surface_z)
-        self._require_inside(angle, radius, out.x, out.y)
-        return True
+        return self._inside(out.x, out.y)
 
     def _newton_edge(self, angle: Floats, radius: Floats, out: Touch) -> bool:
         """Newton for any convex edge, in the sweep; points that have arrived drop out."""
@@ -296,13 +333,11 @@ class _Contact:
             return False
         out.sweep[:] = sweep
         self._contact_points(angle, radius, out)
-        self._require_inside(angle, radius, out.x, out.y)
-        return True
+        return self._inside(out.x, out.y)
 
-    def _require_inside(self, angle: Floats, radius: Floats, x: Floats, y: Floats) -> None:
+    def _inside(self, x: Floats, y: Floats) -> bool:
         inside = self.surface.inside(x, y)
-        if inside is not None and not inside.all():
-            self._outside(float(angle[~inside][0]), float(radius[~inside][0]))
+        return inside is None or bool(inside.all())
 
     def _contact_points(self, angle: Floats, radius: Floats, out: Touch) -> None:
         """Set the contact point from the sweep."""
@@ -369,6 +404,8 @@ class _Contact:
                 part = self._touch(angle[some], radius[some], counts, step, low, high)
             except _NarrowWindow:
                 if high > WIDEST * self.arc[1]:
+                    if self.end > self.rim:
+                        raise _RunsAway from None
                     raise GougeError(
                         f"with the tip {radius[some[0]]:.6g} mm from the axis the surface stands above the edge "
                         f"even {high:.3g} mm up its flanks: take a tool with a larger included angle, or a surface "
@@ -409,10 +446,9 @@ class _Contact:
         self.kernel.sweeps_at(*self.edge, direct_at, best)
         z = direct - self.row[7]
         self.kernel.keep_highest(found.point, top, sweep, z, best, ended)
-        if ended.any():
-            k = int(np.argmax(ended))
-            self._outside(float(angle[k]), float(radius[k]))
         if not np.isfinite(z).all():
+            if self.end > self.rim:
+                raise _RunsAway
             k = int(np.argmin(np.isfinite(z)))
             raise GougeError(
                 f"no place on the edge touches with the tip {radius[k]:.6g} mm from the axis at azimuth "
@@ -420,14 +456,37 @@ class _Contact:
             )
         part = Touch(z, best, *np.empty((3, angle.size)))
         self._contact_points(angle, radius, part)
+        if ended.any():
+            self._judge_ends(angle[ended], radius[ended], Touch(*(values[ended] for values in part)))
         return part
 
+    def _judge_ends(self, angle: Floats, radius: Floats, at: Touch) -> None:
+        """Refuse contacts at an end of the surface inside the rim, and on a flank at the rim; note those outside."""
+        distance = np.hypot(at.x, at.y)
+        inside = distance < self.rim * (1 - 1e-9)
+        if inside.any():
+            k = int(np.argmax(inside))
+            self._outside(float(angle[k]), float(radius[k]))
+        on_flank = (distance <= self.rim * (1 + 1e-9)) & ((at.sweep < self.row[1]) | (at.sweep > self.row[2]))
+        if on_flank.any():
+            k = int(np.argmax(on_flank))
+            raise GougeError(
+                f"with the tip {radius[k]:.6g} mm from the axis at azimuth {np.rad2deg(angle[k]) % 360:.4g} deg a "
+                f"flank of the tool stands on the rim of the path, {self.rim:.6g} mm from the axis, where the surface "
+                "is steeper than the flank: take a tool with a larger included angle, or reduce the clear radius or "
+                "the lead-in"
+            )
+        self.open_end |= self.end > self.rim
+
     def _heights(self, x: Floats, y: Floats) -> Floats:
-        """Return the surface's heights, -inf where it is not defined."""
+        """Return the surface's heights, -inf where it is not defined or does not count."""
         with np.errstate(all="ignore"):
             heights = self.surface.evaluate(x, y, 0)[0]
         inside = self.surface.inside(x, y)
         missing = np.isnan(heights) if inside is None else ~inside | np.isnan(heights)
+        if self.end < np.inf:
+            distance = np.hypot(x, y)
+            missing |= (distance > self.end) | ((distance > self.rim) & (heights == np.inf))
         heights[missing] = -np.inf
         return heights
 

@@ -16,19 +16,31 @@ def spiral(radius, feed, points, sense=1):
 
 
 def brute_force(surface, tool, angle, radius, sense):
-    """Dilate by sampling the edge every 10 nm or less, then refining around every maximum that comes near the best."""
+    """Dilate by all of the surface."""
+    return brute_contact(surface, tool, angle, radius, sense, np.inf)[0]
+
+
+def brute_contact(surface, tool, angle, radius, sense, rim):
+    """Dilate by the surface inside the rim: sample the edge every 10 nm or less, refine around every near maximum.
+
+    Return the height, and how far from the axis the contact is.
+    """
     low, high = tool.arc
 
-    def lift(s):
+    def where(s):
         u, v, e = tool.edge(s, sense)
         along, c, n = radius + u, np.cos(angle), np.sin(angle)
-        x, y = along * c - v * n, along * n + v * c
+        return along * c - v * n, along * n + v * c, e
+
+    def lift(s):
+        x, y, e = where(s)
         # Within rounding of the axis the azimuth is noise; a contact there is approached from beside it.
-        return np.where(np.hypot(x, y) < 1e-9, -np.inf, surface.evaluate(x, y, 0)[0]) - e
+        counts = (np.hypot(x, y) >= 1e-9) & (np.hypot(x, y) <= rim * (1 + 1e-14))
+        return np.where(counts, surface.evaluate(x, y, 0)[0], -np.inf) - e
 
     s = np.linspace(low, high, int((high - low) * tool.nose_radius / 1e-5) + 1)
     g = lift(s)
-    best = g.max()
+    best, place = g.max(), s[g.argmax()]
     peaks = np.flatnonzero((g[1:-1] >= g[:-2]) & (g[1:-1] >= g[2:]) & (g[1:-1] > best - 1e-5)) + 1
     for i in peaks:
         a, b = s[i - 1], s[i + 1]
@@ -36,9 +48,11 @@ def brute_force(surface, tool, angle, radius, sense):
             fine = np.linspace(a, b, 101)
             values = lift(fine)
             j = int(values.argmax())
-            best = max(best, float(values[j]))
+            if values[j] > best:
+                best, place = float(values[j]), fine[j]
             a, b = fine[max(j - 1, 0)], fine[min(j + 1, 100)]
-    return best
+    x, y, _ = where(np.array([place]))
+    return best, float(np.hypot(x, y)[0])
 
 
 ROUND = tw.Tool(nose_radius=0.5, included=100 * DEG)
@@ -74,8 +88,15 @@ def test_placing_equals_brute_force_dilation(name, tool):
     sense = 1 if len(name) % 2 else -1
     where = spiral(1.5, 0.05, 90, sense)
     path = tw.place(where, tw.Part(surface=surface, radius=1.5), tool)
+    rim = 1.5 + tool.offset[0]
+    lowered = False
     for i in np.random.default_rng(len(name)).integers(0, where.angle.size, 25):
-        expected = brute_force(surface, tool, where.angle[i], where.radius[i], sense)
+        # What lies outside the rim is continued, or left out: always where it would lift a tip off the part.
+        inside, place = brute_contact(surface, tool, where.angle[i], where.radius[i], sense, rim)
+        lowered |= bool(np.hypot(path.contact_x, path.contact_y).max() <= rim + 1e-9)
+        expected = inside
+        if place > rim - 1e-6 and not lowered:
+            expected = brute_force(surface, tool, where.angle[i], where.radius[i], sense)
         assert path.z[i] == pytest.approx(expected, abs=1e-10), f"point {i}"
     # The contact point lies on the surface and on the edge. (On a step it lies on the higher side of a wall.)
     if name != "steps":
@@ -211,6 +232,67 @@ def test_a_contact_close_to_the_border_of_a_table_is_found(short):
     got = touch(surface, ROUND, angle=[0.0, 0.3], radius=[tip, 0.3], sense=1)
     assert got.x[0] == pytest.approx(contact, abs=1e-9)
     assert got.z[0] == pytest.approx(0.1 * contact**2 - 0.5 * (1 - np.cos(sweep)), abs=1e-14)
+
+
+NARROW = tw.Tool(nose_radius=0.5, included=60 * DEG)
+
+
+@pytest.mark.parametrize("tool", [ROUND, NARROW], ids=["round", "narrow"])
+def test_a_wall_outside_the_rim_does_not_lift_the_tool(tool):
+    """The part is a flat; a wall of 1 mm stands 0.05 mm outside it, under the overhang of the nose."""
+    surface = tw.LensArray(centres=[[0, 0]], lenslet=tw.Plane(), aperture=2.05, surround=1.0)
+    path = tw.place(spiral(2.0, 0.1, 60), tw.Part(surface=surface, radius=2.0), tool)
+    np.testing.assert_allclose(path.z, 0.0, atol=1e-14)
+    everything = touch(surface, tool, angle=path.angle, radius=path.radius, sense=1)
+    assert everything.z.max() > 0.9
+
+
+@pytest.mark.parametrize("formula", ["0.0005/(x-2.2)**2", "0.002*(x/2)**40", "0.01*sin(9*x) + 1e-9/(rho-2.1)**2"])
+def test_a_formula_that_runs_away_outside_the_rim_neither_refuses_nor_lifts(formula):
+    surface = tw.Expression(formula, feature_size=0.05)
+    where = spiral(2.0, 0.05, 60)
+    path = tw.place(where, tw.Part(surface=surface, radius=2.0), NARROW)
+    for i in [*range(0, 600, 37), *range(600, where.angle.size, 200)]:
+        inside, place = brute_contact(surface, NARROW, where.angle[i], where.radius[i], 1, 2.0)
+        if place < 2.0 - 1e-6:
+            assert path.z[i] == pytest.approx(inside, abs=1e-10), f"point {i}"
+        else:
+            assert inside - 1e-10 < path.z[i] < inside + 0.01
+
+
+def test_under_the_overhang_of_the_nose_a_tame_surface_is_continued():
+    """x^6 overtakes any flank in the end, but not under the arc."""
+    surface = tw.LensArray(centres=[[0, 0]], lenslet=tw.Expression("1e-3*x**6"))
+    where = spiral(2.0, 0.1, 60)
+    path = tw.place(where, tw.Part(surface=surface, radius=2.0), NARROW)
+    for i in range(0, where.angle.size, 41):
+        expected = brute_force(surface, NARROW, where.angle[i], where.radius[i], 1)
+        assert path.z[i] == pytest.approx(expected, abs=1e-10)
+    assert np.hypot(path.contact_x, path.contact_y).max() > 2.1
+
+
+def test_a_table_no_larger_than_the_part_is_enough():
+    """z = 0.05 r²: on the bowl while the tangent point is on the table, then on the table's rim."""
+    grid = np.linspace(-2, 2, 41)
+    table = tw.Gridded(x=grid, y=grid, z=0.05 * (grid**2 + grid[:, None] ** 2))
+    where = spiral(2.0, 0.1, 60)
+    path = tw.place(where, tw.Part(surface=table, radius=2.0), NARROW)
+    last = 2.0 - 0.5 * np.sin(np.arctan(0.2))
+    on_rim = where.radius > last
+    u = 2.0 - where.radius[on_rim]
+    np.testing.assert_allclose(path.z[on_rim], 0.2 - (0.5 - np.sqrt(0.25 - u**2)), atol=1e-13)
+    on_bowl = np.flatnonzero(~on_rim)[::41]
+    for i in on_bowl:
+        expected, _ = brute_contact(table, NARROW, where.angle[i], where.radius[i], 1, 2.0)
+        assert path.z[i] == pytest.approx(expected, abs=1e-10)
+    with pytest.raises(tw.DomainError, match="Gridded"):
+        touch(table, NARROW, angle=where.angle, radius=where.radius, sense=1)
+
+
+def test_a_part_steeper_than_the_flanks_as_far_as_its_rim_is_refused():
+    part = tw.Part(surface=tw.Plane(slope=(1.0, 0.0)), radius=2.0)
+    with pytest.raises(tw.GougeError, match=r"a flank of the tool stands on the rim .* larger included angle"):
+        tw.place(spiral(2.0, 0.1, 60), part, NARROW)
 
 
 def test_unknown_direction_and_a_slope_beyond_the_arc_are_refused():

@@ -220,9 +220,14 @@ def candidates(
             far = min(high, distance_at_slope(profile, table, steepest / rake_cos, low, high) + 2.0 * step)
         for k in range(offsets[row], offsets[row + 1]):
             p = position[k]
+            # An end of the domain is touched whatever its slope.
+            left_end, right_end = p + near, p + far
+            for b in range(first_break, last_break):
+                if p + low <= break_at[b] <= p + high and min(break_height[0, b], break_height[1, b]) == -np.inf:
+                    left_end, right_end = min(left_end, break_at[b]), max(right_end, break_at[b])
             # Outward to the next sample, so that the window is covered.
-            begin = max(int(np.floor((p + near - origin) / step)), 0)
-            end = min(int(np.ceil((p + far - origin) / step)), m - 1)
+            begin = max(int(np.floor((left_end - origin) / step)), 0)
+            end = min(int(np.ceil((right_end - origin) / step)), m - 1)
             lower_edge(rake_cos, profile, table, f, origin, step, p, begin, end, g)
             greatest, where = -np.inf, -1
             for j in range(begin, end + 1):
