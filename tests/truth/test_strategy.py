@@ -13,8 +13,9 @@ from turnwright.generation import generate_polar
 from turnwright.machine import Machine
 from turnwright.motion import drive
 from turnwright.part import Part
+from turnwright.post import read_nc, write_nc
 from turnwright.strategy import SlowToolServo
-from turnwright.surface import LensArray, Sphere, Surface
+from turnwright.surface import LensArray, Plane, Sphere, Surface
 from turnwright.tool import Tool
 
 TURN = 2 * np.pi
@@ -139,11 +140,30 @@ def test_the_last_cusp_inside_the_rim_is_no_higher_than_the_others(radius):
     assert rim.minus(shape.surface).z.max() < 1.01 * feed**2 / (8 * nose * (1 - nose / radius))
 
 
+@pytest.mark.parametrize(("along", "curve"), [("z", 1), ("normal", 1), ("z", -1)])
+@pytest.mark.parametrize("points", [{"points_per_rev": 360}, {"points_per_rev": 360, "inside_out": True, "sense": -1}])
+def test_a_quarter_feed_beyond_the_axis_leaves_no_cusp_there_above_the_others(tmp_path, points, along, curve):
+    shape, nose, feed = Part(surface=Sphere(radius=curve * 30.0), radius=0.2), 0.5, 0.02
+    tool, machine = Tool(nose_radius=nose, included=np.deg2rad(120)), Machine.load("generic")
+    # Oracle: a gap g between passes leaves g²/8 (1/R - 1/r); on the axis the innermost passes stand up to 1.5 f apart.
+    flat = feed**2 / 8 * (1 / nose - curve / 30.0)
+    for overrun, least, most in ((0.0, 2.2, 2.26), (0.25, 0.99, 1.01), (0.5, 0.99, 1.01)):
+        servo = SlowToolServo(feed=feed, overrun=overrun * feed, spindle_rpm=1.0, **points)
+        spiral = servo.spiral(shape, tool)
+        assert spiral.radius.min() == pytest.approx(-overrun * feed, abs=1e-14)
+        motion = drive(place(spiral, shape, tool, along=along), servo, machine)
+        # What the controller is told, not what was meant: a program with negative X.
+        write_nc(motion, machine, tmp_path / "part.nc", overwrite=True)
+        motion = read_nc(tmp_path / "part.nc", machine)
+        near = generate_polar(motion, tool, radius=np.linspace(0, 0.1, 2001), angle=np.linspace(0, TURN, 181)[:-1])
+        assert least * flat < near.minus(shape.surface).z.max() < most * flat
+
+
 def sharp(monkeypatch):
     """Let the tip follow the surface itself, so that the path has a closed form; return the azimuths asked for."""
     asked = []
 
-    def tip_height(surface, tool, *, angle, radius, sense):
+    def tip_height(surface, tool, *, angle, radius, sense, rim):
         asked.append(angle)
         return surface.sag(radius * np.cos(angle), radius * np.sin(angle))
 
@@ -288,3 +308,12 @@ def test_chord_is_kept_over_the_valleys_and_ridges_of_lenses(radius, chord):
     error = np.abs(tip - (tip[0] + share * (tip[-1] - tip[0]))).max(axis=0)
     assert 0.9 * chord < error.max() <= chord
     assert np.median(error) > 0.7 * chord
+
+
+def test_chord_ignores_a_wall_outside_the_rim():
+    """A flat of 2 mm with a wall of 1 mm under the overhang of the nose: the path itself is flat."""
+    walled = LensArray(centres=[[0, 0]], lenslet=Plane(), aperture=2.05, surround=1.0)
+    tool = Tool(nose_radius=0.5, included=np.deg2rad(60))
+    servo = SlowToolServo(feed=0.1, chord=1e-6, lead_in=0.0)
+    one, other = (servo.spiral(Part(surface=surface, radius=2.0), tool) for surface in (walled, Plane()))
+    np.testing.assert_allclose(one.angle, other.angle, atol=1e-12)

@@ -61,7 +61,7 @@ class SlowToolServo(Strategy):
     r"""Slow tool servo: C turns steadily, X advances by the feed in each turn, Z follows the surface.
 
     The tip runs along an Archimedean spiral between the rim and the axis. Its inner end is exact: the commanded radius
-    there is ``-tool.offset[0]``, where the real tip stands on the axis. Its outer end is the clear radius plus the
+    there is ``-tool.offset[0]``, where the real tip stands on the axis, less the overrun. Its outer end is the clear radius plus the
     lead-in, moved outward by less than one step where that keeps every step regular.
 
     The points are set in one of four ways:
@@ -95,6 +95,11 @@ class SlowToolServo(Strategy):
         How far beyond the clear radius the tip starts. ``None`` for just as far as the rim needs: half a feed, so
         that its cusp is no higher than the others, and where the surface falls towards the rim as far again as the edge
         touches on the inner side of its tip. Given, it is kept exactly, unless a band would stay uncut. [mm]
+    overrun
+        How far the tip runs on beyond the axis, or starts beyond it. An Archimedean spiral that ends on the axis leaves
+        up to 1.5 feeds between its innermost passes, so a cusp up to 2.25 times as high as the others, within a feed of
+        the axis. A quarter of a feed closes it: no gap is then wider than one. Not taken unasked, since the part
+        moves against the back of the edge there. [mm]
 
     Raises
     ------
@@ -126,6 +131,7 @@ class SlowToolServo(Strategy):
     inside_out: bool = False
     sense: int = 1
     lead_in: float | None = None
+    overrun: float = 0.0
 
     def __post_init__(self) -> None:
         positive(self.feed, "feed", "mm/rev")
@@ -158,6 +164,11 @@ class SlowToolServo(Strategy):
             raise InputError(
                 f"lead_in is {self.lead_in:g} mm, it cannot be below 0 mm: start at or beyond the clear radius"
             )
+        if not 0 <= self.overrun <= self.feed:
+            raise InputError(
+                f"overrun is {self.overrun:g} mm, the limits are 0 mm and one feed, {self.feed:g} mm: a quarter of a "
+                f"feed, {self.feed / 4:g} mm, leaves no cusp at the axis above the others"
+            )
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
         """Return the spiral for a part and a tool.
@@ -178,7 +189,7 @@ class SlowToolServo(Strategy):
                 f"feed {self.feed:g} mm per rev is at least the width of the edge {width:.4g} mm, so cuts do not "
                 "overlap: use a smaller feed, or a tool with a larger nose_radius or included angle"
             )
-        end = -tool.offset[0]
+        end = -tool.offset[0] - self.overrun
         start = part.radius + self._lead(part, tool)
         if self.points_per_rev is not None:
             step = TURN / self.points_per_rev
@@ -214,7 +225,7 @@ class SlowToolServo(Strategy):
         return self.lead_in
 
     def _by_arc(self, end: float, start: float) -> Floats:
-        """Return the angle turned from the centre, ascending, at constant arc, inside at constant angle. (n,) [rad]."""
+        """Return the angle turned from the inner end, ascending, at constant arc, inside at constant angle. (n,) [rad]."""
         pitch = self.feed / TURN
         inner, outer = end / pitch, start / pitch
         arc = self.arc_length / pitch  # type: ignore[operator]
@@ -229,7 +240,7 @@ class SlowToolServo(Strategy):
         return np.concatenate([inside, _invert_arc(outside) - inner])
 
     def _by_chord(self, part: Part, tool: Tool, end: float, start: float, progress: Progress | None) -> Floats:
-        """Return the angle turned from the centre, ascending, with the fewest points for the chord. (n,) [rad]."""
+        """Return the angle turned from the inner end, ascending, with the fewest points for the chord. (n,) [rad]."""
         from turnwright._kernels import chord as kernel  # noqa: PLC0415 - numba is costly to import
         from turnwright.dilation import tip_height  # noqa: PLC0415
 
@@ -245,7 +256,12 @@ class SlowToolServo(Strategy):
         def height(turned: Floats) -> Floats:
             angle = turned if self.inside_out else whole - turned
             return tip_height(
-                part.surface, tool, angle=self.sense * angle, radius=end + pitch * turned, sense=self.sense
+                part.surface,
+                tool,
+                angle=self.sense * angle,
+                radius=end + pitch * turned,
+                sense=self.sense,
+                rim=max(part.radius, pitch * whole),
             )
 
         kept = [np.zeros(1)]
@@ -360,7 +376,7 @@ def _refined(turned: Floats, height: Callable[[Floats], Floats], tolerance: floa
         if step[coarse].min() < FINEST:
             where = turned[coarse[np.argmin(step[coarse])]] / TURN
             raise InputError(
-                f"the path jumps {where:.3f} turns from the centre, so no points keep it within the chord "
+                f"the path jumps {where:.3f} turns from the inner end, so no points keep it within the chord "
                 f"{tolerance:g} mm: set points_per_rev or arc_length, or use a tool with a smaller included angle"
             )
         # A smooth bulge falls with the square of the step, that of a kink with the step: it takes some more rounds.
