@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from turnwright.generation import generate, generate_points, generate_polar
     from turnwright.heightmap import HeightMap
     from turnwright.job import Job, Result, predict, preview, run
-    from turnwright.machine import Axis, Convention, Machine
+    from turnwright.machine import Axis, Controller, Convention, Machine
     from turnwright.metrology import Roughness, remove_form, roughness
     from turnwright.motion import Limits, check_limits, drive
     from turnwright.part import Part
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
         read_table,
         write_nc,
     )
+    from turnwright.response import FrequencyResponse, Response, SecondOrder, TransferFunction
     from turnwright.strategy import SlowToolServo, Strategy
     from turnwright.surface import (
         Biconic,
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
         Zernike,
     )
     from turnwright.tool import Tool, WavinessTable
+    from turnwright.tracking import track
 
 _HOMES = {
     "access": ("Access", "Finding", "check_access"),
@@ -80,7 +82,7 @@ _HOMES = {
     "generation": ("generate", "generate_points", "generate_polar"),
     "heightmap": ("HeightMap",),
     "job": ("Job", "Result", "predict", "preview", "run"),
-    "machine": ("Axis", "Convention", "Machine"),
+    "machine": ("Axis", "Controller", "Convention", "Machine"),
     "metrology": ("Roughness", "remove_form", "roughness"),
     "motion": ("Limits", "check_limits", "drive"),
     "part": ("Part",),
@@ -95,6 +97,7 @@ _HOMES = {
         "read_table",
         "write_nc",
     ),
+    "response": ("FrequencyResponse", "Response", "SecondOrder", "TransferFunction"),
     "strategy": ("SlowToolServo", "Strategy"),
     "surface": (
         "Biconic",
@@ -116,6 +119,7 @@ _HOMES = {
         "Zernike",
     ),
     "tool": ("Tool", "WavinessTable"),
+    "tracking": ("track",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -126,6 +130,7 @@ __all__ = [
     "Axis",
     "Biconic",
     "Conic",
+    "Controller",
     "Convention",
     "DomainError",
     "EdgeFit",
@@ -133,6 +138,7 @@ __all__ = [
     "Expression",
     "Finding",
     "Forbes",
+    "FrequencyResponse",
     "GougeError",
     "Gridded",
     "HeightMap",
@@ -154,8 +160,10 @@ __all__ = [
     "ProgramInfo",
     "ProgramWarning",
     "RadialPolynomial",
+    "Response",
     "Result",
     "Roughness",
+    "SecondOrder",
     "SineGrid",
     "SlowToolServo",
     "Sphere",
@@ -166,6 +174,7 @@ __all__ = [
     "Surface",
     "Tool",
     "Toroid",
+    "TransferFunction",
     "TurnwrightError",
     "UnitError",
     "WavinessTable",
@@ -188,6 +197,7 @@ __all__ = [
     "remove_form",
     "roughness",
     "run",
+    "track",
     "write_nc",
 ]
 

@@ -14,16 +14,23 @@ from turnwright import units
 from turnwright._arrays import Floats, between, frozen, positive
 from turnwright._toml import read_toml
 from turnwright.errors import InputError
+from turnwright.response import FrequencyResponse, Response, SecondOrder, TransferFunction
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import ArrayLike
 
-__all__ = ["Axis", "Convention", "Machine"]
+__all__ = ["INTERPOLATIONS", "Axis", "Controller", "Convention", "Machine"]
+
+INTERPOLATIONS = ("linear", "hermite", "quadratic spline", "cubic spline")
+"""What a controller makes of the points, in the order of the kernel's numbers."""
 
 ROTARY = frozenset("ABC")
 """Letters of the axes that turn; all others slide."""
+
+LATEST = 1.0
+"""A dead time beyond this is a slip of the unit. [s]"""
 
 STEEPEST = 0.1
 """A squareness beyond this is a slip of the unit, not an error of a machine. [rad]"""
@@ -39,11 +46,15 @@ class Axis:
         Largest magnitude, in mm or rad and s.
     low, high
         Ends of the travel. [mm or rad]
+    response
+        How the axis answers its command; ``None`` follows exactly.
+    dead_time
+        By how much it does so later; ``None`` for at once. [s]
 
     Raises
     ------
     InputError
-        If a limit is not positive, or the travel ends before it begins.
+        If a limit is not positive, the travel ends before it begins, or the dead time is not a short one.
     """
 
     speed: float | None = None
@@ -51,6 +62,8 @@ class Axis:
     jerk: float | None = None
     low: float | None = None
     high: float | None = None
+    response: Response | None = None
+    dead_time: float | None = None
 
     def __post_init__(self) -> None:
         for name, power in (("speed", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
@@ -61,6 +74,37 @@ class Axis:
         high = np.inf if self.high is None else self.high
         if not low < high:
             raise InputError(f"the travel of an axis is {low:g} to {high:g} mm or rad: let low be below high")
+        between(self.dead_time or 0.0, "the dead_time of an axis", 0.0, LATEST, "s")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Controller:
+    """What a controller makes of the points of a program.
+
+    Parameters
+    ----------
+    interpolation
+        "linear", "hermite" (PVT), "quadratic spline" or "cubic spline", see `track`.
+    look_ahead
+        Blocks that it knows beforehand, within which it must be able to brake; ``None`` for as many as it needs.
+
+    Raises
+    ------
+    InputError
+        If there is no such interpolation, or it looks ahead by less than one block.
+    """
+
+    interpolation: str = "linear"
+    look_ahead: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.interpolation not in INTERPOLATIONS:
+            raise InputError(
+                f"interpolation is {self.interpolation!r}, it must be one of {', '.join(INTERPOLATIONS)}: name one"
+            )
+        ahead = self.look_ahead
+        if ahead is not None and (isinstance(ahead, bool) or not isinstance(ahead, int) or ahead < 1):
+            raise InputError(f"look_ahead is {ahead!r}, it must be a whole number of at least 1 block: change it")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,6 +162,8 @@ class Machine:
         Name of the program dialect.
     convention
         How the controller counts.
+    controller
+        What it makes of the points.
     squareness
         Height error of the tip per distance along X: Z error = squareness * X. [rad]
     straightness
@@ -146,6 +192,7 @@ class Machine:
     block_rate_hz: float
     dialect: str = "generic"
     convention: Convention = Convention()
+    controller: Controller = Controller()
     squareness: float = 0.0
     straightness: tuple[Floats, Floats] | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
@@ -204,7 +251,7 @@ class Machine:
                 ) from error
         table = read_toml(data, f"machine file {str(name)!r}")
         try:
-            return _from_table(table)
+            return _from_table(table, Path() if name in known else Path(name).parent)
         except InputError as error:
             raise InputError(f"machine file {str(name)!r}: {error}") from error
 
@@ -217,8 +264,8 @@ class Machine:
         return error
 
 
-def _from_table(table: Mapping[str, Any]) -> Machine:
-    """Build a machine from its file."""
+def _from_table(table: Mapping[str, Any], folder: Path) -> Machine:
+    """Build a machine from its file; files that it names stand in the same folder."""
     _check_keys(table, {item.name for item in fields(Machine)}, "the file")
     for needed in ("name", "axes", "spindle_rpm", "block_rate_hz"):
         if needed not in table:
@@ -228,13 +275,17 @@ def _from_table(table: Mapping[str, Any]) -> Machine:
         if isinstance(table[key], bool) or not isinstance(table[key], int | float):
             raise InputError(f"{key} is {table[key]!r}, its unit is in its name: give a plain number")
         given[key] = table[key]
-    given["axes"] = {letter: _axis(letter, limits) for letter, limits in _table(table, "axes").items()}
+    given["axes"] = {letter: _axis(letter, limits, folder) for letter, limits in _table(table, "axes").items()}
     if "convention" in table:
         convention = dict(_table(table, "convention"))
         _check_keys(convention, {item.name for item in fields(Convention)}, "convention")
         if "clocking" in convention:
             convention["clocking"] = _quantity(convention["clocking"], "rad", "convention.clocking")
         given["convention"] = Convention(**convention)
+    if "controller" in table:
+        controller = _table(table, "controller")
+        _check_keys(controller, {item.name for item in fields(Controller)}, "controller")
+        given["controller"] = Controller(**controller)
     if "squareness" in table:
         given["squareness"] = _quantity(table["squareness"], "rad", "squareness")
     if "straightness" in table:
@@ -248,7 +299,27 @@ def _from_table(table: Mapping[str, Any]) -> Machine:
     return Machine(**given, sources=sources)
 
 
-def _axis(letter: str, limits: object) -> Axis:
+def _response(table: Mapping[str, Any], folder: Path) -> Response:
+    """Build a response from its table: a file of measured values, polynomials, or a second order."""
+    if "file" in table:
+        _check_keys(table, {"file"}, "response")
+        return FrequencyResponse.load(folder / _text(table, "file"))
+    if "numerator" in table or "denominator" in table:
+        _check_keys(table, {"numerator", "denominator"}, "response")
+        both = {key: frozen(table.get(key, []), f"response.{key}") for key in ("numerator", "denominator")}
+        return TransferFunction(**both)
+    _check_keys(table, {"frequency", "damping", "velocity_feedforward", "acceleration_feedforward"}, "response")
+    for needed in ("frequency", "damping"):
+        if needed not in table:
+            raise InputError(f"response.{needed} is missing: add it, or give a file, or numerator and denominator")
+    plain = {key: value for key, value in table.items() if key != "frequency"}
+    for key, value in plain.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"response.{key} is {value!r}, it has no unit: give a plain number")
+    return SecondOrder(frequency_hz=_quantity(table["frequency"], "Hz", "response.frequency"), **plain)
+
+
+def _axis(letter: str, limits: object, folder: Path) -> Axis:
     """Build an axis from its table; sliding axes count in mm, turning ones in rad."""
     if len(letter) != 1 or not letter.isupper():
         raise InputError(f"axes.{letter} is not an axis: name it with one capital letter")
@@ -261,10 +332,13 @@ def _axis(letter: str, limits: object) -> Axis:
         "jerk": f"{length}/s^3",
         "low": length,
         "high": length,
+        "dead_time": "s",
     }
-    _check_keys(limits, set(own), f"axes.{letter}")
+    _check_keys(limits, {*own, "response"}, f"axes.{letter}")
     try:
-        return Axis(**{key: _quantity(value, own[key], key) for key, value in limits.items()})
+        plain = {key: _quantity(value, own[key], key) for key, value in limits.items() if key != "response"}
+        response = _response(_table(limits, "response"), folder) if "response" in limits else None
+        return Axis(**plain, response=response)
     except InputError as error:
         raise InputError(f"axes.{letter}: {error}") from error
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from turnwright.errors import InputError
-from turnwright.machine import Axis, Convention, Machine
+from turnwright.machine import Axis, Controller, Convention, Machine
+from turnwright.response import FrequencyResponse, SecondOrder
 
 NAMES = ["nanotech-350fg", "nanoform", "generic"]
 GOOD = """
@@ -90,6 +91,21 @@ def test_a_file_is_read_in_units(tmp_path):
         (("[axes.C]", "[sources]\naxes.Y.speed = 'x'\n[axes.C]"), "'axes.Y.speed' in sources"),
         (("block_rate_hz = 250", "block_rate_hz = 250\nsquareness = '20 deg'"), "squareness is 0.349066 rad"),
         (("spindle_rpm = 300", "spindle_rpm ="), "Invalid value"),
+        (("[axes.C]", "[controller]\ninterpolation = 'nurbs'\n[axes.C]"), "interpolation is 'nurbs'"),
+        (("[axes.C]", "[controller]\nlook_ahead = 0\n[axes.C]"), "look_ahead is 0"),
+        (("[axes.C]", "[axes.C]\nresponse = 5"), "axes.C: response is 5"),
+        (("[axes.C]", "[axes.C]\nresponse = { frequency = '100 Hz' }"), "response.damping is missing"),
+        (
+            ("[axes.C]", "[axes.C]\nresponse = { frequency = 100, damping = 0.7 }"),
+            "response.frequency: 100 has no unit",
+        ),
+        (("[axes.C]", "[axes.C]\nresponse = { frequency = '9 Hz', damping = '1' }"), "response.damping is '1'"),
+        (("[axes.C]", "[axes.C]\nresponse = { frequency = '9 Hz', damping = -1 }"), "damping is -1"),
+        (("[axes.C]", "[axes.C]\nresponse = { numerator = [1], denominator = [1, 2] }"), "constant terms are 1 and 2"),
+        (("[axes.C]", "[axes.C]\nresponse = { numerator = [2], denominator = [-1, 2] }"), "stable"),
+        (("[axes.C]", "[axes.C]\nresponse = { numerator = [1, 1, 1], denominator = [1, 1] }"), "3 coefficients"),
+        (("[axes.C]", "[axes.C]\nresponse = { file = 'none.csv' }"), "none.csv cannot be read"),
+        (("[axes.C]", "[axes.C]\ndead_time = '2 s'"), "dead_time of an axis is 2 s"),
     ],
 )
 def test_a_wrong_file_is_refused_by_name(tmp_path, change, words):
@@ -123,3 +139,44 @@ def test_a_machine_cannot_be_wrong():
             replace(machine, **change)
     with pytest.raises(InputError, match="clocking"):
         Convention(clocking=np.inf)
+
+
+def test_an_axis_answers_as_its_file_says(tmp_path):
+    (tmp_path / "z.csv").write_text("Hz,dB,deg\n1,0,-1\n10; -6.0205999132796; -170\n# end\n100 -20 160\n")
+    file = tmp_path / "shop.toml"
+    file.write_text(
+        GOOD.replace("[axes.Z]", "[axes.Z]\nresponse = { file = 'z.csv' }\ndead_time = '3 ms'").replace(
+            "[axes.X]", "[axes.X]\nresponse = { frequency = '80 Hz', damping = 0.7, velocity_feedforward = 1 }"
+        )
+        + "[controller]\ninterpolation = 'cubic spline'\nlook_ahead = 50\n"
+    )
+    machine = Machine.load(file)
+    assert machine.controller == Controller(interpolation="cubic spline", look_ahead=50)
+    assert machine.axes["X"].response == SecondOrder(frequency_hz=80, damping=0.7, velocity_feedforward=1)
+    assert machine.axes["Z"].dead_time == 0.003
+    measured = machine.axes["Z"].response
+    # The last phase is half a turn further on, not back: -170 deg, then -200 deg.
+    assert measured.at([0, 10, 100]) == pytest.approx(
+        [1, 0.5 * np.exp(-1j * np.deg2rad(170)), 0.1 * np.exp(-1j * np.deg2rad(200))]
+    )
+    assert measured.at(-10) == pytest.approx(np.conj(measured.at(10)))
+    assert abs(measured.at(1000)) == pytest.approx(0.001)
+    assert measured.slower(2).at(5) == pytest.approx(measured.at(10))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1 0", "line 1 is '1 0'"),
+        ("Hz dB deg\n1 0 x", "line 2"),
+        ("1 0 0", "1 frequencies"),
+        ("2 0 0\n1 0 0", "begin at 2 Hz"),
+        ("1 0 0\n2 nan 0", "not finite"),
+    ],
+)
+def test_a_wrong_response_file_is_refused(tmp_path, text, words):
+    file = tmp_path / "z.csv"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"z\.csv") as caught:
+        FrequencyResponse.load(file)
+    assert words in str(caught.value)

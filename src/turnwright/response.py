@@ -1,0 +1,290 @@
+r"""How an axis answers a command: the closed loop of a servo, from command to position.
+
+Everything is said by the transfer function :math:`H(s)`, position over command, with :math:`H(0) = 1`: an axis that
+stands still stands where it was sent.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+import numpy as np
+
+from turnwright._arrays import between, frozen, positive
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from turnwright._arrays import Floats
+
+__all__ = ["FrequencyResponse", "RationalResponse", "Response", "SecondOrder", "TransferFunction"]
+
+STATIC = 1e-6
+"""How far the gain of an axis at rest may be from 1."""
+
+MOST_POLES = 20
+"""Orders beyond this are a slip, and lose their poles to rounding."""
+
+LARGEST_FILE = 16 << 20
+"""Bytes of the largest file that is a frequency response."""
+
+
+@runtime_checkable
+class Response(Protocol):
+    """What an axis makes of its command."""
+
+    def at(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+        """Return position over command at some frequencies, any shape [Hz]."""
+
+    def slower(self, factor: float) -> Response:
+        """Return the response of an axis whose every time is longer by a factor."""
+
+
+@runtime_checkable
+class RationalResponse(Response, Protocol):
+    """A response that is a ratio of polynomials, so that what it makes of a command has a closed form."""
+
+    @property
+    def polynomials(self) -> tuple[Floats, Floats]:
+        """Numerator and denominator in s, highest power first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SecondOrder:
+    r"""A servo axis as a mass on a damped spring, with feed-forward.
+
+    .. math:: H(s) = \frac{a s^2 + 2 v \zeta \omega s + \omega^2}{s^2 + 2 \zeta \omega s + \omega^2}
+
+    Parameters
+    ----------
+    frequency_hz
+        Natural frequency :math:`\omega / 2\pi`. [Hz]
+    damping
+        Damping ratio :math:`\zeta`.
+    velocity_feedforward
+        :math:`v`: 0 for none, which lags a steady motion by :math:`2\zeta/\omega`; 1 for no lag at steady speed.
+    acceleration_feedforward
+        :math:`a`: 0 for none; with both 1 the axis follows exactly.
+
+    Raises
+    ------
+    InputError
+        If frequency or damping is not positive, or a feed-forward lies outside 0 to 2.
+
+    >>> axis = SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1)
+    >>> abs(axis.at([1.0, 50.0])).round(4)
+    array([1.0001, 1.1898])
+    """
+
+    frequency_hz: float
+    damping: float
+    velocity_feedforward: float = 0.0
+    acceleration_feedforward: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive(self.frequency_hz, "frequency_hz", "Hz")
+        positive(self.damping, "damping", "")
+        for name in ("velocity_feedforward", "acceleration_feedforward"):
+            between(getattr(self, name), name, 0.0, 2.0, "")
+
+    @property
+    def polynomials(self) -> tuple[Floats, Floats]:
+        """Numerator and denominator in s, highest power first."""
+        omega = 2 * math.pi * self.frequency_hz
+        drag = 2 * self.damping * omega
+        return (
+            np.array([self.acceleration_feedforward, self.velocity_feedforward * drag, omega**2]),
+            np.array([1.0, drag, omega**2]),
+        )
+
+    def at(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+        """Return position over command at some frequencies, any shape [Hz]."""
+        return _ratio(self.polynomials, frequency_hz)
+
+    def slower(self, factor: float) -> SecondOrder:
+        """Return the response of an axis whose every time is longer by a factor."""
+        return SecondOrder(
+            frequency_hz=self.frequency_hz / factor, damping=self.damping,
+            velocity_feedforward=self.velocity_feedforward, acceleration_feedforward=self.acceleration_feedforward,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TransferFunction:
+    """A stable ratio of polynomials in s.
+
+    Parameters
+    ----------
+    numerator, denominator
+        Coefficients, highest power first; the constant terms are equal, so that the axis at rest stands where it was
+        sent. (m,), (n,) with m <= n [powers of s]
+
+    Raises
+    ------
+    InputError
+        If the response is not stable, not proper, of too high an order, or does not hold its position.
+
+    >>> lag = TransferFunction(numerator=[50.0], denominator=[1.0, 50.0])
+    >>> round(float(abs(lag.at(50 / (2 * np.pi)))), 6)
+    0.707107
+    """
+
+    numerator: Floats
+    denominator: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("numerator", "denominator"):
+            values = np.trim_zeros(frozen(getattr(self, name), name), "f")
+            object.__setattr__(self, name, frozen(values, name))
+        above, below = self.numerator, self.denominator
+        if not 2 <= below.size <= MOST_POLES + 1:
+            raise InputError(
+                f"the denominator has {below.size} coefficients, the limits are 2 to {MOST_POLES + 1}: give the "
+                "closed loop from command to position"
+            )
+        if not 1 <= above.size <= below.size:
+            raise InputError(
+                f"the numerator has {above.size} coefficients, the limits are 1 to {below.size}, as many as the "
+                "denominator: an axis cannot answer faster than its command"
+            )
+        if below[-1] == 0 or abs(above[-1] / below[-1] - 1) > STATIC:
+            raise InputError(
+                f"the constant terms are {above[-1]:g} and {below[-1]:g}, they must be equal and not 0: give the "
+                "closed loop from command to position, in equal units"
+            )
+        worst = float(np.roots(below).real.max())
+        if not worst < 0:
+            raise InputError(
+                f"a pole of the response has the real part {worst:g} rad/s, the limit is below 0: give a stable axis"
+            )
+
+    @property
+    def polynomials(self) -> tuple[Floats, Floats]:
+        """Numerator and denominator in s, highest power first."""
+        return self.numerator, self.denominator
+
+    def at(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+        """Return position over command at some frequencies, any shape [Hz]."""
+        return _ratio(self.polynomials, frequency_hz)
+
+    def slower(self, factor: float) -> TransferFunction:
+        """Return the response of an axis whose every time is longer by a factor."""
+        return TransferFunction(
+            numerator=self.numerator * factor ** np.arange(self.numerator.size - 1.0, -1, -1),
+            denominator=self.denominator * factor ** np.arange(self.denominator.size - 1.0, -1, -1),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FrequencyResponse:
+    """A measured response: position over command at ascending frequencies.
+
+    Logarithm of the magnitude and unwrapped phase run straight between the frequencies, from 1 and no phase at rest;
+    beyond the last one the phase stays and the magnitude falls with the square of the frequency.
+
+    Parameters
+    ----------
+    frequency_hz
+        Ascending, above 0, dense enough that the phase changes by less than half a turn from one to the next. (n,) [Hz]
+    magnitude
+        Position over command. (n,)
+    phase
+        Phase of position over command, negative where it lags, in any branch. (n,) [rad]
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two frequencies, they do not ascend, or a magnitude is not positive.
+    """
+
+    frequency_hz: Floats
+    magnitude: Floats
+    phase: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("frequency_hz", "magnitude", "phase"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        f = self.frequency_hz
+        if f.size < 2 or f.shape != self.magnitude.shape or f.shape != self.phase.shape:
+            raise InputError(
+                f"a frequency response has {f.size} frequencies, {self.magnitude.size} magnitudes and "
+                f"{self.phase.size} phases: give as many of each, at least 2"
+            )
+        if not (f[0] > 0 and (np.diff(f) > 0).all()):
+            raise InputError(f"the frequencies of a response begin at {f[0]:g} Hz: let them ascend from above 0 Hz")
+        if not (self.magnitude > 0).all():
+            raise InputError(
+                f"a magnitude of the response is {self.magnitude.min():g}, it must be above 0: give position over "
+                "command, or dB"
+            )
+        phase = np.unwrap(np.concatenate(([0.0], self.phase)))[1:]
+        object.__setattr__(self, "phase", frozen(phase, "phase"))
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> FrequencyResponse:
+        """Return the response in a text file of three columns: frequency [Hz], magnitude [dB], phase [deg].
+
+        Columns stand apart by commas, semicolons or blanks; lines that begin with a letter or # are headings.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read or holds anything else.
+        """
+        path = Path(path)
+        try:
+            if path.stat().st_size > LARGEST_FILE:
+                raise InputError(
+                    f"{path} has {path.stat().st_size / 1e6:.0f} MB, a frequency response has at most "
+                    f"{LARGEST_FILE / 1e6:.0f} MB: give the file of three columns"
+                )
+            lines = path.read_text(encoding="utf-8-sig").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            why = getattr(error, "strerror", None) or "it is not text"
+            raise InputError(f"{path} cannot be read as a frequency response ({why}): check its name") from error
+        rows = []
+        for number, line in enumerate(lines, 1):
+            words = line.replace(",", " ").replace(";", " ").split()
+            if not words or words[0][0] == "#" or words[0][0].isalpha():
+                continue
+            try:
+                rows.append([float(word) for word in words])
+            except ValueError:
+                rows.append([])
+            if len(rows[-1]) != 3:
+                raise InputError(
+                    f"{path} line {number} is {line[:40]!r}, it needs 3 numbers: frequency in Hz, magnitude in dB, "
+                    "phase in deg"
+                )
+        table = np.array(rows, dtype=np.float64).reshape(-1, 3)
+        try:
+            return cls(frequency_hz=table[:, 0], magnitude=10 ** (table[:, 1] / 20), phase=np.deg2rad(table[:, 2]))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+
+    def at(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+        """Return position over command at some frequencies, any shape [Hz]."""
+        asked = np.abs(np.asarray(frequency_hz, dtype=np.float64))
+        known = np.concatenate(([0.0], self.frequency_hz))
+        gain = np.interp(asked, known, np.concatenate(([0.0], np.log(self.magnitude))))
+        phase = np.interp(asked, known, np.concatenate(([0.0], self.phase)))
+        beyond = np.maximum(asked / known[-1], 1.0)
+        value: NDArray[np.complex128] = np.exp(gain + 1j * np.sign(frequency_hz) * phase) / beyond**2
+        return value
+
+    def slower(self, factor: float) -> FrequencyResponse:
+        """Return the response of an axis whose every time is longer by a factor."""
+        return FrequencyResponse(frequency_hz=self.frequency_hz / factor, magnitude=self.magnitude, phase=self.phase)
+
+
+def _ratio(polynomials: tuple[Floats, Floats], frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+    s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+    above, below = polynomials
+    value: NDArray[np.complex128] = np.polyval(above, s) / np.polyval(below, s)
+    return value

@@ -1,0 +1,243 @@
+r"""What the controller's interpolator and the servos make of a motion.
+
+A program is points; an axis moves between them as the controller's interpolator says, and answers as its servo lets it:
+
+.. math:: y(s) = H(s)\, e^{-s T}\, u(s)
+
+with u the interpolated command, T the dead time and H the closed loop of the axis. A ratio of polynomials H is split
+into its modes :math:`x' = p x + u`; the command is a polynomial between two knots, so every mode has a closed form
+there and nothing is discretised. A measured H acts on the spectrum of the command instead.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turnwright._arrays import Floats, positive
+from turnwright.errors import LimitError
+from turnwright.machine import INTERPOLATIONS, Machine
+from turnwright.path import Motion
+from turnwright.progress import Progress
+from turnwright.response import FrequencyResponse, RationalResponse, Response
+
+__all__ = ["track"]
+
+APART = 1e-4
+"""Poles nearer to each other than this, relatively, are set this far apart: the response changes by its square."""
+
+QUIET_S = 0.5
+"""Time beyond both ends over which a measured response dies away, at least. [s]"""
+
+MOST_SAMPLES = 300_000_000
+"""Beyond this no memory holds the motion."""
+
+
+def track(
+    motion: Motion,
+    machine: Machine | None = None,
+    *,
+    chord: float = 1e-6,
+    progress: Progress | None = None,
+) -> Motion:
+    r"""Return the axes as they really move, which `generate` sweeps like any other motion.
+
+    First the controller: no block is shorter than its block rate allows, and no axis goes faster than it could brake
+    within the blocks that the controller looks ahead; there the whole motion slows down. Then its interpolation:
+
+    * "linear": straight lines between the points;
+    * "hermite" (PVT): cubics through the points, with the slopes of the parabolas through three neighbours each;
+    * "quadratic spline", "cubic spline": B-splines with the points as control points, which pass inside of them.
+
+    Last each axis: its dead time and its response. Before the program begins every axis has moved on as straight as it
+    begins.
+
+    Parameters
+    ----------
+    motion
+        Planned here or read back from a program, in time.
+    machine
+        Whose controller and servos follow it; ``motion.machine`` if not given.
+    chord
+        Largest distance between the real motion of a sliding axis and the straight lines between the samples that are
+        returned, as its second differences show it. [mm]
+    progress
+        Called with (axes done, axes in all).
+
+    Raises
+    ------
+    InputError
+        If ``chord`` is not positive.
+    LimitError
+        If the motion would need more samples than any memory holds.
+
+    Sources
+    -------
+    The closed form of a mode under a polynomial is the phi functions of exponential integrators [Hochbruck2010]_. The
+    B-splines are those that common controllers call spline moves.
+    """
+    positive(chord, "chord", "mm")
+    machine = machine or motion.machine
+    time = _paced(motion, machine)
+    uniform = any(
+        machine.axes[letter].response is not None and not isinstance(machine.axes[letter].response, RationalResponse)
+        for letter in motion.axes
+        if letter in machine.axes
+    )
+    told = progress or (lambda _done, _total: None)
+    parts = 1
+    while True:
+        at = _samples(time, parts, uniform=uniform)
+        axes = {}
+        for k, letter in enumerate(motion.axes):
+            told(k, len(motion.axes))
+            axes[letter] = _follow(letter, motion.axes[letter], time, machine, at)
+        bulge = max(_bulge(position) for letter, position in axes.items() if letter not in "ABC")
+        if parts > 1 or bulge <= chord:
+            break
+        parts = math.ceil(math.sqrt(bulge / chord))
+    told(len(axes), len(axes))
+    return Motion(time=at - at[0], axes=axes, machine=motion.machine)
+
+
+def _paced(motion: Motion, machine: Machine) -> Floats:
+    """Return when the controller is at each point. (n,) [s]."""
+    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
+
+    blocks = np.diff(motion.time)
+    factor = np.maximum(1.0, (1 - 1e-9) / (blocks * machine.block_rate_hz))
+    if machine.controller.look_ahead is not None:
+        for letter, position in motion.axes.items():
+            limit = getattr(machine.axes.get(letter), "acceleration", None)
+            if limit is not None:
+                kernel.stretch(motion.time, position, machine.controller.look_ahead, limit, factor)
+    if (factor == 1.0).all():
+        return motion.time
+    return np.concatenate(([0.0], np.cumsum(blocks * factor)))
+
+
+def _samples(time: Floats, parts: int, *, uniform: bool) -> Floats:
+    """Return the times at which the motion is stated: the points, each block in parts, or evenly."""
+    length = time[-1] - time[0]
+    blocks = time.size - 1
+    if uniform:
+        blocks = math.ceil(length / np.diff(time).min() * (1 - 1e-9))
+    if blocks * parts > MOST_SAMPLES:
+        raise LimitError(
+            f"the real motion needs {blocks * parts:.3g} samples, the limit is {MOST_SAMPLES:.3g}: allow a larger chord"
+        )
+    if uniform:
+        return np.linspace(time[0], time[-1], blocks * parts + 1)
+    if parts == 1:
+        return time
+    share = np.arange(parts) / parts
+    at = np.empty((time.size - 1) * parts + 1)
+    at[:-1].reshape(-1, parts)[:] = time[:-1, None] + np.diff(time)[:, None] * share
+    at[-1] = time[-1]
+    return at
+
+
+def _bulge(position: Floats) -> float:
+    """Return the largest distance between a curve through evenly spaced samples and its chords."""
+    return float(np.abs(np.diff(position, 2)).max(initial=0.0)) / 8
+
+
+def _follow(letter: str, position: Floats, time: Floats, machine: Machine, at: Floats) -> Floats:
+    """Return where an axis really stands at some times."""
+    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
+
+    axis = machine.axes.get(letter)
+    response = axis.response if axis is not None else None
+    delay = (axis.dead_time or 0.0) if axis is not None else 0.0
+    kind = INTERPOLATIONS.index(machine.controller.interpolation)
+    rate = np.empty(time.size if kind == kernel.CUBIC else 0)
+    if kind == kernel.CUBIC:
+        kernel.rates(time, position, rate)
+    # A spindle turns far: what it turns steadily is kept apart, so that it costs the rest no digits.
+    # Splines over uneven blocks do not keep a straight line.
+    straight = kind in (kernel.LINEAR, kernel.CUBIC)
+    slope = (position[-1] - position[0]) / (time[-1] - time[0]) if straight else 0.0
+    line = position[0] + slope * (time - time[0])
+    rest = position - line
+    if kind == kernel.CUBIC:
+        rate -= slope
+    out = np.empty(at.size)
+    steady = position[0] + slope * (at - delay - time[0])
+    if response is None:
+        kernel.command(kind, time, rest, rate, delay, at, out)
+        out += steady
+        return out
+    if isinstance(response, RationalResponse):
+        poles, residues, direct, lag = _modes(response)
+        kernel.respond(kind, time, rest, rate, delay, poles, residues, direct, at, out)
+        out += steady - slope * lag
+        return out
+    step = (at[-1] - at[0]) / (at.size - 1)
+    beyond = max(1, math.ceil(max(QUIET_S, 4 / _lowest(response)) / step))
+    wide = at[0] + step * np.arange(-beyond, at.size + beyond)
+    out = np.empty(wide.size)
+    kernel.command(kind, time, rest, rate, delay, wide, out)
+    # The part that runs straight on beyond both ends is thrown away again, once the ends' own answer has died in it.
+    out = _filtered(out, step, response)[beyond:-beyond]
+    out += steady - slope * _lag(response)
+    return out
+
+
+def _modes(response: RationalResponse) -> tuple[NDArray[np.complex128], NDArray[np.complex128], float, float]:
+    """Return poles, residues and direct gain as the kernel takes them, and the lag of a steady motion [s]."""
+    above, below = response.polynomials
+    above = np.concatenate((np.zeros(below.size - above.size), above)) / below[0]
+    below = below / below[0]
+    direct = float(above[0])
+    poles = _parted(np.roots(below).astype(np.complex128))
+    apart = poles[:, None] - poles + np.eye(poles.size)
+    residues = np.polyval(above - direct * below, poles) / apart.prod(axis=1)
+    # An axis that stands still stands where it was sent, to the last digit.
+    if direct != 1.0:
+        residues *= (1.0 - direct) / (-(residues / poles).sum()).real
+    lag = float((residues / poles**2).sum().real)
+    kept = poles.imag >= 0
+    return poles[kept], np.where(poles.imag == 0, 0.5, 1.0)[kept] * residues[kept], direct, lag
+
+
+def _parted(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return poles of which no two coincide, so that each is a mode of its own."""
+    parted = poles.copy()
+    left = np.ones(poles.size, dtype=bool)
+    while left.any():
+        first = poles[np.argmax(left)]
+        near = left & (np.abs(poles - first) < APART * abs(first))
+        left &= ~near
+        count = int(near.sum())
+        if count > 1:
+            middle = poles[near].mean()
+            if abs(middle.imag) < APART * abs(middle):
+                middle = middle.real
+            parted[near] = middle * (1 + APART * (np.arange(count) - (count - 1) / 2))
+    return parted
+
+
+def _lowest(response: Response) -> float:
+    """Return the lowest frequency that a response was measured at. [Hz]."""
+    return float(response.frequency_hz[0]) if isinstance(response, FrequencyResponse) else math.inf
+
+
+def _lag(response: Response) -> float:
+    """Return how far behind a steady motion an axis is. [s]."""
+    small = 1e-3 * min(_lowest(response), 1.0)
+    return float(-np.angle(response.at(small))) / (2 * math.pi * small)
+
+
+def _filtered(values: Floats, step: float, response: Response) -> Floats:
+    """Return what a response makes of evenly spaced values, their straight line from first to last kept apart."""
+    from scipy import fft  # noqa: PLC0415 - costly to import
+
+    line = np.linspace(values[0], values[-1], values.size)
+    slope = (values[-1] - values[0]) / (step * (values.size - 1))
+    spectrum = fft.rfft((values - line)[:-1])
+    spectrum *= response.at(fft.rfftfreq(values.size - 1, step))
+    made = np.append(fft.irfft(spectrum, values.size - 1), 0.0)
+    made += line - slope * _lag(response)
+    return made

@@ -1,0 +1,154 @@
+"""Oracles: SciPy's splines for the interpolators, its ODE solver for the axes, closed forms for steady motions."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import BSpline, CubicHermiteSpline
+
+from turnwright import Axis, Controller, Machine, Motion
+from turnwright.response import FrequencyResponse, SecondOrder, TransferFunction
+from turnwright.tracking import track
+
+RNG = np.random.default_rng(3)
+
+
+def machine(interpolation="linear", *, look_ahead=None, block_rate=1e9, **axes):
+    return Machine(
+        name="test lathe", axes={letter: axes.get(letter, Axis()) for letter in "CXZ"}, spindle_rpm=1000,
+        block_rate_hz=block_rate, controller=Controller(interpolation=interpolation, look_ahead=look_ahead),
+    )  # fmt: skip
+
+
+def motion(on, *, points=400, irregular=False, seconds=0.4):
+    time = np.linspace(0, seconds, points)
+    if irregular:
+        time[1:-1] += RNG.uniform(-0.3, 0.3, points - 2) * (time[1] - time[0])
+    z = 0.02 * np.sin(2 * np.pi * 12 * time) + 0.005 * np.cos(2 * np.pi * 31 * time + 0.4)
+    return Motion(time=time, axes={"C": 7.0 * time, "X": 5 - 0.1 * time, "Z": z}, machine=on)
+
+
+@pytest.mark.parametrize("irregular", [False, True])
+def test_a_perfect_axis_follows_its_interpolation(irregular):
+    given = motion(machine(), irregular=irregular)
+    t, z = given.time, given.axes["Z"]
+    made = track(given, machine("linear"), chord=1e-9)
+    assert made.time.size > 2 * t.size - 2 or irregular
+    assert np.abs(made.axes["Z"] - np.interp(made.time, t, z)).max() < 1e-15
+    assert np.abs(made.axes["C"] - 7.0 * made.time).max() < 1e-13
+
+    slopes = np.gradient(z, t, edge_order=2)
+    made = track(given, machine("hermite"), chord=1e-9)
+    assert np.abs(made.axes["Z"] - CubicHermiteSpline(t, z, slopes)(made.time)).max() < 1e-15
+    assert np.abs(made.axes["X"] - (5 - 0.1 * made.time)).max() < 1e-14
+
+
+@pytest.mark.parametrize(("name", "degree"), [("quadratic spline", 2), ("cubic spline", 3)])
+@pytest.mark.parametrize("irregular", [False, True])
+def test_spline_moves_are_b_splines_over_the_points(name, degree, irregular):
+    given = motion(machine(), irregular=irregular)
+    t, z = given.time, given.axes["Z"]
+    first, last = t[1] - t[0], t[-1] - t[-2]
+    far = np.concatenate((t[0] - first * np.arange(4, 0, -1), t, t[-1] + last * np.arange(1, 5)))
+    control = np.concatenate((
+        z[0] - (z[1] - z[0]) * np.arange(4, 0, -1), z, z[-1] + (z[-1] - z[-2]) * np.arange(1, 5),
+    ))  # fmt: skip
+    if degree == 3:
+        # The basis of a point has its middle knot there.
+        spline = BSpline(far, control[2:-2], 3)
+    else:
+        middle = 0.5 * (far[1:] + far[:-1])
+        spline = BSpline(middle, control[2:-2], 2)
+    made = track(given, machine(name), chord=1e-8)
+    assert np.abs(made.axes["Z"] - spline(made.time)).max() < 1e-14
+    # They pass inside: less than the points by about a sixth, or an eighth, of the second difference.
+    inside = 0.5 * np.diff(z, 2) * (1 / 4 if degree == 2 else 1 / 3)
+    if not irregular:
+        at = np.searchsorted(made.time, t[1:-1] - 1e-9)
+        assert np.allclose(made.axes["Z"][at] - z[1:-1], inside, atol=1e-8)
+
+
+def solved(time, z, above, below, at, interpolation="linear"):
+    """Position of an axis by an ODE solver, block by block, from the steady state of its first slope."""
+    from scipy.signal import tf2ss
+
+    a, b, c, d = tf2ss(np.trim_zeros(above, "f"), below)
+    if interpolation == "linear":
+
+        def command(t):
+            return np.interp(t, time, z)
+    else:
+        command = CubicHermiteSpline(time, z, np.gradient(z, time, edge_order=2))
+    slope = (command(time[0] + 1e-9) - command(time[0])) / 1e-9 if interpolation == "linear" else command(time[0], 1)
+    # x = m + n t with n' = 0: 0 = a n + b slope, n = a m + b z0.
+    n = np.linalg.solve(a, -b[:, 0] * slope)
+    state = np.linalg.solve(a, n - b[:, 0] * z[0])
+    found = []
+    for k in range(time.size - 1):
+        here = at[(at >= time[k]) & (at < time[k + 1])]
+        one = solve_ivp(
+            lambda t, x: a @ x + b[:, 0] * command(t), (time[k], time[k + 1]), state, method="DOP853", rtol=1e-12,
+            atol=1e-15 * np.abs(state).max(), t_eval=np.append(here, time[k + 1]),
+        )  # fmt: skip
+        found += [(c @ one.y[:, i] + d[:, 0] * command(t))[0] for i, t in enumerate(here)]
+        state = one.y[:, -1]
+    return np.array(found)
+
+
+RESPONSES = {
+    "no feed-forward": SecondOrder(frequency_hz=60, damping=0.7),
+    "velocity": SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1),
+    "both": SecondOrder(frequency_hz=80, damping=0.3, velocity_feedforward=0.9, acceleration_feedforward=0.8),
+    "critical": SecondOrder(frequency_hz=60, damping=1.0, velocity_feedforward=1),
+    "third order": TransferFunction(
+        numerator=np.array([2.0, 5e4, 9e6]), denominator=np.poly([-150.0, -200 + 140j, -200 - 140j]).real
+        * 9e6 / np.poly([-150.0, -200 + 140j, -200 - 140j]).real[-1],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RESPONSES)
+@pytest.mark.parametrize("interpolation", ["linear", "hermite"])
+def test_an_axis_moves_as_its_differential_equation_says(name, interpolation):
+    response = RESPONSES[name]
+    given = motion(machine(), points=60, irregular=True, seconds=0.1)
+    made = track(given, machine(interpolation, Z=Axis(response=response)), chord=1e-6)
+    t, z = given.time, given.axes["Z"]
+    oracle = solved(t, z, *response.polynomials, made.time, interpolation)
+    lag = np.abs(oracle - np.interp(made.time[: oracle.size], t, z)).max()
+    assert np.abs(made.axes["Z"][: oracle.size] - oracle).max() < (1e-6 if name == "critical" else 1e-8) * lag + 1e-13
+
+
+def test_a_steady_motion_lags_by_the_axis_and_its_dead_time():
+    omega = 2 * np.pi * 50
+    slow = SecondOrder(frequency_hz=50, damping=0.7)
+    given = motion(machine())
+    made = track(given, machine(C=Axis(response=slow, dead_time=0.002), X=Axis(dead_time=0.002)))
+    assert np.abs(made.axes["C"] - 7.0 * (made.time - 2 * 0.7 / omega - 0.002)).max() < 1e-12
+    assert np.abs(made.axes["X"] - (5 - 0.1 * (made.time - 0.002))).max() < 1e-13
+
+
+def test_a_measured_response_gives_what_the_axis_it_was_measured_on_gives():
+    axis = SecondOrder(frequency_hz=90, damping=0.6, velocity_feedforward=1)
+    f = np.geomspace(0.05, 5000, 20000)
+    measured = FrequencyResponse(frequency_hz=f, magnitude=np.abs(axis.at(f)), phase=np.angle(axis.at(f)))
+    given = motion(machine(), points=801, seconds=0.8)
+    exact = track(given, machine("hermite", Z=Axis(response=axis, dead_time=0.001)), chord=1e-5)
+    made = track(given, machine("hermite", Z=Axis(response=measured, dead_time=0.001)), chord=1e-5)
+    z = np.interp(made.time, exact.time, exact.axes["Z"])
+    lag = np.abs(exact.axes["Z"] - np.interp(exact.time, given.time, given.axes["Z"])).max()
+    middle = (made.time > 0.1) & (made.time < 0.7)
+    assert np.abs(made.axes["Z"] - z)[middle].max() < 1e-3 * lag
+
+
+def test_a_controller_that_takes_fewer_blocks_slows_the_whole_motion():
+    given = motion(machine(), points=401)  # 1000 blocks a second
+    made = track(given, machine(block_rate=400), chord=1)
+    assert made.time[-1] == pytest.approx(0.4 * 2.5, rel=1e-6)
+    assert np.abs(made.axes["Z"] - given.axes["Z"]).max() < 1e-16
+
+
+def test_a_short_look_ahead_keeps_the_spindle_slow():
+    # Two blocks of 0.007 rad each in 1 ms: w^2 / 2a <= 0.014 rad allows w = sqrt(0.028 * 100) rad/s.
+    given = motion(machine(), points=401)
+    made = track(given, machine(look_ahead=2, C=Axis(acceleration=100.0)), chord=1)
+    assert made.time[-1] == pytest.approx(0.4 * 7.0 / np.sqrt(0.028 * 100), rel=1e-6)
