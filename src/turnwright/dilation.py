@@ -15,9 +15,9 @@ and again at every point that Newton visits, that is at the density of the progr
 that may be the greatest within the sampling error is refined, on either side of each kink or step, and the greatest is
 taken. Points that share an azimuth share one sampled line, so that this costs a few evaluations a point.
 
-*The rim.* The nose hangs over the outermost turn, so the surface is continued as far as the arc reaches from there;
-what a formula does farther out keeps no tool away. Nor does what it does under that overhang, if it would lift a tip
-off the part: then nothing counts outside the rim, for every tip that would have touched there.
+*The rim.* The nose hangs over the outermost turn. A surface with one tangent as far as the arc reaches from there is
+continued so far; of any other nothing counts outside the rim, where a formula may run away, step or end and nothing is
+to be left. Either rule is the same for all tips, so that neighbours agree, and neither lifts a tip off the part.
 
 Sources
 -------
@@ -58,8 +58,6 @@ WIDEST = 32
 """How far up the flanks a contact is looked for, in half widths of the arc."""
 BESIDE = 1e-9
 """How far from a kink or step its slopes are looked at, which only say to which side it rises. [mm]"""
-LIFTED = 1e-9
-"""By how much what lies outside the rim must lift a tip to be left out. [mm]"""
 
 
 class Touch(NamedTuple):
@@ -93,10 +91,6 @@ class _Breaks(NamedTuple):
 
 class _NarrowWindow(Exception):  # noqa: N818 - a signal between two functions
     """The edge touches beyond the window looked at."""
-
-
-class _RunsAway(Exception):  # noqa: N818 - as above
-    """Outside the rim the surface is too high for the edge to come down."""
 
 
 def tip_height(
@@ -135,8 +129,8 @@ def touch(
         +1 where the angle grows with time, -1 where it falls.
     rim
         How far from the axis the surface is wanted; no nearer than the farthest tip. Outside, it is continued under
-        the arc of the outermost tips, unless it ends there, or keeps a tip off the place that it would touch inside:
-        then the edge is lowered onto what is inside alone, if need be onto the rim. By default all of it counts. [mm]
+        the arc of the outermost tips if it has one tangent as far; otherwise it counts as ended, and an edge that would
+        touch outside is lowered onto the rim. By default all of the surface counts. [mm]
     progress
         Called with (done, total).
 
@@ -165,23 +159,7 @@ def touch(
         run_chunks(work, angle.size, CHUNK, progress)
         if not doubtful:
             return out
-    try:
-        contact.search(angle, radius, out, progress)
-    except _RunsAway:
-        contact.end = contact.rim
-        contact.search(angle, radius, out, progress)
-        return out
-    beyond = np.flatnonzero(np.hypot(out.x, out.y) > contact.rim * (1 + 1e-12))
-    if beyond.size:
-        # Those in between, which touch inside, are found again; so whole turns go together.
-        some = slice(int(beyond[0]), int(beyond[-1]) + 1)
-        lowered = Touch(*(np.empty(some.stop - some.start) for _ in range(5)))
-        contact.end = contact.rim
-        contact.search(angle[some], radius[some], lowered, None)
-        inside = np.hypot(lowered.x, lowered.y) < contact.rim - BESIDE
-        if contact.open_end or (inside & (out.z[some] - lowered.z > LIFTED)).any():
-            for all_, values in zip(out, lowered, strict=True):
-                all_[some] = values
+    contact.search(angle, radius, out, progress)
     return out
 
 
@@ -215,11 +193,8 @@ class _Contact:
         self.feature = max(surface.feature_size, FINEST * float(self.row[0]))
         # What the plan covers.
         outermost = max(abs(self.nearest), abs(self.farthest))
-        self.reach = outermost + max(self.arc[1], -self.arc[0])
-        # Where the surface is wanted, as far as which it counts, and whether an edge touched its end outside the rim.
         self.rim = max(rim, outermost)
-        self.end = self.rim + max(self.arc[1], -self.arc[0])
-        self.open_end = False
+        self.reach = (self.rim if self.rim < np.inf else outermost) + max(self.arc[1], -self.arc[0])
 
     def edge_curvature(self) -> float:
         """Return the least curvature of the edge anywhere on its arc, as height over distance. [1/mm]."""
@@ -273,7 +248,9 @@ class _Contact:
         there = np.isfinite(bend) & np.isfinite(slope)
         if inside is not None:
             there &= inside
-        return np.where(there, slope, 0.0), np.where(there, bend, -np.inf)
+        # With a rim there must be one tangent as far as the arc reaches, or all tips are searched for.
+        elsewhere = np.inf if self.rim < np.inf else -np.inf
+        return np.where(there, slope, 0.0), np.where(there, bend, elsewhere)
 
     def newton(self, angle: Floats, radius: Floats, out: Touch) -> bool:
         """Fill ``out`` with the tangent solution; return whether it is certain to be the only one."""
@@ -404,8 +381,6 @@ class _Contact:
                 part = self._touch(angle[some], radius[some], counts, step, low, high)
             except _NarrowWindow:
                 if high > WIDEST * self.arc[1]:
-                    if self.end > self.rim:
-                        raise _RunsAway from None
                     raise GougeError(
                         f"with the tip {radius[some[0]]:.6g} mm from the axis the surface stands above the edge "
                         f"even {high:.3g} mm up its flanks: take a tool with a larger included angle, or a surface "
@@ -447,8 +422,6 @@ class _Contact:
         z = direct - self.row[7]
         self.kernel.keep_highest(found.point, top, sweep, z, best, ended)
         if not np.isfinite(z).all():
-            if self.end > self.rim:
-                raise _RunsAway
             k = int(np.argmin(np.isfinite(z)))
             raise GougeError(
                 f"no place on the edge touches with the tip {radius[k]:.6g} mm from the axis at azimuth "
@@ -461,13 +434,13 @@ class _Contact:
         return part
 
     def _judge_ends(self, angle: Floats, radius: Floats, at: Touch) -> None:
-        """Refuse contacts at an end of the surface inside the rim, and on a flank at the rim; note those outside."""
+        """Refuse contacts at an end of the surface, unless it is the rim and the arc that touches."""
         distance = np.hypot(at.x, at.y)
         inside = distance < self.rim * (1 - 1e-9)
         if inside.any():
             k = int(np.argmax(inside))
             self._outside(float(angle[k]), float(radius[k]))
-        on_flank = (distance <= self.rim * (1 + 1e-9)) & ((at.sweep < self.row[1]) | (at.sweep > self.row[2]))
+        on_flank = (at.sweep < self.row[1]) | (at.sweep > self.row[2])
         if on_flank.any():
             k = int(np.argmax(on_flank))
             raise GougeError(
@@ -476,7 +449,6 @@ class _Contact:
                 "is steeper than the flank: take a tool with a larger included angle, or reduce the clear radius or "
                 "the lead-in"
             )
-        self.open_end |= self.end > self.rim
 
     def _heights(self, x: Floats, y: Floats) -> Floats:
         """Return the surface's heights, -inf where it is not defined or does not count."""
@@ -484,9 +456,8 @@ class _Contact:
             heights = self.surface.evaluate(x, y, 0)[0]
         inside = self.surface.inside(x, y)
         missing = np.isnan(heights) if inside is None else ~inside | np.isnan(heights)
-        if self.end < np.inf:
-            distance = np.hypot(x, y)
-            missing |= (distance > self.end) | ((distance > self.rim) & (heights == np.inf))
+        if self.rim < np.inf:
+            missing |= np.hypot(x, y) > self.rim
         heights[missing] = -np.inf
         return heights
 
