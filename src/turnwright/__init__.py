@@ -62,7 +62,7 @@ if TYPE_CHECKING:
         Zernike,
     )
     from turnwright.tool import Tool, WavinessTable
-    from turnwright.tracking import track
+    from turnwright.tracking import precorrect, track
 
 _HOMES = {
     "access": ("Access", "Finding", "check_access"),
@@ -119,7 +119,7 @@ _HOMES = {
         "Zernike",
     ),
     "tool": ("Tool", "WavinessTable"),
-    "tracking": ("track",),
+    "tracking": ("precorrect", "track"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -189,6 +189,7 @@ __all__ = [
     "generate_polar",
     "inspect_nc",
     "place",
+    "precorrect",
     "predict",
     "preview",
     "read_edge_trace",

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turnwright._arrays import Floats, positive
-from turnwright.errors import LimitError
-from turnwright.machine import INTERPOLATIONS, Machine
+from turnwright.errors import InputError, LimitError
+from turnwright.machine import INTERPOLATIONS, Axis, Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress
 from turnwright.response import FrequencyResponse, RationalResponse, Response
 
-__all__ = ["track"]
+__all__ = ["precorrect", "track"]
 
 APART = 1e-4
 """Poles nearer to each other than this, relatively, are set this far apart: the response changes by its square."""
@@ -100,6 +100,110 @@ def track(
         parts = math.ceil(math.sqrt(bulge / chord))
     told(len(axes), len(axes))
     return Motion(time=at - at[0], axes=axes, machine=motion.machine)
+
+
+def precorrect(
+    motion: Motion,
+    machine: Machine | None = None,
+    *,
+    bandwidth_hz: float | None = None,
+    rounds: int = 2,
+    progress: Progress | None = None,
+) -> Motion:
+    r"""Return the commanded motion whose real axes pass where a motion was meant to pass.
+
+    What the axes miss at the points, :math:`e = r - y`, is found by `track` itself, interpolation, dead time and all,
+    and added to the command through the inverse of each axis within its bandwidth, :math:`Q/H`; again and again, since
+    points are not a smooth curve. Each round leaves about :math:`1 - Q` of an error, and :math:`1 - Q H_{real}/H` of it
+    where the axis is not as the machine file says. A motion that asks for more than the bandwidth keeps that part of
+    its error, and the corrected one asks more of the axes: check its limits.
+
+    Parameters
+    ----------
+    motion
+        Where the axes shall pass at the given times.
+    machine
+        Whose controller and servos follow it; ``motion.machine`` if not given.
+    bandwidth_hz
+        Where the correction ends, by a smooth low pass without phase. If not given, for each axis the frequency at
+        which it answers with half its command or less, and at most a third of the block rate. [Hz]
+    rounds
+        Corrections, one upon the other.
+    progress
+        Called with (rounds done, rounds in all).
+
+    Raises
+    ------
+    InputError
+        If the bandwidth is not positive or there is no round.
+    LimitError
+        If the controller would slow the motion down, so that its times do not hold.
+
+    Sources
+    -------
+    Iterative learning control with the inverse model as learning filter [Bristow2006]_.
+    """
+    machine = machine or motion.machine
+    if bandwidth_hz is not None:
+        positive(bandwidth_hz, "bandwidth_hz", "Hz")
+    if rounds < 1:
+        raise InputError(f"rounds is {rounds}, it must be at least 1: give the number of corrections")
+    if _paced(motion, machine) is not motion.time:
+        raise LimitError(
+            f"{machine.name} slows this motion down by its block rate or look-ahead, so the times of its points do not "
+            "hold: turn slower, or take fewer points"
+        )
+    time = motion.time
+    axes = dict(motion.axes)
+    for done in range(rounds):
+        for letter, wanted in motion.axes.items():
+            axis = machine.axes.get(letter)
+            if axis is None:
+                continue
+            missed = wanted - _follow(letter, axes[letter], time, machine, time)
+            axes[letter] = axes[letter] + _inverted(missed, time, axis, bandwidth_hz)
+        if progress is not None:
+            progress(done + 1, rounds)
+    return Motion(time=time, axes=axes, machine=motion.machine)
+
+
+def _inverted(missed: Floats, time: Floats, axis: Axis, bandwidth_hz: float | None) -> Floats:
+    """Return the command within the bandwidth to which an axis answers with what was missed."""
+    from scipy import fft  # noqa: PLC0415 - costly to import
+
+    step = float(np.diff(time).min())
+    even = np.linspace(time[0], time[-1], math.ceil((time[-1] - time[0]) / step * (1 - 1e-9)) + 1)
+    step = float(even[1] - even[0])
+    uneven = even.size != time.size
+    values = np.interp(even, time, missed) if uneven else missed
+    # Beyond both ends the error goes on as in a mirror and dies out, so that neither end sees the other.
+    wing = min(math.ceil(QUIET_S / step), values.size - 1)
+    fading = 0.5 * (1 + np.cos(np.pi * np.arange(1, wing + 1) / (wing + 1)))
+    right, left = values[-2 : -wing - 2 : -1] * fading, values[1 : wing + 1] * fading
+    size = fft.next_fast_len(values.size + 2 * wing, real=True)
+    wide = np.zeros(size)
+    wide[: values.size] = values
+    wide[values.size : values.size + wing] = right
+    wide[size - wing :] = left[::-1]
+    frequency = fft.rfftfreq(size, step)
+    answer = np.ones(frequency.size, dtype=np.complex128)
+    if axis.response is not None:
+        answer *= axis.response.at(frequency)
+    band = bandwidth_hz or _band(axis.response, 1 / step)
+    answer *= np.exp(-2j * np.pi * frequency * (axis.dead_time or 0.0))
+    spectrum = fft.rfft(wide) / answer / (1 + (frequency / band) ** 16)
+    made: Floats = fft.irfft(spectrum, size)[: values.size]
+    return np.interp(time, even, made) if uneven else made
+
+
+def _band(response: Response | None, rate_hz: float) -> float:
+    """Return up to where an axis can be corrected. [Hz]."""
+    most = rate_hz / 3
+    if response is None:
+        return most
+    asked = most * np.geomspace(1e-4, 1, 2000)
+    weak = np.flatnonzero(np.abs(response.at(asked)) <= 0.5)
+    return float(asked[weak[0]]) if weak.size else most
 
 
 def _paced(motion: Motion, machine: Machine) -> Floats:
