@@ -25,11 +25,12 @@ from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress, run_chunks
-from turnwright.tool import Tool
+from turnwright.tool import Profile, Tool
 
 __all__ = ["generate", "generate_points", "generate_polar"]
 
 RINGS = 200
+"""How many rings settle beforehand which turns can matter, where two passes cross at most once; tenfold elsewhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,13 @@ class _Cut:
     profile: Floats
     table: Floats
     convex: bool
+    gap: float  # the most that the edge sinks back on its way out from the tip [mm]
+    bend: float  # the most that its slope falls back on its way toward +X
+
+    @property
+    def feed(self) -> float:
+        """Mean advance per turn. [mm]."""
+        return float((self.bounds[1].max() - self.bounds[0].min()) / (self.starts.size - 1))
 
     @property
     def upright(self) -> bool:
@@ -68,11 +76,30 @@ def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
     turns = max(int(np.ceil(abs(c[-1] - c[0]) / (2 * np.pi) - 1e-12)), 1)
     starts = np.empty(turns + 1, dtype=np.int64)
     kernel.turn_starts(c, motion.sense, starts)
-    bounds = np.empty((4, turns))
+    bounds = np.empty((7, turns))
     edge = tool.table(motion.sense)
-    kernel.turn_bounds(x, z, starts, edge.row[5], bounds)
+    kernel.turn_bounds(c, x, y, z, motion.sense, starts, edge.row[5], bounds)
     profile = tool.profile()
-    return _Cut(c, x, y, z, motion.sense, starts, bounds, edge.row, profile.row, profile.table, profile.convex)
+    gap, bend = (0.0, 0.0) if profile.table.size == 0 else _falls(profile)
+    return _Cut(c, x, y, z, motion.sense, starts, bounds, edge.row, *profile, gap, bend)
+
+
+def _falls(profile: Profile) -> tuple[float, float]:
+    """Return the most that a wavy edge sinks back on its way out, and that its slope falls back toward +X."""
+    from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
+
+    _, low, _, slope_low, high, _, slope_high, *_ = profile.row
+    if slope_low > 0 or slope_high < 0:
+        return kernel.FAR, kernel.FAR
+    gap, bend = 0.0, 0.0
+    for end in (low, high):
+        u = np.linspace(0.0, end, 20_001)
+        w, slope = kernel.sampled(*profile[:2], u)
+        # Between two samples it is off their chord by a fourth of what its slope changes.
+        gap = max(gap, float((np.maximum.accumulate(w) - w).max() + abs(u[1] * np.diff(slope)).max() / 2))
+        slope = slope if end > 0 else slope[::-1]
+        bend = max(bend, float((np.maximum.accumulate(slope) - slope).max()))
+    return gap, 0.0 if profile.convex else 2 * bend
 
 
 def _ascending(values: ArrayLike, name: str) -> Floats:
@@ -148,16 +175,26 @@ def _in_tiles(cut: _Cut, x: Floats, y: Floats, tiles: _Tiles, progress: Progress
     from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
 
     out = np.empty(x.size)
-    # Which turns can matter at all is settled once for each of a few hundred rings, if the edge allows to say.
-    rings = np.linspace(0.0, np.hypot(x, y).max(initial=0.0) * (1 + 1e-9) + 1e-9, RINGS + 1)
-    useful = np.empty((RINGS if cut.upright and cut.convex else 0, 2, 2), dtype=np.int64)
-    if useful.size:
+    # Which turns can matter at all is settled once for each of some hundred rings.
+    radius = np.hypot(x, y)
+    high = radius.max(initial=0.0) * (1 + 1e-9) + 1e-9
+    low = radius.min(initial=high) * (1 - 1e-9)
+    most = RINGS if cut.upright and cut.convex else 10 * RINGS
+    count = int(np.clip(2 * (high - low) / max(cut.feed, 1e-9), 1, min(most, x.size)))
+    rings = np.linspace(low, high, count + 1)
+    useful, core = np.empty((count, 2, 2), dtype=np.int64), np.zeros(count, dtype=np.bool_)
+    if cut.upright and cut.convex:
         kernel.useful_by_ring(cut.bounds, cut.profile, cut.table, rings, useful)
+    else:
+        most_y = float(np.abs(cut.y).max(initial=0.0))
+        kernel.useful_aside(
+            cut.bounds, cut.row, cut.profile, cut.table, cut.gap, cut.bend, most_y, rings, useful, core
+        )  # fmt: skip
 
     def work(start: int, stop: int) -> None:
         kernel.tiles(
-            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, rings, useful, cut.row, cut.profile,
-            cut.table, cut.convex, x, y, tiles.offsets, tiles.groups, start, stop, out,
+            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, rings, useful, core, cut.row,
+            cut.profile, cut.table, cut.gap, cut.bend, x, y, tiles.offsets, tiles.groups, start, stop, out,
         )  # fmt: skip
 
     groups = tiles.groups.size - 1
@@ -167,9 +204,7 @@ def _in_tiles(cut: _Cut, x: Floats, y: Floats, tiles: _Tiles, progress: Progress
 
 def _tile_side(cut: _Cut, pixel: float) -> int:
     """Return how many points a tile should be wide: one or two passes, up to where their slopes differ much."""
-    turns = cut.starts.size - 1
-    feed = (cut.bounds[1].max() - cut.bounds[0].min()) / turns
-    width = min(np.sqrt(8 * cut.profile[0] * 2e-5), max(2 * feed, 4 * pixel))
+    width = min(np.sqrt(8 * cut.profile[0] * 2e-5), max(2 * cut.feed, 4 * pixel))
     return int(np.clip(width / pixel, 1, 32)) if pixel > 0 else 1
 
 

@@ -69,6 +69,22 @@ class BruteForce:
             return np.inf
         return np.interp(at, self.c, self.z) + np.interp(aside(at)[1], self.u, self.e)
 
+    def swept(self, x, y, fine=100):
+        """Of every moment of the motion, those at which the edge passes over the point, however many a turn."""
+        r, azimuth = np.hypot(x, y), self.sense * np.arctan2(y, x)
+        steps = self.c.size - 1
+
+        def over(at):
+            u = r * np.cos(at - azimuth) - np.interp(at, self.c, self.x)
+            aside = -self.sense * r * np.sin(at - azimuth) - np.interp(u, self.u, self.v)
+            return aside, np.interp(at, self.c, self.z) + np.interp(u, self.u, self.e)
+
+        at = np.interp(np.linspace(0, steps, steps * fine + 1), np.arange(steps + 1), self.c)
+        aside, _ = over(at)
+        passes = np.flatnonzero(aside[1:] * aside[:-1] < 0)
+        roots = [brentq(lambda q: over(q)[0], at[i], at[i + 1], xtol=1e-15, rtol=1e-15) for i in passes]
+        return min((over(root)[1] for root in roots), default=np.inf)
+
 
 def bowl(x, y):
     return 0.03 * (x**2 + y**2) + 0.004 * np.sin(3 * x) * np.cos(2 * y) + 0.02 * x
@@ -107,8 +123,7 @@ def test_generated_surface_equals_brute_force_over_every_pass(name, how):
     x, y = rng.uniform(-0.6, 0.6, (2, 10))
     x[:4] *= 0.02  # close to the axis, where passes come from both sides
     y[:4] *= 0.02
-    # Nearer the axis than the tip is off centre, a wobbling tool passes over a point several times a turn, of which
-    # the root finder here knows one.
+    # Nearer the axis than the tip is off centre, a wobbling tool passes over a point several times a turn: see below.
     far = np.hypot(x, y) > 0.005
     x, y = x[far], y[far]
     expected = np.array([brute.at(*point) for point in zip(x, y, strict=True)])
@@ -116,6 +131,35 @@ def test_generated_surface_equals_brute_force_over_every_pass(name, how):
     reached = np.isfinite(expected)
     assert (np.isfinite(got) == reached).all()
     np.testing.assert_allclose(got[reached], expected[reached], atol=2e-11)
+
+
+@pytest.mark.parametrize("how", MOTIONS.values(), ids=MOTIONS)
+@pytest.mark.parametrize("name", ["off centre", "leaning"])
+def test_every_pass_of_a_turn_counts_close_to_the_axis(name, how):
+    motion = spiral_motion(1.0, 0.02, 37, bowl, **how)
+    brute = BruteForce(motion, TOOLS[name])
+    rng = np.random.default_rng(11)
+    r, azimuth = np.sqrt(rng.uniform(0, 0.008**2, 16)), rng.uniform(-np.pi, np.pi, 16)
+    x, y = np.append(r * np.cos(azimuth), 0.0), np.append(r * np.sin(azimuth), 0.0)
+    expected = np.array([brute.swept(*point) for point in zip(x, y, strict=True)])
+    got = tw.generate_points(motion, TOOLS[name], x=x, y=y)
+    reached = np.isfinite(expected)
+    assert (np.isfinite(got) == reached).all()
+    np.testing.assert_allclose(got[reached], expected[reached], atol=4e-11)
+
+
+@pytest.mark.parametrize(
+    "height", [lambda x, y: 0.4 * (x * x + y * y), lambda x, y: 0.2 * x * x - 0.1 * y * y + 0.1 * x]
+)
+@pytest.mark.parametrize("name", ["off centre", "leaning", "not convex"])
+def test_no_turn_that_matters_is_left_out(name, height):
+    """Steep and round, where few turns may matter, and far from round, where every turn reaches low somewhere."""
+    motion = spiral_motion(1.0, 0.004, 37, height)
+    brute = BruteForce(motion, TOOLS[name])
+    x, y = np.random.default_rng(3).uniform(-0.6, 0.6, (2, 600))
+    got = tw.generate_points(motion, TOOLS[name], x=x, y=y)  # many points at once, so that the rings are narrow
+    expected = [brute.at(x[i], y[i]) for i in range(6)]
+    np.testing.assert_allclose(got[:6], expected, atol=2e-11)
 
 
 @pytest.mark.parametrize("how", MOTIONS.values(), ids=MOTIONS)

@@ -32,8 +32,11 @@ def turn_starts(c, sense, starts):
 
 
 @jit
-def turn_bounds(x, z, starts, dx, out):
-    """Fill ``out`` (4, turns): least and greatest tip position, least and greatest height within each turn."""
+def turn_bounds(c, x, y, z, sense, starts, dx, out):
+    """Fill ``out`` (7, turns) with what holds all through each turn.
+
+    Least and greatest tip position, least and greatest height, most that the tip, its height and Y move per radian.
+    """
     n = x.size
     for m in range(out.shape[1]):
         first, last = max(starts[m] - 1, 0), min(starts[m + 1] + 1, n)
@@ -42,6 +45,13 @@ def turn_bounds(x, z, starts, dx, out):
             low, high = min(low, x[i]), max(high, x[i])
             bottom, top = min(bottom, z[i]), max(top, z[i])
         out[0, m], out[1, m], out[2, m], out[3, m] = low + dx, high + dx, bottom, top
+        out[4:, m] = 0.0
+        for i in range(first, last - 1):
+            step = sense * (c[i + 1] - c[i])
+            out[4, m] = max(out[4, m], abs(x[i + 1] - x[i]) / step)
+            out[5, m] = max(out[5, m], abs(z[i + 1] - z[i]) / step)
+            if y.size > 0:
+                out[6, m] = max(out[6, m], abs(y[i + 1] - y[i]) / step)
 
 
 @jit
@@ -62,6 +72,15 @@ def guess_index(c, sense, t, starts):
     m = min(max(int(along), 0), starts.size - 2)
     share = min(max(along - m, 0.0), 1.0)
     return starts[m] + int(share * (starts[m + 1] - starts[m]))
+
+
+@jit
+def sampled(profile, table, u):
+    """Return (2, n) height and slope of the edge at ``u``."""
+    out = np.empty((2, u.size))
+    for i in range(u.size):
+        out[0, i], out[1, i] = height(profile, table, u[i]), slope(profile, table, u[i])
+    return out
 
 
 @jit
@@ -335,29 +354,21 @@ def polar_block(c, x, z, sense, starts, bounds, dx, dz, profile, table, radius, 
 
 
 @jit
-def stand(c, x, y, z, sense, row, profile, table, t, r, side, aside, hint):
-    """Let the tool stand where the point, at (r, t along the motion), lies ``aside`` of the plane through the axis.
+def stand(c, x, y, z, sense, row, profile, table, at, along, hint):
+    """Let the tool stand at ``at``, where a point lies ``along`` from the axis within its plane.
 
-    Return (height of the edge over the point, how far aside the edge itself is there, place on the edge, index, whether
-    the motion gets there): the tool passes over the point where the two agree.
+    Return (height of the edge over the point, how far aside of the plane the edge is there, place on the edge, index):
+    the tool passes over the point where the point itself is as far aside.
     """
-    begin, end = sense * c[0], sense * c[c.size - 1]
-    sign = 1.0 if side == 0 else -1.0
-    at = t
-    if aside != 0.0:
-        at -= sign * sense * np.arcsin(max(-1.0, min(1.0, aside / r)))
-    reached = begin - ROUNDING <= at <= end + ROUNDING
-    at = min(max(at, begin), end)
     i = locate(c, sense, at, hint)
     ci = sense * c[i]
     share = (at - ci) / (sense * c[i + 1] - ci)
-    tip = x[i] + share * (x[i + 1] - x[i]) + row[5]
-    u = sign * np.sqrt(max(r * r - aside * aside, 0.0)) - tip
+    u = along - (x[i] + share * (x[i + 1] - x[i]) + row[5])
     w = height(profile, table, u)
     across = row[6] + row[4] * w
     if y.size > 0:
         across += y[i] + share * (y[i + 1] - y[i])
-    return z[i] + share * (z[i + 1] - z[i]) + row[7] + row[3] * w, across, u, i, reached
+    return z[i] + share * (z[i + 1] - z[i]) + row[7] + row[3] * w, across, u, i
 
 
 @jit
@@ -365,43 +376,96 @@ def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
     """Return (height, index, u) of one pass over the point at distance ``r`` whose azimuth along the motion is ``t``.
 
     An edge out of the radial plane by v passes over the point not at ``t`` but where the point stands v aside,
-    r sin(azimuth of the point - azimuth of the tool) = v(u). A fixed point, which contracts by about feed / r, or close
-    to the axis bisection. The height is FAR where the tool does not pass over the point at all.
+    r sin(azimuth of the point - azimuth of the tool) = v(u). A fixed point, which contracts to half or less outside the
+    core (see `useful_aside`). The height is FAR where the tool does not pass over the point at all.
     """
+    begin, end = sense * c[0], sense * c[c.size - 1]
+    sign = 1.0 if side == 0 else -1.0
     if row[4] == 0.0 and row[6] == 0.0 and y.size == 0:
-        begin, end = sense * c[0], sense * c[c.size - 1]
         if t < begin - ROUNDING or t > end + ROUNDING:
             return FAR, hint, 0.0
+        # What `stand` does, without what is aside: a third faster.
         at = min(max(t, begin), end)
         i = locate(c, sense, at, hint)
         ci = sense * c[i]
         share = (at - ci) / (sense * c[i + 1] - ci)
-        u = (r if side == 0 else -r) - (x[i] + share * (x[i + 1] - x[i]) + row[5])
+        u = sign * r - (x[i] + share * (x[i + 1] - x[i]) + row[5])
         return z[i] + share * (z[i + 1] - z[i]) + row[7] + height(profile, table, u), i, u
-    if r == 0.0:
-        return FAR, hint, 0.0
     aside, i = 0.0, hint
     for _ in range(50):
-        h, across, u, i, reached = stand(c, x, y, z, sense, row, profile, table, t, r, side, aside, i)
+        at = t - sign * sense * np.arcsin(aside / r)
+        held = min(max(at, begin), end)
+        along = sign * np.sqrt(r * r - aside * aside)
+        h, across, u, i = stand(c, x, y, z, sense, row, profile, table, held, along, i)
         if abs(across) > r:
             break
         if abs(across - aside) < 1e-15:
-            return (h if reached else FAR), i, u
+            return (h if abs(at - held) <= ROUNDING else FAR), i, u
         aside = across
-    low, high = -r, r
-    _, at_low, _, i, _ = stand(c, x, y, z, sense, row, profile, table, t, r, side, low, i)
-    _, at_high, _, i, _ = stand(c, x, y, z, sense, row, profile, table, t, r, side, high, i)
-    if at_low < low or at_high > high:
-        return FAR, i, 0.0
-    for _ in range(60):
-        aside = 0.5 * (low + high)
-        _, across, _, i, _ = stand(c, x, y, z, sense, row, profile, table, t, r, side, aside, i)
-        if across > aside:
-            low = aside
-        else:
-            high = aside
-    h, _, u, i, reached = stand(c, x, y, z, sense, row, profile, table, t, r, side, aside, i)
-    return (h if reached else FAR), i, u
+    return FAR, i, 0.0
+
+
+@jit
+def core_height(
+    c, x, y, z, sense, starts, bounds, row, profile, table, gap, bend, r, azimuth, first, last,
+):  # fmt: skip
+    """Return the height at one point close to the axis, where a turn may pass over it at any number of moments.
+
+    The point stands aside of the edge by F(t) = -sense r sin(t - azimuth) - v. Every root of F that can be lowest is
+    in a piece of a turn that bounds of F and of the height over it cannot exclude; such pieces are halved.
+    """
+    begin, end = sense * c[0], sense * c[c.size - 1]
+    floor = np.empty(last - first + 1)
+    for m in range(first, last + 1):
+        beyond = max(bounds[0, m] - r, -r - bounds[1, m], 0.0)
+        least = min(height(profile, table, beyond), height(profile, table, -beyond)) - gap
+        floor[m - first] = bounds[2, m] + row[7] + row[3] * least
+    pieces = np.empty((64, 2))
+    lowest = FAR
+    for k in np.argsort(floor):
+        if floor[k] > lowest:
+            break
+        m = first + k
+        pieces[0, 0] = begin + TURN * m - ROUNDING
+        pieces[0, 1] = min(begin + TURN * (m + 1), end) + ROUNDING
+        depth, i = 1, starts[m]
+        speed = r + bounds[4, m]
+        while depth > 0:
+            depth -= 1
+            a, b = pieces[depth, 0], pieces[depth, 1]
+            at, half = 0.5 * (a + b), 0.5 * (b - a)
+            i = guess_index(c, sense, at, starts) if half > 0.1 else i
+            h, across, u, i = stand(c, x, y, z, sense, row, profile, table, at, r * np.cos(at - azimuth), i)
+            aside = -sense * r * np.sin(at - azimuth) - across
+            du = speed * half
+            g = max(abs(slope(profile, table, u - du)), abs(slope(profile, table, u + du))) + bend
+            if h - (bounds[5, m] + row[3] * g * speed) * half > lowest - 1e-14:
+                continue
+            if abs(aside) < 1e-15:
+                lowest = min(lowest, h)
+            if abs(aside) > (r + abs(row[4]) * g * speed + bounds[6, m]) * half:
+                continue
+            # Two roots within a microradian, that no change of sign betrays: 1e-13 r further in there are none.
+            if half > 5e-7:
+                pieces[depth, 0], pieces[depth, 1] = a, at
+                pieces[depth + 1, 0], pieces[depth + 1, 1] = at, b
+                depth += 2
+                continue
+            _, across, _, i = stand(c, x, y, z, sense, row, profile, table, a, r * np.cos(a - azimuth), i)
+            aside_a = -sense * r * np.sin(a - azimuth) - across
+            _, across, _, i = stand(c, x, y, z, sense, row, profile, table, b, r * np.cos(b - azimuth), i)
+            if (aside_a > 0.0) == (-sense * r * np.sin(b - azimuth) - across > 0.0):
+                continue
+            for _ in range(24):
+                if (aside > 0.0) == (aside_a > 0.0):
+                    a = at
+                else:
+                    b = at
+                at = 0.5 * (a + b)
+                h, across, _, i = stand(c, x, y, z, sense, row, profile, table, at, r * np.cos(at - azimuth), i)
+                aside = -sense * r * np.sin(at - azimuth) - across
+            lowest = min(lowest, h)
+    return lowest
 
 
 @jit
@@ -459,12 +523,81 @@ def useful_by_ring(bounds, profile, table, rings, out):
 
 
 @jit
-def gather(c, sense, starts, rings, useful, low, high, middle, side, shift, hint):
+def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, core):
+    """Fill ``out`` like `useful_by_ring`, for any edge; mark in ``core`` the rings that need `core_height`.
+
+    Some pass is over every point of the ring, which gives a ceiling to the surface. A pass under the ceiling has its
+    edge at most W above the tip, so at most A aside, and stands between sqrt(r^2 - A^2) and r from the axis in its own
+    plane. There its distance aside changes by a share of the place aside; where that is at most a half, up to 2 A, a
+    fixed point finds it, and it is the only one of its side. ``gap`` is the most that the edge sinks back on its
+    way out from the tip, ``bend`` the most that its slope falls back.
+    """
+    turns = bounds.shape[1]
+    lean, off = abs(row[4]), abs(row[6]) + most_y
+    dip = max(gap - height(profile, table, 0.0), 0.0)  # the most that the edge is below the tip
+    ranges = np.empty((2, 2, turns))  # of the tip, mirrored for the other side; of its own and its neighbouring turns
+    for m in range(turns):
+        before, after = max(m - 1, 0), min(m + 2, turns)
+        low, high = bounds[0, before:after].min(), bounds[1, before:after].max()
+        ranges[0, 0, m], ranges[0, 1, m] = low, high
+        ranges[1, 0, m], ranges[1, 1, m] = -high, -low
+    for ring in range(rings.size - 1):
+        low, high = rings[ring], rings[ring + 1]
+        ceiling = FAR
+        for which in range(2):
+            for m in range(1, turns - 2):
+                first, last = ranges[which, 0, m], ranges[which, 1, m]
+                reach = max(abs(low - last), abs(high - first))
+                most = max(height(profile, table, reach), height(profile, table, -reach)) + gap
+                aside = 2.0 * (off + lean * max(most, dip))
+                if aside > low:
+                    continue
+                reach = max(abs(np.sqrt(low * low - aside * aside) - last), abs(high - first))
+                most = max(height(profile, table, reach), height(profile, table, -reach)) + gap
+                if off + lean * max(most, dip) <= aside:
+                    top = max(bounds[3, m - 1], bounds[3, m], bounds[3, m + 1])
+                    ceiling = min(ceiling, top + row[7] + row[3] * most)
+        most = 0.0
+        for which in range(2):
+            side = -1.0 if which == 1 else 1.0
+            out[ring, which, 0], out[ring, which, 1] = turns, -1
+            for m in range(turns):
+                rise = (ceiling - bounds[2, m] - row[7]) / row[3]
+                aside = off + lean * max(rise, dip)
+                inner = np.sqrt(max(low * low - aside * aside, 0.0)) if aside < low else 0.0
+                first = -bounds[1, m] if which == 1 else bounds[0, m]
+                last = -bounds[0, m] if which == 1 else bounds[1, m]
+                u = high - first if first > high else max(inner - last, 0.0)
+                if height(profile, table, side * u) - gap <= rise:
+                    out[ring, which, 0] = min(out[ring, which, 0], m)
+                    out[ring, which, 1] = m
+                    most = max(most, aside)
+        core[ring] = 2.0 * most >= low
+        if core[ring]:
+            continue
+        inner = np.sqrt(low * low - 4.0 * most * most)
+        for which in range(2):
+            side = -1.0 if which == 1 else 1.0
+            for m in range(max(out[ring, which, 0] - 1, 0), min(out[ring, which, 1] + 2, turns)):
+                near = slope(profile, table, side * (inner - ranges[which, 1, m]))
+                far = slope(profile, table, side * (high - ranges[which, 0, m]))
+                g = lean * (max(abs(near), abs(far)) + bend)
+                core[ring] = core[ring] or g * (2.0 * most + bounds[4, m]) + bounds[6, m] > 0.5 * inner
+
+
+@jit
+def rings_between(rings, low, high):
+    """Return the first ring between the distances ``low`` and ``high`` from the axis, and the one after the last."""
+    inner, outer = np.searchsorted(rings, low, side="right") - 1, np.searchsorted(rings, high)
+    return max(inner, 0), min(max(outer, inner + 1), rings.size - 1)
+
+
+@jit
+def gather(c, sense, starts, rings, useful, upright, low, high, middle, side, shift, hint):
     """List every pass that may matter between the distances ``low`` and ``high`` from the axis, near one azimuth.
 
     Pass k comes from ``side`` k and passes over the azimuth a (along the motion) at a + ``shift`` k; ``hint`` k is
-    where in the motion to look. ``useful`` is of `useful_by_ring`, or empty if every turn may matter everywhere. Return
-    how many there are.
+    where in the motion to look. ``useful`` is of `useful_by_ring` or `useful_aside`. Return how many there are.
     """
     turns = starts.size - 1
     begin = sense * c[0]
@@ -472,14 +605,14 @@ def gather(c, sense, starts, rings, useful, low, high, middle, side, shift, hint
     for which in range(2):
         along = middle + (np.pi if which == 1 else 0.0)
         start = along + TURN * np.ceil((begin - along - ROUNDING) / TURN)
-        first, last = 0, turns - 1
-        if useful.shape[0] > 0:
-            first, last = turns, -1
-            inner, outer = np.searchsorted(rings, low, side="right") - 1, np.searchsorted(rings, high)
-            for ring in range(max(inner, 0), min(max(outer, inner + 1), useful.shape[0])):
-                first, last = min(first, useful[ring, which, 0]), max(last, useful[ring, which, 1])
-        # At either end of the motion a pass more, which may cover some azimuths of a tile and not others.
-        for m in range(first - 1 if first == 0 else first, last + 2 if last == turns - 1 else last + 1):
+        first, last = turns, -1
+        for ring in range(*rings_between(rings, low, high)):
+            first, last = min(first, useful[ring, which, 0]), max(last, useful[ring, which, 1])
+        # At either end of the motion a pass more, which may cover some azimuths of a tile and not others; everywhere
+        # for a tool that passes over an azimuth up to a quarter turn early or late.
+        before = 1 if first == 0 or not upright else 0
+        after = 1 if last == turns - 1 or not upright else 0
+        for m in range(max(first - before, -1), min(last + after, turns) + 1):
             t = start + TURN * m
             side[found], shift[found], hint[found] = which, t - middle, guess_index(c, sense, t, starts)
             found += 1
@@ -487,11 +620,12 @@ def gather(c, sense, starts, rings, useful, low, high, middle, side, shift, hint
 
 
 @jit
-def shorten(c, x, y, z, sense, row, profile, table, convex, rc, ac, hr, ha, count, side, shift, hint, work, chosen):
+def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count, side, shift, hint, work, chosen):
     """Choose the passes that can be lowest within (hr, ha) of the place (rc, ac); return how many.
 
     A pass can if its height in the middle, less the most that its slope can differ within reach from the slope of the
-    pass that is lowest in the middle, comes below the lowest. ``work`` (3, count) is scratch.
+    pass that is lowest in the middle, comes below the lowest. ``bend`` is the most that the slope of the edge falls
+    back on its way toward +X. ``work`` (3, count) is scratch.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
     upright = row[4] == 0.0 and row[6] == 0.0 and y.size == 0
@@ -530,11 +664,9 @@ def shorten(c, x, y, z, sense, row, profile, table, convex, rc, ac, hr, ha, coun
             rise, fall = max(rise, rate), min(fall, rate)
         du = slack * (hr + drift * ha)
         g1, g2 = row[3] * slope(profile, table, u - du), row[3] * slope(profile, table, u + du)
-        # An edge that is not convex may be steeper in between; waves steeper than 5 % do not exist.
-        bend = 0.0 if convex else abs(g2 - g1) + 0.05
         sign = 1.0 if side[k] == 0 else -1.0
-        dev_r = max(abs(sign * g1 - steer_r), abs(sign * g2 - steer_r)) + bend
-        dev_a = max(abs(rise - steer_a), abs(fall - steer_a)) + max(abs(g1), abs(g2)) * drift
+        dev_r = max(abs(sign * g1 - steer_r), abs(sign * g2 - steer_r)) + row[3] * bend
+        dev_a = max(abs(rise - steer_a), abs(fall - steer_a)) + (max(abs(g1), abs(g2)) + row[3] * bend) * drift
         work[2, k] = slack * (hr * dev_r + ha * dev_a) + 1e-13
         ceiling = min(ceiling, work[0, k] + work[2, k])
     found = 0
@@ -556,7 +688,7 @@ def extent(values, start, stop):
 
 @jit
 def tiles(
-    c, x, y, z, sense, starts, bounds, rings, useful, row, profile, table, convex, px, py, offsets, groups,
+    c, x, y, z, sense, starts, bounds, rings, useful, core, row, profile, table, gap, bend, px, py, offsets, groups,
     start, stop, out,
 ):  # fmt: skip
     """Fill ``out`` at the points (px, py) of groups ``start`` to ``stop``.
@@ -590,24 +722,34 @@ def tiles(
                 azimuth[j] += TURN
             # A group around the axis spans all azimuths: its points share nothing, so each goes alone.
             together = together and r[j] > 0.0 and abs(azimuth[j] - azimuth[0]) < 0.5
+        rc, hr = extent(r, 0, count)
+        ac, ha = extent(azimuth, 0, count)
+        if not upright:
+            for ring in range(*rings_between(rings, rc - hr, rc + hr)):
+                together = together and not core[ring]
         if not together:
             for j in range(count):
                 i = origin + j
                 if r[j] == 0.0 and upright:
                     out[i] = axis_height(x, z, starts, bounds, row[5], row[7], profile, table)
                     continue
-                n = gather(c, sense, starts, rings, useful, r[j], r[j], azimuth[j], side, shift, hint)
+                ring, _ = rings_between(rings, r[j], r[j])
+                if core[ring] and not upright:
+                    out[i] = core_height(
+                        c, x, y, z, sense, starts, bounds, row, profile, table, gap, bend, r[j], azimuth[j],
+                        useful[ring, :, 0].min(), useful[ring, :, 1].max(),
+                    )  # fmt: skip
+                    continue
+                n = gather(c, sense, starts, rings, useful, upright, r[j], r[j], azimuth[j], side, shift, hint)
                 out[i] = FAR
                 for k in range(n):
                     t = azimuth[j] + shift[k]
                     h, _, _ = pass_at(c, x, y, z, sense, row, profile, table, t, r[j], side[k], hint[k])
                     out[i] = min(out[i], h)
             continue
-        rc, hr = extent(r, 0, count)
-        ac, ha = extent(azimuth, 0, count)
-        n = gather(c, sense, starts, rings, useful, rc - hr, rc + hr, ac, side, shift, hint)
+        n = gather(c, sense, starts, rings, useful, upright, rc - hr, rc + hr, ac, side, shift, hint)
         n = shorten(
-            c, x, y, z, sense, row, profile, table, convex, rc, ac, hr, ha, n, side, shift, hint, work, chosen
+            c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, side, shift, hint, work, chosen
         )  # fmt: skip
         for k in range(n):
             near_side[k], near_shift[k], near_hint[k] = side[chosen[k]], shift[chosen[k]], hint[chosen[k]]
@@ -616,7 +758,7 @@ def tiles(
             rc, hr = extent(r, first, last)
             ac, ha = extent(azimuth, first, last)
             few = shorten(
-                c, x, y, z, sense, row, profile, table, convex, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
+                c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
                 work, picked,
             )  # fmt: skip
             for j in range(first, last):
