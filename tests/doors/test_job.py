@@ -165,6 +165,14 @@ def test_a_pass_may_state_its_own_feed_and_points():
     assert (finish.feed, finish.chord, finish.points_per_rev) == (0.01, None, 120)
 
 
+def test_a_job_may_run_past_the_axis():
+    job = Job.read(changed(("strategy.overrun", "5 um"), ("strategy.inside_out", True)))
+    servo = job.strategy.servo(job.passes[0])
+    assert (servo.overrun, servo.inside_out) == (0.005, True)
+    with pytest.raises(tw.JobError, match=r"overrun"):
+        Job.read(changed(("strategy.overrun", "-5 um")))
+
+
 def test_the_actual_tool_leaves_its_own_error(tmp_path):
     """Oracle: a tool that stands 0.2 um too low cuts 200 nm too deep, and squareness tilts a flat into a cone."""
     flat = ("part.surface", {"family": "plane"})

@@ -145,18 +145,20 @@ def test_the_last_cusp_inside_the_rim_is_no_higher_than_the_others(radius):
 def test_a_quarter_feed_beyond_the_axis_leaves_no_cusp_there_above_the_others(tmp_path, points, along, curve):
     shape, nose, feed = Part(surface=Sphere(radius=curve * 30.0), radius=0.2), 0.5, 0.02
     tool, machine = Tool(nose_radius=nose, included=np.deg2rad(120)), Machine.load("generic")
-    # Oracle: a gap g between passes leaves g²/8 (1/R - 1/r); on the axis the innermost passes stand up to 1.5 f apart.
-    flat = feed**2 / 8 * (1 / nose - curve / 30.0)
+    # Oracle: a gap g leaves g² / 8R(1 - R/r) placed along z and g²/8 (1/R - 1/r) along the normal, and the innermost
+    # passes stand up to 1.5 feeds apart.
+    straight = 1 - curve * nose / 30.0
+    usual = feed**2 / (8 * nose) * (straight if along == "normal" else 1 / straight)
     for overrun, least, most in ((0.0, 2.2, 2.26), (0.25, 0.99, 1.01), (0.5, 0.99, 1.01)):
         servo = SlowToolServo(feed=feed, overrun=overrun * feed, spindle_rpm=1.0, **points)
         spiral = servo.spiral(shape, tool)
         assert spiral.radius.min() == pytest.approx(-overrun * feed, abs=1e-14)
         motion = drive(place(spiral, shape, tool, along=along), servo, machine)
         # What the controller is told, not what was meant: a program with negative X.
-        write_nc(motion, machine, tmp_path / "part.nc", overwrite=True)
+        write_nc(motion, machine, tmp_path / "part.nc")
         motion = read_nc(tmp_path / "part.nc", machine)
         near = generate_polar(motion, tool, radius=np.linspace(0, 0.1, 2001), angle=np.linspace(0, TURN, 181)[:-1])
-        assert least * flat < near.minus(shape.surface).z.max() < most * flat
+        assert least * usual < near.minus(shape.surface).z.max() < most * usual
 
 
 def sharp(monkeypatch):
@@ -265,8 +267,8 @@ def test_a_path_is_placed_at_the_same_azimuths_in_every_turn_but_near_its_kinks(
     assert worst(spiral, surface).max() <= 1e-6 * (1 + 1e-9)
 
 
-def lens_tip(angle, rho, pitch, radius, nose):
-    """Return where a round nose stands over a 5 by 5 array of spheres: circle against circle, and circle on ridge."""
+def lens_tip(angle, rho, pitch, radius, nose, rim):
+    """Return where a nose stands over a 5 by 5 array of spheres: circle against circle, circle on ridge or rim."""
     cosine, sine, size = np.cos(angle), np.sin(angle), abs(radius)
     side = 1 if radius > 0 else -1
     middles = pitch * np.arange(-2, 3)
@@ -276,7 +278,7 @@ def lens_tip(angle, rho, pitch, radius, nose):
 
     def reach(x, y, s):
         height = radius - side * np.sqrt(size**2 - (x - nearest(x)) ** 2 - (y - nearest(y)) ** 2)
-        return height - (nose - np.sqrt(nose**2 - (s - rho) ** 2))
+        return np.where(np.abs(s) <= rim, height - (nose - np.sqrt(nose**2 - (s - rho) ** 2)), np.nan)
 
     best = np.full(angle.size, -np.inf)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -286,12 +288,14 @@ def lens_tip(angle, rho, pitch, radius, nose):
             z = radius - side * np.sqrt((section - side * nose) ** 2 - (rho - along) ** 2) - nose
             s = along + (rho - along) * section / (section - side * nose)
             mine = (nearest(s * cosine) == cx) & (nearest(s * sine) == cy)
-            best = np.fmax(best, np.where(mine, z, np.nan))
+            best = np.fmax(best, np.where(mine & (np.abs(s) <= rim), z, np.nan))
         for border in middles[1:] - pitch / 2:
             s = border / cosine
             best = np.fmax(best, reach(border, s * sine, s))
             s = border / sine
             best = np.fmax(best, reach(s * cosine, border, s))
+        for s in (rim, -rim):
+            best = np.fmax(best, reach(s * cosine, s * sine, s))
     return best
 
 
@@ -304,7 +308,7 @@ def test_chord_is_kept_over_the_valleys_and_ridges_of_lenses(radius, chord):
     share = np.linspace(0, 1, 31)[:, None]
     angle = spiral.angle[:-1] + share * np.diff(spiral.angle)
     rho = spiral.radius[:-1] + share * np.diff(spiral.radius)
-    tip = lens_tip(angle.ravel(), rho.ravel(), pitch, radius, nose).reshape(angle.shape)
+    tip = lens_tip(angle.ravel(), rho.ravel(), pitch, radius, nose, spiral.radius.max()).reshape(angle.shape)
     error = np.abs(tip - (tip[0] + share * (tip[-1] - tip[0]))).max(axis=0)
     assert 0.9 * chord < error.max() <= chord
     assert np.median(error) > 0.7 * chord

@@ -42,6 +42,9 @@ TOOL = Tool(nose_radius=0.5, included=np.deg2rad(60))
         ({"feed": 0.01, "points_per_rev": 360, "sense": 0}, "sense is 0"),
         ({"feed": 0.01, "points_per_rev": 360, "lead_in": -1}, "lead_in is -1 mm"),
         ({"feed": 0.01, "points_per_rev": 360, "lead_in": np.inf}, "lead_in is inf mm"),
+        ({"feed": 0.01, "points_per_rev": 360, "overrun": -0.001}, "overrun is -0.001 mm, the limits are 0 mm"),
+        ({"feed": 0.01, "points_per_rev": 360, "overrun": 0.02}, "one feed, 0.01 mm: a quarter of a feed, 0.0025 mm"),
+        ({"feed": 0.01, "points_per_rev": 360, "overrun": np.nan}, "overrun is nan mm"),
     ],
 )
 def test_a_wrong_servo_cannot_exist(fields, words):
@@ -64,7 +67,7 @@ def test_a_slip_of_the_unit_is_refused_before_memory_runs_out(points):
 
 
 def test_a_path_that_jumps_has_no_chord():
-    with pytest.raises(InputError, match=r"the path jumps 1\.250 turns from the centre"):
+    with pytest.raises(InputError, match=r"the path jumps 1\.250 turns from the inner end"):
         _refined(np.linspace(0, 8, 100), lambda t: np.where(t < 2.5 * np.pi, 0.0, 1.0), 1e-5)
 
 

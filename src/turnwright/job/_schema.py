@@ -217,6 +217,7 @@ class StrategyTable(Points):
     kind: Literal["slow tool servo"]
     sense: Literal[1, -1] = 1
     inside_out: Annotated[bool, Strict()] = False
+    overrun: Thickness = 0.0
     along: Literal["z", "normal"] = "z"
 
     def servo(self, cut: PassTable) -> SlowToolServo:
@@ -229,7 +230,14 @@ class StrategyTable(Points):
             for name in ("feed", "lead_in")
         }
         speed = cut.spindle_speed if cut.spindle_speed is not None else self.spindle_speed
-        return SlowToolServo(spindle_rpm=speed, sense=self.sense, inside_out=self.inside_out, **points, **shared)
+        return SlowToolServo(
+            spindle_rpm=speed,
+            sense=self.sense,
+            inside_out=self.inside_out,
+            overrun=self.overrun,
+            **points,
+            **shared,
+        )
 
 
 class PassTable(Points):

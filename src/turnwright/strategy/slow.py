@@ -61,8 +61,8 @@ class SlowToolServo(Strategy):
     r"""Slow tool servo: C turns steadily, X advances by the feed in each turn, Z follows the surface.
 
     The tip runs along an Archimedean spiral between the rim and the axis. Its inner end is exact: the commanded radius
-    there is ``-tool.offset[0]``, where the real tip stands on the axis, less the overrun. Its outer end is the clear radius plus the
-    lead-in, moved outward by less than one step where that keeps every step regular.
+    there is ``-tool.offset[0]``, where the real tip stands on the axis, less the overrun. Its outer end is the clear
+    radius plus the lead-in, moved outward by less than one step where that keeps every step regular.
 
     The points are set in one of four ways:
 
@@ -160,6 +160,10 @@ class SlowToolServo(Strategy):
                 )
         if self.sense not in (-1, 1):
             raise InputError(f"sense is {self.sense!r}, it must be 1 or -1: give the way the azimuth runs")
+        self._check_ends()
+
+    def _check_ends(self) -> None:
+        """Raise if the spiral would begin within the rim, or end far from the axis."""
         if self.lead_in is not None and not (np.isfinite(self.lead_in) and self.lead_in >= 0):
             raise InputError(
                 f"lead_in is {self.lead_in:g} mm, it cannot be below 0 mm: start at or beyond the clear radius"
@@ -225,7 +229,7 @@ class SlowToolServo(Strategy):
         return self.lead_in
 
     def _by_arc(self, end: float, start: float) -> Floats:
-        """Return the angle turned from the inner end, ascending, at constant arc, inside at constant angle. (n,) [rad]."""
+        """Return the angle turned from the inner end at constant arc, inside at constant angle. (n,) [rad]."""
         pitch = self.feed / TURN
         inner, outer = end / pitch, start / pitch
         arc = self.arc_length / pitch  # type: ignore[operator]
@@ -240,7 +244,7 @@ class SlowToolServo(Strategy):
         return np.concatenate([inside, _invert_arc(outside) - inner])
 
     def _by_chord(self, part: Part, tool: Tool, end: float, start: float, progress: Progress | None) -> Floats:
-        """Return the angle turned from the inner end, ascending, with the fewest points for the chord. (n,) [rad]."""
+        """Return the angle turned from the inner end with the fewest points for the chord. (n,) [rad]."""
         from turnwright._kernels import chord as kernel  # noqa: PLC0415 - numba is costly to import
         from turnwright.dilation import tip_height  # noqa: PLC0415
 
@@ -261,7 +265,7 @@ class SlowToolServo(Strategy):
                 angle=self.sense * angle,
                 radius=end + pitch * turned,
                 sense=self.sense,
-                rim=max(part.radius, pitch * whole),
+                rim=max(part.radius, pitch * whole - self.overrun),
             )
 
         kept = [np.zeros(1)]
