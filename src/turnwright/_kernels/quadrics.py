@@ -17,6 +17,23 @@ __all__ = ["biconic", "conic", "secant", "toroid"]
 
 
 @jit
+def add_slopes(jet, i, out):
+    """Add the height and the slopes of a point."""
+    out[0, i] += jet[0]
+    out[1, i] += jet[1]
+    out[2, i] += jet[2]
+
+
+@jit
+def add_all(jet, i, out):
+    """Add the height, the slopes and the curvatures of a point."""
+    add_slopes(jet, i, out)
+    out[3, i] += jet[3]
+    out[4, i] += jet[4]
+    out[5, i] += jet[5]
+
+
+@jit
 def conic_point(x, y, c, k):
     """Sag c s / (1 + root) with s = x^2 + y^2 and root = sqrt(1 - (1 + k) c^2 s), and derivatives."""
     e = (1.0 + k) * c * c
@@ -36,19 +53,10 @@ def conic(x, y, c, k, out):
             out[0, i] += conic_point(x[i], y[i], c, k)[0]
     elif rows == 3:
         for i in range(x.size):
-            z, zx, zy, _, _, _ = conic_point(x[i], y[i], c, k)
-            out[0, i] += z
-            out[1, i] += zx
-            out[2, i] += zy
+            add_slopes(conic_point(x[i], y[i], c, k), i, out)
     else:
         for i in range(x.size):
-            z, zx, zy, zxx, zxy, zyy = conic_point(x[i], y[i], c, k)
-            out[0, i] += z
-            out[1, i] += zx
-            out[2, i] += zy
-            out[3, i] += zxx
-            out[4, i] += zxy
-            out[5, i] += zyy
+            add_all(conic_point(x[i], y[i], c, k), i, out)
 
 
 @jit
@@ -120,19 +128,10 @@ def toroid(x, y, cx, cy, out):
             out[0, i] += toroid_point(x[i], y[i], cx, cy)[0]
     elif rows == 3:
         for i in range(x.size):
-            z, zx, zy, _, _, _ = toroid_point(x[i], y[i], cx, cy)
-            out[0, i] += z
-            out[1, i] += zx
-            out[2, i] += zy
+            add_slopes(toroid_point(x[i], y[i], cx, cy), i, out)
     else:
         for i in range(x.size):
-            z, zx, zy, zxx, zxy, zyy = toroid_point(x[i], y[i], cx, cy)
-            out[0, i] += z
-            out[1, i] += zx
-            out[2, i] += zy
-            out[3, i] += zxx
-            out[4, i] += zxy
-            out[5, i] += zyy
+            add_all(toroid_point(x[i], y[i], cx, cy), i, out)
 
 
 @jit
@@ -162,16 +161,7 @@ def biconic(x, y, cx, cy, kx, ky, out):
             out[0, i] += biconic_point(x[i], y[i], cx, cy, kx, ky)[0]
     elif rows == 3:
         for i in range(x.size):
-            z, zx, zy, _, _, _ = biconic_point(x[i], y[i], cx, cy, kx, ky)
-            out[0, i] += z
-            out[1, i] += zx
-            out[2, i] += zy
+            add_slopes(biconic_point(x[i], y[i], cx, cy, kx, ky), i, out)
     else:
         for i in range(x.size):
-            z, zx, zy, zxx, zxy, zyy = biconic_point(x[i], y[i], cx, cy, kx, ky)
-            out[0, i] += z
-            out[1, i] += zx
-            out[2, i] += zy
-            out[3, i] += zxx
-            out[4, i] += zxy
-            out[5, i] += zyy
+            add_all(biconic_point(x[i], y[i], cx, cy, kx, ky), i, out)
