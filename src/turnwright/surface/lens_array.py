@@ -163,9 +163,7 @@ class LensArray(Surface):
         """
         positive(pitch, "pitch of a lens array", "mm")
         if within is not None and rows is None and columns is None:
-            reach = _reach(pitch, within, offset)
-            i = np.arange(-reach, reach + 1)
-            centres = _whole(_lattice(i, i, (pitch, 0), (0, pitch), offset), within, pitch, aperture)
+            centres = _whole((pitch, 0), (0, pitch), offset, within, aperture)
         elif within is None and rows is not None and columns is not None:
             if min(rows, columns) < 1 or rows * columns > MOST_LENSES:
                 raise InputError(
@@ -216,9 +214,7 @@ class LensArray(Surface):
             )
         slanted = ((pitch, 0), (pitch / 2, pitch * np.sqrt(0.75)))
         if within is not None:
-            reach = _reach(pitch * np.sqrt(0.75), within, offset)
-            i = np.arange(-reach, reach + 1)
-            centres = _whole(_lattice(i, i, *slanted, offset), within, pitch, aperture)
+            centres = _whole(*slanted, offset, within, aperture)
         else:
             if not 0 <= rings <= 500:  # type: ignore[operator]
                 raise InputError(f"a lens array has {rings} rings, the limits are 0 to 500: correct the count")
@@ -324,9 +320,12 @@ def _lattice(i: ArrayLike, j: ArrayLike, a: ArrayLike, b: ArrayLike, offset: tup
     return np.asarray(first * np.asarray(a) + second * np.asarray(b) + np.asarray(offset), dtype=np.float64)
 
 
-def _reach(row: float, within: float, offset: tuple[float, float]) -> int:
-    """Return how many rows, ``row`` apart, a circle about the axis can hold on either side of the offset."""
+def _whole(
+    a: tuple[float, float], b: tuple[float, float], offset: tuple[float, float], within: float, aperture: float | None
+) -> Floats:
+    """Return the lattice points offset + i a + j b, a along x, whose lens is wholly in the circle. (n, 2)."""
     positive(within, "within, the radius that lenses must fit in,", "mm")
+    row = b[1]
     # A slanted lattice vector takes up to half as many columns more than rows.
     reach = int(min(1.5 * (within + np.hypot(*offset)) / row, 1e9)) + 1
     if reach**2 > MOST_LENSES:
@@ -334,12 +333,9 @@ def _reach(row: float, within: float, offset: tuple[float, float]) -> int:
             f"within is {within:g} mm at {row:g} mm from row to row, that is more than {MOST_LENSES} lenses: "
             "check the units"
         )
-    return reach
-
-
-def _whole(centres: Floats, within: float, pitch: float, aperture: float | None) -> Floats:
-    """Return the centres whose lens is wholly in the circle."""
-    lens = pitch / 2 if aperture is None else aperture
+    i = np.arange(-reach, reach + 1)
+    centres = _lattice(i, i, a, b, offset)
+    lens = a[0] / 2 if aperture is None else aperture
     kept: Floats = centres[np.hypot(*centres.T) + lens <= within * (1 + 1e-12)]
     if kept.shape[0] == 0:
         raise InputError(
