@@ -410,7 +410,7 @@ class _Contact:
         x, y = np.empty(u.shape), np.empty(u.shape)
         self.kernel.places(self.row, *self.profile[:2], row_angle, row_radius, u, x, y)
         heights = self._heights(x, y)
-        breaks = self._breaks(self.surface.piece(x, y), heights, u, row_angle, row_radius)
+        breaks = self._breaks(x, y, heights, u, row_angle, row_radius)
         found, direct, direct_at, ended = self._candidates(heights, origin, step, offsets, position, breaks, low, high)
         if found is None:
             raise _NarrowWindow
@@ -457,9 +457,13 @@ class _Contact:
         inside = self.surface.inside(x, y)
         missing = np.isnan(heights) if inside is None else ~inside | np.isnan(heights)
         if self.rim < np.inf:
-            missing |= np.hypot(x, y) > self.rim
+            missing |= self._beyond(x, y) > 0
         heights[missing] = -np.inf
         return heights
+
+    def _beyond(self, x: Floats, y: Floats) -> Ints:
+        """Return 1 outside the rim, else 0."""
+        return np.where(x * x + y * y > self.rim**2, 1, 0)
 
     def _candidates(
         self,
@@ -493,14 +497,19 @@ class _Contact:
 
     # ------------------------------------------------------------------------------------------- kinks and steps
 
-    def _breaks(self, pieces: Ints | None, heights: Floats, u: Floats, angle: Floats, radius: Floats) -> _Breaks:
+    def _breaks(self, x: Floats, y: Floats, heights: Floats, u: Floats, angle: Floats, radius: Floats) -> _Breaks:
         """Return every kink or step between samples of different pieces, and every end of the domain, to the last bit.
 
-        Beyond an end of the domain the height is -inf.
+        Beyond an end of the domain, or the rim, the height is -inf.
         """
         found: list[tuple[Ints, Ints, Floats, Floats]] = []
-        missing = heights == -np.inf
-        for labels, label in ((pieces, self.surface.piece), (missing if missing.any() else None, self._missing)):
+        beyond = self._beyond(x, y) if self.rim < np.inf else None
+        missing = heights == -np.inf if beyond is None else (heights == -np.inf) & (beyond == 0)
+        for labels, label in (
+            (self.surface.piece(x, y), self.surface.piece),
+            (beyond, self._beyond),
+            (missing if missing.any() else None, self._missing),
+        ):
             if labels is not None:
                 row, after = np.nonzero(labels[:, 1:] != labels[:, :-1])
                 found.append(self._split(label, row, after, u[row, after], u[row, after + 1], angle, radius, 4))
