@@ -353,3 +353,34 @@ def test_a_ridge_far_sharper_than_the_nose():
     path = tw.place(where, tw.Part(surface=surface, radius=1.6), ROUND)
     for i in range(0, where.angle.size, 97):
         assert path.z[i] == pytest.approx(brute_force(surface, ROUND, where.angle[i], where.radius[i], 1), abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "0.0005*exp(-((x-10)**2 + (y-5)**2)/0.02**2)",
+        "0.003*exp(-((x-10)**2 + (y-5)**2)/0.1**2)",
+        "0.002*exp(-((x-10)**2 + (y-5)**2)/0.3**2)*sin(2*pi*x/0.07)",
+        "0.0005*sin(2*pi*x/0.06)*sin(2*pi*y/0.05) + rho**2/100",
+        "0.004*exp(-((rho-11.2)/0.05)**2)*cos(3*phi)",
+    ],
+)
+def test_the_features_of_a_formula_are_found_wherever_they_are(formula):
+    rng = np.random.default_rng(8)
+    x, y = 10 + rng.normal(0, 0.1, 60), 5 + rng.normal(0, 0.01, 60)
+    angle, radius = np.arctan2(y, x), np.hypot(x, y)
+    surface = tw.Expression(formula)
+    got = touch(surface, ROUND, angle=angle, radius=radius, sense=1)
+    expected = [brute_force(surface, ROUND, a, r, 1) for a, r in zip(angle, radius, strict=True)]
+    np.testing.assert_allclose(got.z, expected, atol=1e-10)
+
+
+def test_a_bump_beside_the_tips_and_off_every_ray_is_found():
+    """A bump of 3 um, 20 um wide, reaches under the edge from 50 um away, where the surface itself is still flat."""
+    surface = tw.Expression("0.003*exp(-((x-10)**2 + (y-5)**2)/0.02**2)")
+    aside = np.array([-0.052, -0.049, -0.046, 0.046, 0.049, 0.052])
+    angle, radius = np.full(6, np.arctan2(5, 10)), np.hypot(10, 5) + aside
+    got = touch(surface, ROUND, angle=angle, radius=radius, sense=1)
+    expected = [brute_force(surface, ROUND, a, r, 1) for a, r in zip(angle, radius, strict=True)]
+    assert min(expected) > 2e-4
+    np.testing.assert_allclose(got.z, expected, atol=1e-10)

@@ -164,6 +164,14 @@ def test_the_feature_size_of_a_bump_is_near_its_width():
     assert Expression("exp(-(x/0.5)**2)", feature_size=0.125).feature_size == 0.125
 
 
+@pytest.mark.parametrize("width", [0.02, 0.3])
+@pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.01, 0.0), (3.0, 1.0), (10.0, 5.0), (-17.0, 3.3)])
+def test_the_feature_size_of_a_bump_does_not_depend_on_where_it_stands(x, y, width):
+    """exp(-r²/w²) has the fourth derivative 12/w^4 and the second -2/w² at its crest, as a wave of k² = 6/w²."""
+    formula = f"0.001*exp(-((x-{x})**2 + (y+{-y})**2)/{width}**2) + rho**2/100"
+    assert Expression(formula).feature_size == pytest.approx(np.pi / 4 * width / np.sqrt(6), rel=1e-3)
+
+
 def test_it_travels_between_processes():
     """A job may run in another process: what crosses over must be the same formula."""
     here, there = multiprocessing.Pipe()

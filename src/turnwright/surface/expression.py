@@ -37,12 +37,18 @@ AXIS = 1e-12
 HUGE = 1e3
 """No optic is as high; where a divisor vanishes, a pole is. [mm]."""
 
+FAR = 25.0
+"""How far from the axis the feature size is estimated. [mm]."""
+
 BLOCK = 8192
 """Points worked on at once, so that all terms of a formula stay in the cache."""
 
 Value: TypeAlias = Floats | float
 Jet: TypeAlias = tuple[Value, ...]
 """A value with its derivatives, (z), (z, zx, zy) or (z, zx, zy, zxx, zxy, zyy); a plain 0.0 is known to vanish."""
+
+Watched: TypeAlias = tuple[str, Jet, Jet]
+"""What was called, with its argument and its result."""
 
 Step: TypeAlias = tuple[str, float | str]
 """One step of a formula in postfix order: ("number", 2.0), ("name", "x"), ("operator", "+") or ("call", "sin")."""
@@ -106,9 +112,9 @@ class Expression(Surface):
     constants
         Numbers that the formula names, for instance ``{"R": 61.5}``.
     feature_size
-        Length over which the curvature changes noticeably. By default an eighth of the shortest wave, bump or bend
-        that the formula's functions and divisions make along rays out to 25 mm from the axis; state it where a formula
-        has finer structure elsewhere. [mm]
+        Length over which the curvature changes noticeably. By default an eighth of the shortest wave or bend that the
+        formula's functions and divisions make along rays out to 25 mm from the axis, or of the wave that fits the
+        highest crest of each exp wherever it stands; state it where a formula has finer structure elsewhere. [mm]
 
     Raises
     ------
@@ -250,7 +256,7 @@ class Expression(Surface):
         if self._axis is not None and on_axis is not None and on_axis.size:
             out[:, on_axis] = np.array(self._axis.jet[: out.shape[0]])[:, None]
 
-    def _rays(self, radius: Floats, angle: Floats, order: int, watch: list[tuple[Value, Value]] | None = None) -> Jet:
+    def _rays(self, radius: Floats, angle: Floats, order: int, watch: list[Watched] | None = None) -> Jet:
         """Return the jet along rays from the axis: its x-derivatives are those along the ray."""
         c, s = np.cos(angle), np.sin(angle)
         seeds = {
@@ -305,18 +311,71 @@ class Expression(Surface):
                 )
 
     def _estimate(self) -> float:
-        """Estimate the feature size from how fast the arguments of the formula's functions change along rays."""
-        radius, angle = np.meshgrid(np.linspace(0, 25, 201)[1:], np.arange(16) * np.pi / 8)
-        watch: list[tuple[Value, Value]] = []
+        """Estimate the feature size from how fast the arguments of the formula's functions change along rays.
+
+        The argument of exp(a) changes ever faster down the flanks of a bump, while the bump vanishes, and a ray may
+        miss a narrow one: it is measured at its crest, and elsewhere as far as it is felt.
+        """
+        radius, angle = np.meshgrid(np.linspace(0, FAR, 201)[1:], np.arange(16) * np.pi / 8)
+        watch: list[Watched] = []
         self._rays(radius, angle, 1, watch)
         fastest = 0.0
-        for change, result in watch:
-            rate, effect = np.broadcast_to(change, radius.shape), np.broadcast_to(result, radius.shape)
+        bumps: dict[int, tuple[Floats, Floats]] = {}
+        for number, (what, argument, result) in enumerate(watch):
+            value, rate = (np.broadcast_to(part, radius.shape) for part in argument[:2])
+            effect = np.broadcast_to(result[1], radius.shape)
+            if what == "exp" and np.isfinite(value).any():
+                bumps[number] = value, rate
+                continue
+            if what == "/":  # a divisor works through its relative change
+                with np.errstate(all="ignore"):
+                    rate, effect = rate / value, rate / value * result[0]
+            rate, effect = np.abs(rate), np.abs(effect)
             known = np.isfinite(rate) & np.isfinite(effect)
             felt = known & (effect > 1e-3 * np.max(effect, where=known, initial=0.0))
             fastest = max(fastest, float(np.max(rate, where=felt, initial=0.0)))
+        if bumps:
+            crests = self._crests(np.array(list(bumps)), np.stack([value for value, _ in bumps.values()]))
+            for (value, rate), (top, wave) in zip(bumps.values(), crests, strict=True):
+                felt_rate = np.abs(rate) * np.exp(np.minimum(value - top, 0.0) / 2)
+                fastest = max(fastest, wave, float(np.max(felt_rate, where=np.isfinite(felt_rate), initial=0.0)))
         # A wave sin(k r) has k per mm; this makes it an eighth of its period.
         return np.pi / 4 / fastest if fastest else float("inf")
+
+    def _crests(self, calls: Ints, sampled: Floats) -> list[tuple[float, float]]:
+        """Return how high the arguments a of some watched calls climb from their samples, and the wave number there.
+
+        At its crest exp(a) bends like a wave of a'^2 + 3 |a''| per mm²: its fourth derivative over its second.
+        """
+        radius, angle = np.meshgrid(np.linspace(0, FAR, 201)[1:], np.arange(16) * np.pi / 8)
+        best = np.argmax(np.where(np.isfinite(sampled), sampled, -np.inf).reshape(calls.size, -1), axis=1)
+        # From ray to ray it is this far, and the crest may be in between.
+        wide = radius.ravel()[best] * (np.pi / 16) + FAR / 200
+        x, y = (radius.ravel()[best] * part(angle.ravel()[best]) for part in (np.cos, np.sin))
+        across, along = (part.ravel() for part in np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)))
+        rows = np.arange(calls.size)
+
+        def arguments(x: Floats, y: Floats, order: int) -> Floats:
+            """Return the jets of each call's argument at the places in its own row. (1, 3 or 6, calls, n)."""
+            watch: list[Watched] = []
+            with np.errstate(all="ignore"):
+                seeds = {"x": _jet(order, x, 1.0), "y": _jet(order, y, 0.0, 1.0), **_polar(x, y, order)}
+                _run(self._steps, seeds, order, watch)
+            jets = [[np.broadcast_to(part, x.shape)[row] for part in watch[k][1]] for row, k in enumerate(calls)]
+            return np.stack([np.stack(jet) for jet in jets], axis=1)
+
+        for _ in range(60):
+            near_x, near_y = x[:, None] + wide[:, None] * across, y[:, None] + wide[:, None] * along
+            heights = arguments(near_x, near_y, 0)[0]
+            allowed = np.isfinite(heights) & (np.hypot(near_x, near_y) <= FAR)
+            best = np.argmax(np.where(allowed, heights, -np.inf), axis=1)
+            wide = np.where(best == across.size // 2, wide / 2, wide)
+            x, y = near_x[rows, best], near_y[rows, best]
+        top, ax, ay, axx, axy, ayy = arguments(x[:, None], y[:, None], 2)[:, :, 0]
+        bend = np.abs(axx + ayy) / 2 + np.hypot((axx - ayy) / 2, axy)
+        return list(
+            zip(top.tolist(), np.nan_to_num(np.sqrt(ax**2 + ay**2 + 3 * bend), posinf=0.0).tolist(), strict=True)
+        )
 
 
 def _constant(name: str, value: float) -> float:
@@ -461,12 +520,13 @@ def _run(
     steps: tuple[Step, ...],
     seeds: Mapping[str, Jet],
     order: int,
-    watch: list[tuple[Value, Value]] | None = None,
+    watch: list[Watched] | None = None,
     divisors: list[Jet] | None = None,
 ) -> Jet:
     """Work a formula through on a stack of jets.
 
-    ``watch`` collects how fast arguments change, and their effect; ``divisors`` what makes a pole where it vanishes.
+    ``watch`` collects calls and divisions, by name, argument and result; ``divisors`` what makes a pole where it
+    vanishes.
     """
     stack: list[Jet] = []
     for kind, what in steps:
@@ -481,7 +541,7 @@ def _run(
                 if divisors is not None and what == "tan":
                     divisors.append(_call("cos", argument, order))
                 if watch is not None and what in SHARP:
-                    watch.append((np.abs(argument[1]), np.abs(stack[-1][1])))
+                    watch.append((what, argument, stack[-1]))
             case _, str():
                 second = stack.pop()
                 first = stack.pop()
@@ -489,8 +549,7 @@ def _run(
                 if divisors is not None and (divisor := _divisor(what, first, second)) is not None:
                     divisors.append(divisor)
                 if watch is not None and what == "/":
-                    rate = np.abs(second[1] / second[0])
-                    watch.append((rate, np.abs(stack[-1][0]) * rate))
+                    watch.append((what, second, stack[-1]))
     return stack[0]
 
 
