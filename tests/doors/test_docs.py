@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import turnwright
+from turnwright import surface
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -19,6 +20,11 @@ def test_the_nomenclature_lists_every_public_name():
         r"^\| `(\w+)` \| [^|]+ \|$", (DOCS / "nomenclature.md").read_text(encoding="utf-8"), re.MULTILINE
     )
     assert listed == sorted(turnwright.__all__)
+
+
+def test_every_family_of_surfaces_is_public():
+    assert set(surface.__all__) <= set(turnwright.__all__)
+    assert all(getattr(turnwright, name) is getattr(surface, name) for name in surface.__all__)
 
 
 def test_the_reference_documents_every_public_name_once():
