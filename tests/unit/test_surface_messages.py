@@ -96,6 +96,22 @@ BAD = {
     ),
     "pole of a tangent": (lambda: Expression("tan(x)").require_disc(5.0, "it"), "divides by 0 at x = [14]"),
     "pole in a sum": (lambda: (Expression("x") + Expression("1/x")).require_disc(5.0, "it"), "divides by 0 at x = 0"),
+    "pole of a shifted formula": (
+        lambda: Part(surface=Expression("0.001/(x - 0.3)").placed(shift=(1, 2, 0), rotation=np.pi / 2), radius=5.0),
+        r"5 mm but Placed divides by 0 at x = \S+ mm, y = 2.3 mm",
+    ),
+    "pole in a shifted sum": (
+        lambda: Part(surface=(FLAT + Expression("0.001/(x - 0.3)")).placed(shift=(1, 0, 0)), radius=5.0),
+        "Placed divides by 0 at x = 1.3 mm",
+    ),
+    "pole of a lenslet": (
+        lambda: Part(surface=square(lenslet=Expression("0.001/(x - 0.31)"), rows=3, columns=3), radius=1.2),
+        r"LensArray divides by 0 at x = (-0\.69|0\.31) mm",
+    ),
+    "pole between lenslets": (
+        lambda: Part(surface=square(aperture=0.4, surround=Expression("0.001/(x - 0.47)")), radius=1.2),
+        "LensArray divides by 0 at x = 0.47 mm",
+    ),
     "two lenses on a place": (
         lambda: LensArray(centres=[[0, 0], [1, 1], [2, 2], [1, 1]], lenslet=Sphere(radius=5.0)),
         r"lenses 2 and 4, counted from 1, both stand at \(1, 1\) mm",
@@ -160,6 +176,20 @@ def test_a_formula_cannot_be_a_program(formula):
 @pytest.mark.parametrize("formula", ["sin(rho)/rho", "cos(3*phi)", "x/(x - 5.1)", "x/(1 + rho**2)", "rho*x/rho"])
 def test_what_divides_without_a_pole_in_the_disc_is_allowed(formula):
     Expression(formula).require_disc(5.0, "it")
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        Expression("0.001/(x - 7)").placed(shift=(-1.0, 0.0, 0.0)),
+        square(lenslet=Expression("0.001/(x - 0.6)"), rows=30, columns=30),
+        square(lenslet=Expression("0.001/(x - 0.45)"), aperture=0.4, surround=0.0),
+        square(lenslet=FLAT, rows=1, columns=1, aperture=0.4, surround=Expression("0.001/rho")),
+    ],
+    ids=["beside the disc", "in the cell of the neighbour", "between round lenslets", "under a lens"],
+)
+def test_a_pole_that_a_compound_surface_does_not_show_is_allowed(surface):
+    Part(surface=surface, radius=5.0)
 
 
 def test_a_tower_of_powers_costs_nothing():

@@ -21,7 +21,8 @@ class Surface(ABC):
     """A finished surface z = f(x, y), material below it.
 
     A new family implements `evaluate`, and where they are not the default: `inside` and `domain` (where it is
-    defined), `piece` (where it has kinks or steps) and `feature_size` (how fine its structure is).
+    defined), `poles` (where samples may miss that it is not), `piece` (where it has kinks or steps) and `feature_size`
+    (how fine its structure is).
     """
 
     __slots__ = ()
@@ -114,13 +115,39 @@ class Surface(ABC):
         """
         angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
         rings = radius * np.linspace(0, 1, 65)[1:]
-        inside = self.inside(np.outer(rings, np.cos(angle)), np.outer(rings, np.sin(angle)))
+        x, y = np.outer(rings, np.cos(angle)), np.outer(rings, np.sin(angle))
+        inside = self.inside(x, y)
         if inside is not None and not inside.all():
             reach = rings[np.argmin(inside.all(axis=1))]
             raise DomainError(
                 f"{what} is {radius:g} mm but {type(self).__name__} is not defined beyond about {reach:.4g} mm "
                 f"somewhere around the axis, its domain is {self.domain}: reduce the radius or extend the surface"
             )
+        x, y = self.poles(x, y, radius / 16)
+        shown = np.flatnonzero(np.hypot(x, y) <= radius)
+        if shown.size:
+            at_x, at_y = (round(float(at[shown[0]]), 6) + 0.0 for at in (x, y))
+            raise DomainError(
+                f"{what} is {radius:g} mm but {type(self).__name__} divides by 0 at x = {at_x:g} mm, y = {at_y:g} mm, "
+                "where it has no height: reduce the radius or change the surface"
+            )
+
+    def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:  # noqa: ARG002
+        """Return places without a height, such as poles, that the points may miss.
+
+        Parameters
+        ----------
+        x, y
+            Points, row by row; each row looks from the one that seems nearest to a pole. (m, n) [mm]
+        reach
+            How far from the points poles matter; there may be others among those returned. [mm]
+
+        Returns
+        -------
+        tuple
+            x and y of the poles. (k,) [mm]
+        """
+        return np.empty(0), np.empty(0)
 
     def __add__(self, other: Surface) -> Sum:
         from turnwright.surface.compound import Sum  # noqa: PLC0415 - a sum is itself a surface

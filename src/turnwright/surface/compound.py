@@ -71,6 +71,11 @@ class Sum(Surface):
         masks = [mask for term in self.terms if (mask := term.inside(x, y)) is not None]
         return np.logical_and.reduce(masks) if masks else None
 
+    def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:
+        """Return the poles of all terms. See `Surface.poles`."""
+        pole_x, pole_y = zip(*(term.poles(x, y, reach) for term in self.terms), strict=True)
+        return np.concatenate(pole_x), np.concatenate(pole_y)
+
     @property
     def domain(self) -> str:
         """Say in words where every term is defined."""
@@ -180,6 +185,15 @@ class Placed(Surface):
                 _, up = self._gap(u0 + part * (u - u0), v0 + part * (v - v0), 0.0)
             found &= ~(up <= 0)  # nan, outside the surface's own domain, is no overhang
         return found.reshape(x.shape)
+
+    def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:
+        """Return the moved poles; with a tilt they lean over and are outside the domain. See `Surface.poles`."""
+        if self.tilt != (0.0, 0.0):
+            return Surface.poles(self, x, y, reach)
+        u, v, _ = self._local(x, y)
+        u, v = self.surface.poles(u.reshape(x.shape), v.reshape(x.shape), reach)
+        c, s = np.cos(self.rotation), np.sin(self.rotation)
+        return c * u - s * v + self.shift[0], s * u + c * v + self.shift[1]
 
     @property
     def domain(self) -> str:

@@ -166,25 +166,22 @@ class Expression(Surface):
             finite &= (x != 0) | (y != 0)
         return finite
 
-    def require_disc(self, radius: float, what: str) -> None:
-        """Raise unless the formula is defined all over the disc, poles included. See `Surface.require_disc`.
-
-        The zeros of whatever divides are found by Newton's method, from the nearest place on each of 64 rings.
-        """
-        Surface.require_disc(self, radius, what)
-        angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
-        rings = radius * np.linspace(0, 1, 65)[1:, None]
-        x, y = rings * np.cos(angle), rings * np.sin(angle)
+    def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:
+        """Return poles near the points: zeros of whatever divides, found by Newton's method. See `Surface.poles`."""
+        found_x, found_y = [np.empty(0)], [np.empty(0)]
         with np.errstate(all="ignore"):
             for k, (value, by_x, by_y) in enumerate(self._divisors(x, y)):
                 away = np.nan_to_num(np.abs(value) / np.hypot(by_x, by_y), nan=np.inf)
-                close = np.flatnonzero(away.min(axis=1) < radius / 16)
+                close = np.flatnonzero(away.min(axis=1) < reach)
                 if close.size:
                     near = np.argmin(away[close], axis=1)
-                    self._require_no_pole(k, x[close, near], y[close, near], radius, what)
+                    pole_x, pole_y = self._pole(k, x[close, near], y[close, near])
+                    found_x.append(pole_x)
+                    found_y.append(pole_y)
+        return np.concatenate(found_x), np.concatenate(found_y)
 
-    def _require_no_pole(self, k: int, x: Floats, y: Floats, radius: float, what: str) -> None:
-        """Raise if a divisor has a zero near one of the points, and the formula no height there."""
+    def _pole(self, k: int, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Return where a divisor is zero, starting from some points, and the formula has no height."""
         start = np.arctan2(y, x)
         for _ in range(60):  # a double zero is approached by half the way each time
             value, by_x, by_y = self._divisors(x, y)[k]
@@ -193,13 +190,8 @@ class Expression(Surface):
         # The axis alone may be missing: the formula is looked at beside it.
         axis = np.hypot(x, y) < 1e-9
         x, y = np.where(axis, 1e-9 * np.cos(start), x), np.where(axis, 1e-9 * np.sin(start), y)
-        pole = ~(np.abs(self.evaluate(x, y, 0)[0]) < HUGE) & (np.hypot(x, y) <= radius)
-        if pole.any():
-            at_x, at_y = (round(float(at[pole][0]), 6) + 0.0 for at in (x, y))
-            raise DomainError(
-                f"{what} is {radius:g} mm but the formula {_short(self.formula)!r} divides by 0 at x = {at_x:g} mm, "
-                f"y = {at_y:g} mm, where it has no height: reduce the radius or change the formula"
-            )
+        pole = ~(np.abs(self.evaluate(x, y, 0)[0]) < HUGE)
+        return x[pole], y[pole]
 
     def _divisors(self, x: Floats, y: Floats) -> list[tuple[Floats, ...]]:
         """Return whatever the formula divides by, with its slopes; constants are left out."""

@@ -250,6 +250,22 @@ class LensArray(Surface):
         )
         return there.reshape(x.shape)
 
+    def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:
+        """Return the poles of the lenslet in each lens, and of the surround outside them. See `Surface.poles`."""
+        index, u, v = self._cell(x, y)
+        lens = (index < self.centres.shape[0]).reshape(x.shape)
+        # All lenses are alike: poles are looked for in one, and are there wherever they fall in a lens's own cell.
+        u, v = (np.where(lens, part.reshape(x.shape), np.nan) for part in (u, v))
+        u, v = self.lenslet.poles(u, v, reach)
+        at = (self.centres[:, None] + np.stack([u, v], axis=-1)).reshape(-1, 2)
+        own = self._cell(*at.T)[0] == np.repeat(np.arange(self.centres.shape[0]), u.size)
+        pole_x, pole_y = at[own].T
+        if isinstance(self.surround, Surface):
+            u, v = self.surround.poles(np.where(lens, np.nan, x), np.where(lens, np.nan, y), reach)
+            between = self._cell(u, v)[0] == self.centres.shape[0]
+            pole_x, pole_y = np.append(pole_x, u[between]), np.append(pole_y, v[between])
+        return pole_x, pole_y
+
     @property
     def domain(self) -> str:
         """Say in words where the array is defined."""
