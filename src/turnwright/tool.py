@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from turnwright._arrays import Bools, Floats, between, frozen, positive
 from turnwright.errors import InputError
@@ -205,6 +204,8 @@ class Tool:
         """Return the edge as plain arrays; ``sense`` is +1 where the spindle angle under the tool grows, else -1."""
         low, high = self.arc
         if isinstance(self.waviness, WavinessTable):
+            from scipy.interpolate import CubicSpline  # noqa: PLC0415 - scipy is costly to import
+
             spline = CubicSpline(self.waviness.sweep, self.waviness.deviation)
             breaks, coefficients = spline.x, spline.c
         else:
@@ -299,6 +300,8 @@ class Tool:
     def _waviness(self, sweep: Floats) -> tuple[Floats, Floats]:
         """Return the deviation on the arc [mm], and its derivative [mm/rad]."""
         if isinstance(self.waviness, WavinessTable):
+            from scipy.interpolate import CubicSpline  # noqa: PLC0415 - scipy is costly to import
+
             spline = CubicSpline(self.waviness.sweep, self.waviness.deviation)
             held = np.clip(sweep, self.waviness.sweep[0], self.waviness.sweep[-1])
             return np.asarray(spline(held)), np.where(held == sweep, spline(held, 1), 0.0)

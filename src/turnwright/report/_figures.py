@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 if TYPE_CHECKING:
@@ -98,7 +99,8 @@ class _Canvas:
     """A figure on its way to the page."""
 
     def __init__(self, width: float, height: float) -> None:
-        self.figure = Figure(figsize=(width, height), layout="compressed")
+        self.layout = ConstrainedLayoutEngine(compress=True)
+        self.figure = Figure(figsize=(width, height), layout=self.layout)
         self.svg = ""
 
 
@@ -108,6 +110,9 @@ def _canvas(width: float, height: float, dpi: int = 130) -> Iterator[_Canvas]:
     with mpl.rc_context(STYLE):
         canvas = _Canvas(width, height)
         yield canvas
+        # Laid out here, once: saving would draw everything a second time, unseen, to do it.
+        canvas.layout.execute(canvas.figure)
+        canvas.figure.set_layout_engine("none")
         text = io.StringIO()
         canvas.figure.savefig(text, format="svg", dpi=dpi, metadata={"Date": None, "Creator": None})
     svg = text.getvalue()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.interpolate import CubicSpline, make_interp_spline
 
 from turnwright._arrays import Bools, Floats, frozen
 from turnwright.errors import InputError
@@ -58,6 +57,8 @@ class Gridded(Surface):
     _nodes: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        from scipy.interpolate import CubicSpline, make_interp_spline  # noqa: PLC0415 - scipy is costly to import
+
         for name in ("x", "y"):
             nodes = frozen(getattr(self, name), f"{name} of a gridded surface")
             if nodes.size < 6:

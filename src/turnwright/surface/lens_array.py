@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, positive
 from turnwright.errors import InputError
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
+    from scipy.spatial import cKDTree
 
 __all__ = ["LensArray"]
 
@@ -85,6 +85,8 @@ class LensArray(Surface):
     _bins: _Bins = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - scipy is costly to import
+
         centres = frozen(self.centres, "centres of a lens array", ndim=2)
         if centres.shape[1] != 2 or not 1 <= centres.shape[0] <= MOST_LENSES:
             raise InputError(
