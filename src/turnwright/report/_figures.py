@@ -111,8 +111,9 @@ def _canvas(width: float, height: float, dpi: int = 130) -> Iterator[_Canvas]:
         canvas = _Canvas(width, height)
         yield canvas
         # Laid out here, once: saving would draw everything a second time, unseen, to do it.
-        canvas.layout.execute(canvas.figure)
-        canvas.figure.set_layout_engine("none")
+        if canvas.figure.get_layout_engine() is canvas.layout:
+            canvas.layout.execute(canvas.figure)
+            canvas.figure.set_layout_engine("none")
         text = io.StringIO()
         canvas.figure.savefig(text, format="svg", dpi=dpi, metadata={"Date": None, "Creator": None})
     svg = text.getvalue()
