@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, between, frozen, positive
 from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 __all__ = ["EdgeTable", "Profile", "Tool", "WavinessTable"]
 
@@ -204,9 +207,7 @@ class Tool:
         """Return the edge as plain arrays; ``sense`` is +1 where the spindle angle under the tool grows, else -1."""
         low, high = self.arc
         if isinstance(self.waviness, WavinessTable):
-            from scipy.interpolate import CubicSpline  # noqa: PLC0415 - scipy is costly to import
-
-            spline = CubicSpline(self.waviness.sweep, self.waviness.deviation)
+            spline = _spline(self.waviness)
             breaks, coefficients = spline.x, spline.c
         else:
             # One piece, expanded about sweep 0: sum of c_k sweep^k, with no constant (that is the radius error).
@@ -300,9 +301,7 @@ class Tool:
     def _waviness(self, sweep: Floats) -> tuple[Floats, Floats]:
         """Return the deviation on the arc [mm], and its derivative [mm/rad]."""
         if isinstance(self.waviness, WavinessTable):
-            from scipy.interpolate import CubicSpline  # noqa: PLC0415 - scipy is costly to import
-
-            spline = CubicSpline(self.waviness.sweep, self.waviness.deviation)
+            spline = _spline(self.waviness)
             held = np.clip(sweep, self.waviness.sweep[0], self.waviness.sweep[-1])
             return np.asarray(spline(held)), np.where(held == sweep, spline(held, 1), 0.0)
         coefficients = [*reversed(self.waviness), 0.0]
@@ -335,3 +334,10 @@ class Tool:
         kernel.edge_points(*self.table(sense), sweep.ravel(), out)
         u, v, e = (part.reshape(sweep.shape) for part in out)
         return u, v, e
+
+
+def _spline(certificate: WavinessTable) -> CubicSpline:
+    """Return the spline through a certificate."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - scipy is costly to import
+
+    return CubicSpline(certificate.sweep, certificate.deviation)
