@@ -19,10 +19,10 @@ def _sense(angle: Floats, what: str) -> int:
     """Return +1 or -1, the direction in which the spindle angle runs."""
     if angle.size < 2:
         raise InputError(f"{what} has {angle.size} points, it needs at least 2: take a smaller feed or more points")
-    steps = np.diff(angle)
-    if (steps > 0).all():
+    before, after = angle[:-1], angle[1:]
+    if (after > before).all():
         return 1
-    if (steps < 0).all():
+    if (after < before).all():
         return -1
     raise InputError(f"the spindle angle of {what} turns back: make it grow or fall all the way")
 
@@ -121,6 +121,6 @@ class Motion:
         axes = {letter: frozen(values, f"axis {letter}") for letter, values in self.axes.items()}
         object.__setattr__(self, "axes", MappingProxyType(axes))
         same_length([("time", self.time), *axes.items()])
-        if not (np.diff(self.time) > 0).all():
+        if not (self.time[1:] > self.time[:-1]).all():
             raise InputError("the time of a motion does not ascend: every block needs a duration above 0 s")
         object.__setattr__(self, "sense", _sense(axes["C"], "a motion"))

@@ -41,10 +41,12 @@ if TYPE_CHECKING:
 
 __all__ = ["read_nc"]
 
-BUFFER = 1 << 22
+BUFFER = 1 << 20
 """Bytes of text taken at a time."""
 LONGEST = 1 << 16
 """Letters in the longest line."""
+HASHED = 1 << 14
+"""Points hashed at a time: few enough to stay in the cache, where fresh memory would cost more than the hash."""
 DEEPEST = 8
 LARGEST = 1e9
 WHOLE = "take all files of the program from where they were written again"
@@ -375,10 +377,12 @@ class _Reader:
     def _hash(self, rows: Floats, letters: list[str]) -> None:
         from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
 
-        units = np.empty((rows.shape[1], len(letters)), dtype=np.int64)
-        for column, letter in enumerate(letters):
-            text.quantise(rows[AXES.index(letter)], 10.0 ** self.dialect.decimals[letter], 0.0, 0, units, column)
-        self.digest.update(hashed_rows(units, rows[4]))
+        for start in range(0, rows.shape[1], HASHED):
+            some = rows[:, start : start + HASHED]
+            units = np.empty((some.shape[1], len(letters)), dtype=np.int64)
+            for column, letter in enumerate(letters):
+                text.quantise(some[AXES.index(letter)], 10.0 ** self.dialect.decimals[letter], 0.0, 0, units, column)
+            self.digest.update(hashed_rows(units, some[4]))
 
     def _open(self) -> None:
         """Begin a cut at the present position."""
