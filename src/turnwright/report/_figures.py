@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
@@ -98,9 +99,9 @@ class Picture(NamedTuple):
 class _Canvas:
     """A figure on its way to the page."""
 
-    def __init__(self, width: float, height: float) -> None:
+    def __init__(self, width: float, height: float, dpi: int) -> None:
         self.layout = ConstrainedLayoutEngine(compress=True)
-        self.figure = Figure(figsize=(width, height), layout=self.layout)
+        self.figure = Figure(figsize=(width, height), dpi=dpi, layout=self.layout)
         self.svg = ""
 
 
@@ -108,14 +109,14 @@ class _Canvas:
 def _canvas(width: float, height: float, dpi: int = 130) -> Iterator[_Canvas]:
     """Yield a figure of that size [in]; afterwards its ``svg`` is fit for a page."""
     with mpl.rc_context(STYLE):
-        canvas = _Canvas(width, height)
+        canvas = _Canvas(width, height, dpi)
         yield canvas
-        # Laid out here, once: saving would draw everything a second time, unseen, to do it.
+        # Laid out here, once, and printed at once: `savefig` would draw everything twice more, unseen, to be sure.
         if canvas.figure.get_layout_engine() is canvas.layout:
             canvas.layout.execute(canvas.figure)
             canvas.figure.set_layout_engine("none")
         text = io.StringIO()
-        canvas.figure.savefig(text, format="svg", dpi=dpi, metadata={"Date": None, "Creator": None})
+        FigureCanvasSVG(canvas.figure).print_svg(text, metadata={"Date": None, "Creator": None})
     svg = text.getvalue()
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
