@@ -116,7 +116,8 @@ def _canvas(width: float, height: float, dpi: int = 130) -> Iterator[_Canvas]:
             canvas.layout.execute(canvas.figure)
             canvas.figure.set_layout_engine("none")
         text = io.StringIO()
-        FigureCanvasSVG(canvas.figure).print_svg(text, metadata={"Date": None, "Creator": None})
+        printer: Any = FigureCanvasSVG(canvas.figure)
+        printer.print_svg(text, metadata={"Date": None, "Creator": None})
     svg = text.getvalue()
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
