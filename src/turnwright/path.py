@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -27,6 +27,14 @@ def _sense(angle: Floats, what: str) -> int:
     raise InputError(f"the spindle angle of {what} turns back: make it grow or fall all the way")
 
 
+def _freeze(owner: Spiral | Path, names: Sequence[str], optional: Sequence[str]) -> None:
+    """Make arrays of one length of the fields of a frozen dataclass; those that are optional may be ``None``."""
+    given = [*names, *(name for name in optional if getattr(owner, name) is not None)]
+    for name in given:
+        object.__setattr__(owner, name, frozen(getattr(owner, name), name))
+    same_length([(name, getattr(owner, name)) for name in given])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spiral:
     """Where the tool is sent, in plan view.
@@ -37,18 +45,24 @@ class Spiral:
         Azimuth of the part under the tool, cumulative over the turns, strictly growing or strictly falling. (n,) [rad]
     radius
         Commanded distance of the tip from the axis (for a path along the normal: of the contact point). (n,) [mm]
+    y
+        Height of the tip above centre, that is across the rake plane; ``None`` for a tip that stays at centre. (n,)
+        [mm]
+    radius_rate, y_rate
+        Their derivatives by the angle; ``None`` where nobody states them. (n,) [mm/rad]
     sense
         +1 where the angle grows, -1 where it falls; found from the angle.
     """
 
     angle: Floats
     radius: Floats
+    y: Floats | None = None
+    radius_rate: Floats | None = None
+    y_rate: Floats | None = None
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "angle", frozen(self.angle, "angle"))
-        object.__setattr__(self, "radius", frozen(self.radius, "radius"))
-        same_length([("angle", self.angle), ("radius", self.radius)])
+        _freeze(self, ("angle", "radius"), ("y", "radius_rate", "y_rate"))
         object.__setattr__(self, "sense", _sense(self.angle, "a spiral"))
 
     @property
@@ -71,6 +85,10 @@ class Path:
         The cutter-contact point in the part frame. Each (n,) [mm]
     clearance
         Least height of the whole edge above the surface: 0 in contact, negative where the tool gouges. (n,) [mm]
+    y, radius_rate, y_rate
+        As in the `Spiral` that was placed.
+    z_rate
+        Derivative of z by the angle, where the spiral states its own. (n,) [mm/rad]
     """
 
     angle: Floats
@@ -81,13 +99,15 @@ class Path:
     contact_y: Floats
     contact_z: Floats
     clearance: Floats
+    y: Floats | None = None
+    radius_rate: Floats | None = None
+    y_rate: Floats | None = None
+    z_rate: Floats | None = None
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
         names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
-        for name in names:
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
-        same_length([(name, getattr(self, name)) for name in names])
+        _freeze(self, names, ("y", "radius_rate", "y_rate", "z_rate"))
         object.__setattr__(self, "sense", _sense(self.angle, "a path"))
 
 
@@ -96,7 +116,8 @@ class Motion:
     """How the axes move in time, in Turnwright's own convention whatever the controller's.
 
     C is the azimuth of the part under the tool [rad], cumulative; X the commanded distance of the tip from the axis,
-    Y (if there is one) its height above centre, Z its height [mm]. Between the points every axis moves linearly.
+    Y (if there is one) its height above centre, Z its height, and W (if there is one) what a fast tool adds to Z [mm].
+    Between the points every axis moves linearly, unless the controller takes their velocities too, see `track`.
 
     Parameters
     ----------
@@ -106,11 +127,15 @@ class Motion:
         Position by axis letter, at least "C", "X" and "Z". Each (n,)
     machine
         The machine that the commands are meant for; its geometric errors are already corrected in them.
+    velocity
+        Velocity of every axis at the points, by letter, as a program in positions, velocities and times (PVT) states
+        it; ``None`` where it states none. Each (n,) [mm/s or rad/s]
     """
 
     time: Floats
     axes: Mapping[str, Floats]
     machine: Machine
+    velocity: Mapping[str, Floats] | None = None
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
@@ -121,6 +146,15 @@ class Motion:
         axes = {letter: frozen(values, f"axis {letter}") for letter, values in self.axes.items()}
         object.__setattr__(self, "axes", MappingProxyType(axes))
         same_length([("time", self.time), *axes.items()])
+        if self.velocity is not None:
+            if set(self.velocity) != set(axes):
+                raise InputError(
+                    f"a motion moves {', '.join(sorted(axes))} at velocities of {', '.join(sorted(self.velocity))}: "
+                    "give one for each"
+                )
+            velocity = {letter: frozen(values, f"velocity {letter}") for letter, values in self.velocity.items()}
+            object.__setattr__(self, "velocity", MappingProxyType(velocity))
+            same_length([("time", self.time), *velocity.items()])
         if not (self.time[1:] > self.time[:-1]).all():
             raise InputError("the time of a motion does not ascend: every block needs a duration above 0 s")
         object.__setattr__(self, "sense", _sense(axes["C"], "a motion"))
