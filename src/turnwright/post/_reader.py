@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import mmap
 import re
 import warnings
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -212,6 +213,15 @@ def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine)
         raise ProgramError(f"{path} does not hold a motion: {error}") from error
 
 
+def _rows(room: int) -> Floats:
+    """Return memory for the blocks of a cut.
+
+    NumPy would ask for it in huge pages, and a virtual machine may have to fetch each of those from its host: that made
+    the time of reading swing between once and twice.
+    """
+    return np.frombuffer(mmap.mmap(-1, 5 * 8 * room)).reshape(5, room)
+
+
 class _Reader:
     """The state of a controller that follows a program."""
 
@@ -349,7 +359,7 @@ class _Reader:
         if cut is None or not self._asked(cut):
             return self.scratch, 0
         if cut.points == cut.rows.shape[1]:
-            wider = np.empty((5, 2 * cut.points))
+            wider = _rows(2 * cut.points)
             wider[:, : cut.points] = cut.rows
             cut.rows = wider
         return cut.rows, cut.points
@@ -390,7 +400,7 @@ class _Reader:
         # As many points as the header says, if the text is long enough to hold them, and one to spare: only a full
         # table is made wider.
         room = max(2, min(self.told.points, self.total) + 1) if self.told else 1 << 16
-        cut = _Cut(name=self.named or f"cut {self.cuts}", named=self.named is not None, rows=np.empty((5, room)))
+        cut = _Cut(name=self.named or f"cut {self.cuts}", named=self.named is not None, rows=_rows(room))
         cut.rows[:4, 0] = self.real[:4]
         cut.rows[4, 0] = 0.0
         self.cut = cut
