@@ -71,7 +71,8 @@ def place(
     angle, radius, sense = spiral.angle, spiral.radius, spiral.sense
     if along == "normal":
         return _along_normal(spiral, part, tool, progress)
-    at = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.radius, progress=progress)
+    rim, y = part.radius, spiral.y
+    at = touch(part.surface, tool, angle=angle, radius=radius, y=y, sense=sense, rim=rim, progress=progress)
     # Nowhere on the edge is there less clearance than at the maximum itself; there it is what rounding leaves of 0. On
     # the wall of a step the contact point, rounded, may fall to the foot of the wall, and right on an axis without a
     # height there is none to compare with: neither is less than 0.
@@ -79,24 +80,26 @@ def place(
         left = at.surface_z - part.surface.evaluate(at.x, at.y, 0)[0]
     return Path(
         angle=angle, radius=radius, z=at.z, sweep=at.sweep, contact_x=at.x, contact_y=at.y, contact_z=at.surface_z,
-        clearance=np.fmin(left, 0.0),
+        clearance=np.fmin(left, 0.0), y=y, y_rate=spiral.y_rate, radius_rate=spiral.radius_rate,
     )  # fmt: skip
 
 
 def _along_normal(spiral: Spiral, part: Part, tool: Tool, progress: Progress | None) -> Path:
     angle, contact, sense = spiral.angle, spiral.radius, spiral.sense
-    sweep, x, y, surface_z = _tangent(part, tool, angle, contact, sense)
+    aside = np.zeros(angle.size) if spiral.y is None else spiral.y
+    sweep, x, y, surface_z = _tangent(part, tool, angle, contact, aside, sense)
     u, _, e = tool.edge(sweep, sense)
     radius, z = contact - u, surface_z - e
-    at = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.radius, progress=progress)
+    rim = part.radius
+    at = touch(part.surface, tool, angle=angle, radius=radius, y=aside, sense=sense, rim=rim, progress=progress)
     return Path(
         angle=angle, radius=radius, z=z, sweep=sweep, contact_x=x, contact_y=y, contact_z=surface_z,
-        clearance=z - at.z,
+        clearance=z - at.z, y=spiral.y,
     )  # fmt: skip
 
 
 def _tangent(
-    part: Part, tool: Tool, angle: Floats, contact: Floats, sense: int
+    part: Part, tool: Tool, angle: Floats, contact: Floats, aside: Floats, sense: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return sweep, x, y and height where the edge's tangent is the surface's, at ``contact`` along the rake plane."""
     from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
@@ -104,7 +107,7 @@ def _tangent(
     edge = tool.table(sense)
     cosine, sine = np.cos(angle), np.sin(angle)
     sweep = np.zeros(angle.size)
-    across = np.full(angle.size, edge.row[6])
+    across = aside + edge.row[6]
     for _ in range(20):
         x, y = contact * cosine - across * sine, contact * sine + across * cosine
         surface_z = part.surface.sag(x, y)
@@ -118,7 +121,7 @@ def _tangent(
                 f"y = {y[k]:.6g} mm, the arc of the tool holds tangents from {low:.4g} to {high:.4g} deg: "
                 "take a tool with a larger included angle"
             )
-        moved = tool.edge(sweep, sense)[1]
+        moved = aside + tool.edge(sweep, sense)[1]
         # An upright edge stays in the radial plane; a leaning one moves aside with its place on the nose.
         if np.abs(moved - across).max() < 1e-15:
             break

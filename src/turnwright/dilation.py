@@ -89,6 +89,10 @@ class _Breaks(NamedTuple):
     slope: Floats
 
 
+_Tips = tuple[Floats, Floats, Floats]
+"""Azimuth, distance from the axis and distance across, of each row."""
+
+
 class _NarrowWindow(Exception):  # noqa: N818 - a signal between two functions
     """The edge touches beyond the window looked at."""
 
@@ -99,12 +103,13 @@ def tip_height(
     *,
     angle: ArrayLike,
     radius: ArrayLike,
+    y: ArrayLike | None = None,
     sense: int,
     rim: float = np.inf,
     progress: Progress | None = None,
 ) -> Floats:
     """Return the commanded tip heights at which the edge touches the surface. (n,) [mm]. See `touch`."""
-    return touch(surface, tool, angle=angle, radius=radius, sense=sense, rim=rim, progress=progress).z
+    return touch(surface, tool, angle=angle, radius=radius, y=y, sense=sense, rim=rim, progress=progress).z
 
 
 def touch(
@@ -113,6 +118,7 @@ def touch(
     *,
     angle: ArrayLike,
     radius: ArrayLike,
+    y: ArrayLike | None = None,
     sense: int,
     rim: float = np.inf,
     progress: Progress | None = None,
@@ -124,7 +130,9 @@ def touch(
     surface, tool
         What is to be left, and the real tool.
     angle, radius
-        Commanded tip in plan view. (n,) [rad], (n,) [mm]
+        Rake plane, and where the commanded tip stands along it. (n,) [rad], (n,) [mm]
+    y
+        How far across that plane it stands, toward growing azimuth; ``None`` for at centre. (n,) [mm]
     sense
         +1 where the angle grows with time, -1 where it falls.
     rim
@@ -143,8 +151,9 @@ def touch(
         steeper than the flanks as far as the rim.
     """
     angle, radius = frozen(angle, "angle"), frozen(radius, "radius")
-    same_length([("angle", angle), ("radius", radius)])
-    contact = _Contact(surface, tool, sense, radius, rim)
+    aside = np.zeros(angle.size) if y is None else frozen(y, "y")
+    same_length([("angle", angle), ("radius", radius), ("y", aside)])
+    contact = _Contact(surface, tool, sense, radius, aside, rim)
     out = Touch(*(np.empty(angle.size) for _ in range(5)))
     if contact.one_tangent():
         doubtful: list[int] = []
@@ -153,13 +162,13 @@ def touch(
             part = slice(start, stop)
             if doubtful:
                 return
-            if not contact.newton(angle[part], radius[part], Touch(*(a[part] for a in out))):
+            if not contact.newton(angle[part], radius[part], aside[part], Touch(*(a[part] for a in out))):
                 doubtful.append(start)
 
         run_chunks(work, angle.size, CHUNK, progress)
         if not doubtful:
             return out
-    contact.search(angle, radius, out, progress)
+    contact.search(angle, radius, aside, out, progress)
     return out
 
 
@@ -172,10 +181,16 @@ def _turn_length(angle: Floats) -> int | None:
     return n if np.abs(lag - 2 * np.pi).max() < 1e-9 else None
 
 
+def _of(tips: _Tips, row: Ints) -> _Tips:
+    """Return some of the tips."""
+    angle, radius, aside = (part[row] for part in tips)
+    return angle, radius, aside
+
+
 class _Contact:
     """One surface and one edge, with what both ways of finding the contact share."""
 
-    def __init__(self, surface: Surface, tool: Tool, sense: int, radius: Floats, rim: float) -> None:
+    def __init__(self, surface: Surface, tool: Tool, sense: int, radius: Floats, aside: Floats, rim: float) -> None:
         from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
         from turnwright._kernels.edge import edge_points  # noqa: PLC0415
 
@@ -185,14 +200,14 @@ class _Contact:
         self.edge: EdgeTable = tool.table(sense)
         self.profile: Profile = tool.profile()
         self.row = self.edge.row
-        self.upright = bool(self.row[4] == 0 and self.row[6] == 0)
+        self.upright = bool(self.row[4] == 0 and self.row[6] == 0 and not aside.any())
         self.nearest = float(radius.min() + self.row[5])
         self.farthest = float(radius.max() + self.row[5])
         self.arc = (float(self.profile.row[1]), float(self.profile.row[4]))
         # A curvature that vanishes may change by its own size over no distance at all; the nose does not feel it.
         self.feature = max(surface.feature_size, FINEST * float(self.row[0]))
         # What the plan covers.
-        outermost = max(abs(self.nearest), abs(self.farthest))
+        outermost = float(np.hypot(radius + self.row[5], aside).max())
         self.rim = max(rim, outermost)
         self.reach = (self.rim if self.rim < np.inf else outermost) + max(self.arc[1], -self.arc[0])
 
@@ -252,12 +267,12 @@ class _Contact:
         elsewhere = np.inf if self.rim < np.inf else -np.inf
         return np.where(there, slope, 0.0), np.where(there, bend, elsewhere)
 
-    def newton(self, angle: Floats, radius: Floats, out: Touch) -> bool:
+    def newton(self, angle: Floats, radius: Floats, aside: Floats, out: Touch) -> bool:
         """Fill ``out`` with the tangent solution; return whether it is certain to be the only one."""
         if self.upright and self.profile.table.shape[1] == 0:
             certain = self._newton_round(angle, radius, out)
         else:
-            certain = self._newton_edge(angle, radius, out)
+            certain = self._newton_edge(angle, radius, aside, out)
         # Nothing is said of the flanks beyond the arc.
         return certain and bool((out.sweep >= self.row[1]).all() and (out.sweep <= self.row[2]).all())
 
@@ -283,14 +298,14 @@ class _Contact:
         np.add(out.z, (nose + self.row[7]) - np.sqrt(nose * nose - u * u), out=out.surface_z)
         return self._inside(out.x, out.y)
 
-    def _newton_edge(self, angle: Floats, radius: Floats, out: Touch) -> bool:
+    def _newton_edge(self, angle: Floats, radius: Floats, aside: Floats, out: Touch) -> bool:
         """Newton for any convex edge, in the sweep; points that have arrived drop out."""
         sweep = np.zeros(angle.size)
         active: Ints | slice = slice(None)
-        a, r, s = angle, radius, sweep
+        a, r, v, s = angle, radius, aside, sweep
         for _ in range(12):
             x, y, value, first, top, step, bend = np.empty((7, s.size))
-            self.kernel.under_edge(*self.edge, a, r, s, x, y)
+            self.kernel.under_edge(*self.edge, a, r, v, s, x, y)
             with np.errstate(all="ignore"):
                 jet = self.surface.evaluate(x, y, 2)
             self.kernel.newton_step(*self.edge, a, s, *jet, value, first, top, step, bend)
@@ -305,21 +320,21 @@ class _Contact:
             if 2 * np.count_nonzero(far) < far.size:
                 keep = np.flatnonzero(far)
                 active = keep if isinstance(active, slice) else active[keep]
-                a, r, s = a[keep], r[keep], s[keep]
+                a, r, v, s = a[keep], r[keep], v[keep], s[keep]
         else:
             return False
         out.sweep[:] = sweep
-        self._contact_points(angle, radius, out)
+        self._contact_points(angle, radius, aside, out)
         return self._inside(out.x, out.y)
 
     def _inside(self, x: Floats, y: Floats) -> bool:
         inside = self.surface.inside(x, y)
         return inside is None or bool(inside.all())
 
-    def _contact_points(self, angle: Floats, radius: Floats, out: Touch) -> None:
+    def _contact_points(self, angle: Floats, radius: Floats, aside: Floats, out: Touch) -> None:
         """Set the contact point from the sweep."""
         x, y = np.empty(angle.size), np.empty(angle.size)
-        self.kernel.under_edge(*self.edge, angle, radius, np.ascontiguousarray(out.sweep), x, y)
+        self.kernel.under_edge(*self.edge, angle, radius, aside, np.ascontiguousarray(out.sweep), x, y)
         out.x[:], out.y[:] = x, y
         out.surface_z[:] = out.z + self._edge_at(out.sweep)[2]
 
@@ -337,7 +352,7 @@ class _Contact:
 
     # ---------------------------------------------------------------------------------------------------- search
 
-    def search(self, angle: Floats, radius: Floats, out: Touch, progress: Progress | None) -> None:
+    def search(self, angle: Floats, radius: Floats, aside: Floats, out: Touch, progress: Progress | None) -> None:
         """Fill ``out`` by sampling along the edge and refining every maximum that may be the greatest.
 
         Points of one azimuth share one sampled line through the axis. Points that share nothing, or whose edge leaves
@@ -351,10 +366,10 @@ class _Contact:
             points = np.arange(start, angle.size, turn)[:, None] + np.arange(stop - start)
             points = np.minimum(points, angle.size).T
             counts = np.count_nonzero(points < angle.size, axis=1)
-            self._widening(angle, radius, points[points < angle.size], counts, step, out)
+            self._widening(angle, radius, aside, points[points < angle.size], counts, step, out)
 
         def tracks(start: int, stop: int) -> None:
-            self._widening(angle, radius, np.arange(start, stop), None, step, out)
+            self._widening(angle, radius, aside, np.arange(start, stop), None, step, out)
 
         samples = (width + (self.farthest - self.nearest if turn is not None else 0.0)) / step
         if samples > LONGEST:
@@ -370,7 +385,7 @@ class _Contact:
             run_chunks(tracks, angle.size, int(np.clip(MOST_SAMPLES // 4 * step / width, 1, CHUNK)), progress)
 
     def _widening(
-        self, angle: Floats, radius: Floats, points: Ints, counts: Ints | None, step: float, out: Touch
+        self, angle: Floats, radius: Floats, aside: Floats, points: Ints, counts: Ints | None, step: float, out: Touch
     ) -> None:
         """Find the contacts of ``points`` on the arc, or further up the flanks where the arc does not touch."""
         low, high = self.arc
@@ -378,7 +393,7 @@ class _Contact:
         while waiting:
             some, counts, low, high = waiting.pop()
             try:
-                part = self._touch(angle[some], radius[some], counts, step, low, high)
+                part = self._touch(angle[some], radius[some], aside[some], counts, step, low, high)
             except _NarrowWindow:
                 if high > WIDEST * self.arc[1]:
                     raise GougeError(
@@ -393,30 +408,33 @@ class _Contact:
             for target, values in zip(out, part, strict=True):
                 target[some] = values
 
-    def _touch(self, angle: Floats, radius: Floats, counts: Ints | None, step: float, low: float, high: float) -> Touch:
+    def _touch(
+        self, angle: Floats, radius: Floats, aside: Floats, counts: Ints | None, step: float, low: float, high: float
+    ) -> Touch:
         """Find the contacts of points in rows of ``counts`` that share an azimuth, or (without) one to a row."""
         if counts is None:
             offsets = np.arange(angle.size + 1)
-            row_angle, row_radius, position = angle, radius, np.zeros(angle.size)
+            row_angle, row_radius, row_aside, position = angle, radius, aside, np.zeros(angle.size)
         else:
             # The line itself is the track of an edge whose tip stands on the axis.
             offsets = np.concatenate([[0], np.cumsum(counts)])
             row_angle, row_radius = angle[offsets[:-1]], np.full(counts.size, -self.row[5])
+            row_aside = np.zeros(counts.size)
             position = radius + self.row[5]
         # Not on the axis, nor on any other round place where a prescription may be special.
         origin = float(position.min()) + low - 2.381966 * step
         samples = int(np.ceil((float(position.max()) + high - origin) / step)) + 4
         u = np.ascontiguousarray(np.broadcast_to(origin + step * np.arange(samples), (row_angle.size, samples)))
         x, y = np.empty(u.shape), np.empty(u.shape)
-        self.kernel.places(self.row, *self.profile[:2], row_angle, row_radius, u, x, y)
+        self.kernel.places(self.row, *self.profile[:2], row_angle, row_radius, row_aside, u, x, y)
         heights = self._heights(x, y)
-        breaks = self._breaks(x, y, heights, u, row_angle, row_radius)
+        breaks = self._breaks(x, y, heights, u, (row_angle, row_radius, row_aside))
         found, direct, direct_at, ended = self._candidates(heights, origin, step, offsets, position, breaks, low, high)
         if found is None:
             raise _NarrowWindow
         if not isinstance(found, _Candidates):
             self._outside(float(angle[found]), float(radius[found]))
-        top, sweep = self._maximum(angle[found.point], radius[found.point], found)
+        top, sweep = self._maximum(angle[found.point], radius[found.point], aside[found.point], found)
         best = np.empty(angle.size)
         self.kernel.sweeps_at(*self.edge, direct_at, best)
         z = direct - self.row[7]
@@ -428,7 +446,7 @@ class _Contact:
                 f"{np.rad2deg(angle[k]) % 360:.4g} deg, the surface must be finite there: check the prescription"
             )
         part = Touch(z, best, *np.empty((3, angle.size)))
-        self._contact_points(angle, radius, part)
+        self._contact_points(angle, radius, aside, part)
         if ended.any():
             self._judge_ends(angle[ended], radius[ended], Touch(*(values[ended] for values in part)))
         return part
@@ -497,7 +515,7 @@ class _Contact:
 
     # ------------------------------------------------------------------------------------------- kinks and steps
 
-    def _breaks(self, x: Floats, y: Floats, heights: Floats, u: Floats, angle: Floats, radius: Floats) -> _Breaks:
+    def _breaks(self, x: Floats, y: Floats, heights: Floats, u: Floats, tips: _Tips) -> _Breaks:
         """Return every kink or step between samples of different pieces, and every end of the domain, to the last bit.
 
         Beyond an end of the domain, or the rim, the height is -inf.
@@ -512,29 +530,29 @@ class _Contact:
         ):
             if labels is not None:
                 row, after = np.nonzero(labels[:, 1:] != labels[:, :-1])
-                found.append(self._split(label, row, after, u[row, after], u[row, after + 1], angle, radius, 4))
+                found.append(self._split(label, row, after, u[row, after], u[row, after + 1], tips, 4))
         if not found:
             none = np.empty(0, dtype=np.int64)
-            return _Breaks(np.zeros(angle.size + 1, dtype=np.int64), none, np.empty(0), *np.empty((2, 2, 0)))
+            return _Breaks(np.zeros(x.shape[0] + 1, dtype=np.int64), none, np.empty(0), *np.empty((2, 2, 0)))
         row, after, before_at, behind_at = (np.concatenate(parts) for parts in zip(*found, strict=True))
         order = np.lexsort((before_at, after, row))
         row, after = row[order], after[order]
         sides = np.stack([before_at[order], behind_at[order]])
         height, slope = np.empty(sides.shape), np.empty(sides.shape)
         for side in range(2):
-            height[side] = self._heights(*self._place(angle[row], radius[row], sides[side]))
+            height[side] = self._heights(*self._place(_of(tips, row), sides[side]))
             # A little inside the piece: right on the axis, a slope is the difference of infinities.
             beside = sides[side] + (2 * side - 1) * BESIDE
-            x, y = self._place(angle[row], radius[row], beside)
+            x, y = self._place(_of(tips, row), beside)
             with np.errstate(all="ignore"):
                 _, zx, zy = self.surface.evaluate(x, y, 1)
-            self.kernel.slopes_along(self.row, *self.profile[:2], angle[row], beside, zx, zy, slope[side])
-        offsets = np.searchsorted(row, np.arange(angle.size + 1))
+            self.kernel.slopes_along(self.row, *self.profile[:2], tips[0][row], beside, zx, zy, slope[side])
+        offsets = np.searchsorted(row, np.arange(heights.shape[0] + 1))
         return _Breaks(offsets, after, 0.5 * (sides[0] + sides[1]), height, slope)
 
-    def _place(self, angle: Floats, radius: Floats, u: Floats) -> tuple[Floats, Floats]:
+    def _place(self, tips: _Tips, u: Floats) -> tuple[Floats, Floats]:
         x, y = np.empty((2, u.size, 1))
-        self.kernel.places(self.row, *self.profile[:2], angle, radius, u[:, None], x, y)
+        self.kernel.places(self.row, *self.profile[:2], *tips, u[:, None], x, y)
         return x[:, 0], y[:, 0]
 
     def _missing(self, x: Floats, y: Floats) -> Ints:
@@ -548,8 +566,7 @@ class _Contact:
         after: Ints,
         a: Floats,
         b: Floats,
-        angle: Floats,
-        radius: Floats,
+        tips: _Tips,
         depth: int,
     ) -> tuple[Ints, Ints, Floats, Floats]:
         """Return where between a and b the label, a piece, changes: rows, samples before, and the sides of each change.
@@ -557,10 +574,10 @@ class _Contact:
         A piece cuts a line in one interval. So where the piece of one end stops, and where that of the other begins,
         are found by bisection; what lies between them, if anything, is other pieces and is split again.
         """
-        at, dist = angle[row], radius[row]
+        here = _of(tips, row)
 
         def piece(place: Floats) -> Ints:
-            pieces = label(*self._place(at, dist, place))
+            pieces = label(*self._place(here, place))
             assert pieces is not None  # noqa: S101 - only called for a surface in pieces
             return pieces
 
@@ -582,7 +599,7 @@ class _Contact:
         # One piece in between has no change in it.
         more = sliver.copy()
         more[sliver] = piece(over)[sliver] != piece(under)[sliver]
-        inner = self._split(label, row[more], after[more], over[more], under[more], angle, radius, depth - 1)
+        inner = self._split(label, row[more], after[more], over[more], under[more], tips, depth - 1)
         return (
             np.concatenate([row[~sliver], row[sliver], row[sliver], inner[0]]),
             np.concatenate([after[~sliver], after[sliver], after[sliver], inner[1]]),
@@ -590,7 +607,7 @@ class _Contact:
             np.concatenate([high[~sliver], over[sliver], high[sliver], inner[3]]),
         )
 
-    def _maximum(self, angle: Floats, radius: Floats, found: _Candidates) -> tuple[Floats, Floats]:
+    def _maximum(self, angle: Floats, radius: Floats, aside: Floats, found: _Candidates) -> tuple[Floats, Floats]:
         """Return the greatest f - e in each short smooth interval of the nose, and where it is."""
         begin, end, sweep = np.empty((3, angle.size))
         for target, u in zip((begin, end, sweep), (found.start, found.stop, found.guess), strict=True):
@@ -599,10 +616,10 @@ class _Contact:
         index = np.arange(angle.size)
         state = np.stack([begin, end, begin, end, sweep])  # interval, bracket, where to look next
         done = np.zeros(angle.size, dtype=np.bool_)
-        b, p, a, r = best, place, angle, radius
+        b, p, a, r, v = best, place, angle, radius, aside
         for _ in range(100):
             x, y, value, first, top, step, bend = np.empty((7, a.size))
-            self.kernel.under_edge(*self.edge, a, r, state[4], x, y)
+            self.kernel.under_edge(*self.edge, a, r, v, state[4], x, y)
             with np.errstate(all="ignore"):
                 jet = self.surface.evaluate(x, y, 2)
             self.kernel.newton_step(*self.edge, a, state[4], *jet, value, first, top, step, bend)
@@ -613,6 +630,6 @@ class _Contact:
             if 4 * np.count_nonzero(done) > done.size:
                 best[index], place[index] = b, p
                 keep = np.flatnonzero(~done)
-                index, a, r, b, p = index[keep], a[keep], r[keep], b[keep], p[keep]
+                index, a, r, v, b, p = index[keep], a[keep], r[keep], v[keep], b[keep], p[keep]
                 state, done = np.ascontiguousarray(state[:, keep]), done[keep]
         return best, place

@@ -1,5 +1,7 @@
 """Placing the edge. Oracles: closed form on planes and spheres, the tangent condition, brute-force dilation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -384,3 +386,50 @@ def test_a_bump_beside_the_tips_and_off_every_ray_is_found():
     expected = [brute_force(surface, ROUND, a, r, 1) for a, r in zip(angle, radius, strict=True)]
     assert min(expected) > 2e-4
     np.testing.assert_allclose(got.z, expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("tool", TOOLS.values(), ids=TOOLS)
+@pytest.mark.parametrize("name", ["smooth grid", "several tangents", "domes", "hexagonal domes"])
+def test_a_tip_across_the_rake_plane_equals_brute_force_dilation(name, tool):
+    rng = np.random.default_rng(11)
+    angle, radius, y = np.sort(rng.uniform(0, 9, 60)), rng.uniform(-0.1, 1.2, 60), rng.uniform(-0.4, 0.4, 60)
+    got = touch(SURFACES[name], tool, angle=angle, radius=radius, y=y, sense=-1)
+    # A tool is as far off centre as its tip is across: the oracle knows nothing of y.
+    expected = [
+        brute_force(SURFACES[name], replace(tool, offset=np.add(tool.offset, (0, aside, 0))), a, r, -1)
+        for a, r, aside in zip(angle, radius, y, strict=True)
+    ]
+    np.testing.assert_allclose(got.z, expected, rtol=0, atol=1e-10)
+    u, v, e = tool.edge(got.sweep, -1)
+    np.testing.assert_allclose((radius + u) * np.cos(angle) - (y + v) * np.sin(angle), got.x, atol=1e-12)
+    np.testing.assert_allclose((radius + u) * np.sin(angle) + (y + v) * np.cos(angle), got.y, atol=1e-12)
+    np.testing.assert_allclose(got.z + e, SURFACES[name].sag(got.x, got.y), atol=2e-12)
+
+
+@pytest.mark.parametrize("along", ["z", "normal"])
+@pytest.mark.parametrize("radius", [5.0, -5.0])
+def test_sphere_under_a_tip_across_the_rake_plane_in_closed_form(radius, along):
+    """The plane at the distance y cuts a sphere in a circle; the nose touches that circle."""
+    tool = tw.Tool(nose_radius=0.7, included=150 * DEG)
+    where = spiral(3.0, 0.05, 48)
+    y = 0.3 * np.sin(7 * where.angle)
+    path = tw.place(
+        tw.Spiral(angle=where.angle, radius=where.radius, y=y),
+        tw.Part(surface=tw.Sphere(radius=radius), radius=3.0),
+        tool,
+        along=along,
+    )
+    cut = np.sqrt(radius**2 - y**2)
+    inner = cut - 0.7 if radius > 0 else cut + 0.7
+    tip = path.radius
+    centre = np.sign(radius) * (abs(radius) - np.sqrt(inner**2 - tip**2))
+    np.testing.assert_allclose(path.z, centre - 0.7, atol=1e-13)
+    # The normal of the circle passes through both centres.
+    contact = tip * cut / inner
+    found = path.contact_x * np.cos(path.angle) + path.contact_y * np.sin(path.angle)
+    np.testing.assert_allclose(found, contact, atol=1e-9)
+    np.testing.assert_allclose(path.contact_y * np.cos(path.angle) - path.contact_x * np.sin(path.angle), y, atol=1e-12)
+    np.testing.assert_array_equal(path.y, y)
+    if along == "normal":
+        np.testing.assert_allclose(found, where.radius, atol=1e-12)
+        assert np.abs(path.clearance).max() < 1e-12

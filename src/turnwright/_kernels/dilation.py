@@ -14,13 +14,13 @@ LITTLE = 1e-9
 
 
 @jit
-def under_edge(row, breaks, coefficients, angle, radius, sweep, x, y):
-    """Fill ``x`` and ``y`` with where the edge stands over the part at ``sweep``, the tool at (angle, radius)."""
+def under_edge(row, breaks, coefficients, angle, radius, aside, sweep, x, y):
+    """Fill ``x`` and ``y`` with where the edge stands over the part at ``sweep``, the tip at (radius, ``aside``)."""
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
         u, w, _, _, _, _ = edge(row, breaks, coefficients, sweep[i])
         along = radius[i] + row[5] + u
-        across = row[6] + row[4] * w
+        across = aside[i] + row[6] + row[4] * w
         x[i] = along * cosine - across * sine
         y[i] = along * sine + across * cosine
 
@@ -97,13 +97,13 @@ def sweeps_at(row, breaks, coefficients, u, sweep):
 
 
 @jit
-def places(row, profile, table, angle, radius, u, x, y):
+def places(row, profile, table, angle, radius, aside, u, x, y):
     """Fill ``x`` and ``y`` (rows, n) with where the edge stands over the part at distances ``u`` (rows, n)."""
     for i in range(u.shape[0]):
         sine, cosine = sincos(angle[i])
         for j in range(u.shape[1]):
             along = radius[i] + row[5] + u[i, j]
-            across = row[6]
+            across = aside[i] + row[6]
             if row[4] != 0.0:
                 across += row[4] * height(profile, table, u[i, j])
             x[i, j] = along * cosine - across * sine
