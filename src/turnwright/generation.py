@@ -67,6 +67,8 @@ def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
 
     machine = machine or motion.machine
     c, x, z = (motion.axes[letter] for letter in "CXZ")
+    if "W" in motion.axes:
+        z = z + motion.axes["W"]
     error = machine.z_error(x) if machine.squareness or machine.straightness is not None else None
     if error is not None:
         z = z + error

@@ -32,6 +32,9 @@ ROTARY = frozenset("ABC")
 LATEST = 1.0
 """A dead time beyond this is a slip of the unit. [s]"""
 
+MOST_BASES = 8
+"""Machine files that may build on each other."""
+
 STEEPEST = 0.1
 """A squareness beyond this is a slip of the unit, not an error of a machine. [rad]"""
 
@@ -46,6 +49,8 @@ class Axis:
         Largest magnitude, in mm or rad and s.
     low, high
         Ends of the travel. [mm or rad]
+    bandwidth_hz
+        Highest frequency at which the axis still follows; `check_limits` says what a motion has of it. [Hz]
     response
         How the axis answers its command; ``None`` follows exactly.
     dead_time
@@ -62,6 +67,7 @@ class Axis:
     jerk: float | None = None
     low: float | None = None
     high: float | None = None
+    bandwidth_hz: float | None = None
     response: Response | None = None
     dead_time: float | None = None
 
@@ -70,11 +76,33 @@ class Axis:
             limit = getattr(self, name)
             if limit is not None:
                 positive(limit, f"the {name} of an axis", f"mm{power} or rad{power}")
+        if self.bandwidth_hz is not None:
+            positive(self.bandwidth_hz, "the bandwidth of an axis", "Hz")
         low = -np.inf if self.low is None else self.low
         high = np.inf if self.high is None else self.high
         if not low < high:
             raise InputError(f"the travel of an axis is {low:g} to {high:g} mm or rad: let low be below high")
         between(self.dead_time or 0.0, "the dead_time of an axis", 0.0, LATEST, "s")
+
+    def amplitude(self, frequency_hz: ArrayLike) -> Floats:
+        r"""Return the largest sine that keeps travel, speed, acceleration, jerk and bandwidth, at some frequencies.
+
+        A sine of amplitude a has the peaks :math:`a\omega`, :math:`a\omega^2` and :math:`a\omega^3`; beyond the
+        bandwidth nothing is allowed, and infinity is where nobody states a limit. Any shape [mm or rad]
+
+        >>> fast = Axis(low=-0.035, high=0.035, acceleration=1e5, bandwidth_hz=700)
+        >>> fast.amplitude([100.0, 500.0, 800.0]).round(5).tolist()
+        [0.035, 0.01013, 0.0]
+        """
+        frequency = np.asarray(frequency_hz, dtype=np.float64)
+        most = np.full(frequency.shape, np.inf)
+        if self.low is not None and self.high is not None:
+            most[...] = (self.high - self.low) / 2
+        with np.errstate(divide="ignore"):
+            for limit, power in ((self.speed, 1), (self.acceleration, 2), (self.jerk, 3)):
+                if limit is not None:
+                    most = np.minimum(most, limit / (2 * np.pi * frequency) ** power)
+        return np.where(frequency > (np.inf if self.bandwidth_hz is None else self.bandwidth_hz), 0.0, most)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,29 +257,17 @@ class Machine:
         Parameters
         ----------
         name
-            "nanotech-350fg", "nanoform", "generic", or the path of a ``.toml`` file.
+            "nanotech-350fg", "nanoform", "nanoform-fts-70", "nanoform-fts-500", "generic", or the path of a ``.toml``
+            file. A file that says ``base = NAME`` adds to another machine, or says some of its facts anew.
 
         Raises
         ------
         InputError
             If there is no such machine, or its file is wrong; the message names the key.
         """
-        folder = resources.files("turnwright") / "machines"
-        known = sorted(Path(entry.name).stem for entry in folder.iterdir() if entry.name.endswith(".toml"))
-        if name in known:
-            data = (folder / f"{name}.toml").read_bytes()
-        else:
-            try:
-                data = Path(name).read_bytes()
-            except (OSError, ValueError) as error:
-                why = getattr(error, "strerror", None) or "it is no name of a file"
-                raise InputError(
-                    f"machine {str(name)!r} is not one of {', '.join(known)} and cannot be read as a file ({why}): "
-                    "name one of these, or give the path of a .toml file"
-                ) from error
-        table = read_toml(data, f"machine file {str(name)!r}")
+        table = _read(name, ())
         try:
-            return _from_table(table, Path() if name in known else Path(name).parent)
+            return _from_table(table)
         except InputError as error:
             raise InputError(f"machine file {str(name)!r}: {error}") from error
 
@@ -264,8 +280,52 @@ class Machine:
         return error
 
 
-def _from_table(table: Mapping[str, Any], folder: Path) -> Machine:
-    """Build a machine from its file; files that it names stand in the same folder."""
+def _read(name: str | Path, above: tuple[str | Path, ...]) -> dict[str, Any]:
+    """Return the tables of a machine file over those of its base; files that it names stand in the same folder."""
+    folder = resources.files("turnwright") / "machines"
+    known = sorted(Path(entry.name).stem for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    if name in known:
+        data, beside = (folder / f"{name}.toml").read_bytes(), Path()
+    else:
+        try:
+            data, beside = Path(name).read_bytes(), Path(name).parent
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or "it is no name of a file"
+            raise InputError(
+                f"machine {str(name)!r} is not one of {', '.join(known)} and cannot be read as a file ({why}): "
+                "name one of these, or give the path of a .toml file"
+            ) from error
+    table = read_toml(data, f"machine file {str(name)!r}")
+    try:
+        for axis in _table(table, "axes").values() if "axes" in table else ():
+            response = axis.get("response") if isinstance(axis, dict) else None
+            if isinstance(response, dict) and "file" in response:
+                response["file"] = str(beside / _text(response, "file"))
+        base = _text(table, "base") if "base" in table else None
+    except InputError as error:
+        raise InputError(f"machine file {str(name)!r}: {error}") from error
+    if base is None:
+        return table
+    if len(above) == MOST_BASES:
+        raise InputError(
+            f"machine file {str(name)!r}: more than {MOST_BASES} files build on each other, or in a ring: let one of "
+            "them stand alone"
+        )
+    del table["base"]
+    return _over(_read(base if base in known else beside / base, (*above, name)), table)
+
+
+def _over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+    """Return tables with those of another laid over them."""
+    both = dict(base)
+    for key, value in table.items():
+        below = base.get(key)
+        both[key] = _over(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return both
+
+
+def _from_table(table: Mapping[str, Any]) -> Machine:
+    """Build a machine from its tables."""
     _check_keys(table, {item.name for item in fields(Machine)}, "the file")
     for needed in ("name", "axes", "spindle_rpm", "block_rate_hz"):
         if needed not in table:
@@ -275,7 +335,7 @@ def _from_table(table: Mapping[str, Any], folder: Path) -> Machine:
         if isinstance(table[key], bool) or not isinstance(table[key], int | float):
             raise InputError(f"{key} is {table[key]!r}, its unit is in its name: give a plain number")
         given[key] = table[key]
-    given["axes"] = {letter: _axis(letter, limits, folder) for letter, limits in _table(table, "axes").items()}
+    given["axes"] = {letter: _axis(letter, limits) for letter, limits in _table(table, "axes").items()}
     if "convention" in table:
         convention = dict(_table(table, "convention"))
         _check_keys(convention, {item.name for item in fields(Convention)}, "convention")
@@ -299,11 +359,11 @@ def _from_table(table: Mapping[str, Any], folder: Path) -> Machine:
     return Machine(**given, sources=sources)
 
 
-def _response(table: Mapping[str, Any], folder: Path) -> Response:
+def _response(table: Mapping[str, Any]) -> Response:
     """Build a response from its table: a file of measured values, polynomials, or a second order."""
     if "file" in table:
         _check_keys(table, {"file"}, "response")
-        return FrequencyResponse.load(folder / _text(table, "file"))
+        return FrequencyResponse.load(_text(table, "file"))
     if "numerator" in table or "denominator" in table:
         _check_keys(table, {"numerator", "denominator"}, "response")
         both = {key: frozen(table.get(key, []), f"response.{key}") for key in ("numerator", "denominator")}
@@ -319,7 +379,7 @@ def _response(table: Mapping[str, Any], folder: Path) -> Response:
     return SecondOrder(frequency_hz=_quantity(table["frequency"], "Hz", "response.frequency"), **plain)
 
 
-def _axis(letter: str, limits: object, folder: Path) -> Axis:
+def _axis(letter: str, limits: object) -> Axis:
     """Build an axis from its table; sliding axes count in mm, turning ones in rad."""
     if len(letter) != 1 or not letter.isupper():
         raise InputError(f"axes.{letter} is not an axis: name it with one capital letter")
@@ -334,11 +394,12 @@ def _axis(letter: str, limits: object, folder: Path) -> Axis:
         "high": length,
         "dead_time": "s",
     }
-    _check_keys(limits, {*own, "response"}, f"axes.{letter}")
+    _check_keys(limits, {*own, "bandwidth", "response"}, f"axes.{letter}")
     try:
-        plain = {key: _quantity(value, own[key], key) for key, value in limits.items() if key != "response"}
-        response = _response(_table(limits, "response"), folder) if "response" in limits else None
-        return Axis(**plain, response=response)
+        plain = {key: _quantity(value, own[key], key) for key, value in limits.items() if key in own}
+        band = _quantity(limits["bandwidth"], "Hz", "bandwidth") if "bandwidth" in limits else None
+        response = _response(_table(limits, "response")) if "response" in limits else None
+        return Axis(**plain, bandwidth_hz=band, response=response)
     except InputError as error:
         raise InputError(f"axes.{letter}: {error}") from error
 

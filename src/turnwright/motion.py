@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from turnwright.errors import LimitError
-from turnwright.machine import ROTARY
-from turnwright.path import Motion, Path
+from turnwright.machine import ROTARY, Axis
+from turnwright.path import Motion, Path, block_points
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,6 +28,9 @@ SLACK = 1e-3
 
 STATED = "spindle speed as stated"
 """What binds a motion that keeps every limit with room to spare."""
+
+FAINT = 1e-4
+"""Share of the power of a motion that may lie above its highest frequency: a hundredth of its amplitude."""
 
 FULL = 0.99
 """Share of a limit from which on it is the limit that binds: the speed that `drive` finds uses all of one."""
@@ -47,6 +50,17 @@ class Servo(Protocol):
         """Return the position of every axis at the points of a path."""
 
 
+class _Asked(NamedTuple):
+    """Something that a motion asks of a limit."""
+
+    name: str
+    power: int  # of the spindle speed, with which it grows
+    value: float
+    limit: float
+    unit: str
+    point: int
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
     """What a motion asks of a machine.
@@ -60,11 +74,13 @@ class Limits:
     spindle_rpm
         Mean speed of the spindle. [rev/min]
     block_rate_hz
-        Blocks per second where they are shortest.
+        Blocks per second where they are shortest; with a fast tool those of the lathe, see `Motion.lathe`.
     peak_speed, peak_acceleration, peak_jerk
         Largest magnitude by axis letter. [mm or rad, and s]
     travel
         Lowest and highest position by axis letter. [mm or rad]
+    frequency_hz
+        Highest frequency of the motion, by letter of each axis whose machine states a bandwidth; see `check_limits`.
     utilisation
         Share of each stated limit that is used, by its name such as "block rate" or "Z acceleration".
     binding
@@ -84,6 +100,7 @@ class Limits:
     peak_acceleration: Mapping[str, float]
     peak_jerk: Mapping[str, float]
     travel: Mapping[str, tuple[float, float]]
+    frequency_hz: Mapping[str, float]
     utilisation: Mapping[str, float]
     binding: str
     ok: bool
@@ -155,6 +172,10 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     are rounded to :math:`q` shows up to :math:`2q/t^2` of acceleration and :math:`4q/t^3` of jerk that is not in the
     motion, with :math:`t` the block time: 2 mm/s² and 4000 mm/s³ for nanometres at 1000 blocks/s.
 
+    The highest frequency of an axis is the lowest one above which no two turns of its motion (under a Hann window, less
+    their mean) hold more than 1e-4 of the power of the strongest two. A pure sine of n periods per turn is found at n
+    + 1/2, and at n + 2 at most if n is not whole.
+
     Parameters
     ----------
     motion
@@ -169,42 +190,37 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
     peaks = {letter: _peaks(motion.time, position) for letter, position in motion.axes.items()}
-    block, shortest = kernel.shortest(motion.time)
+    blocks = block_points(motion.time, motion.axes)
+    number, shortest = kernel.shortest(motion.time[blocks])
     length = float(motion.time[-1] - motion.time[0])
     turning = TURN / 60
     mean_rpm = abs(float(motion.axes["C"][-1] - motion.axes["C"][0])) / length / turning
     top, at = peaks["C"]
     asked = [
-        ("block rate", 1, 1 / shortest, machine.block_rate_hz, "blocks/s", block),
-        ("spindle speed", 1, top["speed"] / turning, machine.spindle_rpm, "rev/min", at["speed"]),
+        _Asked("block rate", 1, 1 / shortest, machine.block_rate_hz, "blocks/s", int(blocks[number])),
+        _Asked("spindle speed", 1, top["speed"] / turning, machine.spindle_rpm, "rev/min", at["speed"]),
     ]
+    frequencies: dict[str, float] = {}
     for letter, (top, at) in peaks.items():
+        axis = machine.axes.get(letter, Axis())
         for kind, power in POWERS.items():
-            limit = getattr(machine.axes.get(letter), kind, None)
+            limit = getattr(axis, kind)
             if limit is not None:
                 unit = f"{_length(letter)}/s" + ("", "^2", "^3")[power - 1]
-                asked.append((f"{letter} {kind}", power, top[kind], limit, unit, at[kind]))
-    utilisation = {name: value / limit for name, _, value, limit, _, _ in asked}
-    findings = []
-    for name, power, value, limit, unit, point in asked:
-        if value > limit * (1 + SLACK):
-            slower = mean_rpm * (limit / value) ** (1 / power)
-            findings.append(
-                f"{name} reaches {value:.5g} {unit} at {motion.time[point] / 60:.2f} min "
-                f"(X {motion.axes['X'][point]:.4g} mm), the limit of {machine.name} is {limit:.5g} {unit}: "
-                f"turn at {slower:.4g} rev/min or less"
-            )
+                asked.append(_Asked(f"{letter} {kind}", power, top[kind], limit, unit, at[kind]))
+        if axis.bandwidth_hz is not None:
+            frequencies[letter], point = _frequency(motion.time, motion.axes["C"], motion.axes[letter])
+            asked.append(_Asked(f"{letter} bandwidth", 1, frequencies[letter], axis.bandwidth_hz, "Hz", point))
+    utilisation = {one.name: one.value / one.limit for one in asked}
+    findings = [
+        f"{one.name} reaches {one.value:.5g} {one.unit} at {motion.time[one.point] / 60:.2f} min "
+        f"(X {motion.axes['X'][one.point]:.4g} mm), the limit of {machine.name} is {one.limit:.5g} {one.unit}: "
+        f"turn at {mean_rpm * (one.limit / one.value) ** (1 / one.power):.4g} rev/min or less"
+        for one in asked
+        if one.value > one.limit * (1 + SLACK)
+    ]
     for letter, (top, _) in peaks.items():
-        axis = machine.axes.get(letter)
-        if axis is None:
-            findings.append(f"the motion needs axis {letter}, {machine.name} does not have it: choose another machine")
-            continue
-        for end, limit, beyond in (("low", axis.low, -1), ("high", axis.high, 1)):
-            if limit is not None and (top[end] - limit) * beyond > 0:
-                findings.append(
-                    f"{letter} goes to {top[end]:.5g} {_length(letter)}, the {end} end of its travel on {machine.name} "
-                    f"is {limit:.5g} {_length(letter)}: move the part on the spindle, or choose another machine"
-                )
+        findings += _beyond(letter, top, machine)
     return Limits(
         cycle_time_s=length,
         points=motion.time.size,
@@ -214,6 +230,7 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
         peak_acceleration=MappingProxyType({letter: top["acceleration"] for letter, (top, _) in peaks.items()}),
         peak_jerk=MappingProxyType({letter: top["jerk"] for letter, (top, _) in peaks.items()}),
         travel=MappingProxyType({letter: (top["low"], top["high"]) for letter, (top, _) in peaks.items()}),
+        frequency_hz=MappingProxyType(frequencies),
         utilisation=MappingProxyType(utilisation),
         binding=max(utilisation, key=utilisation.__getitem__) if max(utilisation.values()) >= FULL else STATED,
         ok=not findings,
@@ -221,11 +238,26 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     )
 
 
+def _beyond(letter: str, top: Mapping[str, float], machine: Machine) -> list[str]:
+    """Return a sentence if a machine lacks an axis, and for each end of its travel that is passed."""
+    axis = machine.axes.get(letter)
+    if axis is None:
+        return [f"the motion needs axis {letter}, {machine.name} does not have it: choose another machine"]
+    remedy = "let Z carry more of the motion" if letter == "W" else "move the part on the spindle"
+    return [
+        f"{letter} goes to {top[end]:.5g} {_length(letter)}, the {end} end of its travel on {machine.name} "
+        f"is {limit:.5g} {_length(letter)}: {remedy}, or choose another machine"
+        for end, limit, beyond in (("low", axis.low, -1), ("high", axis.high, 1))
+        if limit is not None and (top[end] - limit) * beyond > 0
+    ]
+
+
 def _highest(angle: Floats, axes: Mapping[str, Floats], machine: Machine) -> float:
     """Return the highest spindle speed that keeps every stated limit. [rad/s]."""
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
-    allowed = [machine.spindle_rpm * TURN / 60, machine.block_rate_hz * kernel.shortest(angle)[1]]
+    blocks = angle[block_points(angle * np.sign(angle[-1] - angle[0]), axes)]
+    allowed = [machine.spindle_rpm * TURN / 60, machine.block_rate_hz * kernel.shortest(blocks)[1]]
     for letter, position in axes.items():
         # The angle stands for time: this is the motion at one radian per second.
         top, _ = _peaks(angle, position)
@@ -233,7 +265,45 @@ def _highest(angle: Floats, axes: Mapping[str, Floats], machine: Machine) -> flo
             limit, value = getattr(machine.axes[letter], kind), top[kind]
             if limit is not None and value > 0:
                 allowed.append((limit / value) ** (1 / power))
+        band = machine.axes[letter].bandwidth_hz
+        if band is not None:
+            highest, _ = _frequency(angle, angle, position)
+            if highest > 0:
+                allowed.append(band / highest)
     return float(min(allowed))
+
+
+def _frequency(time: Floats, angle: Floats, position: Floats) -> tuple[float, int]:
+    """Return the highest frequency of a motion, see `check_limits`, and the number of a point it is found at."""
+    from scipy import fft  # noqa: PLC0415 - costly to import
+
+    time = np.abs(time - time[0])
+    turned = np.abs(angle - angle[0]) / TURN
+    span = min(2.0, float(turned[-1]))
+    starts = np.linspace(0.0, turned[-1] - span, math.ceil(turned[-1] - span + 1))
+    begin, end = np.interp(starts, turned, time), np.interp(starts + span, turned, time)
+    first, last = np.searchsorted(time, begin, "right") - 1, np.searchsorted(time, end) + 1
+    size = fft.next_fast_len(max(int((last - first).max()), 16), real=True)
+    share = np.arange(size) / size
+    window = 0.5 - 0.5 * np.cos(TURN * share)
+
+    def windowed(k: int) -> Floats:
+        here = slice(first[k], last[k])
+        part: Floats = np.interp(begin[k] + share * (end[k] - begin[k]), time[here], position[here])
+        part -= part.mean()
+        part *= window
+        return part
+
+    power = np.array([windowed(k) @ windowed(k) for k in range(starts.size)])
+    faint = FAINT * float(power.max())
+    highest, at = 0.0, 0
+    for k in np.flatnonzero(power > faint).tolist():
+        bins = np.abs(fft.rfft(windowed(k))) ** 2 * (2 / size)
+        above = np.cumsum(bins[::-1])[::-1]  # with the bin itself
+        found = (np.count_nonzero(above > faint) - 1) / float(end[k] - begin[k])
+        if found > highest:
+            highest, at = found, int(np.searchsorted(time, (begin[k] + end[k]) / 2))
+    return highest, at
 
 
 def _peaks(time: Floats, position: Floats) -> tuple[dict[str, float], dict[str, int]]:

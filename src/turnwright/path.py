@@ -8,11 +8,21 @@ from types import MappingProxyType
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen, same_length
+from turnwright._arrays import Floats, Ints, frozen, same_length
 from turnwright.errors import InputError
-from turnwright.machine import Machine
+from turnwright.machine import ROTARY, Machine
 
-__all__ = ["Motion", "Path", "Spiral"]
+__all__ = ["Motion", "Path", "Spiral", "block_points"]
+
+STRAIGHT = 1e-7
+"""How far an axis may be from the straight line between two blocks of a lathe with a fast tool, a tenth of the last
+decimal of its program. [mm]"""
+
+TURNED = 1e-9
+"""The same for axes that turn. [rad]"""
+
+MOST_TURN = np.pi / 4
+"""Widest step of C between two blocks of such a program, so that nobody doubts its sense. [rad]"""
 
 
 def _sense(angle: Floats, what: str) -> int:
@@ -158,3 +168,45 @@ class Motion:
         if not (self.time[1:] > self.time[:-1]).all():
             raise InputError("the time of a motion does not ascend: every block needs a duration above 0 s")
         object.__setattr__(self, "sense", _sense(axes["C"], "a motion"))
+
+    def lathe(self) -> Motion:
+        """Return the share of the lathe itself, what its program holds: all axes but W, at its `block_points`."""
+        if "W" not in self.axes:
+            return self
+        points = block_points(self.time, self.axes)
+
+        def share(of: Mapping[str, Floats]) -> dict[str, Floats]:
+            return {letter: values[points] for letter, values in of.items() if letter != "W"}
+
+        velocity = None if self.velocity is None else share(self.velocity)
+        return Motion(time=self.time[points], axes=share(self.axes), machine=self.machine, velocity=velocity)
+
+
+def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
+    """Return the numbers of the points that are blocks of the lathe's program. (m,).
+
+    Without a fast tool all are. A fast tool has its own table of heights, so that a lathe needs no more blocks than its
+    own axes ask for: every second, fourth, eighth point and so on, as long as every axis stays within 0.1 nm of the
+    straight line between two blocks.
+
+    Parameters
+    ----------
+    time
+        Ascending, or the angle that stands for it. (n,) [s or rad]
+    axes
+        Position by letter. Each (n,) [mm or rad]
+    """
+    every = np.arange(time.size)
+    if "W" not in axes:
+        return every
+    points, stride = every, 2
+    while stride < time.size:
+        fewer = np.append(every[:-1:stride], time.size - 1)
+        if np.abs(np.diff(axes["C"][fewer])).max() > MOST_TURN:
+            break
+        for letter, values in axes.items():
+            off = np.abs(np.interp(time, time[fewer], values[fewer]) - values).max()
+            if letter != "W" and off > (TURNED if letter in ROTARY else STRAIGHT):
+                return points
+        points, stride = fewer, 2 * stride
+    return points

@@ -120,7 +120,7 @@ def test_a_wrong_file_is_refused_by_name(tmp_path, change, words):
 
 @pytest.mark.parametrize("name", ["nanotech-350", "no/such/file.toml", Path("missing.toml")])
 def test_an_unknown_machine_lists_the_known_ones(name):
-    with pytest.raises(InputError, match="generic, nanoform, nanotech-350fg"):
+    with pytest.raises(InputError, match="generic, nanoform, nanoform-fts-500, nanoform-fts-70, nanotech-350fg"):
         Machine.load(name)
 
 
