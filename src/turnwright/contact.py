@@ -7,6 +7,16 @@ construction. Along the normal the contact point stays where the spiral sends it
 
 with s the place on the nose whose tangent is the surface's; for a perfect nose u = R sin s and e = R (1 - cos s). That
 can gouge elsewhere, so the clearance of the whole edge is measured by the dilation at the new tip.
+
+How fast the tip rises while the tool goes along its spiral is known too. Among the places on the edge the one that
+touches gives the greatest height, so to first order it does not matter that it moves along the edge [Danskin1967]_:
+
+.. math:: \frac{dZ}{d\theta} = \nabla f(\mathbf p) \cdot \frac{\partial \mathbf p}{\partial\theta}, \qquad
+   \mathbf p = \begin{pmatrix} (\rho + u)\cos\theta - (y + v)\sin\theta \\
+   (\rho + u)\sin\theta + (y + v)\cos\theta \end{pmatrix}
+
+with u and v held fixed. Where the edge rides on a ridge of the surface the slope is the mixture of those on both sides
+that the edge is tangent to.
 """
 
 from __future__ import annotations
@@ -16,14 +26,20 @@ from typing import Literal
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright.dilation import touch
+from turnwright.dilation import BESIDE, CHUNK, Touch, touch
 from turnwright.errors import GougeError, InputError
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
-from turnwright.progress import Progress
+from turnwright.progress import Progress, run_chunks
 from turnwright.tool import Tool
 
 __all__ = ["place"]
+
+TANGENT = 1e-3
+"""A contact this near to a tangent, as Newton's method sees it, is one; other contacts are on corners. [rad]"""
+
+STEP = 1e-8
+"""What is higher than this on one side than on the other is a step, a ridge is not. [mm]"""
 
 
 def place(
@@ -51,7 +67,10 @@ def place(
     Returns
     -------
     Path
-        Commanded tip positions, contact points and the clearance of the whole edge.
+        Commanded tip positions, contact points and the clearance of the whole edge. Along "z" also the derivative of
+        the height by the angle, if the spiral states those of its radius (and height above centre): in a valley that
+        of the side touched, and on the lip of a step or on the rim, where the surface has no slope, that of the
+        parabola through neighbouring points.
 
     Raises
     ------
@@ -64,7 +83,8 @@ def place(
 
     Sources
     -------
-    [Li2018]_, [Troutman2016]_ ch. 6; DESIGN of the exact maximum in `turnwright.dilation`.
+    [Li2018]_, [Troutman2016]_ ch. 6; DESIGN of the exact maximum in `turnwright.dilation`. Its derivative:
+    [Danskin1967]_.
     """
     if along not in ("z", "normal"):
         raise InputError(f'along is {along!r}, it must be "z" or "normal": choose one')
@@ -81,7 +101,79 @@ def place(
     return Path(
         angle=angle, radius=radius, z=at.z, sweep=at.sweep, contact_x=at.x, contact_y=at.y, contact_z=at.surface_z,
         clearance=np.fmin(left, 0.0), y=y, y_rate=spiral.y_rate, radius_rate=spiral.radius_rate,
+        z_rate=_z_rate(spiral, part, tool, at),
     )  # fmt: skip
+
+
+def _z_rate(spiral: Spiral, part: Part, tool: Tool, at: Touch) -> Floats | None:
+    """Return the derivative of the tip's height by the angle, or ``None`` if the spiral does not state its own."""
+    if spiral.radius_rate is None or (spiral.y is not None and spiral.y_rate is None):
+        return None
+    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
+
+    outward, upward = spiral.radius_rate, spiral.y_rate
+    reach = np.abs(spiral.radius) if spiral.y is None else np.hypot(spiral.radius, spiral.y)
+    rim = max(part.radius, float(reach.max())) * (1 - 1e-9)
+    rate = np.empty(spiral.angle.size)
+
+    def work(start: int, stop: int) -> None:
+        some = slice(start, stop)
+        angle, x, y = spiral.angle[some], at.x[some], at.y[some]
+        cosine, sine = np.cos(angle), np.sin(angle)
+        zx, zy = _slopes(part, tool, spiral.sense, angle, Touch(*(values[some] for values in at)), rim)
+        along_x, along_y = outward[some] * cosine - y, outward[some] * sine + x
+        if upward is not None:
+            along_x -= upward[some] * sine
+            along_y += upward[some] * cosine
+        rate[some] = zx * along_x + zy * along_y
+
+    run_chunks(work, rate.size, CHUNK)
+    unknown = np.isnan(rate)
+    if unknown.any():
+        near = np.empty(rate.size)
+        kernel.rates(spiral.angle, at.z, near)
+        rate[unknown] = near[unknown]
+    return rate
+
+
+def _slopes(part: Part, tool: Tool, sense: int, angle: Floats, at: Touch, rim: float) -> tuple[Floats, Floats]:
+    """Return the slopes (zx, zy) of the surface that the edge feels where it touches, nan where there is none."""
+    from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
+    from turnwright._kernels.edge import trace  # noqa: PLC0415
+
+    surface, edge = part.surface, tool.table(sense)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    sweep = np.ascontiguousarray(at.sweep)
+    _, _, du, dw = along = np.empty((4, angle.size))
+    trace(*edge, sweep, along)
+    lean, rise = edge.row[4] * dw, edge.row[3] * dw
+    dx, dy = du * cosine - lean * sine, du * sine + lean * cosine
+    value, first, top, step, bend = np.empty((5, angle.size))
+    with np.errstate(all="ignore"):
+        jet = surface.evaluate(at.x, at.y, 2)
+        kernel.newton_step(*edge, angle, sweep, *jet, value, first, top, step, bend)
+        _, zx, zy, zxx, zxy, zyy = jet
+        # The place on the edge is known to its third power less well than the height: the last step makes up for it.
+        tangent = np.abs(step) < TANGENT
+        last = np.where(tangent, step, 0.0)
+        zx, zy = zx + (zxx * dx + zxy * dy) * last, zy + (zxy * dx + zyy * dy) * last
+    lost = ~tangent & (np.hypot(at.x, at.y) > rim)
+    hair = BESIDE / np.hypot(dx, dy)
+    sides = [(at.x + way * hair * dx, at.y + way * hair * dy) for way in (-1, 1)]
+    pieces = [surface.piece(*side) for side in sides]
+    if pieces[0] is not None and pieces[1] is not None and (split := pieces[0] != pieces[1]).any():
+        with np.errstate(all="ignore"):
+            before, after = (np.stack(surface.evaluate(x[split], y[split], 1)) for x, y in sides)
+        falls = [side[1] * dx[split] + side[2] * dy[split] for side in (before, after)]
+        ridge = falls[0] > falls[1]
+        share = np.clip((rise[split] - falls[1]) / np.where(ridge, falls[0] - falls[1], 1.0), 0.0, 1.0)
+        mixed = share * before[1:] + (1 - share) * after[1:]
+        mixed[:, np.abs(before[0] - after[0]) > STEP] = np.nan
+        # In a valley the contact stands beside it, on a slope of its own.
+        at_ridge = np.flatnonzero(split)[ridge]
+        zx[at_ridge], zy[at_ridge] = mixed[:, ridge]
+    zx[lost] = np.nan
+    return zx, zy
 
 
 def _along_normal(spiral: Spiral, part: Part, tool: Tool, progress: Progress | None) -> Path:

@@ -279,6 +279,16 @@ class Machine:
             error = error + np.interp(x, *self.straightness)
         return error
 
+    def z_error_slope(self, x: ArrayLike) -> Floats:
+        """Return the derivative of `z_error` by X, at a corner that of the line toward +X. (n,) [1]."""
+        x = np.asarray(x, dtype=np.float64)
+        slope = np.full(x.shape, self.squareness)
+        if self.straightness is not None:
+            at, error = self.straightness
+            steep = np.concatenate(([0.0], np.diff(error) / np.diff(at), [0.0]))
+            slope += steep[np.searchsorted(at, x, side="right")]
+        return slope
+
 
 def _read(name: str | Path, above: tuple[str | Path, ...]) -> dict[str, Any]:
     """Return the tables of a machine file over those of its base; files that it names stand in the same folder."""

@@ -49,6 +49,9 @@ class Servo(Protocol):
     def axes(self, path: Path) -> Mapping[str, Floats]:
         """Return the position of every axis at the points of a path."""
 
+    def rates(self, path: Path) -> Mapping[str, Floats] | None:
+        """Return the derivatives by the angle of all these axes, or ``None`` if the path states none."""
+
 
 class _Asked(NamedTuple):
     """Something that a motion asks of a limit."""
@@ -123,6 +126,10 @@ def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
     a given path block rate and speeds grow with :math:`\omega`, accelerations with :math:`\omega^2` and jerks with
     :math:`\omega^3`, so each limit allows one speed and the lowest of them binds.
 
+    A controller that takes velocities too (interpolation "hermite", PVT) gets them from the rates that the path states,
+    :math:`\dot q = \omega\, dq/d\theta`, with the derivative of the machine's errors along X in that of Z. Where
+    straightness, a table with straight lines in between, has a corner, that is the slope of the line beyond.
+
     Parameters
     ----------
     path
@@ -149,8 +156,11 @@ def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
             f"the strategy moves axis {', '.join(lacking)}, {machine.name} has {', '.join(sorted(machine.axes))}: "
             "choose another strategy or machine"
         )
+    rates = servo.rates(path) if machine.controller.interpolation == "hermite" else None
     if machine.squareness or machine.straightness is not None:
         axes["Z"] = axes["Z"] - machine.z_error(axes["X"])
+        if rates is not None:
+            rates = {**rates, "Z": rates["Z"] - machine.z_error_slope(axes["X"]) * rates["X"]}
     rpm = servo.spindle_rpm
     if rpm is None:
         omega = _highest(path.angle, axes, machine)
@@ -161,7 +171,8 @@ def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
         )
     else:
         omega = rpm * TURN / 60
-    return Motion(time=np.abs(path.angle - path.angle[0]) / omega, axes=axes, machine=machine)
+    velocity = None if rates is None else {letter: path.sense * omega * rate for letter, rate in rates.items()}
+    return Motion(time=np.abs(path.angle - path.angle[0]) / omega, axes=axes, machine=machine, velocity=velocity)
 
 
 def check_limits(motion: Motion, machine: Machine) -> Limits:

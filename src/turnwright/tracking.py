@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from turnwright._arrays import Floats, positive
 from turnwright.errors import InputError, LimitError
-from turnwright.machine import INTERPOLATIONS, Axis, Machine
+from turnwright.machine import INTERPOLATIONS, ROTARY, Axis, Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress
 from turnwright.response import FrequencyResponse, RationalResponse, Response
@@ -30,6 +30,9 @@ APART = 1e-4
 
 QUIET_S = 0.5
 """Time beyond both ends over which a measured response dies away, at least. [s]"""
+
+ROUNDS = 4
+"""How often samples are set closer together, at most; the second time is the last but for odd motions."""
 
 MOST_SAMPLES = 300_000_000
 """Beyond this no memory holds the motion."""
@@ -48,7 +51,8 @@ def track(
     within the blocks that the controller looks ahead; there the whole motion slows down. Then its interpolation:
 
     * "linear": straight lines between the points;
-    * "hermite" (PVT): cubics through the points, with the slopes of the parabolas through three neighbours each;
+    * "hermite" (PVT): cubics through the points, with the velocities that the motion states, or where it states none
+      with the slopes of the parabolas through three neighbours each;
     * "quadratic spline", "cubic spline": B-splines with the points as control points, which pass inside of them.
 
     Last each axis: its dead time and its response. Before the program begins every axis has moved on as straight as it
@@ -78,9 +82,12 @@ def track(
     The closed form of a mode under a polynomial is the phi functions of exponential integrators [Hochbruck2010]_. The
     B-splines are those that common controllers call spline moves.
     """
+    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
+
     positive(chord, "chord", "mm")
     machine = machine or motion.machine
     time = _paced(motion, machine)
+    velocity = _velocities(motion, machine, time)
     uniform = any(
         machine.axes[letter].response is not None and not isinstance(machine.axes[letter].response, RationalResponse)
         for letter in motion.axes
@@ -88,16 +95,17 @@ def track(
     )
     told = progress or (lambda _done, _total: None)
     parts = 1
-    while True:
+    for rounds in range(1, ROUNDS + 1):
         at = _samples(time, parts, uniform=uniform)
         axes = {}
         for k, letter in enumerate(motion.axes):
             told(k, len(motion.axes))
-            axes[letter] = _follow(letter, motion.axes[letter], time, machine, at)
-        bulge = max(_bulge(position) for letter, position in axes.items() if letter not in "ABC")
-        if parts > 1 or bulge <= chord:
+            axes[letter] = _follow(letter, motion.axes[letter], velocity.get(letter), time, machine, at)
+        bulge = max(kernel.bulge(at, position) for letter, position in axes.items() if letter not in ROTARY)
+        # The second differences of few points may hide a part of what curves between them, but not that of a corner.
+        if bulge <= chord or (parts > 1 and machine.controller.interpolation == "linear") or rounds == ROUNDS:
             break
-        parts = math.ceil(math.sqrt(bulge / chord))
+        parts = math.ceil(parts * math.sqrt(bulge / chord))
     told(len(axes), len(axes))
     return Motion(time=at - at[0], axes=axes, machine=motion.machine)
 
@@ -155,27 +163,42 @@ def precorrect(
         )
     time = motion.time
     axes = dict(motion.axes)
+    velocity = _velocities(motion, machine, time)
     for done in range(rounds):
         for letter, wanted in motion.axes.items():
             axis = machine.axes.get(letter)
             if axis is None:
                 continue
-            missed = wanted - _follow(letter, axes[letter], time, machine, time)
-            axes[letter] = axes[letter] + _inverted(missed, time, axis, bandwidth_hz)
+            missed = wanted - _follow(letter, axes[letter], velocity.get(letter), time, machine, time)
+            more, faster = _inverted(missed, time, axis, bandwidth_hz)
+            axes[letter] = axes[letter] + more
+            if letter in velocity:
+                velocity[letter] = velocity[letter] + faster
         if progress is not None:
             progress(done + 1, rounds)
-    return Motion(time=time, axes=axes, machine=motion.machine)
+    return Motion(time=time, axes=axes, machine=motion.machine, velocity=velocity or None)
 
 
-def _inverted(missed: Floats, time: Floats, axis: Axis, bandwidth_hz: float | None) -> Floats:
-    """Return the command within the bandwidth to which an axis answers with what was missed."""
-    from scipy import fft  # noqa: PLC0415 - costly to import
+def _velocities(motion: Motion, machine: Machine, time: Floats) -> dict[str, Floats]:
+    """Return the velocities at the points that the controller is told, at the pace that it keeps; none if it is not."""
+    if motion.velocity is None or machine.controller.interpolation != "hermite":
+        return {}
+    if time is motion.time:
+        return dict(motion.velocity)
+    # Where two blocks are slowed differently, their mean.
+    pace = np.gradient(motion.time) / np.gradient(time)
+    return {letter: pace * values for letter, values in motion.velocity.items()}
+
+
+def _inverted(missed: Floats, time: Floats, axis: Axis, bandwidth_hz: float | None) -> tuple[Floats, Floats]:
+    """Return the command within the bandwidth to which an axis answers with what was missed, and its velocity."""
+    from scipy import fft, interpolate  # noqa: PLC0415 - costly to import
 
     step = float(np.diff(time).min())
     even = np.linspace(time[0], time[-1], math.ceil((time[-1] - time[0]) / step * (1 - 1e-9)) + 1)
     step = float(even[1] - even[0])
     uneven = even.size != time.size
-    values = np.interp(even, time, missed) if uneven else missed
+    values = interpolate.CubicSpline(time, missed)(even) if uneven else missed
     # Beyond both ends the error goes on as in a mirror and dies out, so that neither end sees the other.
     wing = min(math.ceil(QUIET_S / step), values.size - 1)
     fading = 0.5 * (1 + np.cos(np.pi * np.arange(1, wing + 1) / (wing + 1)))
@@ -192,8 +215,10 @@ def _inverted(missed: Floats, time: Floats, axis: Axis, bandwidth_hz: float | No
     band = bandwidth_hz or _band(axis.response, 1 / step)
     answer *= np.exp(-2j * np.pi * frequency * (axis.dead_time or 0.0))
     spectrum = fft.rfft(wide) / answer / (1 + (frequency / band) ** 16)
-    made: Floats = fft.irfft(spectrum, size)[: values.size]
-    return np.interp(time, even, made) if uneven else made
+    made, rate = (fft.irfft(one, size)[: values.size] for one in (spectrum, 2j * np.pi * frequency * spectrum))
+    if uneven:
+        made, rate = (interpolate.CubicSpline(even, one)(time) for one in (made, rate))
+    return made, rate
 
 
 def _band(response: Response | None, rate_hz: float) -> float:
@@ -243,12 +268,9 @@ def _samples(time: Floats, parts: int, *, uniform: bool) -> Floats:
     return at
 
 
-def _bulge(position: Floats) -> float:
-    """Return the largest distance between a curve through evenly spaced samples and its chords."""
-    return float(np.abs(np.diff(position, 2)).max(initial=0.0)) / 8
-
-
-def _follow(letter: str, position: Floats, time: Floats, machine: Machine, at: Floats) -> Floats:
+def _follow(
+    letter: str, position: Floats, velocity: Floats | None, time: Floats, machine: Machine, at: Floats
+) -> Floats:
     """Return where an axis really stands at some times."""
     from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
 
@@ -257,7 +279,9 @@ def _follow(letter: str, position: Floats, time: Floats, machine: Machine, at: F
     delay = (axis.dead_time or 0.0) if axis is not None else 0.0
     kind = INTERPOLATIONS.index(machine.controller.interpolation)
     rate = np.empty(time.size if kind == kernel.CUBIC else 0)
-    if kind == kernel.CUBIC:
+    if kind == kernel.CUBIC and velocity is not None:
+        rate[:] = velocity
+    elif kind == kernel.CUBIC:
         kernel.rates(time, position, rate)
     # A spindle turns far: what it turns steadily is kept apart, so that it costs the rest no digits.
     # Splines over uneven blocks do not keep a straight line.

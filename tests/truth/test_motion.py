@@ -4,11 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
-from turnwright.machine import Axis, Machine
+from turnwright.contact import place
+from turnwright.machine import Axis, Controller, Machine
 from turnwright.motion import check_limits, drive
+from turnwright.part import Part
 from turnwright.path import Motion, Path
 from turnwright.strategy import SlowToolServo
+from turnwright.surface import Plane
+from turnwright.tool import Tool
 
 TURN = 2 * np.pi
 FREE = {"C": Axis(), "X": Axis(), "Z": Axis()}
@@ -118,3 +123,29 @@ def test_the_travel_is_looked_at():
     limits = check_limits(drive(wave(), servo(50), machine), machine)
     assert not limits.ok
     assert [finding[:11] for finding in limits.findings] == ["X goes to 5", "Z goes to -"]
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_velocities_are_the_derivatives_of_what_is_commanded(sense):
+    """Of every axis, with the machine's errors along X; SciPy's spline through dense points is the oracle."""
+    bent = (np.array([-1.0, 0.3, 0.7, 5.0]), np.array([0.0, 2e-4, -1e-4, 3e-3]))
+    lathe = Machine(
+        name="PVT", axes=dict.fromkeys("CXZ", Axis()), spindle_rpm=1000, block_rate_hz=1e5, squareness=1e-3,
+        straightness=bent, controller=Controller(interpolation="hermite"),
+    )  # fmt: skip
+    part = Part(surface=Plane(slope=(0.05, 0.02)), radius=1.0)
+    servo = SlowToolServo(feed=0.1, points_per_rev=720, spindle_rpm=60, sense=sense)
+    tool = Tool(nose_radius=0.5, included=np.deg2rad(60))
+    path = place(servo.spiral(part, tool), part, tool)
+    made = drive(path, servo, lathe)
+    assert made.velocity is not None
+    smooth = np.ones(made.time.size, dtype=bool)
+    for corner in bent[0]:
+        smooth &= np.abs(made.axes["X"] - corner) > 0.01
+    smooth[:50] = smooth[-50:] = False
+    for letter, velocity in made.velocity.items():
+        oracle = CubicSpline(made.time, made.axes[letter])(made.time, 1)
+        assert np.abs(velocity - oracle)[smooth].max() < 1e-8
+    linear = replace(lathe, controller=Controller())
+    assert drive(path, servo, linear).velocity is None
+    assert drive(replace(path, z_rate=None), servo, lathe).velocity is None

@@ -1,5 +1,7 @@
 """Oracles: SciPy's splines for the interpolators, its ODE solver for the axes, closed forms for steady motions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -41,6 +43,50 @@ def test_a_perfect_axis_follows_its_interpolation(irregular):
     made = track(given, machine("hermite"), chord=1e-9)
     assert np.abs(made.axes["Z"] - CubicHermiteSpline(t, z, slopes)(made.time)).max() < 1e-15
     assert np.abs(made.axes["X"] - (5 - 0.1 * made.time)).max() < 1e-14
+
+
+def told(given):
+    """The motion of `motion` with the velocities that it really has, at few points."""
+    t = given.time
+    z_velocity = 0.02 * 24 * np.pi * np.cos(24 * np.pi * t) - 0.005 * 62 * np.pi * np.sin(62 * np.pi * t + 0.4)
+    return replace(given, velocity={"C": np.full(t.size, 7.0), "X": np.full(t.size, -0.1), "Z": z_velocity})
+
+
+@pytest.mark.parametrize("irregular", [False, True])
+def test_velocities_that_a_motion_states_are_those_of_its_cubics(irregular):
+    given = told(motion(machine(), points=60, irregular=irregular))
+    spline = CubicHermiteSpline(given.time, given.axes["Z"], given.velocity["Z"])
+    made = track(given, machine("hermite"), chord=1e-8)
+    assert np.abs(made.axes["Z"] - spline(made.time)).max() < 1e-14
+    between = np.linspace(0, 0.4, 9001)
+    assert np.abs(np.interp(between, made.time, made.axes["Z"]) - spline(between)).max() < 1.2e-8
+    assert made.velocity is None
+    # A controller that takes no velocities does not know them.
+    plain = track(replace(given, velocity=None), machine("linear"))
+    assert (track(given, machine("linear")).axes["Z"] == plain.axes["Z"]).all()
+
+
+def test_velocities_slow_down_with_the_motion():
+    given = told(motion(machine(), points=60))
+    slow = track(given, machine("hermite", block_rate=59 / 0.8), chord=1e-8)
+    slower = slow.time[-1] / 0.4
+    assert slower == pytest.approx(2, rel=1e-8)
+    spline = CubicHermiteSpline(slower * given.time, given.axes["Z"], given.velocity["Z"] / slower)
+    assert np.abs(slow.axes["Z"] - spline(slow.time)).max() < 1e-13
+
+
+@pytest.mark.parametrize("irregular", [False, True])
+def test_a_correction_states_its_velocities(irregular):
+    lathe = machine("hermite", Z=Axis(response=SecondOrder(frequency_hz=80, damping=0.7, velocity_feedforward=1.0)))
+    given = told(motion(lathe, points=120, irregular=irregular))
+    spline = CubicHermiteSpline(given.time, given.axes["Z"], given.velocity["Z"])
+
+    def missed(command):
+        real = track(command, chord=1e-8)
+        inner = (real.time > 0.05) & (real.time < 0.35)  # the ends have no neighbours to correct them with
+        return np.abs(real.axes["Z"] - spline(real.time))[inner].max()
+
+    assert missed(precorrect(given, rounds=3)) < 0.02 * missed(given)
 
 
 @pytest.mark.parametrize(("name", "degree"), [("quadratic spline", 2), ("cubic spline", 3)])

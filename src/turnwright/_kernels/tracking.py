@@ -234,3 +234,15 @@ def stretch(time, position, blocks, acceleration, factor):
         # Beyond the end of the program the axis may go on as it went.
         step = position[j + 1] - position[j] if j < last else position[last] - position[last - 1]
         way += abs(step)
+
+
+@jit
+def bulge(time, position):
+    """Return the largest distance between a smooth curve and its chords, as neighbouring chords show it."""
+    most = 0.0
+    for i in range(1, time.size - 1):
+        before, after = time[i] - time[i - 1], time[i + 1] - time[i]
+        bend = (position[i + 1] - position[i]) / after - (position[i] - position[i - 1]) / before
+        longer = max(before, after)
+        most = max(most, abs(bend) * longer * longer / (before + after))
+    return 0.25 * most

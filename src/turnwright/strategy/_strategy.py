@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.part import Part
@@ -42,3 +44,14 @@ class Strategy(ABC):
 
         Their sum is the tip: whatever share of Z a second carriage takes, together they stand where the path says.
         """
+
+    def rates(self, path: Path) -> dict[str, Floats] | None:
+        """Return the derivative by the angle of every axis that `axes` names, or ``None`` if the path states none.
+
+        As it stands this is for a strategy that moves C, X and Z, and Y where the path has one, as the path says; one
+        that splits an axis splits its rate too. [mm/rad, C rad/rad]
+        """
+        if path.radius_rate is None or path.z_rate is None or (path.y is not None and path.y_rate is None):
+            return None
+        rates = {"C": np.ones(path.angle.size), "X": path.radius_rate, "Z": path.z_rate}
+        return rates if path.y_rate is None else {**rates, "Y": path.y_rate}

@@ -205,7 +205,12 @@ class SlowToolServo(Strategy):
                 turned = self._by_arc(end, start)
             angle = turned if self.inside_out else turned[-1] - turned[::-1]
         radius = end + self.feed / TURN * turned
-        return Spiral(angle=self.sense * angle, radius=radius if self.inside_out else radius[::-1])
+        outward = self.sense if self.inside_out else -self.sense
+        return Spiral(
+            angle=self.sense * angle,
+            radius=radius if self.inside_out else radius[::-1],
+            radius_rate=np.full(radius.size, outward * self.feed / TURN),
+        )
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm]."""

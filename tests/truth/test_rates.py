@@ -1,0 +1,98 @@
+"""How fast the tip rises along its spiral, against closed forms and differences of the exact heights."""
+
+import mpmath
+import numpy as np
+import pytest
+
+from turnwright.contact import place
+from turnwright.dilation import tip_height
+from turnwright.part import Part
+from turnwright.path import Spiral
+from turnwright.strategy import SlowToolServo
+from turnwright.surface import LensArray, Plane, Sphere
+from turnwright.tool import Tool
+
+NOSE = Tool(nose_radius=0.5, included=np.deg2rad(120), clearance=np.deg2rad(20))
+
+
+def spiral_of(sense=1, radius=4.0, feed=0.3, size=400):
+    turned = np.linspace(0, 9, size)
+    pitch = feed / (2 * np.pi)
+    return Spiral(angle=sense * turned, radius=radius - pitch * turned, radius_rate=np.full(size, -sense * pitch))
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_round_nose_on_a_sphere_off_the_axis(sense):
+    """The rake plane cuts the sphere in a circle, in which the nose rolls: a closed form, differentiated by mpmath."""
+    big, a, b = 30.0, 1.3, -0.7
+    part = Part(surface=Sphere(radius=big).placed(shift=(a, b, 0.0)), radius=4.0)
+    spiral = spiral_of(sense)
+    path = place(spiral, part, NOSE)
+    rate = spiral.radius_rate[0]
+
+    def height(angle):
+        rho = spiral.radius[0] + rate * (angle - spiral.angle[0])
+        along = a * mpmath.cos(angle) + b * mpmath.sin(angle)
+        across = b * mpmath.cos(angle) - a * mpmath.sin(angle)
+        inside = mpmath.sqrt(big**2 - across**2) - NOSE.nose_radius
+        return big - mpmath.sqrt(inside**2 - (rho - along) ** 2) - NOSE.nose_radius
+
+    with mpmath.workdps(40):
+        for k in range(0, spiral.angle.size, 37):
+            angle = mpmath.mpf(float(spiral.angle[k]))
+            assert abs(path.z[k] - float(height(angle))) < 1e-12
+            assert path.z_rate[k] == pytest.approx(float(mpmath.diff(height, angle)), abs=1e-11)
+
+
+def differences(part, tool, spiral, chosen, step=2e-4):
+    """Sixth-order differences of the tip's height along the spiral."""
+    angle = spiral.angle[chosen, None] + step * np.arange(-3, 4)
+    radius = spiral.radius[chosen, None] + spiral.radius_rate[0] * step * np.arange(-3, 4)
+    z = tip_height(
+        part.surface, tool, angle=angle.ravel(), radius=radius.ravel(), sense=spiral.sense, rim=part.radius + 1.0
+    ).reshape(angle.shape)
+    weights = np.array([-1, 9, -45, 0, 45, -9, 1]) / 60
+    lower = np.array([0, 1, -8, 0, 8, -1, 0]) / 12
+    return z @ weights / step, np.abs(z @ (weights - lower)) / step
+
+
+@pytest.mark.parametrize("tool", [NOSE, Tool(
+    nose_radius=0.5, included=np.deg2rad(120), rake=np.deg2rad(-15), clearance=np.deg2rad(20),
+    waviness=(0.0, 3e-4, 0.0, -2e-4), offset=(0.01, 0.02, 0.0),
+)])  # fmt: skip
+@pytest.mark.parametrize("radius", [-0.9, 0.9])
+def test_on_lenslets_with_ridges_and_with_valleys(radius, tool):
+    """Concave lenslets meet in ridges that the edge rides on, convex ones in valleys that it does not reach."""
+    part = Part(surface=LensArray.square(lenslet=Sphere(radius=radius), pitch=0.7, rows=16, columns=16), radius=4.5)
+    spiral = spiral_of(1, size=900)
+    path = place(spiral, part, tool)
+    chosen = np.arange(5, 895, 7)
+    oracle, doubt = differences(part, tool, spiral, chosen)
+    clean = doubt < 1e-8  # elsewhere a contact jumps or comes onto a ridge within the differences
+    assert np.count_nonzero(clean) > 60
+    across = part.surface.piece(path.contact_x - 1e-7, path.contact_y) != part.surface.piece(
+        path.contact_x + 1e-7, path.contact_y
+    )
+    if radius > 0:
+        assert np.count_nonzero(across[chosen][clean]) > 5
+    assert np.abs(path.z_rate[chosen] - oracle)[clean].max() < 1e-8
+
+
+def test_a_slow_tool_servo_states_its_rate():
+    part = Part(surface=Plane(slope=(0.05, 0.0)), radius=1.0)
+    for outward in (False, True):
+        for sense in (1, -1):
+            servo = SlowToolServo(feed=0.05, points_per_rev=90, inside_out=outward, sense=sense)
+            path = place(servo.spiral(part, NOSE), part, NOSE)
+            slope = np.gradient(path.radius, path.angle)
+            assert path.radius_rate == pytest.approx(slope, rel=1e-9)
+            tilt = 0.05 * (path.radius_rate * np.cos(path.angle) - path.radius * np.sin(path.angle))
+            steep = np.sqrt(1 + (0.05 * np.cos(path.angle)) ** 2)
+            lift = -0.5 * 0.05**2 * np.cos(path.angle) * np.sin(path.angle) / steep
+            assert path.z_rate == pytest.approx(tilt + lift, abs=1e-13)
+
+
+def test_nothing_is_said_where_the_spiral_says_nothing():
+    part = Part(surface=Plane(), radius=1.0)
+    spiral = Spiral(angle=np.linspace(0, 9, 50), radius=np.linspace(1, 0, 50))
+    assert place(spiral, part, NOSE).z_rate is None
