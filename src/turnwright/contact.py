@@ -100,7 +100,7 @@ def place(
         left = at.surface_z - part.surface.evaluate(at.x, at.y, 0)[0]
     return Path(
         angle=angle, radius=radius, z=at.z, sweep=at.sweep, contact_x=at.x, contact_y=at.y, contact_z=at.surface_z,
-        clearance=np.fmin(left, 0.0), y=y, y_rate=spiral.y_rate, radius_rate=spiral.radius_rate,
+        clearance=np.fmin(left, 0.0), y=y, y_rate=spiral.y_rate, radius_rate=spiral.radius_rate, lift=spiral.lift,
         z_rate=_z_rate(spiral, part, tool, at),
     )  # fmt: skip
 

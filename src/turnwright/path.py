@@ -60,6 +60,9 @@ class Spiral:
         [mm]
     radius_rate, y_rate
         Their derivatives by the angle; ``None`` where nobody states them. (n,) [mm/rad]
+    lift
+        How far above contact each point of the program is to stand (below where negative), so that straight lines
+        between the points keep to both sides of the exact path; ``None`` for points on it. (n,) [mm]
     sense
         +1 where the angle grows, -1 where it falls; found from the angle.
     """
@@ -69,10 +72,11 @@ class Spiral:
     y: Floats | None = None
     radius_rate: Floats | None = None
     y_rate: Floats | None = None
+    lift: Floats | None = None
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
-        _freeze(self, ("angle", "radius"), ("y", "radius_rate", "y_rate"))
+        _freeze(self, ("angle", "radius"), ("y", "radius_rate", "y_rate", "lift"))
         object.__setattr__(self, "sense", _sense(self.angle, "a spiral"))
 
     @property
@@ -95,8 +99,9 @@ class Path:
         The cutter-contact point in the part frame. Each (n,) [mm]
     clearance
         Least height of the whole edge above the surface: 0 in contact, negative where the tool gouges. (n,) [mm]
-    y, radius_rate, y_rate
-        As in the `Spiral` that was placed.
+    y, radius_rate, y_rate, lift
+        As in the `Spiral` that was placed. The height z is that in contact; a strategy whose spiral has a lift adds it
+        in its axes.
     z_rate
         Derivative of z by the angle, where the spiral states its own. (n,) [mm/rad]
     """
@@ -113,11 +118,12 @@ class Path:
     radius_rate: Floats | None = None
     y_rate: Floats | None = None
     z_rate: Floats | None = None
+    lift: Floats | None = None
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
         names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
-        _freeze(self, names, ("y", "radius_rate", "y_rate", "z_rate"))
+        _freeze(self, names, ("y", "radius_rate", "y_rate", "z_rate", "lift"))
         object.__setattr__(self, "sense", _sense(self.angle, "a path"))
 
 
