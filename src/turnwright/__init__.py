@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     )
     from turnwright.generation import generate, generate_points, generate_polar
     from turnwright.heightmap import HeightMap
-    from turnwright.job import Job, Result, predict, preview, run
+    from turnwright.job import Job, Plan, Result, Shares, plan, predict, preview, run, shares
     from turnwright.machine import Axis, Controller, Convention, Machine
     from turnwright.metrology import Roughness, remove_form, roughness
     from turnwright.motion import Limits, check_limits, drive
@@ -81,7 +81,7 @@ _HOMES = {
     ),
     "generation": ("generate", "generate_points", "generate_polar"),
     "heightmap": ("HeightMap",),
-    "job": ("Job", "Result", "predict", "preview", "run"),
+    "job": ("Job", "Plan", "Result", "Shares", "plan", "predict", "preview", "run", "shares"),
     "machine": ("Axis", "Controller", "Convention", "Machine"),
     "metrology": ("Roughness", "remove_form", "roughness"),
     "motion": ("Limits", "check_limits", "drive"),
@@ -153,6 +153,7 @@ __all__ = [
     "Part",
     "Path",
     "Placed",
+    "Plan",
     "Plane",
     "ProgramError",
     "ProgramFiles",
@@ -164,6 +165,7 @@ __all__ = [
     "Result",
     "Roughness",
     "SecondOrder",
+    "Shares",
     "SineGrid",
     "SlowToolServo",
     "Sphere",
@@ -189,6 +191,7 @@ __all__ = [
     "generate_polar",
     "inspect_nc",
     "place",
+    "plan",
     "precorrect",
     "predict",
     "preview",
@@ -198,6 +201,7 @@ __all__ = [
     "remove_form",
     "roughness",
     "run",
+    "shares",
     "track",
     "write_nc",
 ]

@@ -1,7 +1,23 @@
 """The recipe: a job is data only, and `run` is the one place that knows the order of the stages."""
 
+from turnwright.job._plan import Plan, plan
 from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.job._run import StageProgress, predict, preview, run
 from turnwright.job._schema import Job
+from turnwright.job._shares import Shares, shares
 
-__all__ = ["Job", "Pass", "Prediction", "Preview", "Result", "StageProgress", "predict", "preview", "run"]
+__all__ = [
+    "Job",
+    "Pass",
+    "Plan",
+    "Prediction",
+    "Preview",
+    "Result",
+    "Shares",
+    "StageProgress",
+    "plan",
+    "predict",
+    "preview",
+    "run",
+    "shares",
+]

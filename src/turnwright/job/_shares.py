@@ -1,0 +1,189 @@
+"""Where the error of a planned part comes from: cusps, interpolation, rounding, servos; each by simulation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.contact import place
+from turnwright.generation import generate_polar
+from turnwright.path import Motion, Spiral
+from turnwright.tracking import track
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Floats
+    from turnwright.heightmap import HeightMap
+    from turnwright.machine import Machine
+    from turnwright.part import Part
+    from turnwright.progress import Progress
+    from turnwright.tool import Tool
+
+__all__ = [
+    "Shares",
+    "apart_nm",
+    "exact_motion",
+    "finish_nm",
+    "has_servos",
+    "lines",
+    "shares",
+    "without_servos",
+]
+
+TURN = 2 * math.pi
+NM = 1e6
+
+PER_FEED = 12
+"""Samples from pass to pass: the top of a cusp is then missed by less than 1 % of its height."""
+
+MOST_RADII = 24_000
+FEWEST_ANGLES, MOST_ANGLES = 72, 720
+"""Azimuths looked at; every one crosses all passes."""
+
+RING = 12
+"""Width of the rings whose finish is looked at, in feeds."""
+
+PER_FEATURE = 4
+"""Azimuths to a feature of the surface at the rim, if they are not too many."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shares:
+    """How much each cause adds to the form error, on lines across all passes.
+
+    Parameters
+    ----------
+    cusp_nm
+        Peak to valley of what an exact path leaves: cusps, and valleys that no nose reaches.
+    chord_nm
+        Largest change of the surface by what the controller makes of the path between the program's points.
+    rounding_nm
+        ... by the decimals of the program.
+    tracking_nm
+        ... by how the servos answer.
+    pv_nm, rms_nm
+        Of all together: cut minus design.
+    sq_nm
+        Finish of all together: largest Sq of a ring a few feeds wide, straight lines across it removed.
+    error
+        Cut minus design, all together. [mm]
+    """
+
+    cusp_nm: float
+    chord_nm: float
+    rounding_nm: float
+    tracking_nm: float
+    pv_nm: float
+    rms_nm: float
+    sq_nm: float
+    error: HeightMap
+
+
+def shares(
+    part: Part,
+    tool: Tool,
+    spiral: Spiral,
+    motion: Motion,
+    *,
+    again: Motion | None = None,
+    progress: Progress | None = None,
+) -> Shares:
+    """Return where the error of a plan comes from.
+
+    Parameters
+    ----------
+    part, tool
+        What is wanted, and with what it is cut.
+    spiral
+        What was planned; its path is placed once more, exactly at the azimuths that are looked at.
+    motion
+        What was made of it, for the machine that it carries.
+    again
+        The motion as it was read back from the program on disk; ``motion`` itself if not given.
+    progress
+        Called with (surfaces done, surfaces in all).
+    """
+    machine, told = motion.machine, progress or (lambda _done, _total: None)
+    feed = abs(float(spiral.radius[-1] - spiral.radius[0])) / spiral.turns
+    radius, angle = lines(part, feed)
+
+    def made(one: Motion, done: int) -> HeightMap:
+        told(done, 4)
+        return generate_polar(one, tool, radius=radius, angle=angle)
+
+    exact = made(exact_motion(spiral, part, tool, machine, angle), 0)
+    again, ideal = again or motion, without_servos(machine)
+    steady = machine.controller.interpolation == "linear"
+    straight = made(motion if steady else track(motion, ideal), 1)
+    rounded = straight if again is motion else made(again if steady else track(again, ideal), 2)
+    real = made(track(again, machine), 3) if has_servos(machine) else rounded
+    told(4, 4)
+    error = real.minus(part.surface)
+    cusps = exact.minus(part.surface).z
+    return Shares(
+        cusp_nm=float(np.nanmax(cusps) - np.nanmin(cusps)) * NM,
+        chord_nm=apart_nm(straight, exact),
+        rounding_nm=apart_nm(rounded, straight),
+        tracking_nm=apart_nm(real, rounded),
+        pv_nm=float(np.nanmax(error.z) - np.nanmin(error.z)) * NM,
+        rms_nm=float(np.sqrt(np.nanmean(error.z**2))) * NM,
+        sq_nm=finish_nm(error, feed),
+        error=error,
+    )
+
+
+def lines(part: Part, feed: float) -> tuple[Floats, Floats]:
+    """Return the radii and azimuths of lines across all passes. (n,) [mm], (m,) [rad]."""
+    fine = TURN * part.radius / part.surface.feature_size * PER_FEATURE
+    return (
+        np.linspace(0, part.radius, min(math.ceil(part.radius / feed * PER_FEED), MOST_RADII) + 1),
+        np.linspace(0, TURN, int(np.clip(math.ceil(fine), FEWEST_ANGLES, MOST_ANGLES)), endpoint=False),
+    )
+
+
+def finish_nm(error: HeightMap, feed: float) -> float:
+    """Return the largest Sq of a ring a few feeds wide, straight lines across it removed."""
+    assert error.radius is not None  # noqa: S101 - lines are polar
+    step = float(error.radius[1])
+    size = min(max(math.ceil(RING * feed / step), 3), error.radius.size)
+    rings = error.radius.size // size
+    z = error.z[:, : rings * size].reshape(-1, rings, size)
+    weight = error.radius[: rings * size].reshape(rings, size)
+    across = np.linspace(-1, 1, size)
+    level = z - z.mean(axis=2, keepdims=True)
+    level = level - across * ((level @ across) / (across @ across))[:, :, None]
+    return float(np.sqrt(np.nanmax((level**2 * weight).mean(axis=(0, 2)) / weight.mean(axis=1)))) * NM
+
+
+def has_servos(machine: Machine) -> bool:
+    """Say whether the machine states how any axis answers."""
+    return any(axis.response is not None or axis.dead_time for axis in machine.axes.values())
+
+
+def without_servos(machine: Machine) -> Machine:
+    """Return the machine with axes that follow at once."""
+    axes = {letter: replace(axis, response=None, dead_time=None) for letter, axis in machine.axes.items()}
+    return replace(machine, axes=axes)
+
+
+def apart_nm(one: HeightMap, other: HeightMap) -> float:
+    """Return the largest distance between two maps."""
+    return float(np.nanmax(np.abs(one.z - other.z))) * NM
+
+
+def exact_motion(spiral: Spiral, part: Part, tool: Tool, machine: Machine, angle: Floats) -> Motion:
+    """Return a motion that is exact wherever it crosses one of the azimuths, at one radian per second."""
+    first, last = sorted((float(spiral.angle[0]), float(spiral.angle[-1])))
+    step = TURN / angle.size
+    inner = np.arange(math.ceil(first / step + 1e-9), math.floor(last / step - 1e-9) + 1) * step
+    nodes = np.concatenate(([first], inner, [last]))[:: spiral.sense]
+    order = spiral.sense * spiral.angle
+    radius = np.interp(spiral.sense * nodes, order, spiral.radius)
+    y = None if spiral.y is None else np.interp(spiral.sense * nodes, order, spiral.y)
+    path = place(Spiral(angle=nodes, radius=radius, y=y), part, tool)
+    axes = {"C": path.angle, "X": path.radius, "Z": path.z - machine.z_error(path.radius)}
+    if path.y is not None:
+        axes["Y"] = path.y
+    return Motion(time=np.abs(nodes - nodes[0]), axes=axes, machine=machine)

@@ -1,0 +1,107 @@
+"""Each share of the error is found where it was put."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from turnwright.contact import place
+from turnwright.job import Job, plan, run, shares
+from turnwright.machine import Axis, Machine
+from turnwright.motion import drive
+from turnwright.part import Part
+from turnwright.response import SecondOrder
+from turnwright.strategy import SlowToolServo
+from turnwright.surface import Plane, SineGrid
+from turnwright.tool import Tool
+
+FEED, NOSE = 0.01, 0.5
+SERVO = SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1.0)
+
+
+def planned(surface, servo, response=None):
+    part, tool = Part(surface=surface, radius=1.0), Tool(nose_radius=NOSE)
+    axes = {letter: Axis(response=response if letter == "Z" else None) for letter in "CXZ"}
+    machine = Machine(name="lathe", axes=axes, spindle_rpm=1500, block_rate_hz=1e6)
+    spiral = servo.spiral(part, tool)
+    return part, tool, spiral, drive(place(spiral, part, tool), servo, machine)
+
+
+def test_a_flat_has_cusps_alone():
+    """Oracle: R - sqrt(R² - f²/4), with a quarter of a feed past the axis."""
+    found = shares(*planned(Plane(), SlowToolServo(feed=FEED, points_per_rev=36, spindle_rpm=60, overrun=FEED / 4)))
+    height = (NOSE - math.sqrt(NOSE**2 - FEED**2 / 4)) * 1e6
+    assert found.cusp_nm == pytest.approx(height, rel=0.01)  # 12 samples a feed may miss the top by that
+    assert found.pv_nm == pytest.approx(found.cusp_nm, rel=1e-9)
+    assert found.sq_nm == pytest.approx(height * math.sqrt(4 / 45), rel=0.03)
+    assert found.chord_nm < 1e-6
+    assert found.rounding_nm == found.tracking_nm == 0
+
+
+def test_points_err_by_their_chord():
+    """Oracle: the tolerance that the strategy keeps is reached, and not passed, somewhere on the part."""
+    grid = SineGrid(amplitude=(0.002, 0.002), period=(0.5, 0.5))
+    found = shares(*planned(grid, SlowToolServo(feed=FEED, chord=5e-6, spindle_rpm=60)))
+    assert 4.5 < found.chord_nm <= 5.0 * 1.02  # 2 % for slopes: the tip is off by 5 nm, the surface is hit elsewhere
+
+
+def test_servos_err_by_their_response():
+    """Oracle: on a tilted flat Z is a sine once a turn, and errs by |H - 1| of its amplitude at the rim."""
+    slope, rpm = 0.001, 600.0
+    servo = SlowToolServo(feed=FEED, points_per_rev=360, spindle_rpm=rpm)
+    found = shares(*planned(Plane(slope=(slope, 0.0)), servo, SERVO))
+    expected = abs(SERVO.at(rpm / 60) - 1) * slope * 1.0 * 1e6
+    assert found.tracking_nm == pytest.approx(expected, rel=0.02)  # the outermost pass stands within a feed of the rim
+
+
+def test_decimals_err_by_what_was_moved():
+    """Oracle: Z moved by a known constant."""
+    part, tool, spiral, motion = planned(Plane(), SlowToolServo(feed=FEED, points_per_rev=36, spindle_rpm=60))
+    moved = replace(motion, axes={**motion.axes, "Z": motion.axes["Z"] + 3e-6})
+    assert shares(part, tool, spiral, motion, again=moved).rounding_nm == pytest.approx(3.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("response", [None, {"frequency": "100 Hz", "damping": 0.7, "velocity_feedforward": 1.0}])
+def test_a_plan_keeps_its_tolerances(response, tmp_path):
+    """Oracle: the whole pipeline, run on the planned job with its own grids, and the machine's limits."""
+    lathe = tmp_path / "lathe.toml"
+    answer = (
+        "response = {frequency = '100 Hz', damping = 0.7, velocity_feedforward = 1.0}\n" if response is not None else ""
+    )
+    lathe.write_text(
+        "name = 'lathe'\nspindle_rpm = 1500\nblock_rate_hz = 1000\ndialect = 'nanotech'\n"
+        f"[axes.C]\n{answer}[axes.X]\n{answer}[axes.Z]\nacceleration = '1000 mm/s^2'\n{answer}"
+    )
+    job = Job.read(
+        {
+            "part": {
+                "surface": {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["1 mm", "1 mm"]},
+                "radius": "1.5 mm",
+            },
+            "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
+            "machine": {"name": str(lathe)},
+            "strategy": {"kind": "slow tool servo", "feed": "1 um/rev", "points_per_rev": 360, "overrun": "1 um"},
+            "tolerances": {"form_pv": "100 nm", "sq": "8 nm"},
+            "simulation": {
+                "whole_part": {"radii": 1500, "angles": 90},
+                "patches": [
+                    {"name": "place", "centre": ["0.7 mm", "0 mm"], "size": ["80 um", "80 um"], "pixel": "1 um"}
+                ],
+            },
+        }
+    )
+    chosen = plan(job)
+    assert chosen.limits.ok
+    assert chosen.shares.pv_nm <= 100
+    assert chosen.shares.sq_nm <= 8
+    assert chosen.shares.sq_nm > 5, "the finish tolerance is used up"
+    if response is not None:
+        assert chosen.shares.tracking_nm > 5, "the speed is used up"
+    result = run(chosen.job)
+    assert result.limits.points == chosen.limits.points
+    assert result.limits.cycle_time_s == pytest.approx(chosen.limits.cycle_time_s, rel=1e-3)
+    whole, place_ = (one.roughness for one in result.predictions)
+    assert whole.pv_nm <= 100
+    assert place_.sq_nm <= 8
+    assert np.isfinite(result.rounding_nm)
