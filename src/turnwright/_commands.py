@@ -136,6 +136,33 @@ def check(context: typer.Context, job: JobFile) -> None:
 
 
 @app.command()
+def plan(
+    context: typer.Context,
+    job: JobFile,
+    out: Annotated[Path, typer.Option(metavar="JOB.toml", help="The job with the plan in it.", show_default=False)],
+) -> None:
+    """Choose feed, points and spindle speed so that the part keeps its tolerances, and prove it."""
+    door: Door = context.obj
+    from turnwright.job import Job, plan  # noqa: PLC0415
+
+    if out.exists():
+        raise InputError(f"{str(out)!r} is there already: name another file")
+    with _progress(door.stop) as progress:
+        chosen = plan(Job.load(job), progress=progress)
+    chosen.job.dump(out)
+    found = chosen.shares
+    door.say(
+        f"{chosen.limits.points} points, {chosen.limits.cycle_time_s / 60:.1f} min at "
+        f"{chosen.limits.spindle_rpm:.4g} rpm, {chosen.limits.nearest} is nearest to its limit"
+    )
+    door.say(
+        f"form error PV {found.pv_nm:.3g} nm: cusps {found.cusp_nm:.3g} nm, points {found.chord_nm:.3g} nm, decimals "
+        f"{found.rounding_nm:.3g} nm, servos {found.tracking_nm:.3g} nm; Sq {found.sq_nm:.3g} nm"
+    )
+    door.say(f"job: {out}")
+
+
+@app.command()
 def backplot(
     context: typer.Context,
     program: Annotated[

@@ -493,5 +493,11 @@ class Job(Table):
         return tomli_w.dumps(self.model_dump(mode="json", exclude_unset=True, exclude_none=True))
 
     def dump(self, path: str | PathLike[str]) -> None:
-        """Write the job as a file. See `to_toml`."""
-        File(path).write_text(self.to_toml(), encoding="utf-8")
+        """Write the job as a file, which appears when it is whole. See `to_toml`."""
+        path = File(path)
+        whole = path.with_name(f".{path.name}.part")
+        try:
+            whole.write_text(self.to_toml(), encoding="utf-8")
+            whole.replace(path)
+        finally:
+            whole.unlink(missing_ok=True)
