@@ -20,6 +20,7 @@ def formatted(units, places, mantissa=None, feed_places=None):
         np.array([ord("X")]),
         np.array([places]),
         np.frombuffer(b"G1 ", dtype=np.uint8),
+        np.frombuffer(b"", dtype=np.uint8),
         none if mantissa is None else np.array(mantissa, dtype=np.int64),
         none if feed_places is None else np.array(feed_places, dtype=np.int64),
         out,

@@ -17,6 +17,8 @@ U = np.uint64
 ONE, TEN, HUNDRED, TEN_THOUSAND, HUNDRED_MILLION = U(1), U(10), U(100), U(10**4), U(10**8)
 ZERO_SIGN, BITS, LONGEST, EXACT = U(48), U(8), U(18), U(2**53)
 MARK = np.frombuffer(b"PASS:", dtype=np.uint8)
+PVT = np.frombuffer(b"PVT", dtype=np.uint8)
+COLON = 58
 
 POWERS = 10.0 ** np.arange(19)
 POWERS_U = U(10) ** np.arange(19, dtype=np.uint64)
@@ -28,8 +30,11 @@ HALF = np.int64(0xFFFFFFFF)
 BEHIND = 7  # letters behind a text that its reader looks at, for it takes eight at a time
 LARGEST = 1e9  # mm or degrees: beyond any machine, and safe in 64 bits at 6 decimals
 
+# What F, or PVT, means: a block's time in seconds, one over its minutes, or its milliseconds.
+SECONDS, INVERSE_MINUTES, MILLISECONDS = range(3)
+
 # Slots of the reader's state.
-LINEAR, FEED_MODE, OPEN, INVERSE, LINES, Y_SEEN = range(6)
+LINEAR, FEED_MODE, OPEN, FEED_UNIT, LINES, Y_SEEN = range(6)
 AT_C, AT_X, AT_Y, AT_Z, FEED = range(5)
 
 
@@ -78,8 +83,16 @@ def shortest(value):
 
 
 @jit
-def feeds(time, start, stop, inverse, every, state, mantissa, places, duration):
-    """Choose the feed word of the blocks that end at points ``start`` to ``stop`` - 1 (start >= 1).
+def seconds(feed, unit):
+    """Return how long a block lasts by its feed word. [s]."""
+    if unit == INVERSE_MINUTES:
+        return 60.0 / feed
+    return feed * 1e-3 if unit == MILLISECONDS else feed
+
+
+@jit
+def feeds(time, start, stop, unit, every, state, mantissa, places, duration):
+    """Choose the feed word, in its unit, of the blocks that end at points ``start`` to ``stop`` - 1 (start >= 1).
 
     ``state`` carries [end of the run of equal blocks, mantissa, places] from one call to the next. A mantissa of 0 in
     the output is a feed that stays in force and is not written. Returns the first block too short or too long, or -1.
@@ -99,11 +112,12 @@ def feeds(time, start, stop, inverse, every, state, mantissa, places, duration):
                     break
                 j += 1
             mean = (time[j - 1] - time[i - 1]) / (j - i)
-            digits, shift = shortest(60.0 / mean if inverse else mean)
+            said = 60.0 / mean if unit == INVERSE_MINUTES else mean * 1e3 if unit == MILLISECONDS else mean
+            digits, shift = shortest(said)
             fresh = every or digits != state[1] or shift != state[2]
             state[0], state[1], state[2] = j, digits, shift
         written = state[1] / POWERS[state[2]]
-        duration[k] = 60.0 / written if inverse else written
+        duration[k] = seconds(written, unit)
         places[k] = state[2]
         mantissa[k] = state[1] if fresh or every else 0
     return -1
@@ -180,20 +194,29 @@ def write_fixed(out, at, units, places):
 
 
 @jit
-def format_blocks(rows, letters, decimals, prefix, mantissa, places, out):
+def format_blocks(rows, letters, decimals, prefix, leading, mantissa, places, out):
     """Write one line per row: prefix, one word per letter, and the feed where its mantissa is not 0.
 
-    Returns the number of bytes; ``out`` needs 7 more.
+    A colon as a letter makes a column the velocity that belongs to the word before it. Letters in ``leading`` are those
+    of a feed that has a line of its own, before; otherwise it is an F behind. Returns the number of bytes; ``out``
+    needs 7 more.
     """
     at = U(0)
     word, after = U(0), U(0)  # the last feed word: one that repeats is copied
     digits, shift = np.int64(0), np.int64(0)
     for i in range(rows.shape[0]):
+        if leading.size > 0 and mantissa[i] > 0:
+            for k in range(leading.size):
+                out[at] = leading[k]
+                at += ONE
+            at = write_fixed(out, at, mantissa[i], places[i])
+            out[at] = 10
+            at += ONE
         for k in range(prefix.size):
             out[at] = prefix[k]
             at += ONE
         for k in range(letters.size):
-            if k > 0:
+            if k > 0 and letters[k] != COLON:
                 out[at] = 32
                 at += ONE
             out[at] = letters[k]
@@ -215,7 +238,7 @@ def format_blocks(rows, letters, decimals, prefix, mantissa, places, out):
             out[at] = 46
             write_eight(out, at + ONE, ascii_digits >> (whole * BITS))
             at += ONE + U(shown)
-        if mantissa[i] > 0:
+        if mantissa[i] > 0 and leading.size == 0:
             if mantissa[i] == digits and places[i] == shift:
                 for k in range(after - word):
                     out[at + U(k)] = out[word + U(k)]
@@ -268,6 +291,26 @@ def run_of_digits(data, at):
 
 
 @jit
+def number_at(data, at):
+    """Return the fixed-point number that stands at a place, nan if none does, and where it ends."""
+    negative = data[at] == 45
+    if negative or data[at] == 43:
+        at += ONE
+    mantissa, digits = run_of_digits(data, at)
+    at += digits
+    fraction = U(0)
+    if data[at] == 46:
+        part, fraction = run_of_digits(data, at + ONE)
+        at += ONE + fraction
+        digits += fraction
+        mantissa = mantissa * POWERS_U[min(fraction, U(18))] + part
+    if digits == U(0) or digits > U(17) or mantissa > EXACT:
+        return np.nan, at
+    value = np.float64(np.int64(mantissa)) / POWERS[fraction]
+    return -value if negative else value, at
+
+
+@jit
 def parse_blocks(data, at, end, whole, real, out, first):
     """Read plain cutting blocks until something else stands in the way.
 
@@ -280,7 +323,8 @@ def parse_blocks(data, at, end, whole, real, out, first):
         The state of the reader, updated: see the slots above. A position not yet known is nan.
     out, first
         (5, rows): C [deg], X, Y, Z [mm], duration [s] of each block read, from column ``first`` on. Y is left alone
-        where the program has none.
+        where the program has none. With four rows more, words may state velocities, and these are filled with them, in
+        the order of the axes and with 0 where there is none. [deg/s, mm/s]
 
     Returns
     -------
@@ -290,7 +334,8 @@ def parse_blocks(data, at, end, whole, real, out, first):
     n = first
     limit = out.shape[1]
     c0, x0, y0, z0, f0 = real[AT_C], real[AT_X], real[AT_Y], real[AT_Z], real[FEED]
-    linear, mode, inverse, has_y = whole[LINEAR] == 1, whole[FEED_MODE], whole[INVERSE] == 1, whole[Y_SEEN] == 1
+    linear, mode, unit, has_y = whole[LINEAR] == 1, whole[FEED_MODE], whole[FEED_UNIT], whole[Y_SEEN] == 1
+    fast = out.shape[0] > 5
     cutting = linear and whole[OPEN] == 1
     lines = 0
     line = U(at)
@@ -298,6 +343,7 @@ def parse_blocks(data, at, end, whole, real, out, first):
     while line < stop and n < limit:
         i = line
         c, x, y, z, f = c0, x0, y0, z0, f0
+        c_rate, x_rate, y_rate, z_rate = 0.0, 0.0, 0.0, 0.0
         seen = 0
         plain = True
         while True:
@@ -326,10 +372,22 @@ def parse_blocks(data, at, end, whole, real, out, first):
                 slot = 32
             elif b == 78:
                 slot = 64
-            elif b == 59:  # ; comment
+            elif b == 59:  # ; comment, or one in brackets, which is looked at
+                i += ONE
+                while data[i] == 32:
+                    i += ONE
+                if data[i] == 40:
+                    continue
                 while data[i] != 10:
                     i += ONE
                 break
+            elif b == 80 and fast and linear and mode == 93 and seen == 0:
+                slot = 8
+                for k in range(3):
+                    plain = plain and data[i + U(k)] == PVT[k]
+                if not plain:
+                    break
+                i += U(2)
             elif b == 40:  # ( comment )
                 i += ONE
                 while data[i] == 32:
@@ -379,16 +437,22 @@ def parse_blocks(data, at, end, whole, real, out, first):
                     plain = False
                     break
                 seen |= slot
+                rate = 0.0
+                if data[i] == COLON and fast and slot != 8:
+                    rate, i = number_at(data, i + ONE)
+                    if not abs(rate) <= LARGEST:
+                        plain = False
+                        break
                 if slot == 1:
-                    c = value
+                    c, c_rate = value, rate
                 elif slot == 2:
-                    x = value
+                    x, x_rate = value, rate
                 elif slot == 4:
-                    z = value
+                    z, z_rate = value, rate
                 elif slot == 8:
                     f = value
                 else:
-                    y = value
+                    y, y_rate = value, rate
             elif slot == 32 and not (value == 1 and linear) and value != mode and value != 90:
                 plain = False
                 break
@@ -399,7 +463,7 @@ def parse_blocks(data, at, end, whole, real, out, first):
             if not cutting or turn == 0 or not f > 0 or (seen & 16 and not has_y):
                 break
             if mode == 93:
-                duration = 60.0 / f if inverse else f
+                duration = seconds(f, unit)
             else:
                 dx, dy, dz = x - x0, y - y0 if has_y else 0.0, z - z0
                 length = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -410,6 +474,8 @@ def parse_blocks(data, at, end, whole, real, out, first):
                 out[2, n] = y
             out[3, n] = z
             out[4, n] = duration
+            if fast:
+                out[5, n], out[6, n], out[7, n], out[8, n] = c_rate, x_rate, y_rate, z_rate
             n += 1
         c0, x0, y0, z0, f0 = c, x, y, z, f
         lines += 1

@@ -139,6 +139,18 @@ def software() -> str:
         return "TURNWRIGHT, NOT INSTALLED"
 
 
+def _feed_line(dialect: Dialect) -> str:
+    """Return the comment that says what the time of a block is."""
+    if dialect.velocities:
+        return (
+            "( FEED: PVT IS THE MILLISECONDS OF A BLOCK, AFTER A COLON STANDS THE VELOCITY AT ITS END, MM/S OR DEG/S; "
+            "F IS MM/S; FROM REST TO REST )"
+        )
+    said = "THE SECONDS OF A BLOCK" if dialect.feed == "seconds" else "ONE OVER THE MINUTES OF A BLOCK"
+    kept = "" if dialect.feed_every_block else ", IN FORCE UNTIL THE NEXT F"
+    return f"( FEED: UNDER G93, F IS {said}{kept}; TIME IS RIGHT TO 1E-9 )"
+
+
 def lines(header: ProgramHeader, machine: Machine, dialect: Dialect, passes: Sequence[ProgramPass]) -> list[str]:
     """Return the header as comment lines; its length does not depend on the hashes."""
     convention = machine.convention
@@ -152,10 +164,7 @@ def lines(header: ProgramHeader, machine: Machine, dialect: Dialect, passes: Seq
         f"( MACHINE: {plain(machine.name)} )",
         spoken,
         "( UNITS: MM AND DEGREES, ABSOLUTE )",
-        "( FEED: UNDER G93, F IS "
-        + ("THE SECONDS OF A BLOCK" if dialect.feed == "seconds" else "ONE OVER THE MINUTES OF A BLOCK")
-        + ("" if dialect.feed_every_block else ", IN FORCE UNTIL THE NEXT F")
-        + "; TIME IS RIGHT TO 1E-9 )",
+        _feed_line(dialect),
         f"( X: {'GROWS' if convention.x_side > 0 else 'FALLS'} AWAY FROM THE AXIS ON THE SIDE WHERE THE TOOL CUTS )",
         f"( Z: {'GROWS' if convention.z_sign > 0 else 'FALLS'} OUT OF THE PART, TOWARD THE TOOL )",
         f"( C: {'GROWS' if convention.c_sense > 0 else 'FALLS'} WITH THE AZIMUTH OF THE PART UNDER THE TOOL, "
@@ -186,7 +195,7 @@ CUT = re.compile(
 
 def _info(text: str, signature: str) -> ProgramInfo | None:
     """Return what a header says, or ``None`` if the text does not begin with the signature."""
-    rows = [row.strip() for row in text.splitlines()]
+    rows = [row.lstrip("; \t").rstrip() for row in text.splitlines()]
     if not rows or rows[0] != signature:
         return None
     fields: dict[str, list[str]] = {}

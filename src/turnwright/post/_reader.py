@@ -56,7 +56,7 @@ AXES = "CXYZ"
 HARMLESS = frozenset("CXYZFTSODHPLQ")
 """Letters that move the known axes, or nothing; the others may only say 0."""
 # Slots of the kernel's state, as in turnwright._kernels.text.
-LINEAR, FEED_MODE, OPEN, INVERSE, LINES, Y_SEEN = range(6)
+LINEAR, FEED_MODE, OPEN, FEED_UNIT, LINES, Y_SEEN = range(6)
 FEED = 4
 
 IGNORED_G = frozenset(
@@ -72,6 +72,9 @@ COMMENT = re.compile(r"\([^()]*\)|;.*$")
 CALL = re.compile(r"M\s*98\s*[(<]\s*([^()<>]+?)\s*[)>]", re.IGNORECASE)
 PASS = re.compile(r"\(\s*PASS:\s*(.+?)(?:, PART (\d+) OF \d+)?\s*\)", re.IGNORECASE)
 TOKEN = re.compile(r"([A-Z])\s*(?:([+-]?(?:\d+\.?\d*|\.\d+))|(\[|[+-]?#))", re.IGNORECASE)
+SPEED = re.compile(r":([+-]?(?:\d+\.?\d*|\.\d+))")
+NATIVE = re.compile(r"(ABS|LINEAR|RAPID|DWELL\s*\d+\.?\d*|PVT\s*(\d+\.?\d*|\.\d+))")
+"""Statements of a controller that takes velocities."""
 ASSIGN = re.compile(r"#\s*(\d+)\s*=(.*)")
 WHILE = re.compile(r"WHILE\s*\[(.+)\]\s*DO\s*(\d+)", re.IGNORECASE)
 END = re.compile(r"END\s*(\d+)", re.IGNORECASE)
@@ -182,7 +185,7 @@ class _Cut:
 
     name: str
     named: bool
-    rows: Floats  # (5, room): C [deg], X, Y, Z [mm], duration [s]; the first point has none
+    rows: Floats  # (5, room): C [deg], X, Y, Z [mm], duration [s]; the first point has none; then 4 velocities, if any
     points: int = 1
     blocks: int = 0
     has_y: bool = False
@@ -207,19 +210,23 @@ def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine)
     axes["C"] -= convention.c_sense * convention.clocking
     axes["X"] *= convention.x_side
     axes["Z"] *= convention.z_sign
+    velocity = None
+    if rows.shape[0] > 5:
+        signs = {"C": convention.c_sense * (np.pi / 180), "X": convention.x_side, "Y": 1, "Z": convention.z_sign}
+        velocity = {letter: rows[5 + AXES.index(letter)] * signs[letter] for letter in axes}
     try:
-        return Motion(time=time, axes=axes, machine=machine)
+        return Motion(time=time, axes=axes, machine=machine, velocity=velocity)
     except InputError as error:
         raise ProgramError(f"{path} does not hold a motion: {error}") from error
 
 
-def _rows(room: int) -> Floats:
-    """Return memory for the blocks of a cut.
+def _rows(room: int, height: int) -> Floats:
+    """Return memory for the blocks of a cut. (height, room).
 
     NumPy would ask for it in huge pages, and a virtual machine may have to fetch each of those from its host: that made
     the time of reading swing between once and twice.
     """
-    return np.frombuffer(mmap.mmap(-1, 5 * 8 * room)).reshape(5, room)
+    return np.frombuffer(mmap.mmap(-1, height * 8 * room)).reshape(height, room)
 
 
 class _Reader:
@@ -239,9 +246,11 @@ class _Reader:
         self.pool, self.progress = pool, progress
         self.whole: Ints = np.zeros(6, dtype=np.int64)
         self.whole[[LINEAR, FEED_MODE]] = 1, 94
-        self.whole[INVERSE] = dialect.feed == "inverse minutes"
+        self.whole[FEED_UNIT] = dialect.feed_unit
+        self.height = 9 if dialect.velocities else 5
+        self.speeds: dict[str, float] = {}  # of the block that is being read
         self.real: Floats = np.full(5, np.nan)
-        self.scratch: Floats = np.empty((5, 1 << 12))  # for blocks that nobody asked for
+        self.scratch: Floats = np.empty((self.height, 1 << 12))  # for blocks that nobody asked for
         self.macros = Macros(lambda what: self._error(what, "write it as a number"))
         self.loops: dict[int, str] = {}  # condition by label
         self.named: str | None = None
@@ -302,7 +311,9 @@ class _Reader:
         self.stack.append(path)
         outer, self.whole[LINES] = self.whole[LINES], 0
         with path.open("rb") as file:
-            ours = file.read(64).removeprefix(BOM).startswith((SIGNATURE.encode(), SUB_SIGNATURE.encode()))
+            ours = (
+                file.read(64).removeprefix(BOM).lstrip(b"; ").startswith((SIGNATURE.encode(), SUB_SIGNATURE.encode()))
+            )
         for data, end in self._buffers(path):
             at = 0
             while at < end and not (self.over or self.ended):
@@ -359,7 +370,7 @@ class _Reader:
         if cut is None or not self._asked(cut):
             return self.scratch, 0
         if cut.points == cut.rows.shape[1]:
-            wider = _rows(2 * cut.points)
+            wider = _rows(2 * cut.points, self.height)
             wider[:, : cut.points] = cut.rows
             cut.rows = wider
         return cut.rows, cut.points
@@ -389,9 +400,13 @@ class _Reader:
 
         for start in range(0, rows.shape[1], HASHED):
             some = rows[:, start : start + HASHED]
-            units = np.empty((some.shape[1], len(letters)), dtype=np.int64)
+            each = 2 if self.dialect.velocities else 1
+            units = np.empty((some.shape[1], each * len(letters)), dtype=np.int64)
             for column, letter in enumerate(letters):
-                text.quantise(some[AXES.index(letter)], 10.0 ** self.dialect.decimals[letter], 0.0, 0, units, column)
+                scale, row = 10.0 ** self.dialect.decimals[letter], AXES.index(letter)
+                text.quantise(some[row], scale, 0.0, 0, units, each * column)
+                if each == 2:
+                    text.quantise(some[5 + row], scale, 0.0, 0, units, each * column + 1)
             self.digest.update(hashed_rows(units, some[4]))
 
     def _open(self) -> None:
@@ -400,7 +415,7 @@ class _Reader:
         # As many points as the header says, if the text is long enough to hold them, and one to spare: only a full
         # table is made wider.
         room = max(2, min(self.told.points, self.total) + 1) if self.told else 1 << 16
-        cut = _Cut(name=self.named or f"cut {self.cuts}", named=self.named is not None, rows=_rows(room))
+        cut = _Cut(name=self.named or f"cut {self.cuts}", named=self.named is not None, rows=_rows(room, self.height))
         cut.rows[:4, 0] = self.real[:4]
         cut.rows[4, 0] = 0.0
         self.cut = cut
@@ -456,8 +471,19 @@ class _Reader:
             return
         if len(bare) > 512:
             raise self._error("is longer than 512 letters without its comments", "give a program of plain blocks")
-        if not self._statement(bare):
+        if not (self.dialect.velocities and self._native(bare)) and not self._statement(bare):
             self._words(bare)
+
+    def _native(self, bare: str) -> bool:
+        """Follow a statement of a controller that takes velocities, if the line is one."""
+        said = NATIVE.fullmatch(bare)
+        if said is None:
+            return False
+        if said[2]:
+            self.whole[LINEAR], self.whole[FEED_MODE], self.real[FEED] = 1, 93, float(said[2])
+        elif bare in {"LINEAR", "RAPID"}:
+            self.whole[LINEAR], self.whole[FEED_MODE] = bare == "LINEAR", 94
+        return True
 
     def _statement(self, bare: str) -> bool:
         """Follow a macro statement, if the line is one."""
@@ -494,9 +520,10 @@ class _Reader:
                 return
         self._file(path)
 
-    def _words(self, bare: str) -> None:
-        """Follow a block of words."""
+    def _parsed(self, bare: str) -> list[tuple[str, float]]:
+        """Return the words of a block, and keep its velocities."""
         words: list[tuple[str, float]] = []
+        self.speeds = {}
         at = 0
         while at < len(bare):
             if bare[at].isspace():
@@ -511,12 +538,19 @@ class _Reader:
             letter = match[1]
             if match[2] is not None:
                 value, at = float(match[2]), match.end()
+                if self.dialect.velocities and (speed := SPEED.match(bare, at)):
+                    self.speeds[match[1].upper()], at = float(speed[1]), speed.end()
             else:
                 at = match.start(3)
                 value, at = self.macros.factor(bare, at)
             if not abs(value) <= LARGEST:
                 raise self._error(f"has {letter}{value:g}, the limit is {LARGEST:g}", "correct the number")
             words.append((letter, value))
+        return words
+
+    def _words(self, bare: str) -> None:
+        """Follow a block of words."""
+        words = self._parsed(bare)
         codes = [value for letter, value in words if letter == "G"]
         for letter, value in words:
             if letter == "M":
@@ -595,11 +629,13 @@ class _Reader:
 
     def _cut(self, before: Floats, step: Floats) -> None:
         """Add the block that has just led here to the cut, which begins if none is open."""
+        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
+
         feed = float(self.real[FEED])
         if not feed > 0:
             raise self._error(f"cuts with a feed of {feed:g}, it must be above 0", "give an F before the cut")
         if self.whole[FEED_MODE] == 93:
-            duration = 60 / feed if self.whole[INVERSE] else feed
+            duration = text.seconds(feed, self.whole[FEED_UNIT])
         else:
             length = float(np.linalg.norm(step[1:]))
             duration = 60 * (length or abs(float(step[0]))) / feed
@@ -611,4 +647,6 @@ class _Reader:
         rows, first = self._room()
         rows[:4, first] = self.real[:4]
         rows[4, first] = duration
+        if self.dialect.velocities:
+            rows[5:, first] = [self.speeds.get(letter, 0.0) for letter in AXES]
         self._added(rows, first, first + 1)

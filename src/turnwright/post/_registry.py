@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from turnwright.errors import ProgramError
 from turnwright.post.generic import GENERIC
 from turnwright.post.nanotech import NANOTECH
+from turnwright.post.pmac import PMAC
 
 if TYPE_CHECKING:
     from turnwright.machine import Machine
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["DIALECTS", "dialect_of"]
 
-DIALECTS = {dialect.name: dialect for dialect in (GENERIC, NANOTECH)}
+DIALECTS = {dialect.name: dialect for dialect in (GENERIC, NANOTECH, PMAC)}
 
 
 def dialect_of(machine: Machine) -> Dialect:

@@ -86,6 +86,7 @@ class _Pass:
     factors: Mapping[str, float]  # Turnwright's unit to the controller's, without decimals
     shifts: Mapping[str, float]
     dialect: Dialect
+    velocity: Mapping[str, Floats] | None  # at the points, from rest to rest; only where the dialect says it
 
     def units(self, letter: str, index: int) -> int:
         """Return one coordinate as written, without its decimal point and without wrapping."""
@@ -241,15 +242,16 @@ def _passes(motions: Mapping[str, Motion], machine: Machine, dialect: Dialect) -
                 f"pass {name} moves axis {', '.join(sorted(unknown))}, the dialect {dialect.name} knows "
                 f"{', '.join(dialect.decimals)}: leave it out"
             )
-        for letter, values in motion.axes.items():
-            largest = max(abs(values.min()), abs(values.max())) * abs(factors[letter]) + abs(shifts[letter])
-            if largest > LARGEST:
-                raise ProgramError(
-                    f"axis {letter} of pass {name} reaches {largest:.3g}, the limit is {LARGEST:g} mm or deg: check "
-                    "its unit"
-                )
-        letters = dialect.letters(motion.axes)
-        passes.append(_Pass(name=name, motion=motion, letters=letters, factors=factors, shifts=shifts, dialect=dialect))
+        velocity = _velocity(motion) if dialect.velocities else None
+        _require_sizes(name, motion.axes, factors, shifts, "reaches", "mm or deg: check its unit")
+        if velocity is not None:
+            _require_sizes(name, velocity, factors, {}, "moves at", "mm/s or deg/s: check the time of its blocks")
+        passes.append(
+            _Pass(
+                name=name, motion=motion, letters=dialect.letters(motion.axes), factors=factors, shifts=shifts,
+                dialect=dialect, velocity=velocity,
+            )
+        )  # fmt: skip
     if len({one.letters for one in passes}) > 1:
         raise ProgramError(
             "some passes move Y and others do not, one program needs the same axes in all: give every pass a Y"
@@ -258,6 +260,36 @@ def _passes(motions: Mapping[str, Motion], machine: Machine, dialect: Dialect) -
     if len(names) < len(passes):
         raise ProgramError("two passes would share a file name: give them names that differ in more than blanks")
     return passes
+
+
+def _require_sizes(
+    name: str, numbers: Mapping[str, Floats], factors: Mapping[str, float], shifts: Mapping[str, float], what: str,
+    remedy: str,
+) -> None:  # fmt: skip
+    """Raise if a number of an axis, times its factor and shifted, does not fit into a word."""
+    for letter, values in numbers.items():
+        largest = max(abs(values.min()), abs(values.max())) * abs(factors[letter]) + abs(shifts.get(letter, 0.0))
+        if largest > LARGEST:
+            raise ProgramError(f"axis {letter} of pass {name} {what} {largest:.3g}, the limit is {LARGEST:g} {remedy}")
+
+
+def _velocity(motion: Motion) -> dict[str, Floats]:
+    """Return the velocities that a motion states, or else those of the parabolas that `track` takes; from rest to rest.
+
+    A controller begins with the velocity of the block before, and the last one must leave none.
+    """
+    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
+
+    velocity = {}
+    for letter, position in motion.axes.items():
+        speed = np.empty(position.size)
+        if motion.velocity is None:
+            kernel.rates(motion.time, position, speed)
+        else:
+            speed[:] = motion.velocity[letter]
+        speed[[0, -1]] = 0.0
+        velocity[letter] = speed
+    return velocity
 
 
 def _file_part(name: str) -> str:
@@ -291,6 +323,11 @@ class _Job:
         self.told = [self._tell(one, NO_HASH) for one in passes]
         main = [*self.dialect.setup]
         inline = not self.dialect.always_call and self.total + 100 * (len(passes) + 1) <= self.limit
+        if not (inline or self.dialect.call):
+            raise ProgramError(
+                f"the program has {self.total} blocks, the limit is {self.limit} lines, and the dialect "
+                f"{self.dialect.name} calls no sub-programs: allow more lines"
+            )
         subs: list[str] = []
         with (self.folder / self.path.name).open("wb") as file:
             if inline:
@@ -302,7 +339,8 @@ class _Job:
                     self._text(file, self._retract(one))
                 self._text(file, ["M30"])
                 file.seek(0)
-                file.write("\n".join(lines(self.header, self.machine, self.dialect, self.told)).encode())
+                head = self.dialect.commented(lines(self.header, self.machine, self.dialect, self.told))
+                file.write("\n".join(head).encode())
             else:
                 for index, one in enumerate(passes):
                     names, digest = self._sub_programs(one)
@@ -335,7 +373,7 @@ class _Job:
         )
 
     def _text(self, file: BinaryIO, rows: list[str]) -> None:
-        data = ("\n".join(rows) + "\n").encode("ascii")
+        data = ("\n".join(self.dialect.commented(rows)) + "\n").encode("ascii")
         file.write(data)
         self.lines += len(rows)
         self.bytes += len(data)
@@ -346,18 +384,19 @@ class _Job:
 
     def _approach(self, one: _Pass) -> list[str]:
         others = " ".join(one.word(letter, 0) for letter in ("X", "Y") if letter in one.letters)
+        say = self.dialect
         return [
-            "G94",
-            f"G1 {self._clear(one)} F500 (CLEAR OF THE PART)",
-            f"G1 {others} F500",
-            f"G0 {one.word('C', 0)}",
-            f"G1 {one.word('Z', 0, PLUNGE)} F100",
-            f"G1 {one.word('Z', 0)} F2",
-            "G93",
+            *say.end(),
+            *say.straight(self._clear(one), 500, "CLEAR OF THE PART"),
+            *say.straight(others, 500),
+            *say.rapid(one.word("C", 0)),
+            *say.straight(one.word("Z", 0, PLUNGE), 100),
+            *say.straight(one.word("Z", 0), 2),
+            *say.begin(),
         ]
 
     def _retract(self, one: _Pass) -> list[str]:
-        return ["G94", f"G1 {self._clear(one)} F100 (CLEAR OF THE PART)"]
+        return [*self.dialect.end(), *self.dialect.straight(self._clear(one), 100, "CLEAR OF THE PART")]
 
     def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
         """Write one pass into numbered files; return their names and the hash."""
@@ -385,18 +424,24 @@ class _Job:
         scale = {letter: 10.0 ** self.dialect.decimals[letter] for letter in one.letters}
         turn = 360 * int(scale["C"])
         wraps = {"C": turn if self.dialect.wrapped else 0}
-        letters = np.array([ord(letter) for letter in one.letters], dtype=np.int64)
+        words = one.letters if one.velocity is None else [half for letter in one.letters for half in (letter, ":")]
+        letters = np.array([ord(letter) for letter in words], dtype=np.int64)
         decimals = np.array([self.dialect.decimals[letter] for letter in one.letters], dtype=np.int64)
+        decimals = np.repeat(decimals, len(words) // len(one.letters))
         prefix = np.frombuffer(self.dialect.block.encode(), dtype=np.uint8)
+        leading = np.frombuffer(b"PVT" if self.dialect.velocities else b"", dtype=np.uint8)
         sign = float(one.motion.sense) * self.machine.convention.c_sense
         digest = hashlib.sha256()
 
         def quantise(start: int, stop: int) -> Ints:
-            rows = np.empty((stop - start, len(one.letters)), dtype=np.int64)
+            rows = np.empty((stop - start, len(words)), dtype=np.int64)
+            each = len(words) // len(one.letters)
             for column, letter in enumerate(one.letters):
                 values = one.motion.axes[letter][start:stop]
                 factor, shift = one.factors[letter] * scale[letter], one.shifts[letter] * scale[letter]
-                text.quantise(values, factor, shift, wraps.get(letter, 0), rows, column)
+                text.quantise(values, factor, shift, wraps.get(letter, 0), rows, each * column)
+                if one.velocity is not None:
+                    text.quantise(one.velocity[letter][start:stop], factor, 0.0, 0, rows, each * column + 1)
             return rows
 
         def work(chunk: _Chunk) -> tuple[int, memoryview, memoryview]:
@@ -408,7 +453,7 @@ class _Job:
                 raise _step_error(one, start - 1 + bad)
             rows = quantise(start, stop)
             out = np.empty((stop - start) * (prefix.size + 24 * (letters.size + 1)) + 8, dtype=np.uint8)
-            size = text.format_blocks(rows, letters, decimals, prefix, mantissa, places, out)
+            size = text.format_blocks(rows, letters, decimals, prefix, leading, mantissa, places, out)
             return stop - start, hashed_rows(rows, duration), out[:size].data
 
         digest.update(hashed_rows(quantise(0, 1), np.zeros(1)))
@@ -438,19 +483,24 @@ class _Job:
         """Yield the chunks of a file with their feeds, which only one thread can choose, in order."""
         from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
 
-        inverse, every = self.dialect.feed == "inverse minutes", self.dialect.feed_every_block
+        unit, every = self.dialect.feed_unit, self.dialect.feed_every_block
         state[0] = min(state[0], start)
         for begin in range(start, stop, CHUNK):
             end = min(begin + CHUNK, stop)
             mantissa, places = np.empty((2, end - begin), dtype=np.int64)
             duration = np.empty(end - begin)
-            bad = text.feeds(one.motion.time, begin, end, inverse, every, state, mantissa, places, duration)
+            bad = text.feeds(one.motion.time, begin, end, unit, every, state, mantissa, places, duration)
+            longest = self.dialect.longest_block
+            if bad < 0 and duration.max() > longest:
+                bad = begin + int(duration.argmax())
             if bad >= 0:
                 span = one.motion.time[bad] - one.motion.time[bad - 1]
                 raise ProgramError(
-                    f"block {bad} of pass {one.name} lasts {span:.3g} s, the limits are 1e-6 s to 1e4 s: check the "
-                    "spindle speed and the points per turn"
+                    f"block {bad} of pass {one.name} lasts {span:.3g} s, the limits are 1e-6 s to {longest:g} s: check "
+                    "the spindle speed and the points per turn"
                 )
+            if self.dialect.velocities:  # whose times have lines of their own
+                self.lines += int(np.count_nonzero(mantissa))
             yield begin, end, mantissa, places, duration
 
 
