@@ -41,7 +41,7 @@ if TYPE_CHECKING:
         write_nc,
     )
     from turnwright.response import FrequencyResponse, Response, SecondOrder, TransferFunction
-    from turnwright.strategy import SlowToolServo, Strategy
+    from turnwright.strategy import FastToolServo, HybridToolServo, SlowToolServo, Strategy
     from turnwright.surface import (
         Biconic,
         Conic,
@@ -98,7 +98,7 @@ _HOMES = {
         "write_nc",
     ),
     "response": ("FrequencyResponse", "Response", "SecondOrder", "TransferFunction"),
-    "strategy": ("SlowToolServo", "Strategy"),
+    "strategy": ("FastToolServo", "HybridToolServo", "SlowToolServo", "Strategy"),
     "surface": (
         "Biconic",
         "Conic",
@@ -136,12 +136,14 @@ __all__ = [
     "EdgeFit",
     "EvenAsphere",
     "Expression",
+    "FastToolServo",
     "Finding",
     "Forbes",
     "FrequencyResponse",
     "GougeError",
     "Gridded",
     "HeightMap",
+    "HybridToolServo",
     "InputError",
     "Job",
     "JobError",

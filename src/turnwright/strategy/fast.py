@@ -1,0 +1,98 @@
+"""The fast tool servo: spindle and slides in steady motion, the tool on a short axis of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.errors import InputError
+from turnwright.strategy._strategy import Strategy
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Floats
+    from turnwright.part import Part
+    from turnwright.path import Path, Spiral
+    from turnwright.progress import Progress
+    from turnwright.tool import Tool
+
+__all__ = ["FastToolServo"]
+
+STEADY = 1e-9
+"""How far the radius may be from a steady advance. [mm]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FastToolServo(Strategy):
+    """Spindle and X in steady motion, Z standing still, all height made by a fast tool on the axis W.
+
+    Z stands so that W uses the middle of its stroke; W adds to Z. The lathe then needs a few blocks a turn however
+    dense the points of the tool are, see `Motion.lathe` and `write_fast_tool`.
+
+    Parameters
+    ----------
+    plan
+        The spiral, its points and the spindle speed: a `SlowToolServo`, or another strategy whose X advances steadily.
+
+    Raises
+    ------
+    InputError
+        If the plan is not a strategy; of `axes`, if its X does not advance steadily, as along the normal.
+
+    Sources
+    -------
+    The arrangement of the fast tools that lathe makers offer, see the machine files.
+
+    >>> from turnwright.strategy.slow import SlowToolServo
+    >>> servo = FastToolServo(plan=SlowToolServo(feed=0.01, spindle_rpm=200, points_per_rev=3600))
+    >>> servo.spindle_rpm
+    200
+    """
+
+    plan: Strategy
+    spindle_rpm: float | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "spindle_rpm", speed_of(self.plan))
+
+    def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
+        """Return the spiral of the plan."""
+        return self.plan.spiral(part, tool, progress=progress)
+
+    def axes(self, path: Path) -> dict[str, Floats]:
+        """Return the axes at the points of a path: those of the plan with Z at rest [mm], and W all the rest [mm]."""
+        axes = self.plan.axes(path)
+        ends = axes["C"][[0, -1]]
+        steady = np.interp(axes["C"] * path.sense, ends * path.sense, axes["X"][[0, -1]])
+        off = float(np.abs(axes["X"] - steady).max())
+        if off > STEADY:
+            raise InputError(
+                f"X is up to {off:.3g} mm from a steady advance, the limit is {STEADY:g} mm, since beside a fast tool "
+                "the slides do not follow the part: place along z a spiral of constant feed"
+            )
+        tip = axes["Z"]
+        z = np.full(tip.size, (tip.min() + tip.max()) / 2)
+        return {**axes, "Z": z, "W": tip - z}
+
+    def rates(self, path: Path) -> dict[str, Floats] | None:
+        """Return the derivatives by the angle of these axes, or ``None`` if the path states none."""
+        rates = self.plan.rates(path)
+        return None if rates is None else {**rates, "Z": np.zeros(path.z.size), "W": rates["Z"]}
+
+
+def speed_of(plan: Strategy) -> float | None:
+    """Return the spindle speed of a plan. [rev/min].
+
+    Raises
+    ------
+    InputError
+        If it is not a strategy, or moves a fast tool itself.
+    """
+    if not isinstance(plan, Strategy):
+        raise InputError(f"the plan is {plan!r}, which is not a strategy: give a SlowToolServo for instance")
+    if isinstance(plan, FastToolServo) or hasattr(plan, "plan"):
+        raise InputError(
+            f"the plan is a {type(plan).__name__}, which moves a fast tool already: give the plan that it has"
+        )
+    return plan.spindle_rpm
