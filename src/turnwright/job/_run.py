@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, TypeAlias
@@ -16,20 +16,25 @@ import numpy as np
 
 from turnwright.access import check_access
 from turnwright.contact import place
-from turnwright.errors import GougeError, LimitError
+from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.generation import generate, generate_polar
 from turnwright.job._result import Pass, Prediction, Preview, Result
+from turnwright.job._shares import has_servos, without_servos
 from turnwright.metrology import roughness
 from turnwright.motion import check_limits, drive
 from turnwright.path import Spiral
 from turnwright.post import ProgramHeader, dialect_of, read_nc, write_nc
+from turnwright.tracking import track
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from os import PathLike
 
     from turnwright._arrays import Floats
     from turnwright.access import Access
+    from turnwright.heightmap import HeightMap
     from turnwright.job._schema import Job
+    from turnwright.machine import Machine
     from turnwright.path import Motion, Path
     from turnwright.progress import Progress
 
@@ -93,6 +98,8 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             return run(job, progress=progress, out=folder)
     watch = _Watch(progress)
     part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    if job.simulation.tracking:
+        _require_servos(job.actual_machine)
     with watch.stage("access"):
         access = check_access(part, tool, sense=job.strategy.sense)
     warnings = _accepted_access(job, access)
@@ -104,6 +111,8 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         servo = job.strategy.servo(cut)
         with watch.stage("plan") as tell:
             spiral = servo.spiral(part, tool, progress=tell)
+        if machine.controller.interpolation != "hermite":
+            spiral = replace(spiral, radius_rate=None, y_rate=None)  # nobody asks how fast the tip rises
         with watch.stage("place") as tell:
             path = place(spiral, part, tool, along=job.strategy.along, progress=tell)
         del spiral
@@ -128,7 +137,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             )  # fmt: skip
         stock = cut.allowance
     pictured, least = _thin(path), float(path.clearance.min())
-    shown, turns = _thin_motion(motion), _turns(motion)
+    shown, turns = _part_of(motion, _few(motion.time.size)), _turns(motion)
     del path, lifted
 
     with watch.stage("write program") as tell:
@@ -149,6 +158,11 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     del again
 
     warnings += _assumed(job, passes) + _judged(job, predictions)
+    if has_servos(job.actual_machine) and not job.simulation.tracking:
+        warnings.append(
+            f"{job.actual_machine.name} states how its axes answer, the prediction takes them to go where they are "
+            "sent: set tracking = true in [simulation]"
+        )
     if rounding > limit:
         warnings.append(
             f"the program on disk leaves a surface {rounding:.3g} nm from that of the motion in memory, its decimals "
@@ -195,9 +209,16 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
 
 
 def predict(
-    job: Job, motion: Motion, *, watch: _Watch | None = None, progress: StageProgress | None = None
+    job: Job,
+    motion: Motion,
+    *,
+    tracking: bool | None = None,
+    watch: _Watch | None = None,
+    progress: StageProgress | None = None,
 ) -> tuple[Prediction, ...]:
     """Predict what a motion leaves of the job's part, on the job's grids and with its actual tool and machine.
+
+    What the controller makes of the motion between its points always counts, how the servos answer only if asked.
 
     Parameters
     ----------
@@ -205,29 +226,64 @@ def predict(
         Says what was designed and where to look.
     motion
         From a program read back, the job's own or anybody's.
+    tracking
+        Whether the axes move as the machine's servos let them, and what that adds is told; as the job says if not
+        given.
     watch, progress
         Who keeps the time, or who is told (stage, done, total).
+
+    Raises
+    ------
+    InputError
+        If tracking is asked of a machine that does not state how any axis answers.
     """
     watch = watch or _Watch(progress)
     part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
-    grid = job.simulation.whole_part
-    with watch.stage("simulate whole part") as tell:
-        made = generate_polar(
-            motion, tool, radius=np.linspace(0, part.radius, grid.radii),
-            angle=np.linspace(0, 2 * np.pi, grid.angles, endpoint=False), machine=machine, progress=tell,
-        )  # fmt: skip
-        error = replace(made.minus(part.surface), name="whole part")
-        predictions = [Prediction(name="whole part", error=error, roughness=roughness(error, form="none"))]
-    for patch in job.simulation.patches:
-        x, y = patch.axes
-        with watch.stage(f"simulate {patch.name}") as tell:
-            made = generate(motion, tool, x=x, y=y, machine=machine, progress=tell)
-            error = replace(made.minus(part.surface), name=patch.name)
+    tracking = job.simulation.tracking if tracking is None else tracking
+    if tracking:
+        _require_servos(machine)
+    real = None
+    if tracking:
+        with watch.stage("track") as tell:
+            real = track(motion, machine, progress=tell)
+    if machine.controller.interpolation != "linear":
+        with watch.stage("interpolate") as tell:
+            motion = track(motion, without_servos(machine), progress=tell)
+
+    def predicted(name: str, form: int | str, made: Callable[[Motion, Progress], HeightMap]) -> Prediction:
+        with watch.stage(f"simulate {name}") as tell:
+            error = replace(made(motion, tell).minus(part.surface), name=name)
+        added = None
+        if real is not None:
+            with watch.stage(f"simulate {name} with servos") as tell:
+                planned, error = error, replace(made(real, tell).minus(part.surface), name=name)
+            added = replace(error, z=error.z - planned.z, name=f"{name}: servos")
         with watch.stage("roughness"):
-            predictions.append(
-                Prediction(name=patch.name, error=error, roughness=roughness(error, form=job.roughness.form))
-            )
+            return Prediction(name=name, error=error, roughness=roughness(error, form=form), tracking=added)
+
+    grid = job.simulation.whole_part
+    radius, angle = np.linspace(0, part.radius, grid.radii), np.linspace(0, 2 * np.pi, grid.angles, endpoint=False)
+
+    def whole(one: Motion, tell: Progress) -> HeightMap:
+        return generate_polar(one, tool, radius=radius, angle=angle, machine=machine, progress=tell)
+
+    predictions = [predicted("whole part", "none", whole)]
+    for patch in job.simulation.patches:
+
+        def rectangle(one: Motion, tell: Progress, axes: tuple[Floats, Floats] = patch.axes) -> HeightMap:
+            return generate(one, tool, x=axes[0], y=axes[1], machine=machine, progress=tell)
+
+        predictions.append(predicted(patch.name, job.roughness.form, rectangle))
     return tuple(predictions)
+
+
+def _require_servos(machine: Machine) -> None:
+    """Raise if a machine does not state how any of its axes answers."""
+    if not has_servos(machine):
+        raise InputError(
+            f"tracking is asked for, but {machine.name} states for 0 of its {len(machine.axes)} axes how they answer: "
+            "add [axes.Z.response] to a machine file and name that file in the job, or do without"
+        )
 
 
 def _accepted(job: Job, what: str, error: GougeError | LimitError) -> list[str]:
@@ -263,7 +319,7 @@ def _outermost(spiral: Spiral) -> Spiral:
     first, last = spiral.angle[[0, -1]]
     outer = first if spiral.radius[0] > spiral.radius[-1] else last
     turn = np.abs(spiral.angle - outer) <= 2 * np.pi
-    return Spiral(angle=spiral.angle[turn], radius=spiral.radius[turn])
+    return Spiral(angle=spiral.angle[turn], radius=spiral.radius[turn], y=None if spiral.y is None else spiral.y[turn])
 
 
 def _lifted(motion: Motion, height: float) -> Motion:
@@ -274,13 +330,18 @@ def _lifted(motion: Motion, height: float) -> Motion:
 def _thin(path: Path) -> Path:
     """Return a path with few enough points for a picture."""
     at = _few(path.angle.size)
-    names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
-    return replace(path, **{name: getattr(path, name)[at] for name in names})
+    stated = [one.name for one in fields(path) if one.init and getattr(path, one.name) is not None]
+    return replace(path, **{name: getattr(path, name)[at] for name in stated})
 
 
-def _thin_motion(motion: Motion) -> Motion:
-    at = _few(motion.time.size)
-    return replace(motion, time=motion.time[at], axes={letter: values[at] for letter, values in motion.axes.items()})
+def _part_of(motion: Motion, at: slice) -> Motion:
+    """Return some points of a motion, free of the rest."""
+
+    def some(values: Mapping[str, Floats]) -> dict[str, Floats]:
+        return {letter: one[at].copy() for letter, one in values.items()}
+
+    velocity = None if motion.velocity is None else some(motion.velocity)
+    return replace(motion, time=motion.time[at].copy(), axes=some(motion.axes), velocity=velocity)
 
 
 def _few(size: int) -> slice:
@@ -294,14 +355,7 @@ def _turns(motion: Motion) -> tuple[Motion, ...]:
     turns = []
     for start in (0.0, whole / 2, whole):
         first, last = np.searchsorted(angle, (start, start + 2 * np.pi + 1e-9))
-        span = slice(max(int(first) - 1, 0), int(last) + 1)
-        turns.append(
-            replace(
-                motion,
-                time=motion.time[span].copy(),
-                axes={letter: values[span].copy() for letter, values in motion.axes.items()},
-            )
-        )
+        turns.append(_part_of(motion, slice(max(int(first) - 1, 0), int(last) + 1)))
     return tuple(turns)
 
 
