@@ -31,13 +31,16 @@ if TYPE_CHECKING:
     from turnwright.part import Part
     from turnwright.path import Motion, Path, Spiral
     from turnwright.post import (
+        FastToolFiles,
         ProgramFiles,
         ProgramHeader,
         ProgramInfo,
         ProgramWarning,
         inspect_nc,
+        read_fast_tool,
         read_nc,
         read_table,
+        write_fast_tool,
         write_nc,
     )
     from turnwright.response import FrequencyResponse, Response, SecondOrder, TransferFunction
@@ -88,13 +91,16 @@ _HOMES = {
     "part": ("Part",),
     "path": ("Motion", "Path", "Spiral"),
     "post": (
+        "FastToolFiles",
         "ProgramFiles",
         "ProgramHeader",
         "ProgramInfo",
         "ProgramWarning",
         "inspect_nc",
+        "read_fast_tool",
         "read_nc",
         "read_table",
+        "write_fast_tool",
         "write_nc",
     ),
     "response": ("FrequencyResponse", "Response", "SecondOrder", "TransferFunction"),
@@ -136,6 +142,7 @@ __all__ = [
     "EdgeFit",
     "EvenAsphere",
     "Expression",
+    "FastToolFiles",
     "FastToolServo",
     "Finding",
     "Forbes",
@@ -198,6 +205,7 @@ __all__ = [
     "predict",
     "preview",
     "read_edge_trace",
+    "read_fast_tool",
     "read_nc",
     "read_table",
     "remove_form",
@@ -205,6 +213,7 @@ __all__ = [
     "run",
     "shares",
     "track",
+    "write_fast_tool",
     "write_nc",
 ]
 

@@ -236,6 +236,11 @@ def _passes(motions: Mapping[str, Motion], machine: Machine, dialect: Dialect) -
             raise ProgramError(
                 f"a pass is called {name!r}, a controller allows up to 40 letters, digits, blanks and - _: rename it"
             )
+        if "W" in motion.axes:
+            raise ProgramError(
+                f"pass {name} moves axis W, the fast tool's, which is in no program of a lathe: use write_fast_tool, "
+                "or write motion.lathe() for the lathe alone"
+            )
         unknown = set(motion.axes) - set(dialect.decimals)
         if unknown:
             raise ProgramError(

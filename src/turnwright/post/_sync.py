@@ -1,0 +1,335 @@
+"""A lathe's program and, beside it, the heights of a fast tool: by position or by time."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import math
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from turnwright._arrays import positive
+from turnwright.errors import ProgramError
+from turnwright.path import Motion
+from turnwright.post._header import NO_HASH, convention_line, inspect_nc, plain, require_regular, software
+from turnwright.post._reader import read_nc
+from turnwright.post._registry import dialect_of
+from turnwright.post._writer import CHUNK, ProgramFiles, _disk_error, write_nc
+
+if TYPE_CHECKING:
+    from os import PathLike
+    from typing import BinaryIO
+
+    from turnwright._arrays import Floats, Ints
+    from turnwright.machine import Machine
+    from turnwright.post._dialect import Dialect
+    from turnwright.post._header import ProgramHeader
+    from turnwright.progress import Progress
+
+__all__ = ["FastToolFiles", "read_fast_tool", "write_fast_tool"]
+
+SIGNATURE = "# TURNWRIGHT FAST TOOL 1"
+NAMES = {"position": "radius_mm,angle_deg,height_mm", "time": "height_mm"}
+HEIGHT = 7
+"""Decimals of a height: a tenth of a nanometre."""
+MOST_ROWS = 300_000_000
+"""Beyond this no memory holds the motion."""
+APART = 1e-5
+"""How far the radius of a table may be from the X of its program, which are both rounded. [mm]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FastToolFiles:
+    """What `write_fast_tool` left on disk.
+
+    Parameters
+    ----------
+    program
+        The files of the lathe.
+    table
+        The file of the fast tool.
+    by
+        "position" or "time".
+    rows
+        Heights in the table.
+    off
+        Largest distance of the motion's W from the straight lines between the heights, at its own points. [mm]
+    """
+
+    program: ProgramFiles
+    table: Path
+    by: str
+    rows: int
+    off: float
+
+
+def write_fast_tool(
+    motion: Motion,
+    machine: Machine,
+    path: str | PathLike[str],
+    *,
+    by: Literal["position", "time"],
+    rate_hz: float | None = None,
+    header: ProgramHeader | None = None,
+    clearance: float = 5.0,
+    progress: Progress | None = None,
+) -> FastToolFiles:
+    """Write the program of the lathe without W, see `write_nc` and `Motion.lathe`, and a table of W beside it.
+
+    The table is text, part.fast.csv beside part.nc. By position it has a row of radius, angle and height for every
+    point of the motion: the radius is the X of the program, the angle its C within one turn, with as many decimals, so
+    that the tool's controller reads both from the scales of the lathe; between two rows heights run straight over the
+    angle turned. By time it has one height every 1/``rate_hz`` s, straight in between, and the first one belongs to the
+    first point of the cut, where the approach of the program ends. Heights add to Z, out of the part, whatever the
+    convention of the lathe; their last decimal is 0.1 nm. The first lines say all this, the hash of the rows and that
+    of the program they belong to.
+
+    The table is written under another name beside its place before the program is, and put in place after it: if
+    anything fails before, nothing changes.
+
+    Parameters
+    ----------
+    motion
+        With an axis W.
+    machine
+        Names the dialect and the convention.
+    path
+        The main program.
+    by
+        What the table is synchronised by.
+    rate_hz
+        Heights per second, by time only. [Hz]
+    header, clearance, progress
+        See `write_nc`.
+
+    Raises
+    ------
+    ProgramError
+        If the motion has no W, there is not a rate with time alone, the angle within a row stands still, or the files
+        cannot be written.
+    """
+    path = Path(path)
+    if "W" not in motion.axes:
+        raise ProgramError(
+            f"the motion has the axes {', '.join(motion.axes)}, a fast tool needs W: use write_nc, or plan it "
+            "with FastToolServo or HybridToolServo"
+        )
+    if by not in NAMES:
+        raise ProgramError(f'by is {by!r}, it must be "position" or "time": choose one')
+    if (rate_hz is None) != (by == "position"):
+        raise ProgramError(
+            f"a table by {by} has the rate {rate_hz}, by time it needs one and by position it has none: correct it"
+        )
+    dialect = dialect_of(machine)
+    table = path.parent / f"{path.stem}.fast.csv"
+    hidden = table.with_name(f".{table.name}.{os.getpid()}")
+    rows, decimals, off = _position(motion, machine, dialect) if by == "position" else _stream(motion, rate_hz)
+    try:
+        try:
+            with hidden.open("wb") as file:
+                file.write(_head(motion, machine, dialect, rows.shape[0], rate_hz, path, (NO_HASH, NO_HASH)))
+                digest = _body(file, rows, decimals)
+            program = write_nc(motion.lathe(), machine, path, header=header, clearance=clearance, progress=progress)
+            with hidden.open("r+b") as file:
+                file.write(_head(motion, machine, dialect, rows.shape[0], rate_hz, path, (digest, program.hash)))
+            hidden.replace(table)
+        except OSError as error:
+            raise _disk_error(table, error) from error
+    finally:
+        hidden.unlink(missing_ok=True)
+    return FastToolFiles(program=program, table=table, by=by, rows=rows.shape[0], off=off)
+
+
+def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints, Ints, float]:
+    """Return radius, angle and height in units of their last decimals, these, and the distance from them."""
+    from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
+
+    convention = machine.convention
+    decimals = np.array([dialect.decimals["X"], dialect.decimals["C"], HEIGHT])
+    scale = 10.0**decimals
+    turn = 360 * int(scale[1])
+    rows = np.empty((motion.time.size, 3), dtype=np.int64)
+    degrees, mark = float(np.rad2deg(convention.c_sense)), float(np.rad2deg(convention.clocking))
+    text.quantise(motion.axes["X"], convention.x_side * scale[0], 0.0, 0, rows, 0)
+    text.quantise(motion.axes["C"], degrees * scale[1], mark * scale[1], turn, rows, 1)
+    text.quantise(motion.axes["W"], scale[2], 0.0, 0, rows, 2)
+    step = np.diff(rows[:, 1]) * (motion.sense * convention.c_sense) % turn
+    bad = np.flatnonzero((step == 0) | (step >= turn // 2))
+    if bad.size:
+        raise ProgramError(
+            f"row {bad[0] + 2} of the fast tool's table turns C by {step[bad[0]] / scale[1]:g} deg, the limits are one "
+            f"unit of the program, {1 / scale[1]:g} deg, and half a turn: use other points per turn"
+        )
+    return rows, decimals, float(np.abs(rows[:, 2] / scale[2] - motion.axes["W"]).max())
+
+
+def _stream(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
+    """Return the heights at a steady rate in units of their last decimal, this, and the distance from them."""
+    rate = positive(rate_hz or 0.0, "rate_hz", "Hz")
+    time = motion.time - motion.time[0]
+    count = math.ceil(time[-1] * rate - 1e-6) + 1
+    if count > MOST_ROWS:
+        raise ProgramError(f"the stream has {count:.3g} heights, the limit is {MOST_ROWS:.0e}: lower rate_hz")
+    at = np.arange(count) / rate
+    rows = np.rint(np.interp(at, time, motion.axes["W"]) * 10.0**HEIGHT).astype(np.int64)[:, None]
+    off = np.interp(time, at, rows[:, 0] / 10.0**HEIGHT) - motion.axes["W"]
+    return rows, np.array([HEIGHT]), float(np.abs(off).max())
+
+
+def _head(
+    motion: Motion,
+    machine: Machine,
+    dialect: Dialect,
+    count: int,
+    rate_hz: float | None,
+    path: Path,
+    hashes: tuple[str, str],
+) -> bytes:
+    """Return the first lines; their length does not depend on the hashes."""
+    away = "GROWS" if machine.convention.x_side > 0 else "FALLS"
+    grows = "GROWS" if motion.sense * machine.convention.c_sense > 0 else "FALLS"
+    if rate_hz is None:
+        told = [
+            "# BY: POSITION",
+            f"# RADIUS: X OF THE PROGRAM, MM, {away} AWAY FROM THE AXIS, DECIMALS {dialect.decimals['X']}",
+            f"# ANGLE: C OF THE PROGRAM, DEGREES FROM 0 TO 360, {grows} FROM ROW TO ROW BY LESS THAN HALF A TURN",
+            f"# ANGLE DECIMALS: {dialect.decimals['C']}",
+            "# BETWEEN ROWS: STRAIGHT OVER THE ANGLE TURNED",
+        ]
+        names = NAMES["position"]
+    else:
+        told = [
+            "# BY: TIME",
+            f"# RATE: {float(rate_hz)!r} HEIGHTS PER SECOND",
+            "# START: THE FIRST HEIGHT IS THAT OF THE FIRST POINT OF THE CUT, WHERE THE APPROACH OF THE PROGRAM ENDS",
+            "# BETWEEN ROWS: STRAIGHT OVER TIME",
+        ]
+        names = NAMES["time"]
+    lines = [
+        SIGNATURE,
+        f"# SOFTWARE: {software()}",
+        f"# MACHINE: {plain(machine.name)}",
+        f"# CONVENTION: {convention_line(machine)}",
+        *told,
+        f"# HEIGHT: MM THAT THE FAST TOOL ADDS TO Z, OUT OF THE PART, DECIMALS {HEIGHT}",
+        f"# ROWS: {count}",
+        f"# PROGRAM: {plain(path.name)}, SHA256 {hashes[1]}",
+        f"# SHA256: {hashes[0]}",
+        names,
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def _body(file: BinaryIO, rows: Ints, decimals: Ints) -> str:
+    """Write the rows; return their hash."""
+    from turnwright._kernels import table as kernel  # noqa: PLC0415 - numba is costly to import
+
+    digest = hashlib.sha256()
+    for start in range(0, rows.shape[0], CHUNK):
+        part = rows[start : start + CHUNK]
+        out = np.empty(part.size * 24 + 8, dtype=np.uint8)
+        data = out[: kernel.format_rows(part, decimals, out)].tobytes()
+        digest.update(data)
+        file.write(data)
+    return digest.hexdigest()
+
+
+def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Progress | None = None) -> Motion:
+    """Read a program and the table beside it back as one motion, with the axis W.
+
+    By position the motion has a point at every row of the table, by time at every block of the program and at every
+    height of the stream; in between, all that a controller does straight is straight.
+
+    Parameters
+    ----------
+    path
+        The main program; the table is part.fast.csv beside part.nc.
+    machine
+        Names the dialect and the convention.
+    progress
+        See `read_nc`.
+
+    Raises
+    ------
+    ProgramError
+        If a file cannot be read or is damaged, the table belongs to another program or convention, or the two do not
+        fit.
+    """
+    path = Path(path)
+    file = path.parent / f"{path.stem}.fast.csv"
+    fields, table = _read(file)
+    if fields["CONVENTION"] != convention_line(machine):
+        raise ProgramError(
+            f"{file} is written for {fields['CONVENTION']}, {machine.name} has {convention_line(machine)}: read it "
+            "with its own machine"
+        )
+    info = inspect_nc(path)
+    whole = hashlib.sha256("\n".join(one.hash for one in info.passes).encode()).hexdigest()
+    if not fields["PROGRAM"].endswith(f"SHA256 {whole}"):
+        raise ProgramError(f"{file} belongs to another program than {path}: write both again")
+    motion = read_nc(path, machine, progress=progress)
+    if fields["BY"] == "TIME":
+        match = re.match(r"[0-9.e+-]+", fields.get("RATE", ""))
+        rate = float(match[0]) if match else 0.0
+        if rate <= 0 or table.shape[1] != 1:
+            raise ProgramError(f"{file} states no rate or has {table.shape[1]} columns, not 1: write it again")
+        at = np.arange(len(table)) / rate
+        time = np.union1d(motion.time, at[at < motion.time[-1]])
+        w = np.interp(time, at, table[:, 0])
+    else:
+        time, w = _turned(file, table, motion, machine)
+    axes = {letter: np.interp(time, motion.time, values) for letter, values in motion.axes.items()}
+    return Motion(time=time, axes={**axes, "W": w}, machine=machine)
+
+
+def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> tuple[Floats, Floats]:
+    """Return when the program is at each row of a table by position, and the heights."""
+    if table.shape[1] != 3:
+        raise ProgramError(f"{file} has {table.shape[1]} columns, by position it has 3: write it again")
+    convention = machine.convention
+    step = np.diff(table[:, 1])
+    degrees = np.concatenate([[0.0], np.cumsum(step - 360 * np.rint(step / 360))]) + table[0, 1]
+    c = convention.c_sense * (np.deg2rad(degrees) - convention.clocking)
+    c += 2 * np.pi * np.rint((motion.axes["C"][0] - c[0]) / (2 * np.pi))
+    if not (np.diff(c) * motion.sense > 0).all():
+        raise ProgramError(f"{file} does not turn as its program does: write both again")
+    ahead = motion.sense * motion.axes["C"]
+    time = np.interp(motion.sense * c, ahead, motion.time)
+    x = np.interp(motion.sense * c, ahead, motion.axes["X"]) * convention.x_side
+    off = np.abs(x - table[:, 0])
+    worst = int(np.argmax(off))
+    if off[worst] > APART or abs(c[-1] - motion.axes["C"][-1]) > 1e-6:
+        ends = np.rad2deg([c[-1], motion.axes["C"][-1]])
+        raise ProgramError(
+            f"{file} has the radius {table[worst, 0]:g} mm where its program has X {x[worst]:g} mm, and ends at C "
+            f"{ends[0]:.3f} deg where that ends at {ends[1]:.3f} deg: write both again"
+        )
+    return time, table[:, 2]
+
+
+def _read(file: Path) -> tuple[dict[str, str], Floats]:
+    """Return what the first lines of a table say, and its rows."""
+    try:
+        require_regular(file)
+        data = file.read_bytes()
+    except OSError as error:
+        raise ProgramError(f"{file} cannot be read ({error.strerror}): check its name and place") from error
+    text = data[: 1 << 14].decode("latin-1")
+    fields = dict(re.findall(r"^# ([A-Z0-9 ]+): (.*)$", text, re.MULTILINE))
+    needed = ("BY", "CONVENTION", "ROWS", "PROGRAM", "SHA256")
+    names = NAMES.get(fields.get("BY", "").lower(), "")
+    start = text.find(f"\n{names}\n")
+    if not text.startswith(SIGNATURE) or not names or start < 0 or not all(name in fields for name in needed):
+        raise ProgramError(f"{file} is no table of a fast tool, which begins with {SIGNATURE!r}: give the right file")
+    body = data[start + len(names) + 2 :]
+    if hashlib.sha256(body).hexdigest() != fields["SHA256"]:
+        raise ProgramError(f"{file} has other rows than it was written with, it was damaged or edited: write it again")
+    table = np.loadtxt(io.BytesIO(body), delimiter=",", ndmin=2)
+    if str(table.shape[0]) != fields["ROWS"]:
+        raise ProgramError(f"{file} has {table.shape[0]} rows, its head says {fields['ROWS']}: write it again")
+    return fields, table

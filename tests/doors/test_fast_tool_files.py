@@ -1,0 +1,164 @@
+"""The files of a fast tool: what stands in them, what comes back, and what is refused."""
+
+import csv
+from dataclasses import replace
+from decimal import Decimal
+
+import numpy as np
+import pytest
+
+import turnwright as tw
+
+TURN = 2 * np.pi
+
+
+def motion(machine, *, sense=1, turns=4.3, per_turn=90):
+    turned = np.arange(round(turns * per_turn) + 1) * (TURN / per_turn)
+    axes = {
+        "C": 0.7 + sense * turned,
+        "X": 1.5 - 0.05 / TURN * turned,
+        "Z": 0.2 + 0.001 * np.cos(turned),
+        "W": 0.0123456789 * np.cos(5 * turned) - 0.001,
+    }
+    return tw.Motion(time=3.0 + turned / (10 * TURN), axes=axes, machine=machine)
+
+
+CONVENTIONS = [tw.Convention(), tw.Convention(x_side=-1, c_sense=-1, z_sign=-1, clocking=1.1)]
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+@pytest.mark.parametrize("dialect", ["generic", "nanotech"])
+@pytest.mark.parametrize("sense", [1, -1])
+def test_by_position_the_rows_are_those_that_python_would_write(tmp_path, convention, dialect, sense):
+    machine = replace(tw.Machine.load("nanoform-fts-70"), convention=convention, dialect=dialect)
+    made = motion(machine, sense=sense)
+    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="position")
+    assert done.table == tmp_path / "part.fast.csv"
+    assert done.rows == made.time.size
+    assert done.off <= 0.5e-7
+    text = done.table.read_text(encoding="ascii").splitlines()
+    head = [line for line in text if line.startswith("#")]
+    assert f"SHA256 {done.program.hash}" in "".join(head)
+    rows = list(csv.DictReader(text[len(head) :]))
+    assert len(rows) == done.rows
+    degrees = np.rad2deg(convention.c_sense * made.axes["C"] + convention.clocking)
+    places = {"generic": 6, "nanotech": 5}[dialect]
+    for row, x, angle, w in zip(rows, made.axes["X"], degrees, made.axes["W"], strict=True):
+        assert abs(Decimal(row["radius_mm"]) - Decimal(float(convention.x_side * x))) <= Decimal("0.5000001e-6")
+        assert abs(Decimal(row["height_mm"]) - Decimal(float(w))) <= Decimal("0.5000001e-7")
+        assert 0 <= float(row["angle_deg"]) < 360
+        off = (float(row["angle_deg"]) - angle + 180) % 360 - 180
+        assert abs(off) <= 0.50001 * 10.0**-places + 1e-9
+        assert len(row["angle_deg"].split(".")[1]) == places
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("by", ["position", "time"])
+def test_program_and_table_read_back_are_the_motion(tmp_path, convention, sense, by):
+    """X and Z to half a decimal of the program and what its blocks leave out, W to half of its own or by its stream."""
+    machine = replace(tw.Machine.load("nanoform-fts-70"), convention=convention)
+    made = motion(machine, sense=sense)
+    rate = None if by == "position" else 50_000.0
+    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by=by, rate_hz=rate)
+    again = tw.read_fast_tool(tmp_path / "part.nc", machine)
+    assert again.sense == made.sense
+    begun = made.time - made.time[0]
+    assert again.time[[0, -1]] == pytest.approx(begun[[0, -1]], rel=1e-8)
+    if by == "position":
+        assert again.time.size == made.time.size
+        shift = TURN * np.rint((again.axes["C"][0] - made.axes["C"][0]) / TURN)
+        assert again.axes["C"] - shift == pytest.approx(made.axes["C"], abs=2e-8)
+        assert again.axes["W"] == pytest.approx(made.axes["W"], abs=0.51e-7)
+        assert again.time == pytest.approx(begun, abs=1e-7)
+    for letter, tolerance in {"X": 0.7e-6, "Z": 0.7e-6, "W": max(done.off, 0.6e-7) * 1.01}.items():
+        assert np.interp(begun, again.time, again.axes[letter]) == pytest.approx(made.axes[letter], abs=tolerance)
+    assert done.off < 1e-5
+
+
+def test_a_stream_holds_the_heights_at_its_times(tmp_path):
+    machine = tw.Machine.load("nanoform-fts-70")
+    made = motion(machine)
+    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="time", rate_hz=3000)
+    heights = [float(line) for line in done.table.read_text().splitlines() if line[0] not in "#h"]
+    at = np.arange(done.rows) / 3000
+    assert at[-1] >= made.time[-1] - made.time[0] - 1e-9 > at[-2]
+    wanted = np.interp(at, made.time - made.time[0], made.axes["W"])
+    assert np.abs(np.array(heights) - wanted).max() <= 0.5000001e-7
+    again = np.interp(made.time - made.time[0], at, heights)
+    assert done.off == pytest.approx(np.abs(again - made.axes["W"]).max(), rel=1e-9)
+
+
+def test_the_lathe_turns_steadily_with_few_blocks(tmp_path):
+    machine = tw.Machine.load("nanoform-fts-70")
+    made = motion(machine)
+    made = tw.Motion(time=made.time, axes={**made.axes, "Z": np.full(made.time.size, 0.2)}, machine=machine)
+    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="position")
+    lathe = tw.read_nc(tmp_path / "part.nc", machine)
+    assert "W" not in lathe.axes
+    assert lathe.time.size == done.program.passes[0].points < 4.3 * 12
+    assert np.abs(np.diff(lathe.axes["C"])).max() < np.pi / 4 + 1e-6
+    assert np.ptp(lathe.axes["Z"]) == 0
+
+
+def test_what_does_not_belong_together_is_refused(tmp_path):
+    machine = tw.Machine.load("nanoform-fts-70")
+    made = motion(machine)
+    file = tmp_path / "part.nc"
+    done = tw.write_fast_tool(made, machine, file, by="position")
+    good = done.table.read_bytes()
+    done.table.write_bytes(good.replace(b"0.0113457", b"0.0113458", 1))
+    with pytest.raises(tw.ProgramError, match="damaged or edited"):
+        tw.read_fast_tool(file, machine)
+    done.table.write_bytes(good[100:])
+    with pytest.raises(tw.ProgramError, match="no table of a fast tool"):
+        tw.read_fast_tool(file, machine)
+    done.table.write_bytes(good)
+    other = replace(machine, convention=tw.Convention(clocking=0.5))
+    with pytest.raises(tw.ProgramError, match="with its own machine"):
+        tw.read_fast_tool(file, other)
+    tw.write_nc(
+        tw.Motion(time=made.time, axes={**made.axes, "X": made.axes["X"] + 1}, machine=machine).lathe(), machine, file
+    )
+    with pytest.raises(tw.ProgramError, match="belongs to another program"):
+        tw.read_fast_tool(file, machine)
+    done.table.unlink()
+    with pytest.raises(tw.ProgramError, match="cannot be read"):
+        tw.read_fast_tool(file, machine)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"by": "radius"}, '"position" or "time"'),
+        ({"by": "time"}, "by time it needs one"),
+        ({"by": "position", "rate_hz": 10.0}, "by position it has none"),
+        ({"by": "time", "rate_hz": 1e12}, "lower rate_hz"),
+    ],
+)
+def test_a_wrong_request_is_one_sentence(tmp_path, change, words):
+    machine = tw.Machine.load("nanoform-fts-70")
+    with pytest.raises(tw.ProgramError) as caught:
+        tw.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", **change)
+    assert words in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_left_when_the_program_cannot_be_written(tmp_path):
+    machine = tw.Machine.load("nanoform-fts-70")
+    with pytest.raises(tw.ProgramError, match="clearance"):
+        tw.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", by="position", clearance=-1)
+    assert list(tmp_path.iterdir()) == []
+    close = motion(machine, turns=2e-6, per_turn=2_000_000_000)
+    with pytest.raises(tw.ProgramError, match="turns C by 0 deg"):
+        tw.write_fast_tool(close, machine, tmp_path / "part.nc", by="position")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_motions_that_belong_elsewhere(tmp_path):
+    machine = tw.Machine.load("nanoform-fts-70")
+    with pytest.raises(tw.ProgramError, match=r"use write_fast_tool, or write motion\.lathe"):
+        tw.write_nc(motion(machine), machine, tmp_path / "part.nc")
+    with pytest.raises(tw.ProgramError, match="a fast tool needs W"):
+        tw.write_fast_tool(motion(machine).lathe(), machine, tmp_path / "part.nc", by="position")
+    assert list(tmp_path.iterdir()) == []
