@@ -44,7 +44,7 @@ if TYPE_CHECKING:
         write_nc,
     )
     from turnwright.response import FrequencyResponse, Response, SecondOrder, TransferFunction
-    from turnwright.strategy import FastToolServo, HybridToolServo, SlowToolServo, Strategy
+    from turnwright.strategy import AdaptiveToolServo, FastToolServo, HybridToolServo, SlowToolServo, Strategy
     from turnwright.surface import (
         Biconic,
         Conic,
@@ -104,7 +104,7 @@ _HOMES = {
         "write_nc",
     ),
     "response": ("FrequencyResponse", "Response", "SecondOrder", "TransferFunction"),
-    "strategy": ("FastToolServo", "HybridToolServo", "SlowToolServo", "Strategy"),
+    "strategy": ("AdaptiveToolServo", "FastToolServo", "HybridToolServo", "SlowToolServo", "Strategy"),
     "surface": (
         "Biconic",
         "Conic",
@@ -133,6 +133,7 @@ __version__ = version("turnwright")
 
 __all__ = [
     "Access",
+    "AdaptiveToolServo",
     "Axis",
     "Biconic",
     "Conic",

@@ -1,8 +1,9 @@
 """Strategies: where the tool is sent, and which axes send it there. One way of cutting per file."""
 
 from turnwright.strategy._strategy import Strategy
+from turnwright.strategy.adaptive import AdaptiveToolServo
 from turnwright.strategy.fast import FastToolServo
 from turnwright.strategy.hybrid import HybridToolServo
 from turnwright.strategy.slow import SlowToolServo
 
-__all__ = ["FastToolServo", "HybridToolServo", "SlowToolServo", "Strategy"]
+__all__ = ["AdaptiveToolServo", "FastToolServo", "HybridToolServo", "SlowToolServo", "Strategy"]

@@ -1,0 +1,554 @@
+"""The adaptive tool servo: turns as far apart as the cusp allows, points as far apart as the chord allows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from turnwright._arrays import positive
+from turnwright.errors import GougeError, InputError, LimitError
+from turnwright.path import Spiral
+from turnwright.strategy._strategy import Strategy
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Floats
+    from turnwright.part import Part
+    from turnwright.path import Path
+    from turnwright.progress import Progress
+    from turnwright.tool import Tool
+
+__all__ = ["AdaptiveToolServo"]
+
+TURN = 2 * math.pi
+
+MOST_POINTS = 300_000_000
+"""Beyond this a spiral is a slip of the unit: no controller takes such a program, and no memory holds it."""
+
+WIDEST_STEP = TURN / 12
+"""Largest angle between two points, so that no move of C is ambiguous. [rad]"""
+
+SPOKES_PER_FEATURE = 4
+LEAST_SPOKES = 256
+RINGS_PER_FEATURE = 8
+LEAST_RINGS = 256
+RINGS_PER_NOSE = 16
+"""How densely the steps are found: spokes around the rim, and rings between which a cubic gives the tip's height."""
+
+SAMPLES_PER_FEATURE = 8
+"""Samples of the path along the outermost turn of a block; there are more wherever a cubic needs them."""
+
+BLOCK = 1 << 21
+"""Samples that are placed together."""
+
+LEAST_STEP = 0.1
+"""A step is at least this share of that on a flat: at a valley too sharp for the nose no step would leave no cusp."""
+
+STEP_GROWTH = 4.0
+"""A step grows at most by this factor from turn to turn."""
+
+ASIDE = 3e-3
+"""Between the points the controller's radius may be aside by this share of a step: a cusp changes by up to four times
+as much, since two passes make it."""
+
+AIM = 0.9925
+"""Share of the scallop at which cusps are aimed, so that with both passes aside they are from 98 to 100.5 % of it."""
+
+REST = 3.0
+"""Steps within which a spoke that is cut comes to rest."""
+
+MISS = 200
+"""Straight lines between samples, and the cubics that fill them in, may each miss the path by the chord over this."""
+
+SAMPLES_PER_BLOCK = 16
+"""Samples to each cubic of a program: its largest miss between them is within a hundredth of that at one of them."""
+
+FINEST = 1e-9
+"""A path that is not a cubic over this angle jumps. [rad]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AdaptiveToolServo(Strategy):
+    r"""Adaptive tool servo: every cusp as high as the scallop allows, as few points as the chord allows.
+
+    *Across the turns.* On each of many spokes the next tip stands where its edge meets that of the last turn exactly
+    ``scallop`` above the surface, the height measured along z over the real surface in between. A turn begins where the
+    last one ends, so every step is taken from the spiral's own previous turn; a cubic spline in the cumulative angle
+    through all of them has a radius with two continuous derivatives, over the seam of each turn as anywhere. The tip
+    rests on the axis for a moment and takes half a turn to its steady advance, so that passes from both sides of the
+    axis stand nowhere further apart than the others. The spiral ends with the turn after which no point inside the clear
+    radius stands higher than the scallop; spokes that are there before the last one come to rest.
+
+    *Along a turn.* Each point is the furthest from the last for which what the controller makes of the axes keeps within
+    ``chord`` of the exact height of the tip *at the radius where it then is*. The points of straight lines may stand up
+    to the chord above or below the path (`Path.lift`), so that lines pass on both sides of it: steps are longer by
+    :math:`\sqrt 2`.
+
+    Parameters
+    ----------
+    scallop
+        Height of the cusps between neighbouring turns. They are aimed at 99.25 % of it; where the controller's radius
+        between two points is aside they are from 98 to 100.5 %, for a tip at its exact height. What the height is off
+        by, up to the chord, adds to them. [mm]
+    chord
+        Largest height between the exact path and what the controller makes of the points. [mm]
+    interpolation
+        What the controller makes of them: "linear" in the axes, or "hermite" (PVT), cubics through positions and
+        velocities; those of a steady spindle.
+    off_path
+        Whether the points of a linear program may stand off the exact path. Cubics always pass through it.
+    x_motion
+        "servo": X follows the steps. "split": the same tip, X in steady motion and what is left for U, the second axis
+        of a fast tool. "steady": the largest constant feed that keeps every cusp within the scallop; only the points
+        adapt, and X needs no servo. `FastToolServo` takes either of the last two as its plan.
+    spindle_rpm
+        Spindle speed; ``None`` for the highest one that keeps every limit of the machine. [rev/min]
+    inside_out
+        Cut from the centre to the rim.
+    sense
+        +1 where the azimuth of the part under the tool grows, -1 where it falls.
+
+    Raises
+    ------
+    InputError
+        If a length is not positive, or a choice is none of those above.
+
+    Sources
+    -------
+    [ZhuTo2015]_. Errata: the two tolerances are printed swapped; a radial step from the curvature at one point is not
+    that of the cusp; see the page of the paper. Points off the path: [ImaiIri1986]_ (fewest links in a tunnel).
+
+    >>> from turnwright.surface import Plane
+    >>> from turnwright.part import Part
+    >>> from turnwright.tool import Tool
+    >>> servo = AdaptiveToolServo(scallop=50e-6, chord=10e-6, interpolation="hermite")
+    >>> spiral = servo.spiral(Part(surface=Plane(), radius=1.0), Tool(nose_radius=0.1))
+    >>> inner, outer = np.interp([-100 * TURN, -50 * TURN], spiral.angle - spiral.angle[-1], spiral.radius)
+    >>> bool(np.isclose((inner - outer) / 50, np.sqrt(8 * 0.1 * AIM * 50e-6), rtol=1e-3))  # the step on a flat
+    True
+    """
+
+    scallop: float
+    chord: float
+    interpolation: Literal["linear", "hermite"]
+    off_path: bool = True
+    x_motion: Literal["servo", "split", "steady"] = "servo"
+    spindle_rpm: float | None = None
+    inside_out: bool = False
+    sense: int = 1
+
+    def __post_init__(self) -> None:
+        for name, unit in (("scallop", "mm"), ("chord", "mm"), ("spindle_rpm", "rev/min")):
+            value = getattr(self, name)
+            if value is not None or name != "spindle_rpm":
+                positive(value, name, unit)
+        for name, choices in (("interpolation", ("linear", "hermite")), ("x_motion", ("servo", "split", "steady"))):
+            if getattr(self, name) not in choices:
+                listed = " or ".join(f'"{choice}"' for choice in choices)
+                raise InputError(f"{name} is {getattr(self, name)!r}, it must be {listed}: choose one")
+        if self.sense not in (-1, 1):
+            raise InputError(f"sense is {self.sense!r}, it must be 1 or -1: give the way the azimuth runs")
+
+    def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
+        """Return the spiral for a part and a tool.
+
+        Raises
+        ------
+        GougeError
+            If the scallop is as high as the edge.
+        InputError
+            If the chord tolerance cannot be kept because the path jumps.
+        LimitError
+            If there are more points than any controller takes.
+        """
+        way = self.sense if self.inside_out else -self.sense
+        steady = self.x_motion == "steady"
+        steps = _Steps(part, tool, self.scallop if steady else AIM * self.scallop, self.sense, way)
+        curve, end = steps.march(steady=steady, progress=progress)
+        turned, lift = _points(self, steps, curve, end, progress)
+        radius, rate = curve.at(turned)
+        radius = radius - tool.offset[0]
+        angle = self.sense * turned
+        if not self.inside_out:
+            angle = self.sense * (math.ceil(turned[-1] / TURN) * TURN - turned[::-1])
+            radius, rate, lift = radius[::-1], rate[::-1], None if lift is None else lift[::-1]
+        linear = self.interpolation == "linear"
+        return Spiral(angle=angle, radius=radius, radius_rate=None if linear else way * rate, lift=lift)
+
+    def axes(self, path: Path) -> dict[str, Floats]:
+        """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm].
+
+        With a split motion X advances steadily, and U adds what the tip is away from there. [mm]
+        """
+        axes = {"C": path.angle, "X": path.radius, "Z": path.z if path.lift is None else path.z + path.lift}
+        if self.x_motion == "split":
+            steady = _amid(path.angle, path.radius)
+            axes |= {"X": steady, "U": path.radius - steady}
+        return axes
+
+    def rates(self, path: Path) -> dict[str, Floats] | None:
+        """Return the derivatives by the angle of these axes, or ``None`` if the path states none."""
+        rates = Strategy.rates(self, path)
+        if rates is not None and self.x_motion == "split":
+            ends = self.axes(path)["X"][[0, -1]]
+            steady = (ends[1] - ends[0]) / (path.angle[-1] - path.angle[0])
+            rates |= {"X": np.full(path.angle.size, steady), "U": rates["X"] - steady}
+        return rates
+
+
+def _amid(angle: Floats, radius: Floats) -> Floats:
+    """Return the steady motion that leaves a second axis the least stroke: the line amid the narrowest strip. (n,)."""
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - scipy is costly to import
+
+    turned = angle - angle[0]
+    mean = (radius[-1] - radius[0]) / turned[-1]
+    # The width of the strip is convex in its slope.
+    best = minimize_scalar(
+        lambda part: float(np.ptp(radius - part * mean * turned)), bounds=(0.5, 1.5), method="bounded"
+    )
+    slope = float(best.x) * mean
+    rest = radius - slope * turned
+    return np.asarray(slope * turned + (rest.min() + rest.max()) / 2)
+
+
+class _Curve:
+    """The real radius of the tip over the angle turned: a cubic spline, with two continuous derivatives."""
+
+    def __init__(self, values: Floats, per_turn: int, usual: float) -> None:
+        from scipy.linalg import solve_banded  # noqa: PLC0415 - scipy is costly to import
+
+        self.values, self.density, self.usual = values, per_turn / TURN, usual
+        right = np.empty(values.size)
+        right[1:-1] = 3 * (values[2:] - values[:-2])
+        right[0] = 0.0  # it begins at rest
+        right[-1] = (3 * values[-1] - 4 * values[-2] + values[-3]) / 2
+        bands = np.ones((3, values.size))
+        bands[1] = 4.0
+        bands[1, [0, -1]], bands[0, 1], bands[2, -2] = 1.0, 0.0, 0.0
+        self.slopes = solve_banded((1, 1), bands, right)
+
+    def at(self, turned: Floats) -> tuple[Floats, Floats]:
+        """Return radius and derivative. (n,) [mm], (n,) [mm/rad]."""
+        from turnwright._kernels import adaptive as kernel  # noqa: PLC0415 - numba is costly to import
+
+        radius, rate = np.empty((2, turned.size))
+        kernel.spline_at(self.values, self.slopes, turned * self.density, radius, rate)
+        return radius, rate * self.density
+
+    def step(self, turned: Floats) -> Floats:
+        """Return the lesser of the steps to the turns inside and outside, but for where a spoke comes to rest. (n,)."""
+        here = self.at(turned)[0]
+        last = (self.values.size - 1) / self.density
+        inner = np.where(turned >= TURN, here - self.at(np.maximum(turned - TURN, 0.0))[0], np.inf)
+        outer = np.where(turned + TURN <= last, self.at(np.minimum(turned + TURN, last))[0] - here, np.inf)
+        return np.asarray(np.maximum(np.minimum(inner, outer), self.usual / 2))
+
+
+class _Steps:
+    """One part and one tool: how far the next turn may be, on spokes that begin half a turn behind azimuth 0.
+
+    Radii are those of the real tip, wherever X has to be for it.
+    """
+
+    def __init__(self, part: Part, tool: Tool, scallop: float, sense: int, way: int) -> None:
+        from turnwright._kernels import adaptive as kernel  # noqa: PLC0415 - numba is costly to import
+
+        self.kernel = kernel
+        self.part, self.tool, self.scallop, self.sense, self.way = part, tool, scallop, sense, way
+        self.row = tool.table(sense).row
+        self.profile = tool.profile()
+        low, high = tool.arc
+        edge = tool.edge(np.array([low, high]))[2] - self.row[7]
+        if scallop >= edge.min():
+            raise GougeError(
+                f"scallop is {scallop:g} mm, the arc of the tool is only {edge.min():.4g} mm high, so cuts would not "
+                "overlap: give a smaller scallop, or take a tool with a larger nose_radius or included angle"
+            )
+        self.width = tool.actual_radius * (math.sin(high) - math.sin(low))
+        self.flat = math.sqrt(8 * tool.actual_radius * scallop)
+        feature = part.surface.feature_size
+        self.spokes = 4 * math.ceil(max(LEAST_SPOKES, SPOKES_PER_FEATURE * TURN * part.radius / feature) / 4)
+        _check_count(part.radius / self.flat * self.spokes)
+        azimuth = way * (TURN / self.spokes * np.arange(self.spokes) + math.pi)
+        self.azimuth, self.cosine, self.sine = azimuth, np.cos(azimuth), np.sin(azimuth)
+        self.every = np.arange(self.spokes)
+        # The tip's height on rings, from `first` on as far as was needed so far.
+        self.ring = min(feature / RINGS_PER_FEATURE, part.radius / LEAST_RINGS, tool.actual_radius / RINGS_PER_NOSE)
+        self.first = 0
+        self.height = np.empty((0, self.spokes))
+        self.slope = np.empty((0, self.spokes))
+
+    def placed(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the tip's height, its derivative by the angle at constant radius, and by the radius. Each (n,)."""
+        from turnwright.dilation import touch  # noqa: PLC0415 - numba is costly to import
+
+        surface, sense = self.part.surface, self.sense
+        at = touch(surface, self.tool, angle=angle, radius=radius - self.row[5], sense=sense, rim=self.part.radius)
+        with np.errstate(all="ignore"):
+            _, zx, zy = surface.evaluate(at.x, at.y, 1)
+        around = zy * at.x - zx * at.y
+        outward = zx * np.cos(angle) + zy * np.sin(angle)
+        # An edge that is tangent to the surface slopes as it does; one in a valley or on a ridge has a slope of its own.
+        free = ~np.isfinite(outward)
+        around[free] = outward[free] = 0.0
+        return at.z, around, outward
+
+    def _tips(self, radius: Floats) -> tuple[Floats, Floats]:
+        """Return height and slope along the spoke of a tip on every spoke. Each (m,)."""
+        low, high = int(radius.min() / self.ring), int(radius.max() / self.ring) + 2
+        while high >= self.first + self.height.shape[0]:
+            start = self.first + self.height.shape[0]
+            rings = np.arange(start, start + max(16, BLOCK // 2 // self.spokes))
+            # Every ring a turn, so that points of one azimuth share their line.
+            angle = self.azimuth + self.way * TURN * np.arange(rings.size)[:, None]
+            radii = np.repeat(rings * self.ring, self.spokes)
+            z, _, outward = self.placed(angle.ravel(), radii)
+            keep = slice(max(low - self.first, 0), None)
+            self.first += min(max(low - self.first, 0), self.height.shape[0])
+            shape = (rings.size, self.spokes)
+            self.height = np.concatenate([self.height[keep], z.reshape(shape)])
+            self.slope = np.concatenate([self.slope[keep], outward.reshape(shape)])
+        tip, along = np.empty((2, radius.size))
+        self.kernel.tips_at(self.first, self.ring, self.height, self.slope, self.every, radius, tip, along)
+        return tip, along
+
+    def _under(self, radius: Floats, at: Floats) -> tuple[Floats, ...]:
+        """Return height and slopes of the surface under the edges, as if it were level where it is not defined."""
+        x, y = np.empty((2, at.size))
+        self.kernel.under(self.row, *self.profile[:2], self.cosine, self.sine, radius, at, x, y)
+        with np.errstate(all="ignore"):
+            f, fx, fy = self.part.surface.evaluate(x, y, 1)
+        gone = ~(np.isfinite(f) & np.isfinite(fx) & np.isfinite(fy))
+        if gone.any():
+            f[gone], fx[gone], fy[gone] = self._tips(radius)[0][gone], 0.0, 0.0
+        return f, fx, fy
+
+    def next(self, radius: Floats, step: Floats) -> tuple[Floats, Floats]:
+        """Return on every spoke how far the next tip may be, and where its edge meets that of this one.
+
+        Parameters
+        ----------
+        radius
+            Where the tip stands. (m,) [mm]
+        step
+            About how far the next one is. (m,) [mm]
+        """
+        shape = (self.row, *self.profile[:2])
+        ways = (self.cosine, self.sine)
+        tip, along = self._tips(radius)
+        # The edge touches where it slopes as its height does along the spoke.
+        slope = along / self.row[3]
+        low = radius + self.tool.actual_radius * np.clip(slope / np.sqrt(1 + slope * slope), *np.sin(self.tool.arc))
+        crest, high = low + step / 2, low + self.width
+        low = low.copy()
+        for _ in range(60):
+            under = self._under(radius, crest)
+            moved = self.kernel.crest_step(*shape, *ways, self.scallop, radius, tip, *under, crest, low, high)
+            if not moved > 1e-9 * self.flat:
+                break
+        new = radius + 1.2 * step
+        low, high = radius.copy(), radius + STEP_GROWTH * step
+        upright = bool(self.row[4] == 0)
+        goal = self._under(radius, crest)[0] + self.scallop
+        for _ in range(60):
+            if not upright:  # the edge of the next tip meets the crest at another place across the rake plane
+                goal = self._under(new, crest)[0] + self.scallop
+            moved = self.kernel.next_step(*shape, goal, crest, *self._tips(new), new, low, high)
+            if not moved > 1e-9 * self.flat:
+                break
+        return np.maximum(new - radius, LEAST_STEP * self.flat), crest
+
+    def march(self, *, steady: bool, progress: Progress | None) -> tuple[_Curve, float]:
+        """Return the radius over the angle turned from the axis, and the angle at which the part is cut. [rad]."""
+        rim = self.part.radius
+        flat = np.full(self.spokes, self.flat)
+        step = self.next(np.zeros(self.spokes), flat)[0]
+        least = self._steady() if steady else float(step.min())
+        if steady:
+            step = np.full(self.spokes, least)
+        # Half a turn from rest on the axis to the steady advance.
+        begin = 2 * np.arange(self.spokes // 2) / self.spokes
+        parts = [least * begin**3 * (1 - begin / 2) / 2]
+        # The first whole turn: Archimedean, but for what joins it smoothly to the second.
+        share = np.arange(self.spokes) / self.spokes
+        radius = least * (0.25 + share)
+        if not steady:
+            radius = radius + self._joint(radius, step, share, least)
+        total, short = parts[0].size, 0
+        while True:
+            if steady:
+                crest = self.next(radius, step)[1]
+            else:
+                step, crest = self.next(radius, step)
+            parts.append(radius)
+            inside = np.flatnonzero(crest < rim)
+            if inside.size:
+                short = total + int(inside[-1]) + 1
+            total += self.spokes
+            _check_count(total)
+            # One turn after the last crest inside the rim every spoke has had a pass that reaches it.
+            if total >= short + self.spokes * (1 + WIDEST_STEP / TURN) + 2:
+                break
+            if progress is not None:
+                progress(round(500 * min(float(radius.min()) / rim, 1.0)), 1000)
+            # A spoke whose crest is outside the rim comes to rest within some steps.
+            rest = np.zeros(1) if steady else np.clip((crest - rim) / (REST * step), 0.0, 1.0)
+            radius = radius + step * (1 - rest**3 * (10 - 15 * rest + 6 * rest**2))
+        return _Curve(np.concatenate(parts), self.spokes, self.flat), (short / self.spokes + 1) * TURN
+
+    def _joint(self, radius: Floats, step: Floats, share: Floats, least: float) -> Floats:
+        """Return what a first turn lacks for its radius and two derivatives to go over into the next turn's."""
+        ends = (radius + self.next(radius, step)[0])[:5]
+        h = 1 / self.spokes
+        value = ends[0] - 1.25 * least
+        rate = ends @ [-25, 48, -36, 16, -3] / (12 * h) - least
+        bend = ends @ [35, -104, 114, -56, 11] / (12 * h * h)
+        return np.asarray(
+            value * share**3 * (10 - 15 * share + 6 * share**2)
+            - rate * share**3 * (1 - share) * (4 - 3 * share)
+            + bend * share**3 * (1 - share) ** 2 / 2
+        )
+
+    def _steady(self) -> float:
+        """Return the largest feed that keeps the scallop everywhere. [mm]."""
+        step, least, radius = np.full(self.spokes, self.flat), math.inf, np.zeros(self.spokes)
+        while True:
+            step, crest = self.next(radius, step)
+            inside = crest < self.part.radius
+            if not inside.any():
+                return least
+            least = min(least, float(step[inside].min()))
+            radius = radius + min(2 * self.ring, self.part.radius / LEAST_RINGS)
+
+
+def _points(
+    servo: AdaptiveToolServo, steps: _Steps, curve: _Curve, end: float, progress: Progress | None
+) -> tuple[Floats, Floats | None]:
+    """Return the angles turned at which the points stand [rad], and their lift [mm] or ``None``. (n,)."""
+    from turnwright._kernels import adaptive as kernel  # noqa: PLC0415 - numba is costly to import
+
+    hermite = servo.interpolation == "hermite"
+    off = servo.off_path and not hermite
+    slack = servo.chord * (1 - 3 / MISS)
+    nodes, lifts = [np.zeros(1)], [np.zeros(1)]
+    for low, high, per_turn in _blocks(steps, curve, end):
+        # From the sample before the last node on, so that no node is there for the border's sake.
+        first = math.floor(min(low, nodes[-1][-1]) * per_turn / TURN)
+        last = math.ceil(high * per_turn / TURN) + 1
+        path = _sampled(steps, curve, np.arange(first, last + 1) * (TURN / per_turn), servo.chord, hermite=hermite)
+        # The first node stands within the first interval.
+        path = path[:, max(int(np.searchsorted(path[0], nodes[-1][-1], side="right")) - 1, 0) :]
+        begin, stop = float(nodes[-1][-1]), min(end, high)
+        at, lift = np.empty((2, path.shape[1] + 1))
+        if off:
+            count = kernel.off_path(path, begin, float(lifts[-1][-1]), stop, slack, WIDEST_STEP, at, lift)
+        else:
+            count = kernel.on_path(path, begin, stop, slack, WIDEST_STEP, hermite, at)
+        nodes.append(at[1:count].copy())
+        lifts.append(lift[1:count].copy())
+        _check_count(sum(part.size for part in nodes))
+        if progress is not None:
+            progress(round(500 * (1 + min(high / end, 1.0))), 1000)
+    return np.concatenate(nodes), np.concatenate(lifts) if off else None
+
+
+def _blocks(steps: _Steps, curve: _Curve, end: float) -> Iterator[tuple[float, float, int]]:
+    """Return angles turned where blocks of the path begin and end [rad], and how many samples a turn each is to have.
+
+    The same azimuths in every turn of a block are placed at a fraction of the cost of as many scattered ones.
+    """
+    turns = math.ceil(end / TURN)
+    low = 0
+    while low < turns:
+        # Twice as far out at most, as the samples of the inner turns would be too close together.
+        outer = np.arange(low + 1, turns + 1)
+        radius = curve.at(TURN * outer)[0]
+        per_turn = np.maximum(LEAST_SPOKES, SAMPLES_PER_FEATURE * TURN * radius / steps.part.surface.feature_size)
+        fit = (per_turn <= 2 * per_turn[0] + 1024) & (per_turn * (outer - low) <= BLOCK)
+        high = low + max(int(np.count_nonzero(fit)), 1)
+        count = 12 * math.ceil(per_turn[high - low - 1] / 12)
+        # The last one goes on for the step that passes the end.
+        yield low * TURN, high * TURN if high < turns else end + WIDEST_STEP, count
+        low = high
+
+
+def _sampled(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, hermite: bool) -> Floats:
+    """Sample a path until the cubics between the samples, and straight lines between those, miss next to nothing.
+
+    A cubic over two intervals misses the sample between them by 16 times what those over each of them miss, if the path
+    is smooth, and by no less if it has a kink.
+
+    Returns
+    -------
+    ndarray
+        Angle turned, height, its derivative, radius, its derivative, slope of the height along the radius, and
+        how far the radius may be aside. (7, n)
+    """
+    from turnwright._kernels import adaptive as kernel  # noqa: PLC0415 - numba is costly to import
+
+    def placed(turned: Floats) -> Floats:
+        radius, rate = curve.at(turned)
+        z, around, outward = steps.placed(steps.way * turned, radius)
+        return np.stack([turned, z, steps.way * around + outward * rate, radius, rate, outward])
+
+    path = placed(turned)
+    while True:
+        doubt = _doubt(path)
+        coarse = np.flatnonzero(doubt > chord / MISS)
+        if coarse.size == 0:
+            break
+        middle = (path[0, coarse] + path[0, coarse + 1]) / 2
+        narrow = path[0, coarse + 1] - path[0, coarse]
+        if narrow.min() < FINEST:
+            where = middle[np.argmin(narrow)] / TURN
+            raise InputError(
+                f"the path jumps {where:.3f} turns from the inner end, so no points keep it within the chord "
+                f"{chord:g} mm: use a strategy with points_per_rev or arc_length, or a tool with a smaller included "
+                "angle"
+            )
+        _check_count(path.shape[1] + coarse.size)
+        path = np.insert(path, coarse + 1, placed(middle), axis=1)
+    t, z, dz, x, dx, s = path
+    if hermite:
+        pieces = SAMPLES_PER_BLOCK / 2 * (doubt / chord) ** 0.25
+    else:
+        pieces = np.sqrt(MISS / (8 * chord) * (_bend(t, z, dz) + np.abs(s[:-1]) * _bend(t, x, dx)))
+    parts = np.maximum(np.ceil(pieces), 1).astype(np.int64)
+    _check_count(float(parts.sum()))
+    out = np.empty((7, int(parts.sum()) + 1))
+    kernel.refine(np.vstack([path, ASIDE * curve.step(t)]), parts, out)
+    return out
+
+
+def _doubt(path: Floats) -> Floats:
+    """Return how far cubics over each interval and either neighbour miss the sample between them. (n - 1,) [mm]."""
+    t, z, dz, x, dx, s = path
+    whole, part = t[2:] - t[:-2], (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+
+    def miss_of(f: Floats, df: Floats) -> Floats:
+        rise, a = f[2:] - f[:-2], whole * df[:-2]
+        c = a + whole * df[2:] - 2 * rise
+        return np.abs(f[:-2] + part * (a + part * (rise - a - c + part * c)) - f[1:-1])
+
+    miss = miss_of(z, dz) + np.abs(s[1:-1]) * miss_of(x, dx)
+    return np.asarray(np.maximum(np.append(miss[:1], miss), np.append(miss, miss[-1:])))
+
+
+def _bend(t: Floats, z: Floats, dz: Floats) -> Floats:
+    """Return by how much straight lines would bulge, as second derivative times the squared interval. (n - 1,)."""
+    h = np.diff(t)
+    rise = np.diff(z)
+    a, b = h * dz[:-1], h * dz[1:]
+    return np.maximum(np.abs(6 * rise - 4 * a - 2 * b), np.abs(2 * a + 4 * b - 6 * rise))
+
+
+def _check_count(count: float) -> None:
+    """Raise if a spiral has more points than any controller takes."""
+    if count > MOST_POINTS:
+        raise LimitError(
+            f"the spiral takes {count:.3g} points or samples, the limit is {MOST_POINTS:.0e}: check the units of the "
+            "scallop and of the chord, and make one larger"
+        )
