@@ -134,7 +134,7 @@ def test_a_run_leaves_the_cusps_of_its_tool(tmp_path):
     assert result.ok
     assert list(dict.fromkeys(stages)) == [
         "access", "plan", "place", "drive", "limits", "write program", "read program", "compare",
-        "simulate whole part", "simulate patch", "roughness",
+        "simulate whole part", "roughness", "simulate patch",
     ]  # fmt: skip
     assert set(result.timings) == set(stages)
     assert 0.01 < result.peak_memory_gb < 4
@@ -160,14 +160,14 @@ def test_passes_take_the_stock_down_to_the_part(tmp_path):
 def test_a_pass_may_state_its_own_feed_and_points():
     cuts = [{"name": "rough", "feed": "40 um/rev", "chord": "50 nm"}, {"name": "finish", "feed": "10 um/rev"}]
     job = Job.read(changed(("passes", cuts)))
-    rough, finish = (job.strategy.servo(cut) for cut in job.passes)
+    rough, finish = (job.servo(cut) for cut in job.passes)
     assert (rough.feed, rough.chord, rough.points_per_rev) == (0.04, 5e-5, None)
     assert (finish.feed, finish.chord, finish.points_per_rev) == (0.01, None, 120)
 
 
 def test_a_job_may_run_past_the_axis():
     job = Job.read(changed(("strategy.overrun", "5 um"), ("strategy.inside_out", True)))
-    servo = job.strategy.servo(job.passes[0])
+    servo = job.servo(job.passes[0])
     assert (servo.overrun, servo.inside_out) == (0.005, True)
     with pytest.raises(tw.JobError, match=r"overrun"):
         Job.read(changed(("strategy.overrun", "-5 um")))

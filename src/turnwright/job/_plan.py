@@ -27,6 +27,7 @@ from turnwright.job._shares import (
 )
 from turnwright.motion import Limits, check_limits, drive
 from turnwright.post import read_nc, write_nc
+from turnwright.strategy import SlowToolServo
 from turnwright.tracking import track
 from turnwright.units import write
 
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from turnwright.machine import Machine
     from turnwright.part import Part
     from turnwright.path import Motion, Spiral
-    from turnwright.strategy import SlowToolServo
     from turnwright.tool import Tool
 
 __all__ = ["Plan", "plan"]
@@ -208,7 +208,10 @@ def _plain(value: float) -> float:
 
 def _servo(job: Job) -> SlowToolServo:
     """Return the strategy of the finishing pass."""
-    return job.strategy.servo(job.passes[-1])
+    servo = job.servo(job.passes[-1])
+    if not isinstance(servo, SlowToolServo):
+        raise JobError(f'strategy.kind is "{job.strategy.kind}", a plan is made for a "slow tool servo": choose that')
+    return servo
 
 
 def _feed(job: Job, form: float, sq: float) -> tuple[float, float]:

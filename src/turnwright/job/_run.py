@@ -43,6 +43,8 @@ __all__ = ["StageProgress", "predict", "preview", "run"]
 StageProgress: TypeAlias = Callable[[str, int, int], None]
 """Called with (stage, done, total); raising in it, as Ctrl-C does, stops the run cleanly."""
 
+TURN = 2 * math.pi
+
 PICTURE = 20_000
 """Points that a picture of a path needs."""
 
@@ -108,13 +110,14 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     passes: list[Pass] = []
     stock = part.stock
     for cut in job.passes:
-        servo = job.strategy.servo(cut)
+        servo = job.servo(cut)
         with watch.stage("plan") as tell:
             spiral = servo.spiral(part, tool, progress=tell)
         if machine.controller.interpolation != "hermite":
             spiral = replace(spiral, radius_rate=None, y_rate=None)  # nobody asks how fast the tip rises
         with watch.stage("place") as tell:
             path = place(spiral, part, tool, along=job.strategy.along, progress=tell)
+        feed = abs(float(spiral.radius[-1] - spiral.radius[0])) / spiral.turns
         del spiral
         with watch.stage("drive"):
             motion = drive(path, servo, machine)
@@ -131,7 +134,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             motions[name] = lifted
             passes.append(
                 Pass(
-                    name=name, allowance=max(stock, 0.0), depth=depth, feed=servo.feed,
+                    name=name, allowance=max(stock, 0.0), depth=depth, feed=feed,
                     spindle_rpm=limits.spindle_rpm, points=limits.points, limits=limits,
                 )
             )  # fmt: skip
@@ -193,7 +196,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     points, shortest = {}, {}
     stock = part.stock
     for cut in job.passes:
-        servo = job.strategy.servo(cut)
+        servo = job.servo(cut)
         with watch.stage("plan") as tell:
             spiral = servo.spiral(part, tool, progress=tell)
             place(_outermost(spiral), part, tool, along=job.strategy.along)  # raises where the surface has an end
@@ -384,7 +387,8 @@ def _rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
     dense = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     cosine, sine = np.cos(dense)[:, None], np.sin(dense)[:, None]
     zx, zy = part.surface.gradient(radius * cosine, radius * sine)
-    along = np.abs(zx * cosine + zy * sine).max() + job.strategy.feed / (2 * tool.actual_radius)
+    feed = TURN * abs(float(np.ptp(motion.axes["X"]) / np.ptp(motion.axes["C"])))
+    along = np.abs(zx * cosine + zy * sine).max() + feed / (2 * tool.actual_radius)
     around = (np.abs(zy * cosine - zx * sine) * radius).max()
     return apart * 1e6, float(z + max(x * along, by_x) + max(c * around, by_c)) * 1e6
 

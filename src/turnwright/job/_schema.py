@@ -17,15 +17,13 @@ from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator, St
 from turnwright._toml import read_toml
 from turnwright.errors import InputError, JobError, UnitError
 from turnwright.job._prescriptions import FAMILIES, AnySurface
+from turnwright.job._strategies import KINDS, AnyStrategy, Choices
 from turnwright.job._table import (
     Angle,
-    Count,
     ExistingFile,
-    Feed,
     Length,
     Size,
     Slope,
-    Speed,
     Table,
     Text,
     Thickness,
@@ -36,7 +34,6 @@ from turnwright.job._table import (
 from turnwright.machine import Machine
 from turnwright.part import Part
 from turnwright.post import dialect_of
-from turnwright.strategy import SlowToolServo
 from turnwright.tool import Tool, WavinessTable
 from turnwright.units import parse, unit
 
@@ -44,6 +41,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from turnwright._arrays import Floats
+    from turnwright.strategy import Strategy
 
 __all__ = ["Job", "PassTable"]
 
@@ -199,52 +197,10 @@ class MachineTable(MachineDeviations):
         return self
 
 
-class Points(Table):
-    """How the points of a spiral are set: see `turnwright.SlowToolServo`."""
-
-    feed: Feed
-    spindle_speed: Speed | None = None
-    points_per_rev: Count | None = None
-    arc_length: Size | None = None
-    max_step: Annotated[float, unit("rad", above=0.0)] | None = None
-    chord: Size | None = None
-    lead_in: Thickness | None = None
-
-
-class StrategyTable(Points):
-    """The way of cutting."""
-
-    kind: Literal["slow tool servo"]
-    sense: Literal[1, -1] = 1
-    inside_out: Annotated[bool, Strict()] = False
-    overrun: Thickness = 0.0
-    along: Literal["z", "normal"] = "z"
-
-    def servo(self, cut: PassTable) -> SlowToolServo:
-        """Return the strategy of one pass: what the pass states, else what all passes share."""
-        ways = ("points_per_rev", "arc_length", "max_step", "chord")
-        own = any(getattr(cut, name) is not None for name in ways)
-        points = {name: getattr(cut if own else self, name) for name in ways}
-        shared = {
-            name: getattr(cut, name) if getattr(cut, name) is not None else getattr(self, name)
-            for name in ("feed", "lead_in")
-        }
-        speed = cut.spindle_speed if cut.spindle_speed is not None else self.spindle_speed
-        return SlowToolServo(
-            spindle_rpm=speed,
-            sense=self.sense,
-            inside_out=self.inside_out,
-            overrun=self.overrun,
-            **points,
-            **shared,
-        )
-
-
-class PassTable(Points):
+class PassTable(Choices):
     """One pass: what it states otherwise than the strategy, and how much it leaves and takes off."""
 
     name: Name
-    feed: Feed | None = None  # type: ignore[assignment] # a pass need not state it, the strategy does
     allowance: Thickness = 0.0
     depth: Size | None = None
 
@@ -395,7 +351,7 @@ class Job(Table):
     part: PartTable
     tool: ToolTable
     machine: MachineTable
-    strategy: StrategyTable
+    strategy: AnyStrategy
     passes: tuple[PassTable, ...] = (PassTable(name="finish"),)
     simulation: SimulationTable = SimulationTable()
     actual: Actual = Actual()
@@ -423,7 +379,7 @@ class Job(Table):
             names += cut.names(allowance)
             allowance = cut.allowance
             try:
-                self.strategy.servo(cut)
+                self.servo(cut)
             except InputError as error:
                 raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
         _all_different("passes", names)
@@ -439,6 +395,10 @@ class Job(Table):
                 )
         _ = self.actual_tool, self.actual_machine
         return self
+
+    def servo(self, cut: PassTable) -> Strategy:
+        """Return the strategy of one pass."""
+        return self.strategy.servo(cut, self.tool.tool, self.machine.machine)
 
     @property
     def actual_tool(self) -> Tool:
@@ -466,7 +426,7 @@ class Job(Table):
         try:
             return cls.model_validate(data, context={"folder": folder})
         except ValidationError as error:
-            raise JobError("\n".join(sentences(error, cls, FAMILIES))) from error
+            raise JobError("\n".join(sentences(error, cls, {**FAMILIES, **KINDS}))) from error
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Job:

@@ -1,0 +1,146 @@
+"""The strategies of a job file: a table for each way of cutting, chosen by the key ``kind``."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+
+from pydantic import Field, Strict
+
+from turnwright.errors import JobError
+from turnwright.job._prescriptions import AnySurface
+from turnwright.job._table import Count, Feed, Size, Speed, Table, Thickness
+from turnwright.strategy import (
+    FastToolServo,
+    HybridToolServo,
+    SlowToolServo,
+)
+from turnwright.units import unit
+
+if TYPE_CHECKING:
+    from turnwright.machine import Machine
+    from turnwright.strategy import Strategy
+    from turnwright.tool import Tool
+
+__all__ = ["KINDS", "AnyStrategy", "Choices"]
+
+Step: TypeAlias = Annotated[float, unit("rad", above=0.0)]
+
+
+class Choices(Table):
+    """What a pass may state otherwise than the strategy."""
+
+    feed: Feed | None = None
+    spindle_speed: Speed | None = None
+    points_per_rev: Count | None = None
+    arc_length: Size | None = None
+    max_step: Step | None = None
+    chord: Size | None = None
+    lead_in: Thickness | None = None
+    scallop: Size | None = None
+
+
+class StrategyTable(Table):
+    """A way of cutting."""
+
+    kind: str
+    sense: Literal[1, -1] = 1
+    inside_out: Annotated[bool, Strict()] = False
+    along: Literal["z", "normal"] = "z"
+    spindle_speed: Speed | None = None
+
+    ways: ClassVar[tuple[str, ...]] = ()
+    """Keys that set the points together: a pass that states one of them states them all."""
+
+    @abstractmethod
+    def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:
+        """Return the strategy of one pass: what the pass states, else what all passes share.
+
+        Parameters
+        ----------
+        cut
+            The pass.
+        tool, machine
+            What it is cut with.
+        """
+
+    def chosen(self, cut: Choices) -> dict[str, Any]:
+        """Return the shared keys as a strategy takes them, after the pass has had its say."""
+        mine = type(self).model_fields
+        stated = {name for name in Choices.model_fields if getattr(cut, name) is not None}
+        if foreign := sorted(stated - set(mine)):
+            raise JobError(f"it states {', '.join(foreign)}, which a {self.kind} does not have: leave it out")
+        own = bool(stated & set(self.ways))
+        values: dict[str, Any] = {"sense": self.sense, "inside_out": self.inside_out}
+        for name in Choices.model_fields:
+            if name in mine:
+                value = getattr(cut, name)
+                shared = None if own and name in self.ways else getattr(self, name)
+                values["spindle_rpm" if name == "spindle_speed" else name] = shared if value is None else value
+        return values
+
+
+class SlowTable(StrategyTable):
+    """See `turnwright.SlowToolServo`."""
+
+    kind: Literal["slow tool servo"]
+    feed: Feed
+    points_per_rev: Count | None = None
+    arc_length: Size | None = None
+    max_step: Step | None = None
+    chord: Size | None = None
+    lead_in: Thickness | None = None
+    overrun: Thickness = 0.0
+
+    ways = ("points_per_rev", "arc_length", "max_step", "chord")
+
+    def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
+        """Return the strategy of one pass."""
+        return self.slow(cut)
+
+    def slow(self, cut: Choices) -> SlowToolServo:
+        """Return the spiral and its points."""
+        return SlowToolServo(overrun=self.overrun, **self.chosen(cut))
+
+
+class FastTable(SlowTable):
+    """See `turnwright.FastToolServo`: the spiral is that of a slow tool servo."""
+
+    kind: Literal["fast tool servo"]  # type: ignore[assignment] # each kind has a name of its own
+
+    def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
+        """Return the strategy of one pass."""
+        return FastToolServo(plan=self.slow(cut))
+
+
+class HybridTable(SlowTable):
+    """See `turnwright.HybridToolServo`: the spiral is that of a slow tool servo.
+
+    Without a ``base`` the share of the slide is found from the limits of the machine's W axis.
+    """
+
+    kind: Literal["hybrid tool servo"]  # type: ignore[assignment] # each kind has a name of its own
+    base: AnySurface | None = None
+    blocks_per_rev: Count | None = None
+
+    def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:
+        """Return the strategy of one pass."""
+        plan = self.slow(cut)
+        if self.base is not None:
+            return HybridToolServo(plan=plan, base=self.base.surface, tool=tool, blocks_per_rev=self.blocks_per_rev)
+        fast = machine.axes.get("W")
+        if fast is None:
+            raise JobError(
+                f"a hybrid tool servo needs the limits of axis W, {machine.name} has "
+                f"{', '.join(sorted(machine.axes))}: choose a machine with a fast tool"
+            )
+        return HybridToolServo(plan=plan, fast=fast, blocks_per_rev=self.blocks_per_rev)
+
+
+KINDS: dict[str, type[StrategyTable]] = {
+    "slow tool servo": SlowTable,
+    "fast tool servo": FastTable,
+    "hybrid tool servo": HybridTable,
+}
+
+AnyStrategy: TypeAlias = Annotated[SlowTable | FastTable | HybridTable, Field(discriminator="kind")]
