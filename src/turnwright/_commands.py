@@ -171,6 +171,9 @@ def backplot(
     job: Annotated[Path, typer.Option(help="The job that says part, tool and machine.", show_default=False)],
     out: Annotated[Path | None, typer.Option(help="Folder for the maps; it is made when all is done.")] = None,
     cut: Annotated[str | None, typer.Option("--pass", help="The pass to read; the last one if not given.")] = None,
+    track: Annotated[
+        bool, typer.Option("--track", help="Let the axes move as the machine's servos do, and say what that adds.")
+    ] = False,
     force: Annotated[
         bool, typer.Option("--force", help="If the folder is there already, keep it under another name and go on.")
     ] = False,
@@ -186,7 +189,7 @@ def backplot(
         with _progress(door.stop) as progress:
             motion = _read(program, recipe, cut, progress)
             limits = check_limits(motion, recipe.machine.machine)
-            predictions = predict(recipe, motion, progress=progress)
+            predictions = predict(recipe, motion, tracking=track or None, progress=progress)
         if folder is not None:
             import json  # noqa: PLC0415
 
@@ -227,6 +230,11 @@ def _say_predictions(door: Door, predictions: Sequence[Prediction]) -> None:
         door.say(
             f"{one.name}: Sq {one.roughness.sq_nm:.3g} nm, PV {one.roughness.pv_nm:.4g} nm"
             + (" from the design" if one.roughness.form == "none" else f" after form removal ({one.roughness.form})")
+            + (
+                f"; of it the servos {servos[0]:.4g} nm PV, {servos[1]:.3g} nm rms"
+                if (servos := one.tracking_nm)
+                else ""
+            )
         )
 
 

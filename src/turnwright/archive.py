@@ -17,7 +17,8 @@ stated) has the keys
     The file names, main program first, lines, bytes, minutes and the hash of all its points.
 ``predictions``
     One entry per map: ``name``, ``file`` of the heights (cut minus design, mm), ``axes`` (files by name), ``shape`` and
-    ``roughness`` with the fields of `turnwright.Roughness`.
+    ``roughness`` with the fields of `turnwright.Roughness`. ``tracking`` is ``null`` unless the servos were asked; then
+    it has the ``file`` of what they add to the heights (mm), and its ``pv_nm`` and ``rms_nm``.
 ``rounding_nm``, ``rounding_limit_nm``
     How far the surfaces of the program on disk and of the motion in memory are apart, and how far they may be.
 ``warnings``, ``timings``, ``peak_memory_gb``
@@ -112,6 +113,11 @@ def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -
         np.save(Path(folder) / f"{stem}.npy", one.error.z)
         for name, file in axes.items():
             np.save(Path(folder) / file, getattr(one.error, name))
+        tracking = None
+        if one.tracking is not None and one.tracking_nm is not None:
+            pv, rms = one.tracking_nm
+            tracking = {"file": f"{stem}.tracking.npy", "pv_nm": pv, "rms_nm": rms}
+            np.save(Path(folder) / f"{stem}.tracking.npy", one.tracking.z)
         told.append(
             {
                 "name": one.name,
@@ -119,6 +125,7 @@ def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -
                 "axes": axes,
                 "shape": one.error.z.shape,
                 "roughness": _plain(one.roughness),
+                "tracking": tracking,
             }
         )
     return told
@@ -150,6 +157,8 @@ def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
             group = archive.create_group(f"maps/{one.name.replace('/', '-')}")
             group.attrs["name"] = one.name
             _store(group, {"z": one.error.z} | {name: getattr(one.error, name) for name in AXES})
+            if one.tracking is not None:
+                _store(group, {"tracking": one.tracking.z})
         names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
         _store(archive.create_group("path"), {name: getattr(result.path, name) for name in names})
         _store_motion(archive.create_group("motion"), result.motion)

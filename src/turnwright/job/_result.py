@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -87,11 +89,22 @@ class Prediction:
         Cut minus design. [mm]
     roughness
         After form removal; of the whole part without any, on a grid that is too coarse to show every cusp.
+    tracking
+        What of the error the servos add: with them minus without them; ``None`` if they were not asked. [mm]
     """
 
     name: str
     error: HeightMap
     roughness: Roughness
+    tracking: HeightMap | None = None
+
+    @property
+    def tracking_nm(self) -> tuple[float, float] | None:
+        """Peak to valley and root mean square of what the servos add, or ``None``."""
+        if self.tracking is None:
+            return None
+        z = self.tracking.z
+        return float(np.nanmax(z) - np.nanmin(z)) * 1e6, float(np.sqrt(np.nanmean(z**2))) * 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

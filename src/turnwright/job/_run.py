@@ -16,10 +16,10 @@ import numpy as np
 
 from turnwright.access import check_access
 from turnwright.contact import place
-from turnwright.errors import GougeError, InputError, LimitError
+from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate, generate_polar
 from turnwright.job._result import Pass, Prediction, Preview, Result
-from turnwright.job._shares import has_servos, without_servos
+from turnwright.job._shares import has_servos, require_servos, without_servos
 from turnwright.metrology import roughness
 from turnwright.motion import check_limits, drive
 from turnwright.path import Spiral
@@ -100,8 +100,6 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             return run(job, progress=progress, out=folder)
     watch = _Watch(progress)
     part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
-    if job.simulation.tracking:
-        _require_servos(job.actual_machine)
     with watch.stage("access"):
         access = check_access(part, tool, sense=job.strategy.sense)
     warnings = _accepted_access(job, access)
@@ -112,9 +110,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     for cut in job.passes:
         servo = job.servo(cut)
         with watch.stage("plan") as tell:
-            spiral = servo.spiral(part, tool, progress=tell)
-        if machine.controller.interpolation != "hermite":
-            spiral = replace(spiral, radius_rate=None, y_rate=None)  # nobody asks how fast the tip rises
+            spiral = _asked(servo.spiral(part, tool, progress=tell), machine)
         with watch.stage("place") as tell:
             path = place(spiral, part, tool, along=job.strategy.along, progress=tell)
         feed = abs(float(spiral.radius[-1] - spiral.radius[0])) / spiral.turns
@@ -161,11 +157,6 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     del again
 
     warnings += _assumed(job, passes) + _judged(job, predictions)
-    if has_servos(job.actual_machine) and not job.simulation.tracking:
-        warnings.append(
-            f"{job.actual_machine.name} states how its axes answer, the prediction takes them to go where they are "
-            "sent: set tracking = true in [simulation]"
-        )
     if rounding > limit:
         warnings.append(
             f"the program on disk leaves a surface {rounding:.3g} nm from that of the motion in memory, its decimals "
@@ -243,10 +234,9 @@ def predict(
     watch = watch or _Watch(progress)
     part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
     tracking = job.simulation.tracking if tracking is None else tracking
-    if tracking:
-        _require_servos(machine)
     real = None
     if tracking:
+        require_servos(machine)
         with watch.stage("track") as tell:
             real = track(motion, machine, progress=tell)
     if machine.controller.interpolation != "linear":
@@ -280,15 +270,6 @@ def predict(
     return tuple(predictions)
 
 
-def _require_servos(machine: Machine) -> None:
-    """Raise if a machine does not state how any of its axes answers."""
-    if not has_servos(machine):
-        raise InputError(
-            f"tracking is asked for, but {machine.name} states for 0 of its {len(machine.axes)} axes how they answer: "
-            "add [axes.Z.response] to a machine file and name that file in the job, or do without"
-        )
-
-
 def _accepted(job: Job, what: str, error: GougeError | LimitError) -> list[str]:
     """Return a finding as a warning if the job accepts it, else raise it."""
     if what not in job.accept:
@@ -315,6 +296,13 @@ def _accepted_gouge(job: Job, path: Path) -> list[str]:
         return []
     cut = f"placed along the {job.strategy.along}, the edge cuts {-least * 1e6:.3g} nm below the surface"
     return _accepted(job, "gouge", GougeError(f'{cut}, the limit is 0 nm: place it along "z"'))
+
+
+def _asked(spiral: Spiral, machine: Machine) -> Spiral:
+    """Return a spiral without its rates where no controller asks for them, so that nobody computes that of the tip."""
+    if machine.controller.interpolation == "hermite":
+        return spiral
+    return replace(spiral, radius_rate=None, y_rate=None)
 
 
 def _outermost(spiral: Spiral) -> Spiral:
@@ -394,8 +382,13 @@ def _rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
 
 
 def _assumed(job: Job, passes: list[Pass]) -> list[str]:
-    """Say which binding limits nobody has published."""
+    """Say which binding limits nobody has published, and whether known servos are left out."""
     sources, found = job.machine.machine.sources, []
+    if has_servos(job.actual_machine) and not job.simulation.tracking:
+        found.append(
+            f"{job.actual_machine.name} states how its axes answer, the prediction takes them to go where they are "
+            "sent: set tracking = true in [simulation]"
+        )
     for binding in dict.fromkeys(cut.limits.binding for cut in passes):
         letter, _, kind = binding.partition(" ")
         fact = {"block rate": "block_rate_hz", "spindle speed": "spindle_rpm"}.get(binding, f"axes.{letter}.{kind}")

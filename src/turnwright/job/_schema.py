@@ -262,8 +262,9 @@ class WholePart(Table):
 
 
 class SimulationTable(Table):
-    """What to predict."""
+    """What to predict, and whether the axes move as the machine's servos let them."""
 
+    tracking: bool = False
     whole_part: WholePart = WholePart()
     patches: tuple[Patch, ...] = ()
 
@@ -394,6 +395,17 @@ class Job(Table):
                     f"{self.part.radius:g} mm: move or shrink it"
                 )
         _ = self.actual_tool, self.actual_machine
+        return self
+
+    @model_validator(mode="after")
+    def _servos_are_known(self) -> Self:
+        if self.simulation.tracking:
+            from turnwright.job._shares import require_servos  # noqa: PLC0415 - the stages, which data does not need
+
+            try:
+                require_servos(self.actual_machine)
+            except InputError as error:
+                raise JobError(f"simulation.tracking: {error}") from error
         return self
 
     def servo(self, cut: PassTable) -> Strategy:

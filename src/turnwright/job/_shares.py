@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.contact import place
+from turnwright.errors import InputError
 from turnwright.generation import generate_polar
 from turnwright.path import Motion, Spiral
 from turnwright.tracking import track
@@ -28,6 +29,7 @@ __all__ = [
     "finish_nm",
     "has_servos",
     "lines",
+    "require_servos",
     "shares",
     "without_servos",
 ]
@@ -160,6 +162,15 @@ def finish_nm(error: HeightMap, feed: float) -> float:
 def has_servos(machine: Machine) -> bool:
     """Say whether the machine states how any axis answers."""
     return any(axis.response is not None or axis.dead_time for axis in machine.axes.values())
+
+
+def require_servos(machine: Machine) -> None:
+    """Raise if a machine does not state how any of its axes answers."""
+    if not has_servos(machine):
+        raise InputError(
+            f"tracking is asked for, but {machine.name} states for 0 of its {len(machine.axes)} axes how they answer: "
+            "add [axes.Z.response] to a machine file and name that file in the job, or do without"
+        )
 
 
 def without_servos(machine: Machine) -> Machine:

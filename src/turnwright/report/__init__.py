@@ -86,6 +86,7 @@ class _Map(NamedTuple):
     note: str
     picture: Picture
     profile: Picture
+    servos: tuple[str, Picture] | None  # a sentence and what they add
 
 
 class _Link(NamedTuple):
@@ -525,7 +526,12 @@ def _maps(predictions: Sequence[Prediction], feed: float) -> tuple[list[_Map], i
         if one.error.radius is not None and (step := one.error.radius[1] - one.error.radius[0]) > feed / 4:
             note += f" · radii {_length(float(step))} apart, {_length(feed)} per turn: cusps beat with this grid"
         cut = draw.rings(one.error) if one.error.polar else draw.profile(one.error, feed)
-        maps.append(_Map(one.name, note, draw.error_map(one.error), cut))
+        servos = None
+        if one.tracking is not None and one.tracking_nm is not None:
+            pv, rms = one.tracking_nm
+            told = f"The servos add {_number(pv)} nm PV, {_number(rms)} nm rms, form included."
+            servos = told, draw.error_map(one.tracking)
+        maps.append(_Map(one.name, note, draw.error_map(one.error), cut, servos))
     return maps, max(len(predictions) - PICTURED, 0)
 
 
@@ -550,6 +556,10 @@ def _parameters(predictions: Sequence[Prediction]) -> list[tuple[str, str, list[
     bound = [any("upper bound" in note for note in one.roughness.notes) for one in predictions]
     ratios = [_number(one.roughness.str) for one in predictions]
     table.append(("Str", "", [f"≤ {value}" if least else value for value, least in zip(ratios, bound, strict=True)]))
+    if any(one.tracking_nm for one in predictions):
+        parts = [one.tracking_nm or (math.nan, math.nan) for one in predictions]
+        table.append(("Servos add, PV", "nm", [_number(pv) for pv, _ in parts]))
+        table.append(("Servos add, rms", "nm", [_number(rms) for _, rms in parts]))
     table.append(("Form removed", "", [_form(one.roughness.form) for one in predictions]))
     table.append(("Heights counted", "", [f"{one.roughness.valid:,}" for one in predictions]))
     table.append(("Missing", "", [f"{one.roughness.missing:,}" for one in predictions]))
