@@ -184,8 +184,8 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     motion, with :math:`t` the block time: 2 mm/s² and 4000 mm/s³ for nanometres at 1000 blocks/s.
 
     The highest frequency of an axis is the lowest one above which no two turns of its motion (under a Hann window, less
-    their mean) hold more than 1e-4 of the power of the strongest two. A pure sine of n periods per turn is found at n
-    + 1/2, and at n + 2 at most if n is not whole.
+    their mean) hold more than 1e-4 of the power of the strongest two; between the points it is taken as a cubic
+    spline. A pure sine of n periods per turn is found at n + 1/2, and at n + 2 at most if n is not whole.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def _highest(angle: Floats, axes: Mapping[str, Floats], machine: Machine) -> flo
 
 def _frequency(time: Floats, angle: Floats, position: Floats) -> tuple[float, int]:
     """Return the highest frequency of a motion, see `check_limits`, and the number of a point it is found at."""
-    from scipy import fft  # noqa: PLC0415 - costly to import
+    from scipy import fft, interpolate  # noqa: PLC0415 - costly to import
 
     time = np.abs(time - time[0])
     turned = np.abs(angle - angle[0]) / TURN
@@ -300,7 +300,8 @@ def _frequency(time: Floats, angle: Floats, position: Floats) -> tuple[float, in
 
     def windowed(k: int) -> Floats:
         here = slice(first[k], last[k])
-        part: Floats = np.interp(begin[k] + share * (end[k] - begin[k]), time[here], position[here])
+        # Straight lines would add frequencies of their own.
+        part: Floats = interpolate.CubicSpline(time[here], position[here])(begin[k] + share * (end[k] - begin[k]))
         part -= part.mean()
         part *= window
         return part

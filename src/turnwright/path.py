@@ -193,7 +193,8 @@ def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
 
     Without a fast tool all are. A fast tool has its own table of heights, so that a lathe needs no more blocks than its
     own axes ask for: every second, fourth, eighth point and so on, as long as every axis stays within 0.1 nm of the
-    straight line between two blocks.
+    straight line between two blocks. The last block takes what is left and may be shorter; a controller that
+    interpolates by splines rounds a little there.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from turnwright._arrays import Floats, positive
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import INTERPOLATIONS, ROTARY, Axis, Machine
-from turnwright.path import Motion
+from turnwright.path import Motion, block_points
 from turnwright.progress import Progress
 from turnwright.response import FrequencyResponse, RationalResponse, Response
 
@@ -55,6 +55,9 @@ def track(
       with the slopes of the parabolas through three neighbours each;
     * "quadratic spline", "cubic spline": B-splines with the points as control points, which pass inside of them.
 
+    A fast tool (axis W) has a controller of its own, which keeps its times and goes straight from point to point; the
+    blocks of the lathe beside it are those of `Motion.lathe`.
+
     Last each axis: its dead time and its response. Before the program begins every axis has moved on as straight as it
     begins.
 
@@ -88,6 +91,7 @@ def track(
     machine = machine or motion.machine
     time = _paced(motion, machine)
     velocity = _velocities(motion, machine, time)
+    blocks = block_points(motion.time, motion.axes) if "W" in motion.axes else slice(None)
     uniform = any(
         machine.axes[letter].response is not None and not isinstance(machine.axes[letter].response, RationalResponse)
         for letter in motion.axes
@@ -100,7 +104,9 @@ def track(
         axes = {}
         for k, letter in enumerate(motion.axes):
             told(k, len(motion.axes))
-            axes[letter] = _follow(letter, motion.axes[letter], velocity.get(letter), time, machine, at)
+            own = slice(None) if letter == "W" else blocks
+            speed = velocity[letter][own] if letter in velocity else None
+            axes[letter] = _follow(letter, motion.axes[letter][own], speed, time[own], machine, at)
         bulge = max(kernel.bulge(at, position) for letter, position in axes.items() if letter not in ROTARY)
         # The second differences of few points may hide a part of what curves between them, but not that of a corner.
         if bulge <= chord or (parts > 1 and machine.controller.interpolation == "linear") or rounds == ROUNDS:
@@ -235,16 +241,19 @@ def _paced(motion: Motion, machine: Machine) -> Floats:
     """Return when the controller is at each point. (n,) [s]."""
     from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
 
-    blocks = np.diff(motion.time)
+    points = block_points(motion.time, motion.axes)
+    time = motion.time[points]
+    blocks = np.diff(time)
     factor = np.maximum(1.0, (1 - 1e-9) / (blocks * machine.block_rate_hz))
     if machine.controller.look_ahead is not None:
         for letter, position in motion.axes.items():
             limit = getattr(machine.axes.get(letter), "acceleration", None)
-            if limit is not None:
-                kernel.stretch(motion.time, position, machine.controller.look_ahead, limit, factor)
+            if limit is not None and letter != "W":
+                kernel.stretch(time, position[points], machine.controller.look_ahead, limit, factor)
     if (factor == 1.0).all():
         return motion.time
-    return np.concatenate(([0.0], np.cumsum(blocks * factor)))
+    paced = np.concatenate(([0.0], np.cumsum(blocks * factor)))
+    return paced if "W" not in motion.axes else np.interp(motion.time, time, paced)
 
 
 def _samples(time: Floats, parts: int, *, uniform: bool) -> Floats:
@@ -277,7 +286,7 @@ def _follow(
     axis = machine.axes.get(letter)
     response = axis.response if axis is not None else None
     delay = (axis.dead_time or 0.0) if axis is not None else 0.0
-    kind = INTERPOLATIONS.index(machine.controller.interpolation)
+    kind = kernel.LINEAR if letter == "W" else INTERPOLATIONS.index(machine.controller.interpolation)
     rate = np.empty(time.size if kind == kernel.CUBIC else 0)
     if kind == kernel.CUBIC and velocity is not None:
         rate[:] = velocity

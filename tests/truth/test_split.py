@@ -188,3 +188,28 @@ def test_the_highest_speed_keeps_the_bandwidth():
     assert limits.binding == "W bandwidth"
     assert limits.frequency_hz["W"] == pytest.approx(100)
     assert 40.5 - 1e-9 <= 60 * 100 / limits.spindle_rpm <= 42
+
+
+def test_the_lathe_and_the_tool_answer_each_on_its_own():
+    """A first-order lag delays a ramp by its time constant; W at 640 rows/s is no block of a 100 blocks/s lathe."""
+    lag = tw.TransferFunction(numerator=[100.0], denominator=[1.0, 100.0])
+    base = tw.Machine.load("nanoform-fts-70")
+    axes = {"C": tw.Axis(), "X": tw.Axis(response=lag), "Z": tw.Axis(), "W": tw.Axis(dead_time=0.01)}
+    machine = tw.Machine(
+        name="lathe",
+        axes=axes,
+        spindle_rpm=base.spindle_rpm,
+        block_rate_hz=100,
+        controller=tw.Controller(interpolation="cubic spline", look_ahead=5),
+    )
+    time = np.arange(2561) / 640
+    w = 1e-3 * np.sin(40 * time)
+    motion = tw.Motion(
+        time=time, axes={"C": 3 * time, "X": 9 - 0.1 * time, "Z": np.zeros(time.size), "W": w}, machine=machine
+    )
+    real = tw.track(motion, chord=1e-7)
+    assert real.time[-1] == pytest.approx(4.0, rel=1e-12)
+    settled = real.time > 1
+    assert real.axes["X"][settled] == pytest.approx((9 - 0.1 * (real.time - 0.01))[settled], abs=1e-9)
+    late = np.interp(real.time - 0.01, time, w)
+    assert real.axes["W"][settled] == pytest.approx(late[settled], abs=1e-12)

@@ -10,7 +10,7 @@ from turnwright.errors import InputError
 from turnwright.machine import Axis, Controller, Convention, Machine
 from turnwright.response import FrequencyResponse, SecondOrder
 
-NAMES = ["nanotech-350fg", "nanoform", "generic"]
+NAMES = ["nanotech-350fg", "nanoform", "nanoform-fts-70", "nanoform-fts-500", "generic"]
 GOOD = """
 name = "shop lathe"
 spindle_rpm = 300
@@ -30,7 +30,7 @@ jerk = "5 m/s^3"
 def test_every_fact_of_a_machine_has_a_source(name):
     machine = Machine.load(name)
     stated = {
-        f"axes.{letter}.{limit}"
+        f"axes.{letter}.{limit.removesuffix('_hz')}"
         for letter, axis in machine.axes.items()
         for limit in axis.__slots__
         if getattr(axis, limit) is not None
@@ -180,3 +180,51 @@ def test_a_wrong_response_file_is_refused(tmp_path, text, words):
     with pytest.raises(InputError, match=r"z\.csv") as caught:
         FrequencyResponse.load(file)
     assert words in str(caught.value)
+
+
+def test_a_file_may_add_to_another_one(tmp_path):
+    (tmp_path / "shop.toml").write_text(GOOD)
+    (tmp_path / "answer.csv").write_text("10,0,0\n100,-3,-45\n")
+    file = tmp_path / "with_tool.toml"
+    file.write_text(
+        'base = "shop.toml"\nname = "with a tool"\n[axes.W]\nlow = "-35 um"\nhigh = "35 um"\nbandwidth = "700 Hz"\n'
+        'response = { file = "answer.csv" }\n[sources]\naxes.W.low = "the label"\n'
+    )
+    plain, added = Machine.load(tmp_path / "shop.toml"), Machine.load(file)
+    assert added.name == "with a tool"
+    assert added.axes["W"].bandwidth_hz == 700
+    assert added.axes["W"].high == pytest.approx(0.035)
+    assert added.axes["W"].response is not None
+    assert {letter: added.axes[letter] for letter in plain.axes} == dict(plain.axes)
+    assert added.sources == {**plain.sources, "axes.W.low": "the label"}
+    assert Machine.load("nanoform-fts-70").axes["X"] == Machine.load("nanoform").axes["X"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('base = "loop.toml"', "in a ring"),
+        ('base = "none.toml"', "none.toml"),
+        ("base = 3", "base is 3"),
+        ('base = "generic"\n[axes.W]\nbandwidth = "700"', "axes.W: bandwidth: '700' has no unit"),
+        ('base = "generic"\n[axes.W]\nbandwidth = "-7 Hz"', "the bandwidth of an axis is -7 Hz"),
+        ('base = "generic"\n[axes]\nX = 3', "axes.X is 3"),
+    ],
+)
+def test_a_wrong_addition_is_refused(tmp_path, text, words):
+    file = tmp_path / "loop.toml"
+    file.write_text(text)
+    with pytest.raises(InputError) as caught:
+        Machine.load(file)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_an_axis_can_do_at_a_frequency():
+    """A sine of 0.035 mm reaches 100 mm/s at 455 Hz and 1e5 mm/s^2 at 269 Hz."""
+    axis = Axis(low=-0.035, high=0.035, speed=100, acceleration=1e5, bandwidth_hz=700)
+    omega = 2 * np.pi * np.array([268.0, 270.0, 600.0])
+    assert axis.amplitude(omega / (2 * np.pi)) == pytest.approx([0.035, *(1e5 / omega[1:] ** 2)])
+    assert axis.amplitude([0.0, 700.0, 700.1]).tolist() == [0.035, pytest.approx(1e5 / (1400 * np.pi) ** 2), 0.0]
+    assert Axis(jerk=8.0).amplitude(1 / np.pi) == pytest.approx(1.0)
+    assert Axis().amplitude(3.0) == np.inf

@@ -1,0 +1,72 @@
+"""The highest frequency of a fast tool's motion, against sines whose frequency is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import turnwright as tw
+
+TURN = 2 * np.pi
+
+
+def limits(w, turned, *, rpm=120.0, machine="nanoform-fts-70", sense=1):
+    machine = tw.Machine.load(machine)
+    axes = {"C": sense * turned, "X": 9 - 1e-3 * turned, "Z": np.zeros(turned.size), "W": w}
+    return tw.check_limits(tw.Motion(time=turned / (rpm * TURN / 60), axes=axes, machine=machine), machine)
+
+
+@pytest.mark.parametrize("waves", [3, 20, 100])
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_sine_is_found_at_its_frequency_and_half_a_wave_a_turn(waves, sense):
+    turned = np.linspace(0, 9 * TURN, 9 * 1000 + 1)
+    found = limits(1e-3 * np.sin(waves * turned), turned, sense=sense).frequency_hz["W"]
+    assert found == pytest.approx(2 * (waves + 0.5), rel=1e-9)
+
+
+@pytest.mark.parametrize("waves", [3.3, 41.07, 90.61])
+@pytest.mark.parametrize("turns", [1.2, 2.0, 7.6])
+def test_a_sine_that_does_not_close_is_found_within_two_waves(waves, turns):
+    turned = np.sort(np.append(np.linspace(0, turns * TURN, int(turns * 1000)), [0.11, 0.13]))
+    found = limits(1e-3 * np.sin(waves * turned), turned).frequency_hz["W"]
+    assert 2 * waves < found < 2 * (waves + 4 / min(turns, 2))
+
+
+def test_what_is_faint_does_not_count_and_what_is_strong_somewhere_does():
+    """A hundredth of the amplitude is a ten-thousandth of the power; a burst counts against the strongest two turns."""
+    turned = np.linspace(0, 20 * TURN, 20 * 1000 + 1)
+    slow = 1e-3 * np.sin(5 * turned)
+    assert limits(slow + 0.9e-5 * np.sin(80 * turned), turned).frequency_hz["W"] == pytest.approx(11)
+    assert limits(slow + 1.3e-5 * np.sin(80 * turned), turned).frequency_hz["W"] == pytest.approx(160)
+    burst = np.where((turned > 8 * TURN) & (turned < 12 * TURN), 1.3e-5, 0.0)
+    assert limits(slow + burst * np.sin(80 * turned), turned).frequency_hz["W"] == pytest.approx(160, abs=3)
+
+
+def test_a_fast_tool_is_judged_by_stroke_bandwidth_speed_and_acceleration():
+    """0.04 mm at 400 waves of 2 turns/s: beyond 0.035 mm, 700 Hz, 100 mm/s and 1e5 mm/s^2, all of them."""
+    turned = np.linspace(0, 3 * TURN, 3 * 20_000 + 1)
+    found = limits(0.04 * np.sin(400 * turned), turned)
+    said = " ".join(found.findings)
+    assert not found.ok
+    for words in (
+        "W speed reaches 200",
+        "W acceleration reaches 1.0",
+        "W bandwidth reaches 801 Hz",
+        "W goes to 0.0399",
+    ):
+        assert words in said
+    assert "turn at 104.9 rev/min or less" in said  # 120 * 700 / 801
+    assert "let Z carry more of the motion" in said
+    assert found.utilisation["W bandwidth"] == pytest.approx(801 / 700)
+    # The lathe itself turns steadily: a block every 1/32 of a turn and not 40 000 blocks/s.
+    assert found.block_rate_hz < 2 * 64
+    other = replace(tw.Machine.load("nanoform"), name="bare")
+    axes = {"C": turned, "X": 9 - 1e-3 * turned, "Z": 0 * turned, "W": 0 * turned}
+    bare = tw.check_limits(tw.Motion(time=turned, axes=axes, machine=other), other)
+    assert "needs axis W, bare does not have it" in bare.findings[0]
+    assert dict(bare.frequency_hz) == {}
+
+
+def test_a_tool_at_rest_has_no_frequency():
+    turned = np.linspace(0, 3 * TURN, 3001)
+    assert limits(np.full(turned.size, 0.01), turned).frequency_hz["W"] == 0
