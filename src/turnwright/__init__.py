@@ -44,7 +44,15 @@ if TYPE_CHECKING:
         write_nc,
     )
     from turnwright.response import FrequencyResponse, Response, SecondOrder, TransferFunction
-    from turnwright.strategy import AdaptiveToolServo, FastToolServo, HybridToolServo, SlowToolServo, Strategy
+    from turnwright.strategy import (
+        AdaptiveToolServo,
+        FastToolServo,
+        HybridToolServo,
+        QuasiEllipticalToolServo,
+        SlowToolServo,
+        Strategy,
+        Valleys,
+    )
     from turnwright.surface import (
         Biconic,
         Conic,
@@ -104,7 +112,15 @@ _HOMES = {
         "write_nc",
     ),
     "response": ("FrequencyResponse", "Response", "SecondOrder", "TransferFunction"),
-    "strategy": ("AdaptiveToolServo", "FastToolServo", "HybridToolServo", "SlowToolServo", "Strategy"),
+    "strategy": (
+        "AdaptiveToolServo",
+        "FastToolServo",
+        "HybridToolServo",
+        "QuasiEllipticalToolServo",
+        "SlowToolServo",
+        "Strategy",
+        "Valleys",
+    ),
     "surface": (
         "Biconic",
         "Conic",
@@ -170,6 +186,7 @@ __all__ = [
     "ProgramHeader",
     "ProgramInfo",
     "ProgramWarning",
+    "QuasiEllipticalToolServo",
     "RadialPolynomial",
     "Response",
     "Result",
@@ -189,6 +206,7 @@ __all__ = [
     "TransferFunction",
     "TurnwrightError",
     "UnitError",
+    "Valleys",
     "WavinessTable",
     "XYPolynomial",
     "Zernike",

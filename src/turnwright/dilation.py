@@ -39,7 +39,7 @@ from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
 from turnwright.tool import EdgeTable, Profile, Tool
 
-__all__ = ["Touch", "tip_height", "touch"]
+__all__ = ["Touch", "follow", "tip_height", "touch"]
 
 CONCAVITY = 0.9
 """Largest share of the edge's own curvature that the surface may have where a single tangent is taken for granted."""
@@ -170,6 +170,37 @@ def touch(
             return out
     contact.search(angle, radius, aside, out, progress)
     return out
+
+
+def follow(
+    surface: Surface, tool: Tool, *, angle: Floats, radius: Floats, y: Floats, sweep: Floats, sense: int
+) -> Touch:
+    """Return the tangents near those places on the nose, whether or not the edge touches somewhere else: no search.
+
+    Near a valley of the path two lenslets touch in turn; either one's own tangent is what it would be without the
+    other. Heights are nan where Newton's method finds none. For the arguments see `touch`; ``sweep`` is where on the
+    nose to start. (n,) [rad]
+    """
+    from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
+
+    edge = tool.table(sense)
+    s, tilt = sweep.copy(), 0.5 * float(min(-edge.row[1], edge.row[2]))
+    lost = np.zeros(s.size, dtype=np.bool_)
+    for _ in range(12):
+        x, at_y, value, first, top, step, bend = np.empty((7, s.size))
+        kernel.under_edge(*edge, angle, radius, y, s, x, at_y)
+        with np.errstate(all="ignore"):
+            jet = surface.evaluate(x, at_y, 2)
+        kernel.newton_step(*edge, angle, s, *jet, value, first, top, step, bend)
+        lost |= ~(np.abs(step) < tilt)
+        s += np.where(lost, 0.0, step)
+        far = ~lost & ((np.abs(step) > kernel.CLOSE) | (np.abs(top - value) > kernel.LITTLE))
+        if not far.any():
+            break
+    lost |= far | (s < edge.row[1]) | (s > edge.row[2])
+    kernel.under_edge(*edge, angle, radius, y, s, x, at_y)
+    z = np.where(lost, np.nan, top)
+    return Touch(z, s, x, at_y, z + tool.edge(s, sense)[2])
 
 
 def _turn_length(angle: Floats) -> int | None:

@@ -2,8 +2,17 @@
 
 from turnwright.strategy._strategy import Strategy
 from turnwright.strategy.adaptive import AdaptiveToolServo
+from turnwright.strategy.elliptical import QuasiEllipticalToolServo, Valleys
 from turnwright.strategy.fast import FastToolServo
 from turnwright.strategy.hybrid import HybridToolServo
 from turnwright.strategy.slow import SlowToolServo
 
-__all__ = ["AdaptiveToolServo", "FastToolServo", "HybridToolServo", "SlowToolServo", "Strategy"]
+__all__ = [
+    "AdaptiveToolServo",
+    "FastToolServo",
+    "HybridToolServo",
+    "QuasiEllipticalToolServo",
+    "SlowToolServo",
+    "Strategy",
+    "Valleys",
+]
