@@ -12,11 +12,12 @@ there and nothing is discretised. A measured H acts on the spectrum of the comma
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from turnwright._arrays import Floats, positive
+from turnwright._arrays import Floats, frozen, positive, same_length
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import INTERPOLATIONS, ROTARY, Axis, Machine
 from turnwright.path import Motion, block_points
@@ -30,6 +31,9 @@ APART = 1e-4
 
 QUIET_S = 0.5
 """Time beyond both ends over which a measured response dies away, at least. [s]"""
+
+FINER = 8
+"""Even samples to a point, at most, on which uneven points are corrected."""
 
 ROUNDS = 4
 """How often samples are set closer together, at most; the second time is the last but for odd motions."""
@@ -122,6 +126,7 @@ def precorrect(
     *,
     bandwidth_hz: float | None = None,
     rounds: int = 2,
+    missed: Mapping[str, ArrayLike] | None = None,
     progress: Progress | None = None,
 ) -> Motion:
     r"""Return the commanded motion whose real axes pass where a motion was meant to pass.
@@ -131,6 +136,10 @@ def precorrect(
     points are not a smooth curve. Each round leaves about :math:`1 - Q` of an error, and :math:`1 - Q H_{real}/H` of it
     where the axis is not as the machine file says. A motion that asks for more than the bandwidth keeps that part of
     its error, and the corrected one asks more of the axes: check its limits.
+
+    What a machine really missed, from its own log, can be given in place of what `track` says: then the motion is what
+    was commanded when the log was taken, and that much is added to it, once. Each log taken with the command that the
+    one before led to leaves :math:`1 - Q H_{real}/H` of what there was, however wrong the model began.
 
     Parameters
     ----------
@@ -143,13 +152,16 @@ def precorrect(
         which it answers with half its command or less, and at most a third of the block rate. [Hz]
     rounds
         Corrections, one upon the other.
+    missed
+        Of each axis that was logged, by letter: where it should have been minus where it was, at the points. Each (n,)
+        [mm or rad]
     progress
         Called with (rounds done, rounds in all).
 
     Raises
     ------
     InputError
-        If the bandwidth is not positive or there is no round.
+        If the bandwidth is not positive, there is no round, or a log does not go with the motion.
     LimitError
         If the controller would slow the motion down, so that its times do not hold.
 
@@ -170,19 +182,36 @@ def precorrect(
     time = motion.time
     axes = dict(motion.axes)
     velocity = _velocities(motion, machine, time)
+    logged = None if missed is None else _logged(missed, motion)
+    rounds = rounds if logged is None else 1
     for done in range(rounds):
         for letter, wanted in motion.axes.items():
             axis = machine.axes.get(letter)
-            if axis is None:
+            if axis is None or (logged is not None and letter not in logged):
                 continue
-            missed = wanted - _follow(letter, axes[letter], velocity.get(letter), time, machine, time)
-            more, faster = _inverted(missed, time, axis, bandwidth_hz)
+            if logged is None:
+                off = wanted - _follow(letter, axes[letter], velocity.get(letter), time, machine, time)
+            else:
+                off = logged[letter]
+            more, faster = _inverted(off, time, axis, bandwidth_hz)
             axes[letter] = axes[letter] + more
             if letter in velocity:
                 velocity[letter] = velocity[letter] + faster
         if progress is not None:
             progress(done + 1, rounds)
     return Motion(time=time, axes=axes, machine=motion.machine, velocity=velocity or None)
+
+
+def _logged(missed: Mapping[str, ArrayLike], motion: Motion) -> dict[str, Floats]:
+    """Return a log as arrays, or raise if it does not go with a motion."""
+    strange = sorted(set(missed) - set(motion.axes))
+    if strange:
+        raise InputError(
+            f"the log has axis {', '.join(strange)}, the motion has {', '.join(sorted(motion.axes))}: leave it out"
+        )
+    logged = {letter: frozen(values, f"the log of axis {letter}") for letter, values in missed.items()}
+    same_length([("time", motion.time), *logged.items()])
+    return logged
 
 
 def _velocities(motion: Motion, machine: Machine, time: Floats) -> dict[str, Floats]:
@@ -200,7 +229,8 @@ def _inverted(missed: Floats, time: Floats, axis: Axis, bandwidth_hz: float | No
     """Return the command within the bandwidth to which an axis answers with what was missed, and its velocity."""
     from scipy import fft, interpolate  # noqa: PLC0415 - costly to import
 
-    step = float(np.diff(time).min())
+    # Blocks of many lengths are not sampled as finely as the shortest throughout.
+    step = max(float(np.diff(time).min()), float(time[-1] - time[0]) / (FINER * time.size))
     even = np.linspace(time[0], time[-1], math.ceil((time[-1] - time[0]) / step * (1 - 1e-9)) + 1)
     step = float(even[1] - even[0])
     uneven = even.size != time.size

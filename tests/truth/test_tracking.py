@@ -229,6 +229,26 @@ def test_a_wrong_model_leaves_what_the_ratio_of_the_two_says(factor):
     assert left == pytest.approx(0.01 * abs(model.slower(factor).at(20) / model.at(20) - 1), rel=2e-3)
 
 
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_each_log_leaves_less_of_what_the_model_got_wrong(factor):
+    """A sine stays a sine: of its error a log leaves |1 - H_real/H|, whatever command it was taken with."""
+    model = SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1)
+    time = np.arange(3001) * 0.001
+    z = 0.01 * np.sin(2 * np.pi * 30 * time)
+    on = machine("hermite", Z=Axis(response=model))
+    really = machine("hermite", Z=Axis(response=model.slower(factor)))
+    given = Motion(time=time, axes={"C": 7 * time, "X": 5 - 0.1 * time, "Z": z}, machine=on)
+    command, left = given, []
+    for _ in range(4):
+        log = z - track(command, really, chord=1).axes["Z"]
+        left.append(np.abs(log[1200:1800]).max())
+        command = precorrect(command, on, missed={"Z": log})
+        assert (command.axes["X"] == given.axes["X"]).all()
+    share = abs(1 - model.slower(factor).at(30) / model.at(30))
+    assert share < 0.2
+    assert np.array(left[1:]) / left[:-1] == pytest.approx(share, rel=0.02)
+
+
 def test_uneven_blocks_are_corrected_too():
     axis = SecondOrder(frequency_hz=100, damping=0.7)
     on = machine("hermite", Z=Axis(response=axis))
@@ -255,6 +275,9 @@ def test_what_cannot_be_corrected_is_refused():
     for words, change in (("bandwidth_hz", {"bandwidth_hz": 0.0}), ("rounds", {"rounds": 0})):
         with pytest.raises(InputError, match=words):
             precorrect(given, machine(), **change)
+    for words, missed in (("the log has axis Y", {"Y": given.time}), ("time 401, Z 400", {"Z": given.time[1:]})):
+        with pytest.raises(InputError, match=words):
+            precorrect(given, missed=missed)
     with pytest.raises(LimitError, match="slows this motion down"):
         precorrect(given, machine(block_rate=400))
     with pytest.raises(InputError, match="chord"):
