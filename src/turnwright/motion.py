@@ -16,7 +16,7 @@ from turnwright.path import Motion, Path, block_points
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from turnwright._arrays import Floats
+    from turnwright._arrays import Floats, Ints
     from turnwright.machine import Machine
 
 __all__ = ["Limits", "check_limits", "drive"]
@@ -181,7 +181,8 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     Speed, acceleration and jerk are divided differences over one, two and three neighbouring blocks, as steep as the
     points of the program are; a controller that rounds the corners asks less of the slides. A program whose positions
     are rounded to :math:`q` shows up to :math:`2q/t^2` of acceleration and :math:`4q/t^3` of jerk that is not in the
-    motion, with :math:`t` the block time: 2 mm/s² and 4000 mm/s³ for nanometres at 1000 blocks/s.
+    motion, with :math:`t` the block time: 2 mm/s² and 4000 mm/s³ for nanometres at 1000 blocks/s. Beside a fast tool
+    the blocks of the lathe are those of `Motion.lathe`.
 
     The highest frequency of an axis is the lowest one above which no two turns of its motion (under a Hann window, less
     their mean) hold more than 1e-4 of the power of the strongest two; between the points it is taken as a cubic
@@ -200,8 +201,8 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     """
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
-    peaks = {letter: _peaks(motion.time, position) for letter, position in motion.axes.items()}
     blocks = block_points(motion.time, motion.axes)
+    peaks = _all_peaks(motion.time, motion.axes, blocks)
     number, shortest = kernel.shortest(motion.time[blocks])
     length = float(motion.time[-1] - motion.time[0])
     turning = TURN / 60
@@ -267,18 +268,17 @@ def _highest(angle: Floats, axes: Mapping[str, Floats], machine: Machine) -> flo
     """Return the highest spindle speed that keeps every stated limit. [rad/s]."""
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
-    blocks = angle[block_points(angle * np.sign(angle[-1] - angle[0]), axes)]
-    allowed = [machine.spindle_rpm * TURN / 60, machine.block_rate_hz * kernel.shortest(blocks)[1]]
-    for letter, position in axes.items():
-        # The angle stands for time: this is the motion at one radian per second.
-        top, _ = _peaks(angle, position)
+    # The angle stands for time: this is the motion at one radian per second.
+    blocks = block_points(angle * np.sign(angle[-1] - angle[0]), axes)
+    allowed = [machine.spindle_rpm * TURN / 60, machine.block_rate_hz * kernel.shortest(angle[blocks])[1]]
+    for letter, (top, _) in _all_peaks(angle, axes, blocks).items():
         for kind, power in POWERS.items():
             limit, value = getattr(machine.axes[letter], kind), top[kind]
             if limit is not None and value > 0:
                 allowed.append((limit / value) ** (1 / power))
         band = machine.axes[letter].bandwidth_hz
         if band is not None:
-            highest, _ = _frequency(angle, angle, position)
+            highest, _ = _frequency(angle, angle, axes[letter])
             if highest > 0:
                 allowed.append(band / highest)
     return float(min(allowed))
@@ -316,6 +316,20 @@ def _frequency(time: Floats, angle: Floats, position: Floats) -> tuple[float, in
         if found > highest:
             highest, at = found, int(np.searchsorted(time, (begin[k] + end[k]) / 2))
     return highest, at
+
+
+def _all_peaks(
+    time: Floats, axes: Mapping[str, Floats], blocks: Ints
+) -> dict[str, tuple[dict[str, float], dict[str, int]]]:
+    """Return travel and peaks of every axis and where they are: of the fast tool at all points, else at the blocks."""
+    peaks = {}
+    for letter, position in axes.items():
+        if letter == "W" or blocks.size == time.size:
+            peaks[letter] = _peaks(time, position)
+        else:
+            top, at = _peaks(time[blocks], position[blocks])
+            peaks[letter] = top, {name: int(blocks[point]) for name, point in at.items()}
+    return peaks
 
 
 def _peaks(time: Floats, position: Floats) -> tuple[dict[str, float], dict[str, int]]:

@@ -39,6 +39,8 @@ HEIGHT = 7
 """Decimals of a height: a tenth of a nanometre."""
 MOST_ROWS = 300_000_000
 """Beyond this no memory holds the motion."""
+SAME = 1e-6
+"""Share of the time between two heights within which a block of the program is at the same time as one of them."""
 APART = 1e-5
 """How far the radius of a table may be from the X of its program, which are both rounded. [mm]"""
 
@@ -279,7 +281,10 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
         if rate <= 0 or table.shape[1] != 1:
             raise ProgramError(f"{file} states no rate or has {table.shape[1]} columns, not 1: write it again")
         at = np.arange(len(table)) / rate
-        time = np.union1d(motion.time, at[at < motion.time[-1]])
+        after = np.clip(np.searchsorted(motion.time, at), 1, motion.time.size - 1)
+        beside = np.minimum(np.abs(at - motion.time[after - 1]), np.abs(motion.time[after] - at))
+        # Two times that are one but for rounding would leave C no way to turn between them.
+        time = np.union1d(motion.time, at[(beside * rate > SAME) & (at < motion.time[-1])])
         w = np.interp(time, at, table[:, 0])
     else:
         time, w = _turned(file, table, motion, machine)
