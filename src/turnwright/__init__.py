@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     )
     from turnwright.generation import generate, generate_points, generate_polar
     from turnwright.heightmap import HeightMap
-    from turnwright.job import Job, Plan, Result, Shares, plan, predict, preview, run, shares
+    from turnwright.job import Comparison, Job, Plan, Result, Shares, compare, plan, predict, preview, run, shares
     from turnwright.machine import Axis, Controller, Convention, Machine
     from turnwright.metrology import Roughness, remove_form, roughness
     from turnwright.motion import Limits, check_limits, drive
@@ -92,7 +92,7 @@ _HOMES = {
     ),
     "generation": ("generate", "generate_points", "generate_polar"),
     "heightmap": ("HeightMap",),
-    "job": ("Job", "Plan", "Result", "Shares", "plan", "predict", "preview", "run", "shares"),
+    "job": ("Comparison", "Job", "Plan", "Result", "Shares", "compare", "plan", "predict", "preview", "run", "shares"),
     "machine": ("Axis", "Controller", "Convention", "Machine"),
     "metrology": ("Roughness", "remove_form", "roughness"),
     "motion": ("Limits", "check_limits", "drive"),
@@ -152,6 +152,7 @@ __all__ = [
     "AdaptiveToolServo",
     "Axis",
     "Biconic",
+    "Comparison",
     "Conic",
     "Controller",
     "Convention",
@@ -212,6 +213,7 @@ __all__ = [
     "Zernike",
     "check_access",
     "check_limits",
+    "compare",
     "drive",
     "fit_edge",
     "generate",

@@ -163,6 +163,40 @@ def plan(
 
 
 @app.command()
+def compare(
+    context: typer.Context,
+    job: JobFile,
+    out: Annotated[Path, typer.Option(help="Folder for the results; it is made when all is done.", show_default=False)],
+    force: Annotated[
+        bool, typer.Option("--force", help="If the folder is there already, keep it under another name and go on.")
+    ] = False,
+) -> None:
+    """Plan the finishing pass by every strategy that the machine can do, and put what each leaves side by side."""
+    door: Door = context.obj
+    with _new_folder(out, door, force=force) as folder:
+        from turnwright.job import Job, compare  # noqa: PLC0415
+
+        with _progress(door.stop) as progress:
+            found = compare(Job.load(job), progress=progress)
+            progress("report", 0, 1)
+            from turnwright.archive import write_comparison as write_table  # noqa: PLC0415
+            from turnwright.report import write_comparison  # noqa: PLC0415
+
+            write_table(found, folder)
+            write_comparison(found, folder)
+            progress("report", 1, 1)
+    for one in found.candidates:
+        if one.refused or one.limits is None or one.shares is None:
+            door.say(f"{one.name}: {one.refused}")
+            continue
+        door.say(
+            f"{one.name}: {one.turns:.0f} turns, {one.limits.points} points, {one.limits.cycle_time_s / 60:.1f} min at "
+            f"{one.limits.spindle_rpm:.4g} rpm, {one.limits.binding} binds; PV {one.shares.pv_nm:.3g} nm"
+        )
+    door.say(f"report: {out / 'report.html'}")
+
+
+@app.command()
 def backplot(
     context: typer.Context,
     program: Annotated[

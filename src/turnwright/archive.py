@@ -47,10 +47,10 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from turnwright._arrays import Floats
-    from turnwright.job import Prediction, Result
+    from turnwright.job import Comparison, Prediction, Result
     from turnwright.path import Motion
 
-__all__ = ["read_maps", "write_archive", "write_maps"]
+__all__ = ["read_maps", "write_archive", "write_comparison", "write_maps"]
 
 AXES = ("x", "y", "radius", "angle")
 
@@ -95,6 +95,42 @@ def write_archive(result: Result, folder: str | PathLike[str]) -> None:
     text = json.dumps(_plain(numbers), indent=2, ensure_ascii=False, allow_nan=False)
     (folder / "result.json").write_text(text + "\n", encoding="utf-8")
     _write_h5(result, job, text, folder / "run.h5")
+
+
+def write_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
+    """Write ``job.toml`` and ``comparison.json``, all numbers of every strategy, into a folder that exists.
+
+    Parameters
+    ----------
+    found
+        What the strategies make of a job.
+    folder
+        Where to.
+    """
+    folder = Path(folder)
+    (folder / "job.toml").write_text(found.job.to_toml(), encoding="utf-8")
+    numbers = {
+        "schema": 1,
+        "turnwright": __version__,
+        "scallop": found.scallop,
+        "chord": found.chord,
+        "candidates": [
+            {
+                "name": one.name,
+                "refused": one.refused,
+                "turns": one.turns,
+                "size_bytes": one.size_bytes,
+                "limits": one.limits,
+                "shares": None
+                if one.shares is None
+                else {part.name: getattr(one.shares, part.name) for part in fields(one.shares) if part.name != "error"},
+                "wall_s": one.wall_s,
+            }
+            for one in found.candidates
+        ],
+    }
+    text = json.dumps(_plain(numbers), indent=2, allow_nan=False)
+    (folder / "comparison.json").write_text(text + "\n", encoding="utf-8")
 
 
 def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -> list[dict[str, Any]]:

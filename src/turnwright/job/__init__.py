@@ -1,5 +1,6 @@
 """The recipe: a job is data only, and `run` is the one place that knows the order of the stages."""
 
+from turnwright.job._compare import Candidate, Comparison, compare
 from turnwright.job._plan import Plan, plan
 from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.job._run import StageProgress, predict, preview, run
@@ -7,6 +8,8 @@ from turnwright.job._schema import Job
 from turnwright.job._shares import Shares, shares
 
 __all__ = [
+    "Candidate",
+    "Comparison",
     "Job",
     "Pass",
     "Plan",
@@ -15,6 +18,7 @@ __all__ = [
     "Result",
     "Shares",
     "StageProgress",
+    "compare",
     "plan",
     "predict",
     "preview",

@@ -35,7 +35,7 @@ from turnwright.machine import Machine
 from turnwright.part import Part
 from turnwright.post import dialect_of
 from turnwright.tool import Tool, WavinessTable
-from turnwright.units import parse, unit
+from turnwright.units import parse
 
 if TYPE_CHECKING:
     from os import PathLike

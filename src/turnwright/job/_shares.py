@@ -59,6 +59,8 @@ class Shares:
     ----------
     cusp_nm
         Peak to valley of what an exact path leaves: cusps, and valleys that no nose reaches.
+    cusp_away_nm
+        The same two feeds or more away from the axis, where an Archimedean spiral leaves its highest cusp.
     chord_nm
         Largest change of the surface by what the controller makes of the path between the program's points.
     rounding_nm
@@ -74,6 +76,7 @@ class Shares:
     """
 
     cusp_nm: float
+    cusp_away_nm: float
     chord_nm: float
     rounding_nm: float
     tracking_nm: float
@@ -125,15 +128,20 @@ def shares(
     error = real.minus(part.surface)
     cusps = exact.minus(part.surface).z
     return Shares(
-        cusp_nm=float(np.nanmax(cusps) - np.nanmin(cusps)) * NM,
+        cusp_nm=_pv_nm(cusps),
+        cusp_away_nm=_pv_nm(cusps[:, radius > 2 * feed]),
         chord_nm=apart_nm(straight, exact),
         rounding_nm=apart_nm(rounded, straight),
         tracking_nm=apart_nm(real, rounded),
-        pv_nm=float(np.nanmax(error.z) - np.nanmin(error.z)) * NM,
+        pv_nm=_pv_nm(error.z),
         rms_nm=float(np.sqrt(np.nanmean(error.z**2))) * NM,
         sq_nm=finish_nm(error, feed),
         error=error,
     )
+
+
+def _pv_nm(z: Floats) -> float:
+    return float(np.nanmax(z) - np.nanmin(z)) * NM
 
 
 def lines(part: Part, feed: float) -> tuple[Floats, Floats]:
@@ -190,11 +198,20 @@ def exact_motion(spiral: Spiral, part: Part, tool: Tool, machine: Machine, angle
     step = TURN / angle.size
     inner = np.arange(math.ceil(first / step + 1e-9), math.floor(last / step - 1e-9) + 1) * step
     nodes = np.concatenate(([first], inner, [last]))[:: spiral.sense]
-    order = spiral.sense * spiral.angle
-    radius = np.interp(spiral.sense * nodes, order, spiral.radius)
-    y = None if spiral.y is None else np.interp(spiral.sense * nodes, order, spiral.y)
+    radius = _between(spiral, spiral.radius, spiral.radius_rate, nodes)
+    y = None if spiral.y is None else _between(spiral, spiral.y, spiral.y_rate, nodes)
     path = place(Spiral(angle=nodes, radius=radius, y=y), part, tool)
     axes = {"C": path.angle, "X": path.radius, "Z": path.z - machine.z_error(path.radius)}
     if path.y is not None:
         axes["Y"] = path.y
     return Motion(time=np.abs(nodes - nodes[0]), axes=axes, machine=machine)
+
+
+def _between(spiral: Spiral, values: Floats, rates: Floats | None, nodes: Floats) -> Floats:
+    """Return what the plan has between its points: straight lines, or cubics where it states rates."""
+    order, asked = spiral.sense * spiral.angle, spiral.sense * nodes
+    if rates is None:
+        return np.interp(asked, order, values)
+    from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415 - costly to import
+
+    return np.asarray(CubicHermiteSpline(order, values, spiral.sense * rates)(asked))

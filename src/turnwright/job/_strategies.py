@@ -11,8 +11,10 @@ from turnwright.errors import JobError
 from turnwright.job._prescriptions import AnySurface
 from turnwright.job._table import Count, Feed, Size, Speed, Table, Thickness
 from turnwright.strategy import (
+    AdaptiveToolServo,
     FastToolServo,
     HybridToolServo,
+    QuasiEllipticalToolServo,
     SlowToolServo,
 )
 from turnwright.units import unit
@@ -20,6 +22,13 @@ from turnwright.units import unit
 if TYPE_CHECKING:
     from turnwright.machine import Machine
     from turnwright.strategy import Strategy
+    from turnwright.strategy import (
+        AdaptiveToolServo,
+        FastToolServo,
+        HybridToolServo,
+        QuasiEllipticalToolServo,
+        SlowToolServo,
+    )
     from turnwright.tool import Tool
 
 __all__ = ["KINDS", "AnyStrategy", "Choices"]
@@ -137,10 +146,56 @@ class HybridTable(SlowTable):
         return HybridToolServo(plan=plan, fast=fast, blocks_per_rev=self.blocks_per_rev)
 
 
+class AdaptiveTable(StrategyTable):
+    """See `turnwright.AdaptiveToolServo`: it plans for the interpolation that the machine file states."""
+
+    kind: Literal["adaptive tool servo"]
+    scallop: Size
+    chord: Size
+    off_path: Annotated[bool, Strict()] = True
+    x_motion: Literal["servo", "split", "steady"] = "servo"
+
+    def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
+        """Return the strategy of one pass."""
+        interpolation = machine.controller.interpolation
+        return AdaptiveToolServo(
+            interpolation=interpolation,  # type: ignore[arg-type] # one it does not plan for is refused in words
+            off_path=self.off_path,
+            x_motion=self.x_motion,
+            **self.chosen(cut),
+        )
+
+
+class EllipticalTable(StrategyTable):
+    """See `turnwright.QuasiEllipticalToolServo`."""
+
+    kind: Literal["quasi-elliptical tool servo"]
+    feed: Feed
+    points_per_rev: Count | None = None
+    arc_length: Size | None = None
+    max_step: Step | None = None
+    lead_in: Thickness | None = None
+    short: Literal["merge", "skip", "slow"]
+    shortest: Size | None = None
+    y_acceleration: Annotated[float, unit("mm/s^2", above=0.0)] | None = None
+
+    ways = ("points_per_rev", "arc_length", "max_step")
+
+    def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
+        """Return the strategy of one pass."""
+        return QuasiEllipticalToolServo(
+            short=self.short, shortest=self.shortest, y_acceleration=self.y_acceleration, **self.chosen(cut)
+        )
+
+
 KINDS: dict[str, type[StrategyTable]] = {
     "slow tool servo": SlowTable,
     "fast tool servo": FastTable,
     "hybrid tool servo": HybridTable,
+    "adaptive tool servo": AdaptiveTable,
+    "quasi-elliptical tool servo": EllipticalTable,
 }
 
-AnyStrategy: TypeAlias = Annotated[SlowTable | FastTable | HybridTable, Field(discriminator="kind")]
+AnyStrategy: TypeAlias = Annotated[
+    SlowTable | FastTable | HybridTable | AdaptiveTable | EllipticalTable, Field(discriminator="kind")
+]

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path as File
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from turnwright.path import Motion
+from turnwright.report._comparison import write_comparison
+from turnwright.report._page import page_file, set_page, version_of_page
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from turnwright.report._figures import Picture
     from turnwright.tool import Tool
 
-__all__ = ["write_backplot", "write_report"]
+__all__ = ["write_backplot", "write_comparison", "write_report"]
 
 NM = 1e6
 TURN = 2 * math.pi
@@ -143,7 +143,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
     """
     from turnwright.report import _figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
-    path = _page_file(path)
+    path = page_file(path)
     tolerances = result.job.tolerances
     numbers = _numbers(result.predictions, [cut.limits for cut in result.passes], tolerances.form_pv, tolerances.sq)
     failed = _failed(numbers)
@@ -218,9 +218,9 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
         timings=_timings(result.timings),
         peak_memory=f"{result.peak_memory_gb:.2f} GB" if math.isfinite(result.peak_memory_gb) else "not known here",
         job=result.job.to_toml(),
-        version=_version(),
+        version=version_of_page(),
     )
-    return _write(page, path)
+    return set_page("run.html.j2", page, path)
 
 
 def write_backplot(
@@ -253,7 +253,7 @@ def write_backplot(
     """
     from turnwright.report import _figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
-    path, program = _page_file(path), File(program)
+    path, program = page_file(path), File(program)
     part, machine = job.part.part, job.machine.machine
     numbers = _numbers(predictions, [limits], job.tolerances.form_pv, job.tolerances.sq)
     failed = _failed(numbers)
@@ -295,44 +295,9 @@ def write_backplot(
         timings=[],
         peak_memory="",
         job=job.to_toml(),
-        version=_version(),
+        version=version_of_page(),
     )
-    return _write(page, path)
-
-
-def _page_file(path: str | PathLike[str]) -> File:
-    path = File(path)
-    return path / "report.html" if path.is_dir() else path
-
-
-def _write(page: _Page, path: File) -> File:
-    """Set the page; it appears under its name only when it is whole."""
-    import jinja2  # noqa: PLC0415 - only the page needs it
-
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("turnwright.report", "."),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["typeset"] = lambda text: re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text)
-    text = environment.get_template("template.html.j2").render(page=page)
-    text = re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "", text)  # no page may hold them, whatever a name does
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-    return path
-
-
-def _version() -> str:
-    try:
-        return version("turnwright")
-    except PackageNotFoundError:
-        return "not installed"
+    return set_page("run.html.j2", page, path)
 
 
 def _length(length: float) -> str:

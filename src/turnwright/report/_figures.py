@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.access import Finding
     from turnwright.heightmap import HeightMap
+    from turnwright.job import Candidate
     from turnwright.part import Part
     from turnwright.path import Motion, Path
 
@@ -36,9 +37,11 @@ __all__ = [
     "axes_over_time",
     "contact",
     "error_map",
+    "minutes_and_errors",
     "profile",
     "rings",
     "sag_map",
+    "shares_of",
     "spiral",
     "view",
     "z_over_turns",
@@ -471,3 +474,39 @@ def profile(heights: HeightMap, feed: float) -> Picture:
         axes.margins(x=0)
         axes.grid(visible=True)
     return Picture(canvas.svg, f"Profile of cut minus design along {letter}, cusps {feed * 1e3:.3g} µm apart.")
+
+
+def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
+    """Draw what each strategy leaves over the minutes that it takes."""
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        at = [(one.limits.cycle_time_s / 60, one.shares.pv_nm) for one in tried if one.limits and one.shares]
+        # Nobody else is both quicker and better: these are worth a choice.
+        best = sorted(here for here in at if not any(o != here and o[0] <= here[0] and o[1] <= here[1] for o in at))
+        axes.plot(*zip(*best, strict=True), color=LINE, linewidth=0.8)
+        for number, (minutes, pv) in enumerate(at, 1):
+            axes.plot(minutes, pv, "o", color=SERIES[0] if (minutes, pv) in best else LINE, markersize=5)
+            axes.annotate(str(number), (minutes, pv), (5, 4), textcoords="offset points")
+        axes.set(xlabel="minutes", ylabel="form error PV [nm]")
+        axes.margins(0.12)
+        axes.grid(visible=True)
+    named = ", ".join(f"{number} {one.name}" for number, one in enumerate(tried, 1))
+    return Picture(canvas.svg, f"Form error over cutting time: {named}. The line joins those that no other one beats.")
+
+
+def shares_of(tried: Sequence[Candidate]) -> Picture:
+    """Draw how much each cause adds, strategy by strategy."""
+    causes = {"cusps": "cusp_nm", "chord": "chord_nm", "servos": "tracking_nm"}
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        rows = np.arange(len(tried))
+        for k, ((cause, name), colour) in enumerate(zip(causes.items(), SERIES, strict=True)):
+            sizes = [getattr(one.shares, name) for one in tried]
+            axes.barh(rows + (k - 1) * 0.26, sizes, height=0.24, color=colour, label=cause)
+        axes.set_yticks(rows, [str(number) for number in range(1, len(tried) + 1)])
+        axes.invert_yaxis()
+        axes.set(xlabel="largest share [nm]", ylabel="strategy")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+        axes.grid(visible=True, axis="x")
+        axes.set_axisbelow(True)
+    return Picture(canvas.svg, "Cusps, chord and servos of every strategy, numbered as in the table.")

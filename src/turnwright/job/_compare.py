@@ -1,0 +1,222 @@
+"""One part, one tool, one machine, one cusp and one chord: every strategy that the machine can do, side by side."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path as File
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from turnwright.contact import place
+from turnwright.errors import TurnwrightError
+from turnwright.job._shares import Shares, shares
+from turnwright.motion import Limits, check_limits, drive
+from turnwright.post import read_fast_tool, read_nc, write_fast_tool, write_nc
+from turnwright.strategy import (
+    AdaptiveToolServo,
+    FastToolServo,
+    HybridToolServo,
+    QuasiEllipticalToolServo,
+    SlowToolServo,
+    Strategy,
+)
+
+if TYPE_CHECKING:
+    from turnwright.job._run import StageProgress
+    from turnwright.job._schema import Job
+    from turnwright.machine import Machine
+    from turnwright.part import Part
+    from turnwright.path import Motion
+    from turnwright.tool import Tool
+
+__all__ = ["Candidate", "Comparison", "compare"]
+
+TURN = 2 * math.pi
+
+BLOCKS = 360
+"""Blocks of the slide in a turn under a fast tool, which has its own table."""
+
+SHORTEST = 0.5
+"""Arc between valleys, over the feature size of the surface, below which the quasi-elliptical servo skips one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidate:
+    """A strategy that was tried.
+
+    Parameters
+    ----------
+    name
+        What it is.
+    servo
+        The strategy; ``None`` if it could not be set up.
+    refused
+        Why it is out of the question, in a sentence; empty if it is not, and then the rest is there.
+    turns
+        Of the spindle.
+    size_bytes
+        Of all files of its program.
+    limits
+        What it asks of the machine.
+    shares
+        Where its form error comes from, of the program read back, with interpolation and servos.
+    wall_s
+        Time that it took to plan, write, read back and simulate. [s]
+    """
+
+    name: str
+    servo: Strategy | None = None
+    refused: str = ""
+    turns: float = math.nan
+    size_bytes: int = 0
+    limits: Limits | None = None
+    shares: Shares | None = None
+    wall_s: float = math.nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Comparison:
+    """What the strategies make of a job.
+
+    Parameters
+    ----------
+    job
+        The job compared for.
+    scallop, chord
+        Height of cusps and of chords that all of them were planned to keep. [mm]
+    candidates
+        One for each strategy.
+    """
+
+    job: Job
+    scallop: float
+    chord: float
+    candidates: tuple[Candidate, ...]
+
+
+def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
+    """Plan the finishing pass by every strategy, to the same cusps and the same chord, and simulate what each leaves.
+
+    An adaptive job says both itself. Of any other, the cusps are the highest that its own feed leaves away from the
+    axis, and the chord is the one it states, or the largest that its points leave. Strategies of constant feed keep the
+    job's feed, or, in an adaptive job, take the largest that keeps the scallop. Each turns at the job's spindle speed,
+    or at the highest within all limits if it states none.
+
+    Parameters
+    ----------
+    job
+        Part, tool, machine and strategy.
+    progress
+        Called with (stage, done, total).
+    """
+    told = progress or (lambda _stage, _done, _total: None)
+    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    own = job.servo(job.passes[-1])
+    told("what the job asks for", 0, 1)
+    feed, scallop, chord = _asked(own, part, tool, machine)
+    told("what the job asks for", 1, 1)
+    ways = list(_ways(job, own, feed, scallop, chord))
+    candidates = []
+    for done, (name, way) in enumerate(ways):
+        told("strategies", done, len(ways))
+        candidates.append(_tried(name, way, part, tool, machine))
+    told("strategies", len(ways), len(ways))
+    return Comparison(job=job, scallop=scallop, chord=chord, candidates=tuple(candidates))
+
+
+def _asked(own: Strategy, part: Part, tool: Tool, machine: Machine) -> tuple[float, float, float]:
+    """Return the feed [mm/rev], the scallop and the chord [mm] that a strategy stands for."""
+    if isinstance(own, AdaptiveToolServo):
+        spiral = replace(own, x_motion="steady").spiral(part, tool)
+        return _feed(spiral.radius, spiral.turns), own.scallop, own.chord
+    spiral = own.spiral(part, tool)
+    feed = _feed(spiral.radius, spiral.turns)
+    found = shares(part, tool, spiral, drive(place(spiral, part, tool), _plain(own), machine))
+    stated = getattr(_plain(own), "chord", None)
+    return feed, found.cusp_away_nm * 1e-6, stated or max(found.chord_nm, 0.1) * 1e-6
+
+
+def _plain(own: Strategy) -> Strategy:
+    """Return the strategy that plans for a fast tool."""
+    return own.plan if isinstance(own, FastToolServo | HybridToolServo) else own
+
+
+def _feed(radius: np.ndarray, turns: float) -> float:
+    return abs(float(radius[-1] - radius[0])) / turns
+
+
+def _ways(
+    job: Job, own: Strategy, feed: float, scallop: float, chord: float
+) -> Iterator[tuple[str, Callable[[], Strategy]]]:
+    """Yield every strategy by its name, to be set up when its turn comes."""
+    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    rpm, sense, inside_out = own.spindle_rpm, job.strategy.sense, job.strategy.inside_out
+    linear = machine.controller.interpolation != "hermite"
+    shared: dict[str, Any] = {"spindle_rpm": rpm, "sense": sense, "inside_out": inside_out}
+    by_chord = SlowToolServo(feed=feed, chord=chord, **shared)
+
+    def even() -> SlowToolServo:
+        """The spiral of constant angle that keeps the chord: at its tightest place like the one by chord."""
+        least = float(np.abs(np.diff(by_chord.spiral(part, tool).angle)).min())
+        return SlowToolServo(feed=feed, points_per_rev=max(math.ceil(TURN / least), 8), **shared)
+
+    def adaptive(x_motion: Literal["servo", "steady"]) -> AdaptiveToolServo:
+        return AdaptiveToolServo(
+            scallop=scallop, chord=chord, interpolation="linear" if linear else "hermite", x_motion=x_motion, **shared
+        )
+
+    yield "slow, constant angle", even
+    yield "slow, points by chord", lambda: by_chord
+    yield "adaptive points", lambda: adaptive("steady")
+    yield "adaptive points and feed", lambda: adaptive("servo")
+    if "W" in machine.axes:
+        yield "fast", lambda: FastToolServo(plan=even())
+        yield "hybrid", lambda: HybridToolServo(plan=even(), fast=machine.axes["W"], blocks_per_rev=BLOCKS)
+    if "Y" in machine.axes and part.surface.piece(np.zeros(1), np.zeros(1)) is not None:
+
+        def elliptical() -> QuasiEllipticalToolServo:
+            if isinstance(own, QuasiEllipticalToolServo):
+                return own
+            shortest = SHORTEST * part.surface.feature_size
+            turns = even().points_per_rev
+            return QuasiEllipticalToolServo(feed=feed, points_per_rev=turns, short="skip", shortest=shortest, **shared)
+
+        yield "quasi-elliptical", elliptical
+
+
+def _tried(name: str, way: Callable[[], Strategy], part: Part, tool: Tool, machine: Machine) -> Candidate:
+    """Return what a strategy makes of a part, or why it does not."""
+    start = time.perf_counter()
+    servo = None
+    try:
+        servo = way()
+        spiral = servo.spiral(part, tool)
+        motion = drive(place(spiral, part, tool), servo, machine)
+        with TemporaryDirectory(prefix="turnwright-") as folder:
+            again = _written(motion, machine, File(folder))
+            size = sum(file.stat().st_size for file in File(folder).iterdir())
+        return Candidate(
+            name=name,
+            servo=servo,
+            turns=spiral.turns,
+            size_bytes=size,
+            limits=check_limits(motion, machine),
+            shares=shares(part, tool, spiral, motion, again=again),
+            wall_s=time.perf_counter() - start,
+        )
+    except TurnwrightError as error:
+        return Candidate(name=name, servo=servo, refused=str(error), wall_s=time.perf_counter() - start)
+
+
+def _written(motion: Motion, machine: Machine, folder: File) -> Motion:
+    """Return a motion as its program on disk says it."""
+    path = folder / "part.nc"
+    if "W" in motion.axes:
+        write_fast_tool(motion, machine, path, by="position")
+        return read_fast_tool(path, machine)
+    return read_nc(write_nc(motion, machine, path).files[0], machine)

@@ -1,0 +1,117 @@
+"""The page of a comparison: strategies side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from turnwright.report._page import page_file, set_page, version_of_page
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from os import PathLike
+    from pathlib import Path as File
+
+    from turnwright.job import Candidate, Comparison
+    from turnwright.report._figures import Picture
+
+__all__ = ["COLUMNS", "cells", "write_comparison"]
+
+NM = 1e6
+
+COLUMNS = (
+    "strategy", "turns", "points", "program [MB]", "spindle [rev/min]", "bound by", "minutes", "PV [nm]", "rms [nm]",
+    "cusps [nm]", "chord [nm]", "decimals [nm]", "servos [nm]",
+)  # fmt: skip
+"""What is said of each strategy."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Page:
+    """What the page says, ready to be set."""
+
+    title: str
+    kind: str
+    asked: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    axes: Sequence[str]
+    motions: Sequence[Sequence[str]]
+    refused: Sequence[tuple[str, str]]
+    pictures: Sequence[Picture]
+    maps: Sequence[tuple[str, Picture]]
+    job: str
+    version: str
+
+
+def cells(one: Candidate) -> tuple[str, ...]:
+    """Return what is said of a strategy that was not refused, see `COLUMNS`."""
+    limits, found = one.limits, one.shares
+    assert limits is not None  # noqa: S101 - it was not refused
+    assert found is not None  # noqa: S101
+    return (
+        one.name, f"{one.turns:.0f}", f"{limits.points:,}", f"{one.size_bytes / 1e6:.3g}", f"{limits.spindle_rpm:.4g}",
+        limits.binding, f"{limits.cycle_time_s / 60:.3g}", f"{found.pv_nm:.3g}", f"{found.rms_nm:.3g}",
+        f"{found.cusp_nm:.3g}", f"{found.chord_nm:.3g}", f"{found.rounding_nm:.2g}", f"{found.tracking_nm:.3g}",
+    )  # fmt: skip
+
+
+def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
+    """Write the page of a comparison.
+
+    Parameters
+    ----------
+    found
+        What the strategies make of a job.
+    path
+        Where to; in a folder that exists the page is called ``report.html``.
+
+    Returns
+    -------
+    pathlib.Path
+        The file written.
+    """
+    from turnwright.report import _figures as draw  # noqa: PLC0415 - matplotlib is costly to import
+
+    path = page_file(path)
+    done = [one for one in found.candidates if not one.refused]
+    letters = sorted({letter for one in done if one.limits for letter in one.limits.travel if letter != "C"})
+    part = found.job.part.part
+    page = _Page(
+        title=part.name or "Part",
+        kind="Strategies compared",
+        asked=f"Every strategy keeps cusps of {found.scallop * NM:.3g} nm and chords of {found.chord * NM:.3g} nm "
+        f"on {found.job.machine.machine.name}.",
+        columns=COLUMNS,
+        rows=[cells(one) for one in done],
+        axes=[
+            "strategy",
+            *(
+                f"{letter} {what}"
+                for letter in letters
+                for what in ("stroke [mm]", "peak speed [mm/s]", "peak [mm/s²]")
+            ),
+        ],
+        motions=[(one.name, *_motions(one, letters)) for one in done],
+        refused=[(one.name, one.refused) for one in found.candidates if one.refused],
+        pictures=[draw.minutes_and_errors(done), draw.shares_of(done)] if done else [],
+        maps=[(one.name, draw.error_map(one.shares.error)) for one in done if one.shares],
+        job=found.job.to_toml(),
+        version=version_of_page(),
+    )
+    return set_page("comparison.html.j2", page, path)
+
+
+def _motions(one: Candidate, letters: Sequence[str]) -> list[str]:
+    """Return stroke, speed and acceleration of each axis."""
+    assert one.limits is not None  # noqa: S101 - it was not refused
+    told = []
+    for letter in letters:
+        if letter not in one.limits.travel:
+            told += ["", "", ""]
+            continue
+        low, high = one.limits.travel[letter]
+        told += [
+            f"{high - low:.3g}", f"{one.limits.peak_speed[letter]:.3g}", f"{one.limits.peak_acceleration[letter]:.3g}"
+        ]  # fmt: skip
+    return told

@@ -1,0 +1,50 @@
+"""Setting a page: from what it says to a file that appears when it is whole."""
+
+from __future__ import annotations
+
+import re
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path as File
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+__all__ = ["page_file", "set_page", "version_of_page"]
+
+
+def page_file(path: str | PathLike[str]) -> File:
+    """Return the file of a page: in a folder that exists it is called ``report.html``."""
+    path = File(path)
+    return path / "report.html" if path.is_dir() else path
+
+
+def set_page(template: str, page: object, path: File) -> File:
+    """Set a page; it appears under its name only when it is whole."""
+    import jinja2  # noqa: PLC0415 - only a page needs it
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("turnwright.report", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["typeset"] = lambda text: re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text)
+    text = environment.get_template(template).render(page=page)
+    text = re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "", text)  # no page may hold them, whatever a name does
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+def version_of_page() -> str:
+    """Return which version sets the page."""
+    try:
+        return version("turnwright")
+    except PackageNotFoundError:
+        return "not installed"

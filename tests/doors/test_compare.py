@@ -1,0 +1,79 @@
+"""`turnwright compare`: every strategy that the machine can do, at one cusp and one chord."""
+
+import json
+import math
+
+import numpy as np
+from job_files import written
+
+import turnwright as tw
+from turnwright.cli import main
+from turnwright.job import Job, compare
+
+WAVES = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["0.5 mm", "0.5 mm"]}
+CHANGES = [
+    ("part.surface", WAVES),
+    ("part.radius", "0.5 mm"),
+    ("strategy", {"kind": "slow tool servo", "feed": "10 um/rev", "chord": "10 nm", "overrun": "2.5 um"}),
+    ("simulation", {}),
+]
+
+
+def test_all_keep_what_the_job_keeps(tmp_path):
+    """Oracle: what was asked of them, simulated outside of the planners; the cusp of a flat in closed form."""
+    found = compare(Job.load(written(tmp_path, *CHANGES)))
+    assert found.chord == 1e-5
+    flat = 0.5 - math.sqrt(0.5**2 - 0.01**2 / 4)
+    assert flat < found.scallop < 1.1 * flat
+    assert [one.name for one in found.candidates] == [
+        "slow, constant angle", "slow, points by chord", "adaptive points", "adaptive points and feed",
+    ]  # fmt: skip
+    for one in found.candidates:
+        assert not one.refused
+        assert one.limits.ok
+        # Points stand within the chord of the path; where they do, the surface differs by as much but for slopes.
+        assert one.shares.chord_nm < found.chord * 1e6 * 1.03
+        assert one.shares.cusp_away_nm < found.scallop * 1e6 * 1.02
+        assert one.shares.pv_nm < one.shares.cusp_nm + 2 * one.shares.chord_nm + 2 * one.shares.rounding_nm
+    even, by_chord, steady, adaptive = found.candidates
+    assert even.limits.points > by_chord.limits.points > steady.limits.points
+    assert adaptive.turns < steady.turns
+
+
+def test_a_fast_tool_and_a_swinging_one_join_where_the_machine_has_them(tmp_path):
+    found = compare(Job.load(written(tmp_path, *CHANGES, ("machine.name", "nanoform-fts-70"))))
+    fast = {one.name: one for one in found.candidates}
+    assert {"fast", "hybrid"} <= set(fast)
+    assert fast["fast"].limits.travel["Z"][0] == fast["fast"].limits.travel["Z"][1]
+    assert fast["fast"].limits.cycle_time_s < fast["slow, constant angle"].limits.cycle_time_s
+
+
+def test_what_cannot_be_is_said_and_the_others_go_on(tmp_path):
+    """A tool that stands in a wave too deep for the stroke of its fast tool."""
+    deep = {**WAVES, "amplitude": ["40 um", "40 um"], "period": ["2 mm", "2 mm"]}
+    found = compare(Job.load(written(tmp_path, *CHANGES, ("part.surface", deep), ("machine.name", "nanoform-fts-70"))))
+    told = {one.name: one for one in found.candidates}
+    assert told["slow, points by chord"].limits.ok
+    fast = told["fast"]
+    assert fast.refused or any("W" in sentence for sentence in fast.limits.findings)
+
+
+def test_the_page_and_the_numbers_say_the_same(tmp_path, capsys):
+    job = written(tmp_path, *CHANGES)
+    assert main(["compare", str(job), "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"comparison.json", "job.toml", "report.html"}
+    numbers = json.loads((tmp_path / "out" / "comparison.json").read_text())
+    page = (tmp_path / "out" / "report.html").read_text()
+    for one in numbers["candidates"]:
+        assert f"{one['name']}: " in said
+        assert f"{one['limits']['points']:,}" in page
+        assert np.isfinite(one["shares"]["pv_nm"])
+    assert "<script" not in page
+    assert tw.__version__ in page
+
+
+def test_a_machine_without_a_fast_tool_is_one_sentence(tmp_path, capsys):
+    job = written(tmp_path, *CHANGES, ("strategy.kind", "hybrid tool servo"))
+    assert main(["compare", str(job), "--out", str(tmp_path / "out")]) == 2
+    assert "choose a machine with a fast tool" in capsys.readouterr().err.splitlines()[-1]
