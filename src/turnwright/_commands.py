@@ -246,13 +246,19 @@ def backplot(
 
 def _read(program: Path, recipe: Job, cut: str | None, progress: StageProgress) -> Motion:
     """Read a program by its dialect, or a table of axis positions."""
-    from turnwright.post import read_nc, read_table  # noqa: PLC0415
+    from turnwright.post import read_fast_tool, read_nc, read_table  # noqa: PLC0415
 
     machine = recipe.machine.machine
     if program.suffix.lower() == ".csv" and cut is not None:
         raise InputError(f"a table holds one pass without a name, --pass is {cut!r}: leave it out")
     if program.suffix.lower() != ".csv":
-        return read_nc(program, machine, name=cut, progress=lambda done, total: progress("read program", done, total))
+
+        def told(done: int, total: int) -> None:
+            progress("read program", done, total)
+
+        if cut is None and program.with_name(f"{program.stem}.fast.csv").is_file():
+            return read_fast_tool(program, machine, progress=told)
+        return read_nc(program, machine, name=cut, progress=told)
     speed = recipe.strategy.spindle_speed
     if speed is not None:
         return read_table(program, machine, spindle_rpm=speed)

@@ -53,6 +53,7 @@ def _table() -> dict[str, _Scale]:
     }
     units["rpm"] = units["rev"].times(units["min"], -1)
     units["Hz"] = _ONE.times(units["s"], -1)
+    units["kHz"] = _Scale(Fraction(1000), 0, _ONE.powers).times(units["s"], -1)
     return units
 
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from turnwright.job._shares import has_servos, require_servos, without_servos
 from turnwright.metrology import roughness
 from turnwright.motion import check_limits, drive
 from turnwright.path import Spiral
-from turnwright.post import ProgramHeader, dialect_of, read_nc, write_nc
+from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_tool, read_nc, write_fast_tool, write_nc
 from turnwright.tracking import track
 
 if TYPE_CHECKING:
@@ -140,16 +140,10 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     del path, lifted
 
     with watch.stage("write program") as tell:
-        header = ProgramHeader(
-            design=part.name, tool=tool.name, notes=f"material {part.material}" if part.material else ""
-        )
-        program = write_nc(
-            motions, machine, File(out) / f"{job.program.name}.nc", header=header, clearance=5 + part.stock,
-            max_lines=job.program.max_lines, progress=tell,
-        )  # fmt: skip
+        program = _written(job, motions, File(out), tell)
     motions.clear()
     with watch.stage("read program") as tell:
-        again = read_nc(program.files[0], machine, name=passes[-1].name, progress=tell)
+        again = _read_back(job, program.files[0], passes[-1].name, tell)
     with watch.stage("compare"):
         rounding, limit = _rounding(job, motion, again)
     del motion
@@ -168,6 +162,29 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         program=program, predictions=predictions, rounding_nm=rounding, rounding_limit_nm=limit,
         warnings=tuple(dict.fromkeys(warnings)), timings=watch.timings, peak_memory_gb=_peak_memory(),
     )  # fmt: skip
+
+
+def _written(job: Job, motions: dict[str, Motion], out: File, tell: Progress) -> ProgramFiles:
+    """Write the program of all passes, with the table of a fast tool beside it if there is one."""
+    part, machine, file = job.part.part, job.machine.machine, out / f"{job.program.name}.nc"
+    notes = f"material {part.material}" if part.material else ""
+    header = ProgramHeader(design=part.name, tool=job.tool.tool.name, notes=notes)
+    shared: dict[str, Any] = {"header": header, "clearance": 5 + part.stock, "progress": tell}
+    by = job.program.fast_tool
+    if by is None:
+        return write_nc(motions, machine, file, max_lines=job.program.max_lines, **shared)
+    (motion,) = motions.values()
+    both = write_fast_tool(motion, machine, file, by=by, rate_hz=job.program.fast_tool_rate, **shared)
+    size = both.program.bytes + both.table.stat().st_size
+    return replace(both.program, files=(*both.program.files, both.table), bytes=size)
+
+
+def _read_back(job: Job, file: File, name: str, tell: Progress) -> Motion:
+    """Read the finishing pass, and the table of a fast tool if there is one."""
+    machine = job.machine.machine
+    if job.program.fast_tool is not None:
+        return read_fast_tool(file, machine, progress=tell)
+    return read_nc(file, machine, name=name, progress=tell)
 
 
 def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
@@ -355,8 +372,9 @@ def _rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
 
     A program's numbers are wrong by up to half of their last decimal. The surface follows Z itself, X by its slope
     along the radius (that of the cusps, half a feed over the nose radius, included) and C by its slope around the axis
-    times the distance. Where the actual tool stands elsewhere than planned it meets other slopes, so what a motion
-    leaves that is moved by as much counts where it is more.
+    times the distance, Y by that slope alone. Where the actual tool stands elsewhere than planned it meets other
+    slopes, so what a motion leaves that is moved by as much counts where it is more. The heights of a fast tool count
+    as they were read, with what straight lines between those of a stream leave out.
     """
     part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
     radius, angle = part.radius * (np.arange(96) + 0.5) / 96, np.linspace(0, 2 * np.pi, 36, endpoint=False)
@@ -377,8 +395,13 @@ def _rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
     zx, zy = part.surface.gradient(radius * cosine, radius * sine)
     feed = TURN * abs(float(np.ptp(motion.axes["X"]) / np.ptp(motion.axes["C"])))
     along = np.abs(zx * cosine + zy * sine).max() + feed / (2 * tool.actual_radius)
-    around = (np.abs(zy * cosine - zx * sine) * radius).max()
-    return apart * 1e6, float(z + max(x * along, by_x) + max(c * around, by_c)) * 1e6
+    around = np.abs(zy * cosine - zx * sine)
+    limit = z + max(x * along, by_x) + max(c * (around * radius).max(), by_c)
+    if "Y" in motion.axes:
+        limit += 0.5 * 10.0 ** -decimals["Y"] * around.max()
+    if "W" in motion.axes:
+        limit += np.abs(np.interp(motion.time, again.time, again.axes["W"]) - motion.axes["W"]).max()
+    return apart * 1e6, float(limit) * 1e6
 
 
 def _assumed(job: Job, passes: list[Pass]) -> list[str]:

@@ -35,7 +35,7 @@ from turnwright.machine import Machine
 from turnwright.part import Part
 from turnwright.post import dialect_of
 from turnwright.tool import Tool, WavinessTable
-from turnwright.units import parse
+from turnwright.units import parse, unit
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -303,6 +303,8 @@ class ProgramTable(Table):
 
     name: Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9_-]{1,30}$")] = "part"
     max_lines: Annotated[int, Strict(), Ge(100)] | None = None
+    fast_tool: Literal["position", "time"] | None = None
+    fast_tool_rate: Annotated[float, unit("Hz", above=0.0)] | None = None
 
 
 def _all_different(what: str, names: list[str]) -> None:
@@ -384,6 +386,7 @@ class Job(Table):
             except InputError as error:
                 raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
         _all_different("passes", names)
+        self._check_fast_tool()
         if allowance > 0:
             raise JobError(f"the last pass leaves {allowance:g} mm, the limit is 0 mm: let it finish the part")
         _all_different("simulation.patches", ["whole part", *(patch.name for patch in self.simulation.patches)])
@@ -407,6 +410,20 @@ class Job(Table):
             except InputError as error:
                 raise JobError(f"simulation.tracking: {error}") from error
         return self
+
+    def _check_fast_tool(self) -> None:
+        """Raise unless the job says how the table of a fast tool is written, if it has one."""
+        moves = self.strategy.kind in ("fast tool servo", "hybrid tool servo")
+        by, rate = self.program.fast_tool, self.program.fast_tool_rate
+        if moves != (by is not None) or (by == "time") != (rate is not None):
+            raise JobError(
+                f"program.fast_tool is {by!r} and program.fast_tool_rate {rate} for a {self.strategy.kind}: a fast "
+                'tool takes its heights by "position", or by "time" with a rate in Hz, and no other strategy has any'
+            )
+        if moves and (len(self.passes) > 1 or self.passes[0].repeats(self.part.stock) > 1):
+            raise JobError(
+                "the job has several passes, the table of a fast tool belongs to 1: write a job for each of them"
+            )
 
     def servo(self, cut: PassTable) -> Strategy:
         """Return the strategy of one pass."""

@@ -21,13 +21,13 @@ from turnwright.units import unit
 
 if TYPE_CHECKING:
     from turnwright.machine import Machine
-    from turnwright.strategy import Strategy
     from turnwright.strategy import (
         AdaptiveToolServo,
         FastToolServo,
         HybridToolServo,
         QuasiEllipticalToolServo,
         SlowToolServo,
+        Strategy,
     )
     from turnwright.tool import Tool
 
@@ -78,7 +78,7 @@ class StrategyTable(Table):
         mine = type(self).model_fields
         stated = {name for name in Choices.model_fields if getattr(cut, name) is not None}
         if foreign := sorted(stated - set(mine)):
-            raise JobError(f"it states {', '.join(foreign)}, which a {self.kind} does not have: leave it out")
+            raise JobError(f"it states {', '.join(foreign)}, which the {self.kind} does not have: leave it out")
         own = bool(stated & set(self.ways))
         values: dict[str, Any] = {"sense": self.sense, "inside_out": self.inside_out}
         for name in Choices.model_fields:

@@ -336,39 +336,41 @@ def z_over_turns(turns: Sequence[Motion]) -> Picture:
     """Draw the height and the speed of Z over single turns."""
     with _canvas(4.6, 3.9) as canvas:
         height, speed = canvas.figure.subplots(2, 1, sharex=True)
-        factor, unit = _length(max(float(np.ptp(turn.axes["Z"])) for turn in turns))
-        lift = [float(turn.axes["Z"].min() + turn.axes["Z"].max()) / 2 for turn in turns]
-        drawn = list(zip(turns, SERIES, ("-", "--", "-."), lift, strict=False))
-        for turn, colour, line, middle in drawn:
+        # A fast tool adds to the slide.
+        tips = [turn.axes["Z"] + turn.axes.get("W", 0.0) for turn in turns]
+        name = "Z and W" if "W" in turns[0].axes else "Z"
+        factor, unit = _length(max(float(np.ptp(tip)) for tip in tips))
+        for turn, tip, colour, line in zip(turns, tips, SERIES, ("-", "--", "-."), strict=False):
+            middle = float(tip.min() + tip.max()) / 2
             few = slice(None, None, max(1, math.ceil(turn.time.size / 1500)))
             angle = np.degrees(np.abs(turn.axes["C"] - turn.axes["C"][0]))
             label = f"r {abs(float(turn.axes['X'][turn.time.size // 2])):.3g} mm"
-            height.plot(angle[few], (turn.axes["Z"][few] - middle) * factor, line, color=colour, label=label)
-            rate = np.gradient(turn.axes["Z"], turn.time) if turn.time.size > 2 else np.zeros(turn.time.size)
+            height.plot(angle[few], (tip[few] - middle) * factor, line, color=colour, label=label)
+            rate = np.gradient(tip, turn.time) if turn.time.size > 2 else np.zeros(turn.time.size)
             speed.plot(angle[few], rate[few], line, color=colour)
-        height.set(ylabel=f"Z from its middle [{unit}]")
+        height.set(ylabel=f"{name} from its middle [{unit}]")
         height.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), handlelength=2.4, columnspacing=1.2)
-        speed.set(xlabel="spindle angle from the start of the turn [deg]", ylabel="Z speed [mm/s]", xlim=(0, 360))
+        speed.set(xlabel="spindle angle from the start of the turn [deg]", ylabel=f"{name} speed [mm/s]", xlim=(0, 360))
         speed.xaxis.set_major_locator(MaxNLocator(steps=[1, 3, 6, 9]))
         speed.set_xticks(np.arange(0, 361, 60))
         for axes in (height, speed):
             axes.grid(visible=True)
-    return Picture(
-        canvas.svg, "Height and speed of the Z axis over single turns at the rim, half-way and near the axis."
-    )
+    return Picture(canvas.svg, f"Height and speed of {name} over single turns at the rim, half-way and near the axis.")
 
 
 def axes_over_time(motion: Motion) -> Picture:
     """Draw where X and Z stand over the whole program."""
     seconds = motion.time - motion.time[0]
     scale, unit = (1 / 60, "min") if seconds[-1] > 120 else (1.0, "s")
-    with _canvas(4.6, 3.9) as canvas:
-        pair = canvas.figure.subplots(2, 1, sharex=True)
-        for axes, letter in zip(pair, "XZ", strict=True):
+    letters = [letter for letter in motion.axes if letter != "C"]
+    with _canvas(4.6, 1.9 + len(letters)) as canvas:
+        panels = canvas.figure.subplots(len(letters), 1, sharex=True)
+        for axes, letter in zip(panels, letters, strict=True):
             _band(axes, seconds * scale, motion.axes[letter], min(seconds.size, 400))
             axes.set(ylabel=f"{letter} [mm]")
-        pair[1].set(xlabel=f"time [{unit}]")
-    return Picture(canvas.svg, f"Range of X and Z over the {seconds[-1] * scale:.4g} {unit} of the finishing pass.")
+        panels[-1].set(xlabel=f"time [{unit}]")
+    named = f"{', '.join(letters[:-1])} and {letters[-1]}"
+    return Picture(canvas.svg, f"Range of {named} over the {seconds[-1] * scale:.4g} {unit} of the finishing pass.")
 
 
 def _resampled(heights: HeightMap) -> tuple[Floats, tuple[float, float, float, float]]:
