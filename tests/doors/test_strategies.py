@@ -1,0 +1,104 @@
+"""Every way of cutting as a job: planned, written, read back, simulated."""
+
+import numpy as np
+import pytest
+from job_files import changed, written
+
+from turnwright.cli import main
+from turnwright.errors import JobError
+from turnwright.job import Job, run
+
+WAVES = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["0.5 mm", "0.5 mm"]}
+SPIRAL = {"feed": "20 um/rev", "points_per_rev": 180, "spindle_speed": "60 rpm"}
+PART = [("part.surface", WAVES), ("part.radius", "0.5 mm"), ("simulation.patches", [])]
+FAST = [("machine.name", "nanoform-fts-70")]
+
+
+def left(changes, tmp_path, name):
+    folder = tmp_path / name
+    folder.mkdir()
+    return run(Job.read(changed(*PART, *changes)), out=folder)
+
+
+@pytest.mark.parametrize("kind", ["fast tool servo", "hybrid tool servo"])
+@pytest.mark.parametrize("program", [{"fast_tool": "position"}, {"fast_tool": "time", "fast_tool_rate": "20 kHz"}])
+def test_a_fast_tool_leaves_what_the_slide_would(kind, program, tmp_path):
+    slow = left([*FAST, ("strategy", {"kind": "slow tool servo", **SPIRAL})], tmp_path, "slow")
+    fast = left([*FAST, ("strategy", {"kind": kind, **SPIRAL}), ("program", program)], tmp_path, "fast")
+    apart = fast.predictions[0].error.z - slow.predictions[0].error.z
+    assert np.abs(apart).max() * 1e6 < slow.rounding_limit_nm + fast.rounding_limit_nm
+    assert fast.rounding_nm <= fast.rounding_limit_nm < 2
+    assert np.ptp(fast.motion.axes["W"]) > 1e-3, "the fast tool does the work"
+    assert [file.name for file in fast.program.files][-1] == "part.fast.csv"
+    assert fast.program.bytes == sum(file.stat().st_size for file in fast.program.files)
+
+
+def test_a_fast_tool_is_back_plotted_with_its_table(tmp_path, capsys):
+    job = written(
+        tmp_path,
+        *PART,
+        *FAST,
+        ("strategy", {"kind": "fast tool servo", **SPIRAL}),
+        ("program", {"fast_tool": "position"}),
+    )
+    assert main(["run", str(job), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert main(["backplot", str(tmp_path / "out" / "part.nc"), "--job", str(job)]) == 0
+    whole = next(line for line in told.splitlines() if line.startswith("whole part"))
+    assert whole in capsys.readouterr().out
+
+
+def test_an_adaptive_job_keeps_its_scallop(tmp_path):
+    """Oracle: the cusp and chord that were asked for, found by simulation on a dense map."""
+    strategy = {"kind": "adaptive tool servo", "scallop": "80 nm", "chord": "10 nm", "spindle_speed": "60 rpm"}
+    found = left(
+        [("strategy", strategy), ("simulation.whole_part", {"radii": 1200, "angles": 72})], tmp_path, "adaptive"
+    )
+    z = found.predictions[0].error.z * 1e6
+    assert 80 * 0.95 < z.max() < 80 + 10 + 2
+    assert z.min() > -12
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ([("strategy.kind", "fast tool servo")], "fast_tool is None"),
+        ([("program", {"fast_tool": "position"})], "no other strategy has any"),
+        ([*FAST, ("strategy.kind", "fast tool servo"), ("program", {"fast_tool": "time"})], "with a rate in Hz"),
+        (
+            [("strategy.kind", "hybrid tool servo"), ("program", {"fast_tool": "position"})],
+            "choose a machine with a fast",
+        ),
+        ([("strategy.kind", "adaptive tool servo")], "feed is not a key"),
+        ([("strategy.kind", "quick tool servo")], "is not known"),
+        (
+            [
+                (
+                    "strategy",
+                    {"kind": "quasi-elliptical tool servo", "feed": "5 um/rev", "points_per_rev": 360, "short": "skip"},
+                )
+            ],
+            "shortest",
+        ),
+        (
+            [
+                ("strategy", {"kind": "adaptive tool servo", "scallop": "80 nm", "chord": "10 nm"}),
+                ("passes", [{"name": "finish", "feed": "5 um/rev"}]),
+            ],
+            "it states feed, which the adaptive tool servo does not have",
+        ),
+        (
+            [
+                *FAST,
+                ("strategy.kind", "fast tool servo"),
+                ("program", {"fast_tool": "position"}),
+                ("part.stock", "10 um"),
+                ("passes", [{"name": "rough", "allowance": "2 um"}, {"name": "finish"}]),
+            ],
+            "belongs to 1",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_one_sentence(changes, sentence):
+    with pytest.raises(JobError, match=sentence):
+        Job.read(changed(*changes))
