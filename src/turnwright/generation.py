@@ -67,9 +67,11 @@ def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
 
     machine = machine or motion.machine
     c, x, z = (motion.axes[letter] for letter in "CXZ")
+    error = machine.z_error(x) if machine.squareness or machine.straightness is not None else None
+    if "U" in motion.axes:
+        x = x + motion.axes["U"]
     if "W" in motion.axes:
         z = z + motion.axes["W"]
-    error = machine.z_error(x) if machine.squareness or machine.straightness is not None else None
     if error is not None:
         z = z + error
     y = motion.axes.get("Y", np.empty(0))

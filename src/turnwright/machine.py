@@ -29,6 +29,9 @@ INTERPOLATIONS = ("linear", "hermite", "quadratic spline", "cubic spline")
 ROTARY = frozenset("ABC")
 """Letters of the axes that turn; all others slide."""
 
+FAST = MappingProxyType({"U": "X", "W": "Z"})
+"""Letters of the axes of a fast tool, and of the slides that they add to."""
+
 LATEST = 1.0
 """A dead time beyond this is a slip of the unit. [s]"""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from turnwright.errors import LimitError
-from turnwright.machine import ROTARY, Axis
+from turnwright.machine import FAST, ROTARY, Axis
 from turnwright.path import Motion, Path, block_points
 
 if TYPE_CHECKING:
@@ -255,7 +255,8 @@ def _beyond(letter: str, top: Mapping[str, float], machine: Machine) -> list[str
     axis = machine.axes.get(letter)
     if axis is None:
         return [f"the motion needs axis {letter}, {machine.name} does not have it: choose another machine"]
-    remedy = "let Z carry more of the motion" if letter == "W" else "move the part on the spindle"
+    slide = FAST.get(letter)
+    remedy = f"let {slide} carry more of the motion" if slide else "move the part on the spindle"
     return [
         f"{letter} goes to {top[end]:.5g} {_length(letter)}, the {end} end of its travel on {machine.name} "
         f"is {limit:.5g} {_length(letter)}: {remedy}, or choose another machine"
@@ -324,7 +325,7 @@ def _all_peaks(
     """Return travel and peaks of every axis and where they are: of the fast tool at all points, else at the blocks."""
     peaks = {}
     for letter, position in axes.items():
-        if letter == "W" or blocks.size == time.size:
+        if letter in FAST or blocks.size == time.size:
             peaks[letter] = _peaks(time, position)
         else:
             top, at = _peaks(time[blocks], position[blocks])

@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright._arrays import Floats, Ints, frozen, same_length
 from turnwright.errors import InputError
-from turnwright.machine import ROTARY, Machine
+from turnwright.machine import FAST, ROTARY, Machine
 
 __all__ = ["Motion", "Path", "Spiral", "block_points"]
 
@@ -132,7 +132,8 @@ class Motion:
     """How the axes move in time, in Turnwright's own convention whatever the controller's.
 
     C is the azimuth of the part under the tool [rad], cumulative; X the commanded distance of the tip from the axis,
-    Y (if there is one) its height above centre, Z its height, and W (if there is one) what a fast tool adds to Z [mm].
+    Y (if there is one) its height above centre, Z its height, and W and U (if there are any) what a fast tool adds to Z
+    and to X [mm].
     Between the points every axis moves linearly, unless the controller takes their velocities too, see `track`.
 
     Parameters
@@ -176,13 +177,13 @@ class Motion:
         object.__setattr__(self, "sense", _sense(axes["C"], "a motion"))
 
     def lathe(self) -> Motion:
-        """Return the share of the lathe itself, what its program holds: all axes but W, at its `block_points`."""
-        if "W" not in self.axes:
+        """Return the share of the lathe itself, what its program holds: no W or U, and only the `block_points`."""
+        if not FAST.keys() & self.axes.keys():
             return self
         points = block_points(self.time, self.axes)
 
         def share(of: Mapping[str, Floats]) -> dict[str, Floats]:
-            return {letter: values[points] for letter, values in of.items() if letter != "W"}
+            return {letter: values[points] for letter, values in of.items() if letter not in FAST}
 
         velocity = None if self.velocity is None else share(self.velocity)
         return Motion(time=self.time[points], axes=share(self.axes), machine=self.machine, velocity=velocity)
@@ -204,7 +205,7 @@ def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
         Position by letter. Each (n,) [mm or rad]
     """
     every = np.arange(time.size)
-    if "W" not in axes:
+    if not FAST.keys() & axes.keys():
         return every
     points, stride = every, 2
     while stride < time.size:
@@ -212,8 +213,10 @@ def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
         if np.abs(np.diff(axes["C"][fewer])).max() > MOST_TURN:
             break
         for letter, values in axes.items():
+            if letter in FAST:
+                continue
             off = np.abs(np.interp(time, time[fewer], values[fewer]) - values).max()
-            if letter != "W" and off > (TURNED if letter in ROTARY else STRAIGHT):
+            if off > (TURNED if letter in ROTARY else STRAIGHT):
                 return points
         points, stride = fewer, 2 * stride
     return points

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from turnwright._arrays import Floats, frozen, positive, same_length
 from turnwright.errors import InputError, LimitError
-from turnwright.machine import INTERPOLATIONS, ROTARY, Axis, Machine
+from turnwright.machine import FAST, INTERPOLATIONS, ROTARY, Axis, Machine
 from turnwright.path import Motion, block_points
 from turnwright.progress import Progress
 from turnwright.response import FrequencyResponse, RationalResponse, Response
@@ -59,8 +59,8 @@ def track(
       with the slopes of the parabolas through three neighbours each;
     * "quadratic spline", "cubic spline": B-splines with the points as control points, which pass inside of them.
 
-    A fast tool (axis W) has a controller of its own, which keeps its times and goes straight from point to point; the
-    blocks of the lathe beside it are those of `Motion.lathe`.
+    A fast tool (axes W and U) has a controller of its own, which keeps its times and goes straight from point to point;
+    the blocks of the lathe beside it are those of `Motion.lathe`.
 
     Last each axis: its dead time and its response. Before the program begins every axis has moved on as straight as it
     begins.
@@ -95,7 +95,7 @@ def track(
     machine = machine or motion.machine
     time = _paced(motion, machine)
     velocity = _velocities(motion, machine, time)
-    blocks = block_points(motion.time, motion.axes) if "W" in motion.axes else slice(None)
+    blocks = block_points(motion.time, motion.axes) if FAST.keys() & motion.axes.keys() else slice(None)
     uniform = any(
         machine.axes[letter].response is not None and not isinstance(machine.axes[letter].response, RationalResponse)
         for letter in motion.axes
@@ -108,7 +108,7 @@ def track(
         axes = {}
         for k, letter in enumerate(motion.axes):
             told(k, len(motion.axes))
-            own = slice(None) if letter == "W" else blocks
+            own = slice(None) if letter in FAST else blocks
             speed = velocity[letter][own] if letter in velocity else None
             axes[letter] = _follow(letter, motion.axes[letter][own], speed, time[own], machine, at)
         bulge = max(kernel.bulge(at, position) for letter, position in axes.items() if letter not in ROTARY)
@@ -278,12 +278,12 @@ def _paced(motion: Motion, machine: Machine) -> Floats:
     if machine.controller.look_ahead is not None:
         for letter, position in motion.axes.items():
             limit = getattr(machine.axes.get(letter), "acceleration", None)
-            if limit is not None and letter != "W":
+            if limit is not None and letter not in FAST:
                 kernel.stretch(time, position[points], machine.controller.look_ahead, limit, factor)
     if (factor == 1.0).all():
         return motion.time
     paced = np.concatenate(([0.0], np.cumsum(blocks * factor)))
-    return paced if "W" not in motion.axes else np.interp(motion.time, time, paced)
+    return paced if points.size == motion.time.size else np.interp(motion.time, time, paced)
 
 
 def _samples(time: Floats, parts: int, *, uniform: bool) -> Floats:
@@ -316,7 +316,7 @@ def _follow(
     axis = machine.axes.get(letter)
     response = axis.response if axis is not None else None
     delay = (axis.dead_time or 0.0) if axis is not None else 0.0
-    kind = kernel.LINEAR if letter == "W" else INTERPOLATIONS.index(machine.controller.interpolation)
+    kind = kernel.LINEAR if letter in FAST else INTERPOLATIONS.index(machine.controller.interpolation)
     rate = np.empty(time.size if kind == kernel.CUBIC else 0)
     if kind == kernel.CUBIC and velocity is not None:
         rate[:] = velocity

@@ -71,6 +71,7 @@ def test_program_and_table_read_back_are_the_motion(tmp_path, convention, sense,
         assert again.axes["C"] - shift == pytest.approx(made.axes["C"], abs=2e-8)
         assert again.axes["W"] == pytest.approx(made.axes["W"], abs=0.51e-7)
         assert again.time == pytest.approx(begun, abs=1e-7)
+    assert "U" not in again.axes
     for letter, tolerance in {"X": 0.7e-6, "Z": 0.7e-6, "W": max(done.off, 0.6e-7) * 1.01}.items():
         assert np.interp(begun, again.time, again.axes[letter]) == pytest.approx(made.axes[letter], abs=tolerance)
     assert done.off < 1e-5
@@ -162,3 +163,19 @@ def test_the_motions_that_belong_elsewhere(tmp_path):
     with pytest.raises(tw.ProgramError, match="a fast tool needs W"):
         tw.write_fast_tool(motion(machine).lathe(), machine, tmp_path / "part.nc", by="position")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("by", ["position", "time"])
+def test_a_second_axis_has_a_column_of_its_own(tmp_path, by):
+    machine = replace(tw.Machine.load("nanoform-fts-70"), convention=tw.Convention(x_side=-1))
+    made = motion(machine)
+    own = {"U": 0.004 * np.sin(3 * made.axes["C"])}
+    made = tw.Motion(time=made.time, axes={**made.axes, **own}, machine=machine)
+    rate = 90 * 10.0 if by == "time" else None  # a row at every point
+    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by=by, rate_hz=rate)
+    assert done.off < 0.51e-7
+    again = tw.read_fast_tool(tmp_path / "part.nc", machine)
+    begun = made.time - made.time[0]
+    for letter in "UW":
+        assert np.interp(begun, again.time, again.axes[letter]) == pytest.approx(made.axes[letter], abs=0.6e-7)
+    assert np.interp(begun, again.time, again.axes["X"]) == pytest.approx(made.axes["X"], abs=0.7e-6)

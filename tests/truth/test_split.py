@@ -1,5 +1,7 @@
 """A fast tool on the slide: the split against an active-set solver and closed forms, the sum against one slide."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
@@ -126,6 +128,19 @@ def test_both_axes_together_are_the_path_and_leave_the_same_surface(compound):
         assert np.abs(motion.axes["Z"] + motion.axes["W"] - path.z).max() < 1e-15
         assert np.abs(tw.generate(motion, tool, **grid).z - alone).max() < 1e-14
         assert tw.check_limits(motion, machine).ok
+
+
+def test_a_second_axis_of_the_tool_adds_to_x_but_not_to_the_errors_of_its_slide(compound):
+    _, tool, _, _, path = compound
+    crooked = replace(tw.Machine.load("nanoform-fts-500"), squareness=1e-3)
+    moved = 0.003 * np.sin(3 * path.angle)
+    axes = {"C": path.angle, "X": path.radius, "Z": path.z}
+    time = path.angle - path.angle[0]
+    both = tw.Motion(time=time, axes={**axes, "X": axes["X"] - moved, "U": moved}, machine=crooked)
+    one = tw.Motion(time=time, axes={**axes, "Z": axes["Z"] - 1e-3 * moved}, machine=crooked)
+    grid = {"x": np.linspace(0.15, 0.35, 21), "y": np.linspace(-0.1, 0.1, 21)}
+    assert np.abs(tw.generate(both, tool, **grid).z - tw.generate(one, tool, **grid).z).max() < 1e-14
+    assert set(both.lathe().axes) == {"C", "X", "Z"}
 
 
 def test_a_split_by_design_leaves_the_lens_to_the_tool(compound):

@@ -34,9 +34,12 @@ if TYPE_CHECKING:
 __all__ = ["FastToolFiles", "read_fast_tool", "write_fast_tool"]
 
 SIGNATURE = "# TURNWRIGHT FAST TOOL 1"
-NAMES = {"position": "radius_mm,angle_deg,height_mm", "time": "height_mm"}
+COLUMNS = {"position": ("radius_mm", "angle_deg"), "time": ()}
+"""What stands in a row before the fast tool's own axes."""
+OWN = {"W": "height_mm", "U": "outward_mm"}
+"""Columns of the fast tool's axes."""
 HEIGHT = 7
-"""Decimals of a height: a tenth of a nanometre."""
+"""Decimals of a height, or of what U adds: a tenth of a nanometre."""
 MOST_ROWS = 300_000_000
 """Beyond this no memory holds the motion."""
 SAME = 1e-6
@@ -60,7 +63,7 @@ class FastToolFiles:
     rows
         Heights in the table.
     off
-        Largest distance of the motion's W from the straight lines between the heights, at its own points. [mm]
+        Largest distance of the motion's W, or U, from the straight lines between the rows, at its own points. [mm]
     """
 
     program: ProgramFiles
@@ -83,13 +86,15 @@ def write_fast_tool(
 ) -> FastToolFiles:
     """Write the program of the lathe without W, see `write_nc` and `Motion.lathe`, and a table of W beside it.
 
+    A fast tool with a second axis U, which adds to X, has one more column.
+
     The table is text, part.fast.csv beside part.nc. By position it has a row of radius, angle and height for every
     point of the motion: the radius is the X of the program, the angle its C within one turn, with as many decimals, so
     that the tool's controller reads both from the scales of the lathe; between two rows heights run straight over the
     angle turned. By time it has one height every 1/``rate_hz`` s, straight in between, and the first one belongs to the
     first point of the cut, where the approach of the program ends. Heights add to Z, out of the part, whatever the
-    convention of the lathe; their last decimal is 0.1 nm. The first lines say all this, the hash of the rows and that
-    of the program they belong to.
+    convention of the lathe, and U to the distance from the axis; their last decimal is 0.1 nm. The first lines say all
+    this, the hash of the rows and that of the program they belong to.
 
     The table is written under another name beside its place before the program is, and put in place after it: if
     anything fails before, nothing changes.
@@ -121,7 +126,7 @@ def write_fast_tool(
             f"the motion has the axes {', '.join(motion.axes)}, a fast tool needs W: use write_nc, or plan it "
             "with FastToolServo or HybridToolServo"
         )
-    if by not in NAMES:
+    if by not in COLUMNS:
         raise ProgramError(f'by is {by!r}, it must be "position" or "time": choose one')
     if (rate_hz is None) != (by == "position"):
         raise ProgramError(
@@ -152,14 +157,18 @@ def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints,
     from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
 
     convention = machine.convention
-    decimals = np.array([dialect.decimals["X"], dialect.decimals["C"], HEIGHT])
+    own = _own(motion)
+    decimals = np.array([dialect.decimals["X"], dialect.decimals["C"], *[HEIGHT] * len(own)])
     scale = 10.0**decimals
     turn = 360 * int(scale[1])
-    rows = np.empty((motion.time.size, 3), dtype=np.int64)
+    rows = np.empty((motion.time.size, 2 + len(own)), dtype=np.int64)
     degrees, mark = float(np.rad2deg(convention.c_sense)), float(np.rad2deg(convention.clocking))
     text.quantise(motion.axes["X"], convention.x_side * scale[0], 0.0, 0, rows, 0)
     text.quantise(motion.axes["C"], degrees * scale[1], mark * scale[1], turn, rows, 1)
-    text.quantise(motion.axes["W"], scale[2], 0.0, 0, rows, 2)
+    off = 0.0
+    for column, letter in enumerate(own, 2):
+        text.quantise(motion.axes[letter], scale[2], 0.0, 0, rows, column)
+        off = max(off, float(np.abs(rows[:, column] / scale[2] - motion.axes[letter]).max()))
     step = np.diff(rows[:, 1]) * (motion.sense * convention.c_sense) % turn
     bad = np.flatnonzero((step == 0) | (step >= turn // 2))
     if bad.size:
@@ -167,7 +176,7 @@ def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints,
             f"row {bad[0] + 2} of the fast tool's table turns C by {step[bad[0]] / scale[1]:g} deg, the limits are one "
             f"unit of the program, {1 / scale[1]:g} deg, and half a turn: use other points per turn"
         )
-    return rows, decimals, float(np.abs(rows[:, 2] / scale[2] - motion.axes["W"]).max())
+    return rows, decimals, off
 
 
 def _stream(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
@@ -178,9 +187,16 @@ def _stream(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
     if count > MOST_ROWS:
         raise ProgramError(f"the stream has {count:.3g} heights, the limit is {MOST_ROWS:.0e}: lower rate_hz")
     at = np.arange(count) / rate
-    rows = np.rint(np.interp(at, time, motion.axes["W"]) * 10.0**HEIGHT).astype(np.int64)[:, None]
-    off = np.interp(time, at, rows[:, 0] / 10.0**HEIGHT) - motion.axes["W"]
-    return rows, np.array([HEIGHT]), float(np.abs(off).max())
+    own = [motion.axes[letter] for letter in _own(motion)]
+    rows = np.stack([np.rint(np.interp(at, time, values) * 10.0**HEIGHT) for values in own], axis=1).astype(np.int64)
+    again = [np.interp(time, at, column / 10.0**HEIGHT) for column in rows.T]
+    off = max(float(np.abs(back - values).max()) for back, values in zip(again, own, strict=True))
+    return rows, np.full(len(own), HEIGHT), off
+
+
+def _own(motion: Motion) -> list[str]:
+    """Return the letters of the fast tool's axes, in the order of their columns."""
+    return [letter for letter in OWN if letter in motion.axes]
 
 
 def _head(
@@ -203,7 +219,7 @@ def _head(
             f"# ANGLE DECIMALS: {dialect.decimals['C']}",
             "# BETWEEN ROWS: STRAIGHT OVER THE ANGLE TURNED",
         ]
-        names = NAMES["position"]
+        names = COLUMNS["position"]
     else:
         told = [
             "# BY: TIME",
@@ -211,7 +227,7 @@ def _head(
             "# START: THE FIRST HEIGHT IS THAT OF THE FIRST POINT OF THE CUT, WHERE THE APPROACH OF THE PROGRAM ENDS",
             "# BETWEEN ROWS: STRAIGHT OVER TIME",
         ]
-        names = NAMES["time"]
+        names = COLUMNS["time"]
     lines = [
         SIGNATURE,
         f"# SOFTWARE: {software()}",
@@ -219,10 +235,11 @@ def _head(
         f"# CONVENTION: {convention_line(machine)}",
         *told,
         f"# HEIGHT: MM THAT THE FAST TOOL ADDS TO Z, OUT OF THE PART, DECIMALS {HEIGHT}",
+        *(["# OUTWARD: MM THAT IT ADDS TO THE DISTANCE FROM THE AXIS, DECIMALS 7"] if "U" in motion.axes else []),
         f"# ROWS: {count}",
         f"# PROGRAM: {plain(path.name)}, SHA256 {hashes[1]}",
         f"# SHA256: {hashes[0]}",
-        names,
+        ",".join([*names, *(OWN[letter] for letter in _own(motion))]),
     ]
     return ("\n".join(lines) + "\n").encode("ascii")
 
@@ -264,7 +281,7 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
     """
     path = Path(path)
     file = path.parent / f"{path.stem}.fast.csv"
-    fields, table = _read(file)
+    fields, names, table = _read(file)
     if fields["CONVENTION"] != convention_line(machine):
         raise ProgramError(
             f"{file} is written for {fields['CONVENTION']}, {machine.name} has {convention_line(machine)}: read it "
@@ -278,24 +295,24 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
     if fields["BY"] == "TIME":
         match = re.match(r"[0-9.e+-]+", fields.get("RATE", ""))
         rate = float(match[0]) if match else 0.0
-        if rate <= 0 or table.shape[1] != 1:
-            raise ProgramError(f"{file} states no rate or has {table.shape[1]} columns, not 1: write it again")
+        if rate <= 0:
+            raise ProgramError(f"{file} states no rate: write it again")
         at = np.arange(len(table)) / rate
         after = np.clip(np.searchsorted(motion.time, at), 1, motion.time.size - 1)
         beside = np.minimum(np.abs(at - motion.time[after - 1]), np.abs(motion.time[after] - at))
         # Two times that are one but for rounding would leave C no way to turn between them.
         time = np.union1d(motion.time, at[(beside * rate > SAME) & (at < motion.time[-1])])
-        w = np.interp(time, at, table[:, 0])
+        rows = {name: np.interp(time, at, column) for name, column in zip(names, table.T, strict=True)}
     else:
-        time, w = _turned(file, table, motion, machine)
+        time = _turned(file, table, motion, machine)
+        rows = dict(zip(names, table.T, strict=True))
     axes = {letter: np.interp(time, motion.time, values) for letter, values in motion.axes.items()}
-    return Motion(time=time, axes={**axes, "W": w}, machine=machine)
+    own = {letter: rows[name] for letter, name in OWN.items() if name in rows}
+    return Motion(time=time, axes={**axes, **own}, machine=machine)
 
 
-def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> tuple[Floats, Floats]:
-    """Return when the program is at each row of a table by position, and the heights."""
-    if table.shape[1] != 3:
-        raise ProgramError(f"{file} has {table.shape[1]} columns, by position it has 3: write it again")
+def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floats:
+    """Return when the program is at each row of a table by position."""
     convention = machine.convention
     step = np.diff(table[:, 1])
     degrees = np.concatenate([[0.0], np.cumsum(step - 360 * np.rint(step / 360))]) + table[0, 1]
@@ -304,7 +321,7 @@ def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> tupl
     if not (np.diff(c) * motion.sense > 0).all():
         raise ProgramError(f"{file} does not turn as its program does: write both again")
     ahead = motion.sense * motion.axes["C"]
-    time = np.interp(motion.sense * c, ahead, motion.time)
+    time: Floats = np.interp(motion.sense * c, ahead, motion.time)
     x = np.interp(motion.sense * c, ahead, motion.axes["X"]) * convention.x_side
     off = np.abs(x - table[:, 0])
     worst = int(np.argmax(off))
@@ -314,11 +331,11 @@ def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> tupl
             f"{file} has the radius {table[worst, 0]:g} mm where its program has X {x[worst]:g} mm, and ends at C "
             f"{ends[0]:.3f} deg where that ends at {ends[1]:.3f} deg: write both again"
         )
-    return time, table[:, 2]
+    return time
 
 
-def _read(file: Path) -> tuple[dict[str, str], Floats]:
-    """Return what the first lines of a table say, and its rows."""
+def _read(file: Path) -> tuple[dict[str, str], list[str], Floats]:
+    """Return what the first lines of a table say, the names of its columns, and its rows."""
     try:
         require_regular(file)
         data = file.read_bytes()
@@ -327,14 +344,16 @@ def _read(file: Path) -> tuple[dict[str, str], Floats]:
     text = data[: 1 << 14].decode("latin-1")
     fields = dict(re.findall(r"^# ([A-Z0-9 ]+): (.*)$", text, re.MULTILINE))
     needed = ("BY", "CONVENTION", "ROWS", "PROGRAM", "SHA256")
-    names = NAMES.get(fields.get("BY", "").lower(), "")
-    start = text.find(f"\n{names}\n")
-    if not text.startswith(SIGNATURE) or not names or start < 0 or not all(name in fields for name in needed):
+    first = re.search(r"^(?!#).*\n", text, re.MULTILINE)
+    names = first[0].strip().split(",") if first else []
+    before = COLUMNS.get(fields.get("BY", "").lower())
+    known = before is not None and names in ([*before, "height_mm"], [*before, *OWN.values()])
+    if not text.startswith(SIGNATURE) or first is None or not known or not all(name in fields for name in needed):
         raise ProgramError(f"{file} is no table of a fast tool, which begins with {SIGNATURE!r}: give the right file")
-    body = data[start + len(names) + 2 :]
+    body = data[first.end() :]
     if hashlib.sha256(body).hexdigest() != fields["SHA256"]:
         raise ProgramError(f"{file} has other rows than it was written with, it was damaged or edited: write it again")
     table = np.loadtxt(io.BytesIO(body), delimiter=",", ndmin=2)
     if str(table.shape[0]) != fields["ROWS"]:
         raise ProgramError(f"{file} has {table.shape[0]} rows, its head says {fields['ROWS']}: write it again")
-    return fields, table
+    return fields, names, table

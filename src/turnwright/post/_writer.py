@@ -18,6 +18,7 @@ import numpy as np
 
 from turnwright._arrays import Floats, Ints
 from turnwright.errors import ProgramError
+from turnwright.machine import FAST
 from turnwright.path import Motion
 from turnwright.post._digest import hashed_rows
 from turnwright.post._header import (
@@ -236,10 +237,11 @@ def _passes(motions: Mapping[str, Motion], machine: Machine, dialect: Dialect) -
             raise ProgramError(
                 f"a pass is called {name!r}, a controller allows up to 40 letters, digits, blanks and - _: rename it"
             )
-        if "W" in motion.axes:
+        fast = sorted(FAST.keys() & motion.axes.keys())
+        if fast:
             raise ProgramError(
-                f"pass {name} moves axis W, the fast tool's, which is in no program of a lathe: use write_fast_tool, "
-                "or write motion.lathe() for the lathe alone"
+                f"pass {name} moves axis {' and '.join(fast)}, the fast tool's, which is in no program of a lathe: use "
+                "write_fast_tool, or write motion.lathe() for the lathe alone"
             )
         unknown = set(motion.axes) - set(dialect.decimals)
         if unknown:
