@@ -25,7 +25,7 @@ from typing import Literal
 
 import numpy as np
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Bools, Floats
 from turnwright.dilation import BESIDE, CHUNK, Touch, touch
 from turnwright.errors import GougeError, InputError
 from turnwright.part import Part
@@ -40,6 +40,9 @@ TANGENT = 1e-3
 
 STEP = 1e-8
 """What is higher than this on one side than on the other is a step, a ridge is not. [mm]"""
+
+NEAR = 1e-5
+"""How far to either side along the spiral the tip is placed once more where the surface has no slope. [rad]"""
 
 
 def place(
@@ -69,8 +72,8 @@ def place(
     Path
         Commanded tip positions, contact points and the clearance of the whole edge. Along "z" also the derivative of
         the height by the angle, if the spiral states those of its radius (and height above centre): in a valley that
-        of the side touched, and on the lip of a step or on the rim, where the surface has no slope, that of the
-        parabola through neighbouring points.
+        of the side touched, and on the lip of a step or on the rim, where the surface has no slope, by the heights a
+        hair to either side.
 
     Raises
     ------
@@ -109,71 +112,62 @@ def _z_rate(spiral: Spiral, part: Part, tool: Tool, at: Touch) -> Floats | None:
     """Return the derivative of the tip's height by the angle, or ``None`` if the spiral does not state its own."""
     if spiral.radius_rate is None or (spiral.y is not None and spiral.y_rate is None):
         return None
-    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
+    from turnwright._kernels import contact as kernel  # noqa: PLC0415 - numba is costly to import
 
-    outward, upward = spiral.radius_rate, spiral.y_rate
+    edge, surface, outward = tool.table(spiral.sense), part.surface, spiral.radius_rate
+    upward = np.zeros(outward.size) if spiral.y_rate is None else spiral.y_rate
     reach = np.abs(spiral.radius) if spiral.y is None else np.hypot(spiral.radius, spiral.y)
-    rim = max(part.radius, float(reach.max())) * (1 - 1e-9)
-    rate = np.empty(spiral.angle.size)
+    rim = max(part.radius, float(reach.max()))
+    rate = np.empty(outward.size)
 
     def work(start: int, stop: int) -> None:
         some = slice(start, stop)
-        angle, x, y = spiral.angle[some], at.x[some], at.y[some]
-        cosine, sine = np.cos(angle), np.sin(angle)
-        zx, zy = _slopes(part, tool, spiral.sense, angle, Touch(*(values[some] for values in at)), rim)
-        along_x, along_y = outward[some] * cosine - y, outward[some] * sine + x
-        if upward is not None:
-            along_x -= upward[some] * sine
-            along_y += upward[some] * cosine
-        rate[some] = zx * along_x + zy * along_y
+        x, y = at.x[some], at.y[some]
+        across, along = np.empty((2, 2, x.size))
+        rise, tangent = np.empty(x.size), np.empty(x.size, dtype=np.bool_)
+        with np.errstate(all="ignore"):
+            slopes = surface.evaluate(x, y, 2)[1:]
+        kernel.rates(
+            *edge, spiral.angle[some], x, y, at.sweep[some], *slopes, outward[some], upward[some], TANGENT,
+            rate[some], across, along, rise, tangent,
+        )  # fmt: skip
+        if not tangent.all():
+            rate[some][~tangent & (np.hypot(x, y) > rim * (1 - 1e-9))] = np.nan
+        if surface.piece(x[:1], y[:1]) is None:
+            return
+        hair = BESIDE * along / np.hypot(*along)
+        sides = [(x - hair[0], y - hair[1]), (x + hair[0], y + hair[1])]
+        before, after = (surface.piece(*side) for side in sides)
+        if before is not None and after is not None and (on := np.flatnonzero(before != after)).size:
+            mixed, ridge = _on_ridge(part, [(side[0][on], side[1][on]) for side in sides], along[:, on], rise[on])
+            rate[some][on[ridge]] = (mixed * across[:, on]).sum(axis=0)[ridge]
 
     run_chunks(work, rate.size, CHUNK)
-    unknown = np.isnan(rate)
-    if unknown.any():
-        near = np.empty(rate.size)
-        kernel.rates(spiral.angle, at.z, near)
-        rate[unknown] = near[unknown]
+    lost = np.flatnonzero(np.isnan(rate))
+    if lost.size:
+        aside = np.array([[-NEAR], [NEAR]])
+        angle = (spiral.angle[lost] + aside).ravel()
+        radius = (spiral.radius[lost] + aside * outward[lost]).ravel()
+        y = None if spiral.y is None else (spiral.y[lost] + aside * upward[lost]).ravel()
+        z = touch(surface, tool, angle=angle, radius=radius, y=y, sense=spiral.sense, rim=rim).z
+        rate[lost] = (z[lost.size :] - z[: lost.size]) / (2 * NEAR)
     return rate
 
 
-def _slopes(part: Part, tool: Tool, sense: int, angle: Floats, at: Touch, rim: float) -> tuple[Floats, Floats]:
-    """Return the slopes (zx, zy) of the surface that the edge feels where it touches, nan where there is none."""
-    from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
-    from turnwright._kernels.edge import trace  # noqa: PLC0415
+def _on_ridge(part: Part, sides: list[tuple[Floats, Floats]], along: Floats, rise: Floats) -> tuple[Floats, Bools]:
+    """Return the slopes (2, n) that an edge feels between two sides, nan on the lip of a step, and where it does so.
 
-    surface, edge = part.surface, tool.table(sense)
-    cosine, sine = np.cos(angle), np.sin(angle)
-    sweep = np.ascontiguousarray(at.sweep)
-    _, _, du, dw = along = np.empty((4, angle.size))
-    trace(*edge, sweep, along)
-    lean, rise = edge.row[4] * dw, edge.row[3] * dw
-    dx, dy = du * cosine - lean * sine, du * sine + lean * cosine
-    value, first, top, step, bend = np.empty((5, angle.size))
+    In a valley it does not: there the contact stands beside it, on a slope of its own.
+    """
     with np.errstate(all="ignore"):
-        jet = surface.evaluate(at.x, at.y, 2)
-        kernel.newton_step(*edge, angle, sweep, *jet, value, first, top, step, bend)
-        _, zx, zy, zxx, zxy, zyy = jet
-        # The place on the edge is known to its third power less well than the height: the last step makes up for it.
-        tangent = np.abs(step) < TANGENT
-        last = np.where(tangent, step, 0.0)
-        zx, zy = zx + (zxx * dx + zxy * dy) * last, zy + (zxy * dx + zyy * dy) * last
-    lost = ~tangent & (np.hypot(at.x, at.y) > rim)
-    hair = BESIDE / np.hypot(dx, dy)
-    sides = [(at.x + way * hair * dx, at.y + way * hair * dy) for way in (-1, 1)]
-    pieces = [surface.piece(*side) for side in sides]
-    if pieces[0] is not None and pieces[1] is not None and (split := pieces[0] != pieces[1]).any():
-        with np.errstate(all="ignore"):
-            before, after = (np.stack(surface.evaluate(x[split], y[split], 1)) for x, y in sides)
-        falls = [side[1] * dx[split] + side[2] * dy[split] for side in (before, after)]
-        ridge = falls[0] > falls[1]
-        share = np.clip((rise[split] - falls[1]) / np.where(ridge, falls[0] - falls[1], 1.0), 0.0, 1.0)
-        mixed = share * before[1:] + (1 - share) * after[1:]
-        mixed[:, np.abs(before[0] - after[0]) > STEP] = np.nan
-        # In a valley the contact stands beside it, on a slope of its own.
-        at_ridge = np.flatnonzero(split)[ridge]
-        zx[at_ridge], zy[at_ridge] = mixed[:, ridge]
-    zx[lost] = np.nan
-    return zx, zy
+        before, after = (np.stack(part.surface.evaluate(*side, 1)) for side in sides)
+    low, high = ((side[1:] * along).sum(axis=0) for side in (after, before))
+    ridge = high > low
+    share = np.clip((rise - low) / np.where(ridge, high - low, 1.0), 0.0, 1.0)
+    mixed = share * before[1:] + (1 - share) * after[1:]
+    lip = np.abs(before[0] - after[0]) > STEP
+    mixed[:, lip] = np.nan
+    return mixed, ridge | lip
 
 
 def _along_normal(spiral: Spiral, part: Part, tool: Tool, progress: Progress | None) -> Path:

@@ -1,5 +1,7 @@
 """How fast the tip rises along its spiral, against closed forms and differences of the exact heights."""
 
+from dataclasses import replace
+
 import mpmath
 import numpy as np
 import pytest
@@ -21,27 +23,33 @@ def spiral_of(sense=1, radius=4.0, feed=0.3, size=400):
     return Spiral(angle=sense * turned, radius=radius - pitch * turned, radius_rate=np.full(size, -sense * pitch))
 
 
+@pytest.mark.parametrize("climb", [None, 0.02])
 @pytest.mark.parametrize("sense", [1, -1])
-def test_a_round_nose_on_a_sphere_off_the_axis(sense):
+def test_a_round_nose_on_a_sphere_off_the_axis(sense, climb):
     """The rake plane cuts the sphere in a circle, in which the nose rolls: a closed form, differentiated by mpmath."""
     big, a, b = 30.0, 1.3, -0.7
     part = Part(surface=Sphere(radius=big).placed(shift=(a, b, 0.0)), radius=4.0)
     spiral = spiral_of(sense)
+    if climb is not None:
+        y = 0.3 + climb * (spiral.angle - spiral.angle[0])
+        spiral = replace(spiral, y=y, y_rate=np.full(y.size, climb))
     path = place(spiral, part, NOSE)
     rate = spiral.radius_rate[0]
 
     def height(angle):
-        rho = spiral.radius[0] + rate * (angle - spiral.angle[0])
+        turned = angle - spiral.angle[0]
         along = a * mpmath.cos(angle) + b * mpmath.sin(angle)
-        across = b * mpmath.cos(angle) - a * mpmath.sin(angle)
+        across = b * mpmath.cos(angle) - a * mpmath.sin(angle) - (0 if climb is None else 0.3 + climb * turned)
         inside = mpmath.sqrt(big**2 - across**2) - NOSE.nose_radius
-        return big - mpmath.sqrt(inside**2 - (rho - along) ** 2) - NOSE.nose_radius
+        return big - mpmath.sqrt(inside**2 - (spiral.radius[0] + rate * turned - along) ** 2) - NOSE.nose_radius
 
     with mpmath.workdps(40):
         for k in range(0, spiral.angle.size, 37):
             angle = mpmath.mpf(float(spiral.angle[k]))
             assert abs(path.z[k] - float(height(angle))) < 1e-12
             assert path.z_rate[k] == pytest.approx(float(mpmath.diff(height, angle)), abs=1e-11)
+    if climb is not None:
+        assert place(replace(spiral, y_rate=None), part, NOSE).z_rate is None
 
 
 def differences(part, tool, spiral, chosen, step=2e-4):
@@ -76,6 +84,23 @@ def test_on_lenslets_with_ridges_and_with_valleys(radius, tool):
     if radius > 0:
         assert np.count_nonzero(across[chosen][clean]) > 5
     assert np.abs(path.z_rate[chosen] - oracle)[clean].max() < 1e-8
+
+
+def test_on_the_lip_of_a_step_too():
+    """Lenses that stand proud of their surround: the edge rides on their rims, where the surface has no slope."""
+    array = LensArray.square(
+        lenslet=Sphere(radius=-0.9), pitch=0.7, rows=16, columns=16, aperture=0.3, surround=-0.2,
+    )  # fmt: skip
+    part, spiral = Part(surface=array, radius=4.5), spiral_of(1, size=3600)
+    path = place(spiral, part, NOSE)
+    from_centre = np.hypot(*((at / 0.7) % 1.0 - 0.5 for at in (path.contact_x, path.contact_y))) * 0.7
+    lip = np.flatnonzero(np.abs(from_centre - 0.3) < 1e-9)
+    lip = lip[(lip > 5) & (lip < 3590)]
+    oracle, doubt = differences(part, NOSE, spiral, lip)
+    smooth = doubt < 1e-6
+    assert np.count_nonzero(smooth) > 100
+    assert np.median(np.abs(oracle)) > 0.1
+    assert np.abs(path.z_rate[lip] - oracle)[smooth].max() < 1e-5
 
 
 def test_a_slow_tool_servo_states_its_rate():

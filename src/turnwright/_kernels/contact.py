@@ -1,0 +1,38 @@
+"""How fast a tip in contact rises along its spiral: the pointwise parts. See contact.py for the method."""
+
+import numpy as np
+
+from turnwright._kernels import jit
+from turnwright._kernels.edge import edge
+from turnwright._kernels.trig import sincos
+
+
+@jit
+def rates(
+    row, breaks, coefficients, angle, x, y, sweep, fx, fy, fxx, fxy, fyy, outward, upward, near,
+    rate, across, along, rise, tangent,
+):  # fmt: skip
+    """Fill ``rate`` with the derivative of the tip's height by the angle.
+
+    The place on the edge is known less well than the height there, so the slope is taken where the last Newton step
+    leads, if that is below ``near``: then ``tangent`` is set. Fill ``across`` (2, n) with how the contact point moves
+    with the angle, ``along`` (2, n) and ``rise`` with how it moves, and how the edge rises, with the sweep.
+    """
+    for i in range(angle.size):
+        sine, cosine = sincos(angle[i])
+        _, _, du, dw, ddu, ddw = edge(row, breaks, coefficients, sweep[i])
+        dx = du * cosine - row[4] * dw * sine
+        dy = du * sine + row[4] * dw * cosine
+        ddx = ddu * cosine - row[4] * ddw * sine
+        ddy = ddu * sine + row[4] * ddw * cosine
+        bent_x, bent_y = fxx[i] * dx + fxy[i] * dy, fxy[i] * dx + fyy[i] * dy
+        second = bent_x * dx + bent_y * dy + fx[i] * ddx + fy[i] * ddy - row[3] * ddw
+        step = (row[3] * dw - fx[i] * dx - fy[i] * dy) / second if second < 0.0 else np.nan
+        tangent[i] = abs(step) < near
+        if not tangent[i]:
+            step = 0.0
+        out_x = outward[i] * cosine - upward[i] * sine - y[i]
+        out_y = outward[i] * sine + upward[i] * cosine + x[i]
+        rate[i] = (fx[i] + bent_x * step) * out_x + (fy[i] + bent_y * step) * out_y
+        across[0, i], across[1, i] = out_x, out_y
+        along[0, i], along[1, i], rise[i] = dx, dy, row[3] * dw
