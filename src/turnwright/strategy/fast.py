@@ -38,11 +38,13 @@ class FastToolServo(Strategy):
     Raises
     ------
     InputError
-        If the plan is not a strategy; of `axes`, if its X does not advance steadily, as along the normal.
+        If the plan is not a strategy; of `axes`, if its X does not advance steadily, as along the normal, or it moves a
+        fast tool itself.
 
     Sources
     -------
-    The arrangement of the fast tools that lathe makers offer, see the machine files.
+    The arrangement of the fast tools that lathe makers offer, see the machine files. Between two points the tool goes
+    straight, so that a plan by a chord is one for linear interpolation.
 
     >>> from turnwright.strategy.slow import SlowToolServo
     >>> servo = FastToolServo(plan=SlowToolServo(feed=0.01, spindle_rpm=200, points_per_rev=3600))
@@ -62,7 +64,7 @@ class FastToolServo(Strategy):
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: those of the plan with Z at rest [mm], and W all the rest [mm]."""
-        axes = self.plan.axes(path)
+        axes = planned(self.plan, path)
         ends = axes["C"][[0, -1]]
         steady = np.interp(axes["C"] * path.sense, ends * path.sense, axes["X"][[0, -1]])
         off = float(np.abs(axes["X"] - steady).max())
@@ -87,12 +89,22 @@ def speed_of(plan: Strategy) -> float | None:
     Raises
     ------
     InputError
-        If it is not a strategy, or moves a fast tool itself.
+        If it is not a strategy.
     """
     if not isinstance(plan, Strategy):
         raise InputError(f"the plan is {plan!r}, which is not a strategy: give a SlowToolServo for instance")
-    if isinstance(plan, FastToolServo) or hasattr(plan, "plan"):
-        raise InputError(
-            f"the plan is a {type(plan).__name__}, which moves a fast tool already: give the plan that it has"
-        )
     return plan.spindle_rpm
+
+
+def planned(plan: Strategy, path: Path) -> dict[str, Floats]:
+    """Return the axes of a plan.
+
+    Raises
+    ------
+    InputError
+        If it moves a fast tool itself.
+    """
+    axes = plan.axes(path)
+    if "W" in axes:
+        raise InputError(f"the plan is a {type(plan).__name__}, which moves W itself: give the plan that it has")
+    return axes

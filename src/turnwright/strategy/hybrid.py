@@ -12,7 +12,7 @@ from turnwright.errors import InputError
 from turnwright.machine import Axis
 from turnwright.strategy._split import smoothest
 from turnwright.strategy._strategy import Strategy
-from turnwright.strategy.fast import speed_of
+from turnwright.strategy.fast import planned, speed_of
 from turnwright.surface import Surface
 from turnwright.tool import Tool
 
@@ -102,7 +102,7 @@ class HybridToolServo(Strategy):
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: those of the plan, with its Z split into Z and W. [mm]."""
-        axes = self.plan.axes(path)
+        axes = planned(self.plan, path)
         slow, _ = self._slow(path, axes["Z"])
         if self.blocks_per_rev is not None:
             turned = np.abs(path.angle - path.angle[0])
