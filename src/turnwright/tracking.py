@@ -33,7 +33,7 @@ QUIET_S = 0.5
 """Time beyond both ends over which a measured response dies away, at least. [s]"""
 
 FINER = 8
-"""Even samples to a point, at most, on which uneven points are corrected."""
+"""Even samples to a point, at most, that uneven points begin with: their shortest block may be far too short."""
 
 ROUNDS = 4
 """How often samples are set closer together, at most; the second time is the last but for odd motions."""
@@ -291,7 +291,7 @@ def _samples(time: Floats, parts: int, *, uniform: bool) -> Floats:
     length = time[-1] - time[0]
     blocks = time.size - 1
     if uniform:
-        blocks = math.ceil(length / np.diff(time).min() * (1 - 1e-9))
+        blocks = min(math.ceil(length / np.diff(time).min() * (1 - 1e-9)), FINER * time.size)
     if blocks * parts > MOST_SAMPLES:
         raise LimitError(
             f"the real motion needs {blocks * parts:.3g} samples, the limit is {MOST_SAMPLES:.3g}: allow a larger chord"

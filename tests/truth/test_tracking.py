@@ -187,6 +187,23 @@ def test_a_measured_response_gives_what_the_axis_it_was_measured_on_gives():
     assert np.abs(made.axes["Z"] - z)[middle].max() < 1e-3 * lag
 
 
+def test_one_short_block_does_not_ask_for_a_million_samples():
+    """A measured response takes even samples; the second-order axis, which takes any, is the oracle."""
+    axis = SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1)
+    frequency = np.geomspace(0.01, 20_000, 4000)
+    answer = axis.at(frequency)
+    measured = FrequencyResponse(frequency_hz=frequency, magnitude=np.abs(answer), phase=np.unwrap(np.angle(answer)))
+    time = np.insert(np.linspace(0, 0.4, 401), 200, 0.199 + 1e-7)
+    z = 0.02 * np.sin(2 * np.pi * 12 * time)
+    given = Motion(time=time, axes={"C": 7.0 * time, "X": 5 - 0.1 * time, "Z": z}, machine=machine("hermite"))
+    exact = track(given, machine("hermite", Z=Axis(response=axis)), chord=1e-7)
+    made = track(given, machine("hermite", Z=Axis(response=measured)), chord=1e-7)
+    assert made.time.size < 100_000
+    following = np.abs(exact.axes["Z"] - np.interp(exact.time, time, z)).max()
+    apart = made.axes["Z"] - np.interp(made.time, exact.time, exact.axes["Z"])
+    assert np.abs(apart).max() < 2e-3 * following + 2e-7
+
+
 def test_a_controller_that_takes_fewer_blocks_slows_the_whole_motion():
     given = motion(machine(), points=401)  # 1000 blocks a second
     made = track(given, machine(block_rate=400), chord=1)
