@@ -6,6 +6,7 @@ import math
 import tomllib
 from dataclasses import dataclass, replace
 from decimal import Decimal
+from pathlib import Path as File
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ import numpy as np
 from turnwright.contact import place
 from turnwright.errors import JobError, LimitError
 from turnwright.generation import generate_polar
+from turnwright.job._run import read_back, written
 from turnwright.job._schema import Job
 from turnwright.job._shares import (
     Shares,
@@ -25,9 +27,8 @@ from turnwright.job._shares import (
     shares,
     without_servos,
 )
+from turnwright.job._strategies import Choices
 from turnwright.motion import Limits, check_limits, drive
-from turnwright.post import read_nc, write_nc
-from turnwright.strategy import SlowToolServo
 from turnwright.tracking import track
 from turnwright.units import write
 
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from turnwright.machine import Machine
     from turnwright.part import Part
     from turnwright.path import Motion, Spiral
+    from turnwright.strategy import Strategy
     from turnwright.tool import Tool
 
 __all__ = ["Plan", "plan"]
@@ -105,10 +107,11 @@ class Plan:
 
 
 def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
-    r"""Choose feed, points and spindle speed for the finishing pass of a slow tool servo.
+    r"""Choose feed, points and spindle speed for the finishing pass.
 
-    The feed is the largest whose cusps keep the finish tolerance, and half of the form tolerance. What the cusps and
-    the program's decimals leave of the form tolerance is split between the points (chord) and the servos (tracking):
+    The feed, or the scallop of an adaptive tool servo, is the largest whose cusps keep the finish tolerance, and half
+    of the form tolerance. What the cusps and the program's decimals leave of the form tolerance is split between the
+    points (chord) and the servos (tracking):
     several splits are planned, each at the highest speed that keeps both the machine's limits and its share, and the
     quickest is written, read back and simulated whole. Since not all shares meet in one place it may keep the
     tolerances with room to spare: then the shares grow, until the proof uses the tolerances up.
@@ -125,17 +128,19 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     Raises
     ------
     JobError
-        If a tolerance is not stated.
+        If a tolerance is not stated, or the strategy does not set its points by a chord.
     LimitError
         If no plan keeps them.
     """
     form, sq = job.tolerances.form_pv, job.tolerances.sq
     if form is None or sq is None:
         raise JobError("the job states no tolerances.form_pv or no tolerances.sq: a plan needs both, add them")
+    if "chord" not in type(job.strategy).model_fields:
+        raise JobError(f"a plan sets a chord, which the {job.strategy.kind} does not have: choose another kind")
     told = progress or (lambda _stage, _done, _total: None)
-    told("feed", 0, 1)
-    feed, cusp = _feed(job, form, sq)
-    told("feed", 1, 1)
+    told("cusps", 0, 1)
+    across, cusp = _across(job, form, sq)
+    told("cusps", 1, 1)
     # Points and servos err to both sides.
     left = (ROOM * form - cusp - DECIMALS) / 2
     if left <= 0:
@@ -147,7 +152,7 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     kept: Plan | None = None
     for number in range(PROOFS):
         told("points, speed and proof", number, PROOFS)
-        proved = _proved(job, feed, left, roughest)
+        proved = _proved(job, across, left, roughest)
         found = proved.shares
         if found.pv_nm > form * NM or found.sq_nm > sq * NM:
             if kept is None:
@@ -170,32 +175,32 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     return kept
 
 
-def _proved(job: Job, feed: float, left: float, roughest: float) -> Plan:
+def _proved(job: Job, across: float, left: float, roughest: float) -> Plan:
     """Return the quickest plan whose points and servos share what is left [mm], written, read back and simulated."""
     part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
     answers = has_servos(machine)
     tried: list[tuple[float, float, float]] = []
-    best: tuple[SlowToolServo, Spiral, Motion] | None = None
+    best: tuple[Job, Spiral, Motion] | None = None
     for split in SPLITS if answers else (1.0,):
         chord = _plain(min(split * left, roughest))
-        servo = replace(_servo(job), feed=feed, points_per_rev=None, arc_length=None, chord=chord, spindle_rpm=None)
+        filled = _filled(job, across, chord=chord)
+        servo = filled.servo(filled.passes[-1])
         spiral = servo.spiral(part, tool)
         motion = _within(servo, spiral, part, tool, machine, left - chord if answers else math.inf)
         minutes = float(motion.time[-1] - motion.time[0]) / 60
         tried.append((chord, check_limits(motion, machine).spindle_rpm, minutes))
         if best is None or motion.time[-1] - motion.time[0] < best[2].time[-1] - best[2].time[0]:
-            best = servo, spiral, motion
+            best = filled, spiral, motion
     assert best is not None  # noqa: S101 - there is at least one split
-    servo, spiral, motion = best
+    filled, spiral, motion = best
     rpm = check_limits(motion, machine).spindle_rpm
     motion = replace(motion, time=motion.time * (rpm / _plain(rpm)))
-    limits = check_limits(motion, machine)
     with TemporaryDirectory(prefix="turnwright-") as folder:
-        again = read_nc(write_nc(motion, machine, f"{folder}/plan.nc").files[0], machine)
+        again = read_back(filled, written(filled, {"finish": motion}, File(folder)).files[0], "finish")
     return Plan(
-        job=_filled(job, servo, _plain(rpm)),
+        job=_filled(filled, across, chord=filled.strategy.chord, rpm=_plain(rpm)),  # type: ignore[union-attr] # it has one
         shares=shares(part, tool, spiral, motion, again=again),
-        limits=limits,
+        limits=check_limits(motion, machine),
         tried=tuple(tried),
     )
 
@@ -206,43 +211,65 @@ def _plain(value: float) -> float:
     return float(Decimal(math.floor(value * 10.0**places)).scaleb(-places))
 
 
-def _servo(job: Job) -> SlowToolServo:
-    """Return the strategy of the finishing pass."""
-    servo = job.servo(job.passes[-1])
-    if not isinstance(servo, SlowToolServo):
-        raise JobError(f'strategy.kind is "{job.strategy.kind}", a plan is made for a "slow tool servo": choose that')
-    return servo
+def _key(job: Job) -> tuple[str, str]:
+    """Return what sets the height of the cusps, and its unit."""
+    return ("scallop", "mm") if "scallop" in type(job.strategy).model_fields else ("feed", "mm/rev")
 
 
-def _feed(job: Job, form: float, sq: float) -> tuple[float, float]:
-    """Return the largest feed whose cusps keep their share of both tolerances, and their height. [mm/rev], [mm]."""
+def _filled(
+    job: Job, across: float, *, chord: float | None = None, points: int | None = None, rpm: float | None = None
+) -> Job:
+    """Return the job with what was chosen, and nothing that it said itself of feed, points and speed."""
+    table = tomllib.loads(job.to_toml())
+    for one in (table["strategy"], table.get("passes", [{}])[-1]):
+        for name in Choices.model_fields.keys() - {"lead_in"}:
+            one.pop(name, None)
+    key, unit = _key(job)
+    chosen = {
+        key: write(across, unit),
+        "chord": None if chord is None else write(chord, "mm"),
+        "points_per_rev": points,
+        "spindle_speed": None if rpm is None else write(rpm, "rpm"),
+    }
+    table["strategy"] |= {name: value for name, value in chosen.items() if value is not None}
+    return Job.read(table)
+
+
+def _across(job: Job, form: float, sq: float) -> tuple[float, float]:
+    """Return the largest feed or scallop whose cusps keep their share of both tolerances, and their height [mm]."""
     part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
     pv_limit, sq_limit = CUSP_SHARE * ROOM * form, SQ_SHARE * ROOM * sq
-    feed = math.sqrt(8 * tool.actual_radius * min(pv_limit, sq_limit / CUSP_SQ))
+    scallop = _key(job)[0] == "scallop"
+    across = min(pv_limit, sq_limit / CUSP_SQ)
+    if not scallop:
+        across = math.sqrt(8 * tool.actual_radius * across)
     for _ in range(ROUNDS):
-        servo = replace(_servo(job), feed=feed, points_per_rev=FEWEST, arc_length=None, max_step=None, chord=None)
-        spiral = servo.spiral(part, tool)
+        filled = _filled(job, across, chord=pv_limit) if scallop else _filled(job, across, points=FEWEST)
+        spiral = filled.servo(filled.passes[-1]).spiral(part, tool)
+        feed = abs(float(spiral.radius[-1] - spiral.radius[0])) / spiral.turns
         radius, angle = lines(part, feed)
         made = generate_polar(exact_motion(spiral, part, tool, machine, angle), tool, radius=radius, angle=angle)
         error = made.minus(part.surface)
         pv, finish = float(np.nanmax(error.z) - np.nanmin(error.z)), finish_nm(error, feed) / NM
         share = max(pv / pv_limit, finish / sq_limit)
         if NEAR <= share <= 1:
-            return _plain(feed), pv
+            return _plain(across), pv
         # Cusps grow with the square of the feed.
-        feed *= math.sqrt((1 + NEAR) / 2 / share)
+        across *= ((1 + NEAR) / 2 / share) ** (1.0 if scallop else 0.5)
+    name, unit = _key(job)
     raise LimitError(
-        f"no feed keeps form_pv {form * NM:.3g} nm and sq {sq * NM:.3g} nm: at {feed * 1e3:.3g} um/rev the exact path "
-        f"leaves {pv * NM:.3g} nm and {finish * NM:.3g} nm, so what it leaves is not cusps; take a smaller nose_radius"
+        f"no {name} keeps form_pv {form * NM:.3g} nm and sq {sq * NM:.3g} nm: at {write(_plain(across), unit)} the "
+        f"exact path leaves {pv * NM:.3g} nm and {finish * NM:.3g} nm, so what it leaves is not cusps; take a smaller "
+        "nose_radius"
     )
 
 
-def _within(servo: SlowToolServo, spiral: Spiral, part: Part, tool: Tool, machine: Machine, share: float) -> Motion:
+def _within(servo: Strategy, spiral: Spiral, part: Part, tool: Tool, machine: Machine, share: float) -> Motion:
     """Return the quickest motion that keeps the machine's limits, and whose servos keep their share [mm]."""
     motion = drive(place(spiral, part, tool), servo, machine)
     if math.isinf(share):
         return motion
-    radius, angle = lines(part, COARSE * servo.feed)
+    radius, angle = lines(part, COARSE * abs(float(spiral.radius[-1] - spiral.radius[0])) / spiral.turns)
     ideal = without_servos(machine)
     slow, quick = 0.0, math.inf  # speeds, as shares of the highest, that keep it and that do not
     speed = 1.0
@@ -272,18 +299,3 @@ def _within(servo: SlowToolServo, spiral: Spiral, part: Part, tool: Tool, machin
             "correct the motion beforehand (precorrect)"
         )
     return kept
-
-
-def _filled(job: Job, servo: SlowToolServo, rpm: float) -> Job:
-    """Return the job with what was chosen."""
-    table = tomllib.loads(job.to_toml())
-    own = table.get("passes", [{}])[-1]
-    for one in (table["strategy"], own):
-        for name in ("feed", "spindle_speed", "points_per_rev", "arc_length", "chord"):
-            one.pop(name, None)
-    table["strategy"] |= {
-        "feed": write(servo.feed, "mm/rev"),
-        "chord": write(servo.chord, "mm"),  # type: ignore[arg-type] # a plan is by chord
-        "spindle_speed": write(rpm, "rpm"),
-    }
-    return Job.read(table)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from turnwright.path import Motion, Path
     from turnwright.progress import Progress
 
-__all__ = ["StageProgress", "predict", "preview", "run"]
+__all__ = ["StageProgress", "predict", "preview", "read_back", "run", "written"]
 
 StageProgress: TypeAlias = Callable[[str, int, int], None]
 """Called with (stage, done, total); raising in it, as Ctrl-C does, stops the run cleanly."""
@@ -140,10 +140,10 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     del path, lifted
 
     with watch.stage("write program") as tell:
-        program = _written(job, motions, File(out), tell)
+        program = written(job, motions, File(out), tell)
     motions.clear()
     with watch.stage("read program") as tell:
-        again = _read_back(job, program.files[0], passes[-1].name, tell)
+        again = read_back(job, program.files[0], passes[-1].name, tell)
     with watch.stage("compare"):
         rounding, limit = _rounding(job, motion, again)
     del motion
@@ -164,7 +164,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     )  # fmt: skip
 
 
-def _written(job: Job, motions: dict[str, Motion], out: File, tell: Progress) -> ProgramFiles:
+def written(job: Job, motions: dict[str, Motion], out: File, tell: Progress | None = None) -> ProgramFiles:
     """Write the program of all passes, with the table of a fast tool beside it if there is one."""
     part, machine, file = job.part.part, job.machine.machine, out / f"{job.program.name}.nc"
     notes = f"material {part.material}" if part.material else ""
@@ -179,7 +179,7 @@ def _written(job: Job, motions: dict[str, Motion], out: File, tell: Progress) ->
     return replace(both.program, files=(*both.program.files, both.table), bytes=size)
 
 
-def _read_back(job: Job, file: File, name: str, tell: Progress) -> Motion:
+def read_back(job: Job, file: File, name: str, tell: Progress | None = None) -> Motion:
     """Read the finishing pass, and the table of a fast tool if there is one."""
     machine = job.machine.machine
     if job.program.fast_tool is not None:
