@@ -114,3 +114,33 @@ def test_a_controller_that_lays_cubics_is_always_predicted_with_them(tmp_path):
     phase = 2 * np.pi * 0.9 * (2 * np.pi / 60)
     assert straight.z[:, ring].min() < -0.25 * 2e-3 * phase**2 / 8
     assert error.z[:, ring].min() > -2e-3 * phase**4 / 384 - 1e-6
+
+
+def test_a_corrected_program_leaves_what_was_planned(done, tmp_path, capsys):
+    """Oracle: the servos' share of the same job without the correction, and the library's own correction."""
+    lathe(tmp_path)
+    job = tw.Job.load(
+        written(tmp_path, *CHANGES, ("simulation.tracking", True), ("program.precorrect", True),
+                ("strategy.points_per_rev", 360))
+    )  # fmt: skip
+    result = tw.run(job, out=tmp_path)
+    before = json.loads((done / "out" / "result.json").read_text())["predictions"]
+    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    servo = tw.SlowToolServo(feed=0.02, points_per_rev=360, spindle_rpm=120)
+    planned = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)
+    again = tw.read_nc(result.program.files[0], machine)
+    command = tw.precorrect(planned)
+    assert np.abs(command.axes["Z"] - planned.axes["Z"]).max() > 1e-4
+    assert np.abs(again.axes["Z"] - command.axes["Z"]).max() < 0.51e-6
+    for one, uncorrected in zip(result.predictions, before, strict=True):
+        meant = (
+            tw.generate_polar(planned, tool, radius=one.error.radius, angle=one.error.angle)
+            if one.error.polar
+            else (tw.generate(planned, tool, x=one.error.x, y=one.error.y))
+        )
+        left = one.error.z - meant.minus(part.surface).z
+        assert np.ptp(left) * 1e6 < 0.1 * uncorrected["tracking"]["pv_nm"]
+        np.testing.assert_allclose(one.tracking.z, left, atol=1e-12)  # against what was meant, not what is commanded
+    alone = written(tmp_path, *CHANGES, ("program.precorrect", True))
+    assert main(["check", str(alone)]) == 2
+    assert "program.precorrect is true and simulation.tracking is false" in capsys.readouterr().err

@@ -24,7 +24,7 @@ from turnwright.metrology import roughness
 from turnwright.motion import check_limits, drive
 from turnwright.path import Spiral
 from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_tool, read_nc, write_fast_tool, write_nc
-from turnwright.tracking import track
+from turnwright.tracking import precorrect, track
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -115,8 +115,8 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             path = place(spiral, part, tool, along=job.strategy.along, progress=tell)
         feed = abs(float(spiral.radius[-1] - spiral.radius[0])) / spiral.turns
         del spiral
-        with watch.stage("drive"):
-            motion = drive(path, servo, machine)
+        with watch.stage("drive") as tell:
+            motion, meant = _commanded(job, drive(path, servo, machine), tell)
         warnings += _accepted_gouge(job, path)
         names = cut.names(stock)
         depth = (stock - cut.allowance) / len(names)
@@ -147,7 +147,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     with watch.stage("compare"):
         rounding, limit = _rounding(job, motion, again)
     del motion
-    predictions = predict(job, again, watch=watch)
+    predictions = predict(job, again, meant=meant, watch=watch)
     del again
 
     warnings += _assumed(job, passes) + _judged(job, predictions)
@@ -224,6 +224,7 @@ def predict(
     motion: Motion,
     *,
     tracking: bool | None = None,
+    meant: Motion | None = None,
     watch: _Watch | None = None,
     progress: StageProgress | None = None,
 ) -> tuple[Prediction, ...]:
@@ -240,6 +241,8 @@ def predict(
     tracking
         Whether the axes move as the machine's servos let them, and what that adds is told; as the job says if not
         given.
+    meant
+        Where the axes shall really pass, if ``motion`` is corrected for the servos: what these add is against that.
     watch, progress
         Who keeps the time, or who is told (stage, done, total).
 
@@ -256,6 +259,7 @@ def predict(
         require_servos(machine)
         with watch.stage("track") as tell:
             real = track(motion, machine, progress=tell)
+        motion = meant or motion
     if machine.controller.interpolation != "linear":
         with watch.stage("interpolate") as tell:
             motion = track(motion, without_servos(machine), progress=tell)
@@ -320,6 +324,11 @@ def _asked(spiral: Spiral, machine: Machine) -> Spiral:
     if machine.controller.interpolation == "hermite":
         return spiral
     return replace(spiral, radius_rate=None, y_rate=None)
+
+
+def _commanded(job: Job, motion: Motion, tell: Progress) -> tuple[Motion, Motion | None]:
+    """Return what is commanded, and what was meant if the job wants that corrected for the servos."""
+    return (precorrect(motion, progress=tell), motion) if job.program.precorrect else (motion, None)
 
 
 def _outermost(spiral: Spiral) -> Spiral:

@@ -264,7 +264,7 @@ class WholePart(Table):
 class SimulationTable(Table):
     """What to predict, and whether the axes move as the machine's servos let them."""
 
-    tracking: bool = False
+    tracking: Annotated[bool, Strict()] = False
     whole_part: WholePart = WholePart()
     patches: tuple[Patch, ...] = ()
 
@@ -305,6 +305,7 @@ class ProgramTable(Table):
     max_lines: Annotated[int, Strict(), Ge(100)] | None = None
     fast_tool: Literal["position", "time"] | None = None
     fast_tool_rate: Annotated[float, unit("Hz", above=0.0)] | None = None
+    precorrect: Annotated[bool, Strict()] = False
 
 
 def _all_different(what: str, names: list[str]) -> None:
@@ -409,6 +410,11 @@ class Job(Table):
                 require_servos(self.actual_machine)
             except InputError as error:
                 raise JobError(f"simulation.tracking: {error}") from error
+        elif self.program.precorrect:
+            raise JobError(
+                "program.precorrect is true and simulation.tracking is false, so the prediction would take the "
+                "corrections for errors: set both"
+            )
         return self
 
     def _check_fast_tool(self) -> None:
