@@ -255,10 +255,13 @@ class _Steps:
 
     def __init__(self, part: Part, tool: Tool, scallop: float, sense: int, way: int) -> None:
         from turnwright._kernels import adaptive as kernel  # noqa: PLC0415 - numba is costly to import
+        from turnwright._kernels.edge import trace as edge_trace  # noqa: PLC0415
 
         self.kernel = kernel
+        self.rim = part.radius
         self.part, self.tool, self.scallop, self.sense, self.way = part, tool, scallop, sense, way
-        self.row = tool.table(sense).row
+        self.trace, self.edge = edge_trace, tool.table(sense)
+        self.row = self.edge.row
         self.profile = tool.profile()
         low, high = tool.arc
         edge = tool.edge(np.array([low, high]))[2] - self.row[7]
@@ -286,14 +289,16 @@ class _Steps:
         from turnwright.dilation import touch  # noqa: PLC0415 - numba is costly to import
 
         surface, sense = self.part.surface, self.sense
-        at = touch(surface, self.tool, angle=angle, radius=radius - self.row[5], sense=sense, rim=self.part.radius)
+        at = touch(surface, self.tool, angle=angle, radius=radius - self.row[5], sense=sense, rim=self.rim)
         with np.errstate(all="ignore"):
             _, zx, zy = surface.evaluate(at.x, at.y, 1)
         around = zy * at.x - zx * at.y
         outward = zx * np.cos(angle) + zy * np.sin(angle)
-        # An edge that is tangent to the surface slopes as it does; one in a valley or on a ridge has a slope of its own.
-        free = ~np.isfinite(outward)
-        around[free] = outward[free] = 0.0
+        if self.row[4] == 0:
+            # Upright, the edge slopes as its own height does, also where it rests on a ridge, which has no slope.
+            trace = np.empty((4, angle.size))
+            self.trace(*self.edge, np.ascontiguousarray(at.sweep), trace)
+            outward = self.row[3] * trace[3] / trace[2]
         return at.z, around, outward
 
     def _tips(self, radius: Floats) -> tuple[Floats, Floats]:
@@ -301,7 +306,9 @@ class _Steps:
         low, high = int(radius.min() / self.ring), int(radius.max() / self.ring) + 2
         while high >= self.first + self.height.shape[0]:
             start = self.first + self.height.shape[0]
-            rings = np.arange(start, start + max(16, BLOCK // 2 // self.spokes))
+            # Many at a time, but no further outside the rim than the tip goes: the surface may end there.
+            many = min(start + BLOCK // 2 // self.spokes, int(self.part.radius / self.ring))
+            rings = np.arange(start, max(high, many) + 1)
             # Every ring a turn, so that points of one azimuth share their line.
             angle = self.azimuth + self.way * TURN * np.arange(rings.size)[:, None]
             radii = np.repeat(rings * self.ring, self.spokes)
@@ -382,7 +389,9 @@ class _Steps:
             if steady:
                 crest = self.next(radius, step)[1]
             else:
-                step, crest = self.next(radius, step)
+                new, crest = self.next(radius, step)
+                # Outside the rim there is no cusp to ask for, and maybe no surface.
+                step = np.where(crest < rim, new, np.minimum(new, step))
             parts.append(radius)
             inside = np.flatnonzero(crest < rim)
             if inside.size:
@@ -397,6 +406,8 @@ class _Steps:
             # A spoke whose crest is outside the rim comes to rest within some steps.
             rest = np.zeros(1) if steady else np.clip((crest - rim) / (REST * step), 0.0, 1.0)
             radius = radius + step * (1 - rest**3 * (10 - 15 * rest + 6 * rest**2))
+        # From here on the surface ends for every tip where it ends for the outermost, as it will when the path is placed.
+        self.rim = max(rim, float(np.max(radius)) + abs(self.row[5]))
         return _Curve(np.concatenate(parts), self.spokes, self.flat), (short / self.spokes + 1) * TURN
 
     def _joint(self, radius: Floats, step: Floats, share: Floats, least: float) -> Floats:
@@ -495,7 +506,10 @@ def _sampled(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, herm
         return np.stack([turned, z, steps.way * around + outward * rate, radius, rate, outward])
 
     path = placed(turned)
+    ridges = steps.part.surface.piece(np.zeros(1), np.zeros(1)) is not None
     while True:
+        if ridges:  # the surface has no slope where the edge rests on one; the path has
+            path[2] = np.gradient(path[1], path[0], edge_order=2)
         doubt = _doubt(path)
         coarse = np.flatnonzero(doubt > chord / MISS)
         if coarse.size == 0:
