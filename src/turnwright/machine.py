@@ -118,6 +118,8 @@ class Controller:
         "linear", "hermite" (PVT), "quadratic spline" or "cubic spline", see `track`.
     look_ahead
         Blocks that it knows beforehand, within which it must be able to brake; ``None`` for as many as it needs.
+    variable_speed
+        Whether the spindle may turn at another speed in every block, as times or inverse times of blocks allow.
 
     Raises
     ------
@@ -127,8 +129,11 @@ class Controller:
 
     interpolation: str = "linear"
     look_ahead: int | None = None
+    variable_speed: bool = False
 
     def __post_init__(self) -> None:
+        if not isinstance(self.variable_speed, bool):
+            raise InputError(f"variable_speed is {self.variable_speed!r}, it must be true or false: change it")
         if self.interpolation not in INTERPOLATIONS:
             raise InputError(
                 f"interpolation is {self.interpolation!r}, it must be one of {', '.join(INTERPOLATIONS)}: name one"

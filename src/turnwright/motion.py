@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -34,6 +35,9 @@ FAINT = 1e-4
 
 FULL = 0.99
 """Share of a limit from which on it is the limit that binds: the speed that `drive` finds uses all of one."""
+
+MOST_PIECES = 1000
+"""Pieces of a motion that have a spindle speed of their own."""
 
 POWERS = {"speed": 1, "acceleration": 2, "jerk": 3}
 """How each quantity grows with the spindle speed."""
@@ -116,15 +120,20 @@ class Limits:
 
 
 def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
-    r"""Return the motion of the axes along a path, at a steady spindle speed.
+    r"""Return the motion of the axes along a path.
 
-    Time is the angle turned over the spindle speed. Z is commanded to ``path.z - machine.z_error(X)``, so that the tip
-    stands at ``path.z`` in spite of the machine's known errors; they act at the position of X, wherever on the edge
-    the contact is.
+    Time is the angle turned over the spindle speed, which is steady unless the controller may vary it. Z is commanded
+    to ``path.z - machine.z_error(X)``, so that the tip stands at ``path.z`` in spite of the machine's known errors; they
+    act at the position of X, wherever on the edge the contact is.
 
     If the strategy states no spindle speed, it is the highest one :math:`\omega` that keeps every stated limit: along
     a given path block rate and speeds grow with :math:`\omega`, accelerations with :math:`\omega^2` and jerks with
     :math:`\omega^3`, so each limit allows one speed and the lowest of them binds.
+
+    Where the controller may vary the speed (``Controller.variable_speed``), every turn has a highest one of its own.
+    :math:`\omega^2` then runs straight over the angle from turn to turn, so that the spindle speeds up steadily in time
+    between them, no faster than the C axis may, and the whole motion is slowed down by what that adds to the other
+    axes.
 
     A controller that takes velocities too (interpolation "hermite", PVT) gets them from the rates that the path states,
     :math:`\dot q = \omega\, dq/d\theta`, with the derivative of the machine's errors along X in that of Z. Where
@@ -162,8 +171,12 @@ def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
         if rates is not None:
             rates = {**rates, "Z": rates["Z"] - machine.z_error_slope(axes["X"]) * rates["X"]}
     rpm = servo.spindle_rpm
-    if rpm is None:
-        omega = _highest(path.angle, axes, machine)
+    turned = np.abs(path.angle - path.angle[0])
+    omega: float | Floats
+    if rpm is None and machine.controller.variable_speed:
+        omega = _varied(turned, axes, machine)
+    elif rpm is None:
+        omega = _highest(turned, turned, axes, machine)
     elif rpm > machine.spindle_rpm:
         raise LimitError(
             f"spindle_rpm is {rpm:g} rev/min, the limit of {machine.name} is {machine.spindle_rpm:g} rev/min: turn "
@@ -172,7 +185,7 @@ def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
     else:
         omega = rpm * TURN / 60
     velocity = None if rates is None else {letter: path.sense * omega * rate for letter, rate in rates.items()}
-    return Motion(time=np.abs(path.angle - path.angle[0]) / omega, axes=axes, machine=machine, velocity=velocity)
+    return Motion(time=_clock(turned, omega), axes=axes, machine=machine, velocity=velocity)
 
 
 def check_limits(motion: Motion, machine: Machine) -> Limits:
@@ -265,21 +278,53 @@ def _beyond(letter: str, top: Mapping[str, float], machine: Machine) -> list[str
     ]
 
 
-def _highest(angle: Floats, axes: Mapping[str, Floats], machine: Machine) -> float:
-    """Return the highest spindle speed that keeps every stated limit. [rad/s]."""
+def _clock(turned: Floats, omega: float | Floats) -> Floats:
+    """Return the time at some angles, the spindle speeding up steadily from one to the next. (n,) [s]."""
+    if isinstance(omega, float):
+        return turned / omega
+    return np.concatenate([[0.0], np.cumsum(2 * np.diff(turned) / (omega[1:] + omega[:-1]))])
+
+
+def _varied(turned: Floats, axes: Mapping[str, Floats], machine: Machine) -> Floats:
+    """Return the spindle speed at every point, each turn as fast as its own limits let it. (n,) [rad/s]."""
+    count = max(1, min(int(turned[-1] / TURN), MOST_PIECES))
+    borders = np.linspace(0, turned[-1], count + 1)
+    ends = np.searchsorted(turned, borders)
+    quickest = np.empty(count)
+    for k, (first, last) in enumerate(pairwise(ends.tolist())):
+        # Three blocks on either side count too: as far as a jerk is seen.
+        here = slice(max(first - 3, 0), last + 4)
+        own = {letter: position[here] for letter, position in axes.items()}
+        quickest[k] = _highest(turned[here], turned[here], own, machine)
+    squares = np.minimum(np.append(quickest, np.inf), np.append(np.inf, quickest)) ** 2
+    rise = 2 * (machine.axes["C"].acceleration or np.inf) * borders[1]
+    for order in (range(1, count + 1), range(count - 1, -1, -1)):
+        step = 1 if order.step > 0 else -1
+        for k in order:
+            squares[k] = min(squares[k], squares[k - step] + rise)
+    omega: Floats = np.sqrt(np.interp(turned, borders, squares))
+    # What speeding up adds to the accelerations of the other axes is known only now.
+    return omega * min(1.0, _highest(_clock(turned, omega), turned, axes, machine))
+
+
+def _highest(time: Floats, turned: Floats, axes: Mapping[str, Floats], machine: Machine) -> float:
+    """Return how much quicker a motion may be so that it just keeps every stated limit.
+
+    With the angle for its time that is the highest spindle speed. [rad/s]
+    """
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
-    # The angle stands for time: this is the motion at one radian per second.
-    blocks = block_points(angle * np.sign(angle[-1] - angle[0]), axes)
-    allowed = [machine.spindle_rpm * TURN / 60, machine.block_rate_hz * kernel.shortest(angle[blocks])[1]]
-    for letter, (top, _) in _all_peaks(angle, axes, blocks).items():
+    blocks = block_points(turned, axes)
+    turning = float((np.diff(turned) / np.diff(time)).max())
+    allowed = [machine.spindle_rpm * TURN / 60 / turning, machine.block_rate_hz * kernel.shortest(time[blocks])[1]]
+    for letter, (top, _) in _all_peaks(time, axes, blocks).items():
         for kind, power in POWERS.items():
             limit, value = getattr(machine.axes[letter], kind), top[kind]
             if limit is not None and value > 0:
                 allowed.append((limit / value) ** (1 / power))
         band = machine.axes[letter].bandwidth_hz
         if band is not None:
-            highest, _ = _frequency(angle, angle, axes[letter])
+            highest, _ = _frequency(time, turned, axes[letter])
             if highest > 0:
                 allowed.append(band / highest)
     return float(min(allowed))

@@ -116,6 +116,8 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     quickest is written, read back and simulated whole. Since not all shares meet in one place it may keep the
     tolerances with room to spare: then the shares grow, until the proof uses the tolerances up.
 
+    A machine that may vary its speed, and states no servos, is left to do so; otherwise one speed is stated.
+
     What the job's strategy says of feed, points and speed is replaced; all else stays.
 
     Parameters
@@ -179,6 +181,9 @@ def _proved(job: Job, across: float, left: float, roughest: float) -> Plan:
     """Return the quickest plan whose points and servos share what is left [mm], written, read back and simulated."""
     part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
     answers = has_servos(machine)
+    varied = machine.controller.variable_speed and not answers
+    if not varied:
+        machine = replace(machine, controller=replace(machine.controller, variable_speed=False))
     tried: list[tuple[float, float, float]] = []
     best: tuple[Job, Spiral, Motion] | None = None
     for split in SPLITS if answers else (1.0,):
@@ -193,12 +198,13 @@ def _proved(job: Job, across: float, left: float, roughest: float) -> Plan:
             best = filled, spiral, motion
     assert best is not None  # noqa: S101 - there is at least one split
     filled, spiral, motion = best
-    rpm = check_limits(motion, machine).spindle_rpm
-    motion = replace(motion, time=motion.time * (rpm / _plain(rpm)))
+    rpm = None if varied else _plain(check_limits(motion, machine).spindle_rpm)
+    if rpm is not None:
+        motion = replace(motion, time=motion.time * (check_limits(motion, machine).spindle_rpm / rpm))
     with TemporaryDirectory(prefix="turnwright-") as folder:
         again = read_back(filled, written(filled, {"finish": motion}, File(folder)).files[0], "finish")
     return Plan(
-        job=_filled(filled, across, chord=filled.strategy.chord, rpm=_plain(rpm)),  # type: ignore[union-attr] # it has one
+        job=_filled(filled, across, chord=filled.strategy.chord, rpm=rpm),  # type: ignore[union-attr] # it has one
         shares=shares(part, tool, spiral, motion, again=again),
         limits=check_limits(motion, machine),
         tried=tuple(tried),
