@@ -123,8 +123,8 @@ def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
     r"""Return the motion of the axes along a path.
 
     Time is the angle turned over the spindle speed, which is steady unless the controller may vary it. Z is commanded
-    to ``path.z - machine.z_error(X)``, so that the tip stands at ``path.z`` in spite of the machine's known errors; they
-    act at the position of X, wherever on the edge the contact is.
+    to ``path.z - machine.z_error(X)``, so that the tip stands at ``path.z`` in spite of the machine's known errors;
+    they act at the position of X, wherever on the edge the contact is.
 
     If the strategy states no spindle speed, it is the highest one :math:`\omega` that keeps every stated limit: along
     a given path block rate and speeds grow with :math:`\omega`, accelerations with :math:`\omega^2` and jerks with
