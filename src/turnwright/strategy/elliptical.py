@@ -303,7 +303,10 @@ class QuasiEllipticalToolServo(Strategy):
             & (found.line - course.moment[0] >= room)
             & (course.moment[-1] - found.line >= room)
         )
-        if self.shortest is None or kept.line.size < 2:
+        if kept.line.size < 2:
+            return kept
+        kept = kept.some(np.append(True, np.diff(np.maximum.accumulate(kept.line)) > OFF))
+        if self.shortest is None:
             return kept
         radius = np.abs(course.radius(kept.line))
         if self.short == "skip":
@@ -331,7 +334,7 @@ class QuasiEllipticalToolServo(Strategy):
         alone = np.flatnonzero(~np.isnan(stands.sweep_before))
         sweeps = np.stack([stands.sweep_before[alone], stands.sweep_after[alone]])
         for _ in range(3):
-            moment = self._moments(plain, line)
+            moment = self._moments(plain, line, rate)
             met = reader.meet(plain, moment[alone], line[alone] + rate[alone] * (moment - stands.at)[alone], sweeps)
             good = np.isfinite(met.line)
             line[alone[good]], rate[alone[good]] = met.line[good], met.rate[good]
@@ -359,7 +362,7 @@ class QuasiEllipticalToolServo(Strategy):
         )
         return course, stands._replace(line=line, rate=rate)
 
-    def _moments(self, plain: _Course, line: Floats) -> Floats:
+    def _moments(self, plain: _Course, line: Floats, rate: Floats) -> Floats:
         """Return when the tool stands still at each valley."""
         if self.y_acceleration is None or line.size == 0:
             return line.copy()
@@ -368,9 +371,13 @@ class QuasiEllipticalToolServo(Strategy):
         omega = float(self.spindle_rpm) * TURN / 60  # type: ignore[arg-type]
         edges = np.concatenate([plain.moment[:1], line, plain.moment[-1:]])
         radius = np.abs(plain.radius(edges))
-        # From one valley to the next in the time T the swing asks for 2 pi rho W (omega / T)^2.
-        wider = np.maximum(radius[1:], radius[:-1])
-        least = omega * np.sqrt(TURN * wider * np.diff(edges) / (MARGIN * self.y_acceleration))
+        # From one valley to the next, W on, in the time T, it asks for 2 pi rho (W - q T) (omega / T)^2, and where
+        # the next one is faster by d for 4 rho d omega^2 / T more, at other places.
+        rates = np.concatenate([[1.0], rate, [1.0]])
+        share = omega**2 * np.maximum(radius[1:], radius[:-1]) / (MARGIN * self.y_acceleration)
+        receding = np.maximum(-np.minimum(rates[1:], rates[:-1]), 0.0)
+        linear = 0.5 * share * (TURN * receding + 4 * np.abs(np.diff(rates)))
+        least = linear + np.sqrt(linear**2 + TURN * share * np.maximum(np.diff(edges), 0.0))
         taken = np.append(0.0, np.cumsum(least))
         weights = np.ones(edges.size)
         weights[[0, -1]] = 1e9  # the ends stay where they are
@@ -440,7 +447,7 @@ class _Course(NamedTuple):
     def azimuth(self, at: Floats) -> tuple[Floats, Floats]:
         """Return the azimuth of the tip [rad] and its derivative by the moment. Each (n,)."""
         k = np.clip(np.searchsorted(self.moment, at, side="right") - 1, 0, self.moment.size - 2)
-        time = self.moment[k + 1] - self.moment[k]
+        time = np.maximum(self.moment[k + 1] - self.moment[k], 1e-300)
         s = (at - self.moment[k]) / time
         share = s - np.sin(TURN * s) / TURN
         (before, rate), (after, next_rate) = self._valley(k, at), self._valley(k + 1, at)
