@@ -295,3 +295,31 @@ def test_output_array_is_used_and_checked():
 def test_wrong_grids_are_refused(call, words):
     with pytest.raises(tw.InputError, match=words):
         call(spiral_motion(1.0, 0.1, 20, bowl))
+
+
+@pytest.mark.parametrize("tool", ["round", "off centre", "leaning"])
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_tool_that_swings_in_y_equals_brute_force(tool, sense):
+    """Where the tool stands still over the part it passes over a point at a turning point of its own azimuth."""
+    motion = spiral_motion(0.4, 0.05, 120, bowl, sense=sense)
+    c, x = motion.axes["C"], motion.axes["X"]
+    swing = 0.1 * np.sin(9 * c)  # so that its azimuth turns back for a while in each swing
+    moved = replace(motion, axes={**motion.axes, "X": x * np.cos(swing), "Y": x * np.sin(swing)})
+    edge = TOOLS[tool]
+    px, py = np.array([0.31, -0.2, 0.11, -0.05, 0.02]), np.array([0.05, 0.21, -0.3, -0.04, 0.01])
+    got = tw.generate_points(moved, edge, x=px, y=py)
+    s = np.linspace(-0.87, 0.87, 200_001)
+    u, v, e = edge.edge(s, sense)
+    number = np.linspace(0, c.size - 1, 60 * (c.size - 1) + 1)
+    at, out, up, z = (np.interp(number, np.arange(c.size), moved.axes[letter]) for letter in "CXYZ")
+    for k in range(px.size):
+        along = px[k] * np.cos(at) + py[k] * np.sin(at)
+        across = py[k] * np.cos(at) - px[k] * np.sin(at)
+        place = along - out
+        aside = across - up - np.interp(place, u, v)
+        height = np.where((place > u[0]) & (place < u[-1]), z + np.interp(place, u, e), 1.0)
+        i = np.flatnonzero((aside[1:] > 0) != (aside[:-1] > 0))
+        share = aside[i] / (aside[i] - aside[i + 1])
+        # Between two samples everything is straight but for the square of a step of 0.02 degrees.
+        expected = (height[i] + share * (height[i + 1] - height[i])).min()
+        assert got[k] == pytest.approx(expected, abs=2e-8)
