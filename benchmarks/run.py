@@ -25,18 +25,21 @@ from time import perf_counter
 import bench_program
 import numpy as np
 import thesis_backplotter
+from scipy.signal import lsim, lti
 
 from turnwright.contact import place
 from turnwright.generation import generate, generate_polar
 from turnwright.machine import Axis, Machine
-from turnwright.motion import drive
+from turnwright.motion import check_limits, drive
 from turnwright.part import Part
-from turnwright.path import Spiral
+from turnwright.path import Motion, Spiral
 from turnwright.post import read_nc, write_nc
 from turnwright.progress import cores
-from turnwright.strategy import SlowToolServo
-from turnwright.surface import LensArray, RadialPolynomial, Sphere
+from turnwright.response import SecondOrder
+from turnwright.strategy import AdaptiveToolServo, SlowToolServo
+from turnwright.surface import LensArray, RadialPolynomial, SineGrid, Sphere
 from turnwright.tool import Tool
+from turnwright.tracking import track
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples"
@@ -282,6 +285,50 @@ def bench_dialect(table, dialect, points, folder):
         )  # fmt: skip
 
 
+def bench_planning(table, scale):
+    """Whole plans, from the part to a motion within the limits of a machine."""
+    part = Part(surface=SineGrid(amplitude=(0.005, 0.005), period=(0.2, 0.2)), radius=3.0 * np.sqrt(scale))
+    tool = Tool(nose_radius=0.1)
+    machine = Machine.load("nanoform")
+    ways = {
+        "slow tool servo, points by chord": SlowToolServo(feed=0.00446, chord=1e-5),
+        "adaptive tool servo": AdaptiveToolServo(scallop=5e-5, chord=1e-5, interpolation="linear"),
+    }
+    for name, servo in ways.items():
+        found = []
+
+        def whole(servo=servo, found=found):
+            path = place(servo.spiral(part, tool), part, tool)
+            found[:] = [check_limits(drive(path, servo, machine), machine).points]
+
+        whole()
+        x, y = np.random.default_rng(1).uniform(-2, 2, (2, found[0]))
+        ours, sag = timed(whole, lambda x=x, y=y: part.surface.sag(x, y), times=3)
+        table.add(
+            what=f"plan {found[0]:.2g} points by {name}, {plural(cores())}",
+            ours=ours, yardstick="`surface.sag` of as many points", theirs=sag,
+        )  # fmt: skip
+        table.note(f"A million points take the {name} {median(ours) / found[0] * 1e6:.2g} s; published is 52 s.")
+
+
+def bench_tracking(table, scale):
+    """The closed form of a servo against SciPy's simulation of the same."""
+    samples = int(1e6 * scale)
+    servo = SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1.0)
+    axes = {letter: Axis(response=servo if letter == "Z" else None) for letter in "CXZ"}
+    machine = Machine(name="lathe", axes=axes, spindle_rpm=1000, block_rate_hz=1e9)
+    time = np.arange(samples) * 1e-3
+    z = 0.01 * np.sin(TURN * 3 * time)
+    motion = Motion(time=time, axes={"C": TURN * time, "X": 10 - 1e-3 * time, "Z": z}, machine=machine)
+    above, below = servo.polynomials
+    system = lti(np.trim_zeros(above, "f"), below)
+    ours, theirs = timed(lambda: track(motion, chord=1.0), lambda: lsim(system, z, time), times=3)
+    table.add(
+        what=f"track, {samples:.0e} points, one axis with a servo, 1 core",
+        ours=ours, yardstick="`scipy.signal.lsim`", theirs=theirs, faster=True,
+    )  # fmt: skip
+
+
 def bench_doors(table, scale):
     command = str(Path(sys.executable).with_name("turnwright"))
 
@@ -356,7 +403,8 @@ def main():
         f"{np.__version__}, numba {version('numba')}, Turnwright {version('turnwright')}; other work kept "
         f"{os.getloadavg()[0]:.1f} cores busy."
     )
-    for bench in (bench_place, bench_polar, bench_patch, bench_program_files, bench_doors, bench_thesis):
+    programs = (bench_program_files, bench_planning, bench_tracking)
+    for bench in (bench_place, bench_polar, bench_patch, *programs, bench_doors, bench_thesis):
         bench(table, scale)
     if scale == 1:
         (HERE / "RESULTS.md").write_text(table.markdown(), encoding="utf-8")

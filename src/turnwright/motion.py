@@ -314,7 +314,7 @@ def _highest(time: Floats, turned: Floats, axes: Mapping[str, Floats], machine: 
     """
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
-    blocks = block_points(turned, axes)
+    blocks = block_points(time, axes)
     turning = float((np.diff(turned) / np.diff(time)).max())
     allowed = [machine.spindle_rpm * TURN / 60 / turning, machine.block_rate_hz * kernel.shortest(time[blocks])[1]]
     for letter, (top, _) in _all_peaks(time, axes, blocks).items():

@@ -211,7 +211,9 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         speed = servo.spindle_rpm or machine.spindle_rpm
         times = cut.repeats(stock)
         points[cut.name] = times * spiral.angle.size
-        shortest[cut.name] = times * max(spiral.turns * 60 / speed, (spiral.angle.size - 1) / machine.block_rate_hz)
+        # The points of a fast tool stand in its own table.
+        blocks = 0 if job.program.fast_tool else spiral.angle.size - 1
+        shortest[cut.name] = times * max(spiral.turns * 60 / speed, blocks / machine.block_rate_hz)
         stock = cut.allowance
     refused = tuple(
         _or_accept(one.sentence, one.name) for one in access.findings if not one.ok and one.name not in job.accept
