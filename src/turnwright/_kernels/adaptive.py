@@ -1,8 +1,8 @@
 """Turns as far apart as the cusp allows, and points as far apart as the chord allows. See strategy/adaptive.py.
 
-A path is sampled as arrays over the angle turned t: height z, real radius x, their derivatives dz and dx by t, the slope
-s of the height along the radius, and how far the radius may be aside. Between two samples it is a cubic. Each array is
-(n,), and ``path`` (7, n) holds t, z, dz, x, dx, s and aside.
+A path is sampled as arrays over the angle turned t: height z, real radius x, their derivatives dz and dx by t, the
+slope s of the height along the radius, and how far the radius may be aside. Between two samples it is a cubic. Each
+array is (n,), and ``path`` (7, n) holds t, z, dz, x, dx, s and aside.
 """
 
 import numpy as np

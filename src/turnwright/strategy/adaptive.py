@@ -79,13 +79,13 @@ class AdaptiveToolServo(Strategy):
     last one ends, so every step is taken from the spiral's own previous turn; a cubic spline in the cumulative angle
     through all of them has a radius with two continuous derivatives, over the seam of each turn as anywhere. The tip
     rests on the axis for a moment and takes half a turn to its steady advance, so that passes from both sides of the
-    axis stand nowhere further apart than the others. The spiral ends with the turn after which no point inside the clear
-    radius stands higher than the scallop; spokes that are there before the last one come to rest.
+    axis stand nowhere further apart than the others. The spiral ends with the turn after which no point inside the
+    clear radius stands higher than the scallop; spokes that are there before the last one come to rest.
 
-    *Along a turn.* Each point is the furthest from the last for which what the controller makes of the axes keeps within
-    ``chord`` of the exact height of the tip *at the radius where it then is*. The points of straight lines may stand up
-    to the chord above or below the path (`Path.lift`), so that lines pass on both sides of it: steps are longer by
-    :math:`\sqrt 2`.
+    *Along a turn.* Each point is the furthest from the last for which what the controller makes of the axes keeps
+    within ``chord`` of the exact height of the tip *at the radius where it then is*. The points of straight lines may
+    stand up to the chord above or below the path (`Path.lift`), so that lines pass on both sides of it: steps are
+    longer by up to :math:`\sqrt 2`.
 
     Parameters
     ----------
@@ -406,7 +406,7 @@ class _Steps:
             # A spoke whose crest is outside the rim comes to rest within some steps.
             rest = np.zeros(1) if steady else np.clip((crest - rim) / (REST * step), 0.0, 1.0)
             radius = radius + step * (1 - rest**3 * (10 - 15 * rest + 6 * rest**2))
-        # From here on the surface ends for every tip where it ends for the outermost, as it will when the path is placed.
+        # From here on the surface ends for every tip where it ends for the outermost, as when the path is placed.
         self.rim = max(rim, float(np.max(radius)) + abs(self.row[5]))
         return _Curve(np.concatenate(parts), self.spokes, self.flat), (short / self.spokes + 1) * TURN
 
@@ -475,7 +475,7 @@ def _blocks(steps: _Steps, curve: _Curve, end: float) -> Iterator[tuple[float, f
     low = 0
     while low < turns:
         # Twice as far out at most, as the samples of the inner turns would be too close together.
-        outer = np.arange(low + 1, turns + 1)
+        outer = np.arange(low + 1, turns + 1, dtype=np.float64)
         radius = curve.at(TURN * outer)[0]
         per_turn = np.maximum(LEAST_SPOKES, SAMPLES_PER_FEATURE * TURN * radius / steps.part.surface.feature_size)
         fit = (per_turn <= 2 * per_turn[0] + 1024) & (per_turn * (outer - low) <= BLOCK)

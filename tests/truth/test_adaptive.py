@@ -1,0 +1,207 @@
+"""Adaptive steps and points: dense simulation of the program itself, and circle geometry. No planner inside."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+
+from turnwright import (
+    AdaptiveToolServo,
+    FastToolServo,
+    Machine,
+    Motion,
+    Part,
+    Plane,
+    SineGrid,
+    Sphere,
+    Spiral,
+    Tool,
+    drive,
+    generate_polar,
+    place,
+)
+from turnwright.surface import Surface
+
+TURN = 2 * np.pi
+TOOL = Tool(nose_radius=0.1)
+GRID = Part(surface=SineGrid(amplitude=(0.005, 0.005), period=(0.2, 0.2)), radius=0.3)
+MACHINE = Machine.load("generic")
+SCALLOP = 50e-6
+WAYS = [
+    {"interpolation": "hermite"},
+    {"interpolation": "linear"},
+    {"interpolation": "linear", "off_path": False},
+    {"interpolation": "hermite", "x_motion": "steady"},
+]
+
+
+def followed(servo, part, tool=TOOL, each=24):
+    """Return angle, radius and height that the controller makes of the points, and the exact height at that radius."""
+    spiral = servo.spiral(part, tool)
+    path = place(spiral, part, tool)
+    angle = (path.angle[:-1, None] + np.diff(path.angle)[:, None] * np.arange(each) / each).ravel()
+    if servo.interpolation == "hermite":
+        order = slice(None, None, path.sense)
+        ahead = [values[order] for values in (path.angle, path.z, path.z_rate, path.radius, path.radius_rate)]
+        z, radius = CubicHermiteSpline(*ahead[:3])(angle), CubicHermiteSpline(ahead[0], *ahead[3:])(angle)
+    else:
+        axes = servo.axes(path)
+        z, radius = (np.interp(path.sense * angle, path.sense * axes["C"], axes[k]) for k in "ZX")
+    exact = place(Spiral(angle=angle, radius=radius), part, tool).z
+    return path, angle, radius, z, exact
+
+
+def left(angle, radius, z, part, *, low, high, tool=TOOL, azimuths=60, samples=12001):
+    """Return the error of the surface that a motion leaves. (azimuths, samples)"""
+    motion = Motion(time=np.abs(angle - angle[0]), axes={"C": angle, "X": radius, "Z": z}, machine=MACHINE)
+    rings, rays = np.linspace(low, high, samples), np.linspace(0, TURN, azimuths, endpoint=False)
+    return generate_polar(motion, tool, radius=rings, angle=rays).minus(part.surface).z
+
+
+def crests(error):
+    """Return the heights of the local maxima along the rays, the parabola through three samples at each."""
+    inner, middle, outer = error[:, :-2], error[:, 1:-1], error[:, 2:]
+    return middle[(middle > inner) & (middle >= outer)]
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("chord", [10e-6, 1e-6])
+def test_the_controller_keeps_within_the_chord_of_the_exact_path(way, chord):
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=chord, **way)
+    _, _, _, z, exact = followed(servo, GRID)
+    worst = np.abs(z - exact).max()
+    assert 0.9 * chord < worst <= chord  # and it uses the chord, so the points are no closer than they need be
+
+
+@pytest.mark.parametrize(("sense", "inside_out"), [(1, False), (-1, True)])
+def test_either_way_round_is_within_the_chord(sense, inside_out):
+    tool = Tool(nose_radius=0.1, rake=np.deg2rad(-15), waviness=(0.0, 2e-5), offset=(0.003, 0.002, 0.001))
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=5e-6, interpolation="hermite", inside_out=inside_out, sense=sense)
+    path, _, _, z, exact = followed(servo, GRID, tool)
+    assert path.sense == sense
+    assert (path.radius[0] < path.radius[-1]) == inside_out
+    assert path.radius.min() == pytest.approx(-0.003, abs=1e-12)
+    assert np.abs(z - exact).max() <= 5e-6
+
+
+@pytest.mark.parametrize("way", WAYS[:3])
+@pytest.mark.parametrize("surface", [GRID.surface, Sphere(radius=0.5), Plane()])
+def test_every_cusp_is_as_high_as_the_scallop(way, surface):
+    part = Part(surface=surface, radius=0.3)
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, **way)
+    # Straight lines between as many samples follow the cubics to a ten-thousandth of the scallop.
+    _, angle, radius, _, exact = followed(servo, part, each=200)
+    # Where the tip is within its first two turns the edge touches up to 0.03 mm from the axis.
+    high = crests(left(angle, radius, exact, part, low=0.05, high=0.299, samples=40001)) / SCALLOP
+    assert high.size > 60 * 30
+    assert high.min() > 0.98
+    assert high.max() < 1.005
+    # Nothing is higher anywhere, the axis and the rim included.
+    assert left(angle, radius, exact, part, low=0.0, high=0.3).max() < 1.005 * SCALLOP
+
+
+def test_the_program_itself_leaves_scallop_and_chord():
+    for way in WAYS:
+        servo = AdaptiveToolServo(scallop=SCALLOP, chord=1e-6, **way)
+        _, angle, radius, z, _ = followed(servo, GRID, each=200)
+        error = left(angle, radius, z, GRID, low=0.0, high=0.3)
+        assert error.max() < 1.005 * SCALLOP + 1.02e-6
+        assert error.min() > -1.02e-6
+
+
+def test_on_a_flat_the_turns_stand_as_circle_geometry_has_it():
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=1e-6, interpolation="hermite", inside_out=True)
+    spiral = servo.spiral(Part(surface=Plane(), radius=0.3), TOOL)
+    aim = 0.9925 * SCALLOP
+    radius = CubicHermiteSpline(spiral.angle, spiral.radius, spiral.radius_rate)
+    turn = np.arange(1, 40) * TURN + 1.0
+    assert np.abs(np.diff(radius(turn)) - 2 * np.sqrt(2 * 0.1 * aim - aim**2)).max() < 1e-8
+    # The tip rests on the axis, and takes up its advance within half a turn.
+    assert spiral.radius[0] == spiral.radius_rate[0] == 0
+
+
+def test_the_radius_has_two_continuous_derivatives_also_over_the_seam():
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=1e-7, interpolation="hermite", inside_out=True)
+    spiral = servo.spiral(GRID, TOOL)
+    # Quotients of the rate over shorter and shorter steps about any point approach one value from either side.
+    rate = CubicHermiteSpline(spiral.angle, spiral.radius, spiral.radius_rate).derivative()
+    at = np.concatenate([TURN * np.arange(1, 45), TURN * (np.arange(1, 45) + 0.5)])
+    jumps = []
+    for h in (0.04, 0.02):
+        jumps.append(np.abs(rate(at + h) - 2 * rate(at) + rate(at - h)).max() / h)
+    assert jumps[1] < 0.6 * jumps[0]  # it goes with h, a kink of the rate would stay
+
+
+def test_a_steady_feed_is_the_largest_that_keeps_the_scallop():
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=1e-6, interpolation="hermite", x_motion="steady")
+    _, angle, radius, _, exact = followed(servo, GRID, each=100)
+    high = crests(left(angle, radius, exact, GRID, low=0.05, high=0.299, azimuths=720)) / SCALLOP
+    assert 0.995 < high.max() < 1.002
+    feed = np.diff(radius) / np.diff(angle) * TURN
+    assert np.ptp(feed[radius[1:] > 0.02]) < 1e-8
+
+
+class Island(Surface):
+    """Flat but for a smooth-edged square of bumps: the curvature jumps at its border, the slope does not."""
+
+    def evaluate(self, x, y, order):
+        a, k = 0.0003, 2 * np.pi / 0.05
+        there = np.where((np.abs(x - 0.1625) < 0.1) & (np.abs(y - 0.1125) < 0.1), a / 2, 0.0)
+        cx, sx, cy, sy = (
+            np.cos(k * (x - 0.0625)),
+            np.sin(k * (x - 0.0625)),
+            np.cos(k * (y - 0.0125)),
+            np.sin(k * (y - 0.0125)),
+        )
+        jet = [(1 - cx) * (1 - cy), k * sx * (1 - cy), k * (1 - cx) * sy]
+        jet += [k * k * cx * (1 - cy), k * k * sx * sy, k * k * (1 - cx) * cy]
+        return tuple(there * part for part in jet[: (1, 3, 6)[order]])
+
+    @property
+    def feature_size(self):
+        return 0.05 / 8
+
+
+@pytest.mark.parametrize("way", WAYS[:2])
+def test_where_the_density_changes_nothing_is_gouged(way):
+    part = Part(surface=Island(), radius=0.3)
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=2e-6, **way)
+    path, angle, radius, z, exact = followed(servo, part, each=40)
+    x, y = path.radius * np.cos(path.angle), path.radius * np.sin(path.angle)
+    flat = (np.hypot(x, y) > 0.1) & (np.maximum(np.abs(x - 0.1625), np.abs(y - 0.1125)) > 0.15) & (path.radius < 0.3)
+    bumpy = np.maximum(np.abs(x - 0.1625), np.abs(y - 0.1125)) < 0.08
+    step = np.append(np.abs(np.diff(path.angle)) * path.radius[1:], 1.0)
+    assert np.median(step[flat]) > 4 * np.median(step[bumpy])  # the density does change
+    assert np.abs(z - exact).max() <= 2e-6
+    error = left(angle, radius, z, part, low=0.0, high=0.3, azimuths=180, samples=3001)
+    assert error.min() > -2.1e-6
+    assert left(angle, radius, exact, part, low=0.0, high=0.3, azimuths=180).max() < 1.01 * SCALLOP
+
+
+def test_points_off_the_path_save_a_factor_of_nearly_the_root_of_two():
+    counts = [
+        AdaptiveToolServo(scallop=SCALLOP, chord=1e-6, interpolation="linear", off_path=off, x_motion="steady")
+        .spiral(GRID, TOOL)
+        .angle.size
+        for off in (False, True)
+    ]
+    assert 1.36 < counts[0] / counts[1] < 1.46
+
+
+def test_a_split_motion_recombines_and_x_is_steady():
+    machine = MACHINE
+    for interpolation in ("linear", "hermite"):
+        whole = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation=interpolation)
+        split = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation=interpolation, x_motion="split")
+        path = place(split.spiral(GRID, TOOL), GRID, TOOL)
+        one, two = whole.axes(path), split.axes(path)
+        assert np.abs(two["X"] + two["U"] - one["X"]).max() < 1e-15
+        slope = np.diff(two["X"]) / np.diff(path.angle)
+        assert np.ptp(slope) < 1e-9
+        assert two["U"].max() == pytest.approx(-two["U"].min(), rel=1e-9)
+        fast = FastToolServo(plan=split).axes(path)
+        assert np.abs(fast["Z"] + fast["W"] - one["Z"]).max() < 1e-15
+        if interpolation == "hermite":
+            rates, both = whole.rates(path), split.rates(path)
+            assert np.abs(both["X"] + both["U"] - rates["X"]).max() < 1e-15
+            assert np.abs(both["X"] - slope.mean()).max() < 1e-9
+    assert drive(path, whole, machine).axes["X"].size == path.z.size
