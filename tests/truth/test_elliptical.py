@@ -84,9 +84,11 @@ def test_the_tip_stays_on_its_radius_and_does_not_drift(name):
 def test_no_kink_where_the_tool_stands_still(found, name):
     """Must show: no jump of dZ/dangle above 1e-6 mm/rad, by heights that know nothing of how valleys are found."""
     valleys, swing = found[name]
-    assert valleys.left[valleys.stood].max() < 1e-6
     inside = np.flatnonzero(valleys.stood & (valleys.radius < 0.2) & (valleys.jump > 0.01))
     assert inside.size > 30
+    if name == "slow":
+        # All of them, but for the outermost tips, whose edge hangs over the rim, and one that is grazed.
+        assert valleys.stood[(valleys.radius < 0.2) & (valleys.jump > 0.003)].all()
     for k in inside:
         at, step = valleys.angle[k], 1e-5
         there = swing([at, at + step])

@@ -96,6 +96,9 @@ WIDEST = 1.0
 LEFT = 1e-9
 """A kink of this much is none. [mm/rad]"""
 
+FAINT = 1e-6
+"""A kink below this does not shake a servo. [mm/rad]"""
+
 ROUNDS = 6
 """How often a swing is planned anew for the valleys as they are in its own poses."""
 
@@ -123,7 +126,9 @@ class Valleys:
     left
         Kink that is left in that of the one that does. (n,) [mm/rad]
     stood
-        Whether the tool stands still there, or the policy for short intervals lets it pass. (n,)
+        Whether the tool stands still there and leaves less than 1e-6 mm/rad. Not where the policy for short intervals
+        lets it pass, at the ends of the path, where the edge hangs over the rim, and where it passes within nanometres
+        of a corner of three pieces. (n,)
     stroke
         Largest height above or below centre that the swing takes. [mm]
     """
@@ -239,10 +244,11 @@ class QuasiEllipticalToolServo(Strategy):
         course, found, stood = self._plan(base, part, tool, progress)
         swung = course.spiral(base.angle)
         psi, rate = course.azimuth(found.at)
+        left = np.abs(found.steep * (rate - found.rate))
         return Valleys(
             angle=self.sense * found.at, azimuth=self.sense * psi, radius=course.radius(found.at),
-            jump=found.steep * (1 - found.rate), left=np.abs(found.steep * (rate - found.rate)),
-            stood=stood, stroke=float(np.abs(swung.y).max()),  # type: ignore[arg-type]
+            jump=found.steep * (1 - found.rate), left=left,
+            stood=stood & (left < FAINT), stroke=float(np.abs(swung.y).max()),  # type: ignore[arg-type]
         )  # fmt: skip
 
     def axes(self, path: Path) -> dict[str, Floats]:
@@ -626,8 +632,9 @@ def _among(found: _Crossings, stands: _Crossings) -> Bools:
     k = np.minimum(after, stands.at.size - 1)
     k = np.where(np.abs(stands.at[k - 1] - found.at) < np.abs(stands.at[k] - found.at), k - 1, k)
     near = stands.some(k)
-    off = found.line - near.line - near.rate * (found.at - near.at)
-    return (np.abs(off) < OFF) & ~np.isnan(near.sweep_before)
+    time = found.at - near.at
+    off = np.abs(found.line - near.line - near.rate * time)
+    return (off < OFF + time**2) & ~np.isnan(near.sweep_before)
 
 
 def _joined(*sides: _Side) -> _Side:
