@@ -180,6 +180,16 @@ def test_a_policy_says_what_it_needs(change, words):
         replace(MERGE, **change)
 
 
+def test_a_path_without_a_valley_is_that_of_a_steady_tool():
+    alone = tw.LensArray.square(pitch=1.0, rows=1, columns=1, lenslet=tw.Sphere(radius=-CURVE))
+    part = tw.Part(surface=alone, radius=0.1)
+    for servo in SERVOS.values():
+        swung = servo.spiral(part, TOOL)
+        np.testing.assert_array_equal(swung.y, 0)
+        np.testing.assert_allclose(swung.radius, servo._base().spiral(part, TOOL).radius, atol=1e-15)
+        assert servo.valleys(part, TOOL).angle.size == 0
+
+
 def test_a_smooth_surface_and_a_y_too_slow_are_refused():
     with pytest.raises(tw.InputError, match="no valley to stand still at"):
         MERGE.spiral(tw.Part(surface=tw.Plane(), radius=0.3), TOOL)

@@ -59,6 +59,9 @@ TURN = 2 * math.pi
 LOOKS = 8
 """Places to a feature at which the path is looked at for valleys."""
 
+FEWEST = 360
+"""Such places to a turn, at least."""
+
 AGAIN = 8
 """Places between two valleys at which a planned swing is looked at for others."""
 
@@ -275,7 +278,7 @@ class QuasiEllipticalToolServo(Strategy):
         )  # fmt: skip
         reader = _Reader(base, part, tool)
         step = part.surface.feature_size / LOOKS
-        turn = math.ceil(TURN * float(np.abs(base.radius).max()) / step)
+        turn = max(math.ceil(TURN * float(np.abs(base.radius).max()) / step), FEWEST)
         count = math.ceil((end - begin) / TURN * turn)
         together = max(1, BLOCK // turn) * turn
         blocks = []
