@@ -125,9 +125,7 @@ def test_the_radius_has_two_continuous_derivatives_also_over_the_seam():
     # Quotients of the rate over shorter and shorter steps about any point approach one value from either side.
     rate = CubicHermiteSpline(spiral.angle, spiral.radius, spiral.radius_rate).derivative()
     at = np.concatenate([TURN * np.arange(1, 45), TURN * (np.arange(1, 45) + 0.5)])
-    jumps = []
-    for h in (0.04, 0.02):
-        jumps.append(np.abs(rate(at + h) - 2 * rate(at) + rate(at - h)).max() / h)
+    jumps = [np.abs(rate(at + h) - 2 * rate(at) + rate(at - h)).max() / h for h in (0.04, 0.02)]
     assert jumps[1] < 0.6 * jumps[0]  # it goes with h, a kink of the rate would stay
 
 

@@ -63,6 +63,17 @@ REST = 3.0
 MISS = 200
 """Straight lines between samples, and the cubics that fill them in, may each miss the path by the chord over this."""
 
+MISS_AT_RIDGES = 40
+"""The same for a surface with ridges and valleys, whose kinks take ever closer samples."""
+
+ROUGH = 8
+SHORT = 2e-5
+"""Beside the rim of a surface with ridges the height is sure to some tenths of a nanometre only: over so short an angle
+[rad] a miss of the chord over ROUGH is taken for that."""
+
+FEW = 8
+"""Where more than one in so many intervals of a path needs more samples, all its samples are set closer together."""
+
 SAMPLES_PER_BLOCK = 16
 """Samples to each cubic of a program: its largest miss between them is within a hundredth of that at one of them."""
 
@@ -259,6 +270,8 @@ class _Steps:
 
         self.kernel = kernel
         self.rim = part.radius
+        self.ridges = part.surface.piece(np.zeros(1), np.zeros(1)) is not None
+        self.miss = MISS_AT_RIDGES if self.ridges else MISS
         self.part, self.tool, self.scallop, self.sense, self.way = part, tool, scallop, sense, way
         self.trace, self.edge = edge_trace, tool.table(sense)
         self.row = self.edge.row
@@ -443,7 +456,7 @@ def _points(
 
     hermite = servo.interpolation == "hermite"
     off = servo.off_path and not hermite
-    slack = servo.chord * (1 - 3 / MISS)
+    slack = servo.chord * (1 - 3 / steps.miss - (1 / ROUGH if steps.ridges else 0))
     nodes, lifts = [np.zeros(1)], [np.zeros(1)]
     for low, high, per_turn in _blocks(steps, curve, end):
         # From the sample before the last node on, so that no node is there for the border's sake.
@@ -506,14 +519,22 @@ def _sampled(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, herm
         return np.stack([turned, z, steps.way * around + outward * rate, radius, rate, outward])
 
     path = placed(turned)
-    ridges = steps.part.surface.piece(np.zeros(1), np.zeros(1)) is not None
     while True:
-        if ridges:  # the surface has no slope where the edge rests on one; the path has
+        if steps.ridges:  # the surface has no slope where the edge rests on one; the path has
             path[2] = np.gradient(path[1], path[0], edge_order=2)
         doubt = _doubt(path)
-        coarse = np.flatnonzero(doubt > chord / MISS)
+        wide = doubt > chord / steps.miss
+        if steps.ridges:
+            wide &= (doubt > chord / ROUGH) | (np.diff(path[0]) > SHORT)
+        coarse = np.flatnonzero(wide)
         if coarse.size == 0:
             break
+        if path.shape[1] == turned.size and coarse.size > path.shape[1] // FEW:
+            # Twice as many even samples, at the same azimuths in every turn, are placed sooner than those scattered.
+            _check_count(2 * turned.size)
+            turned = np.linspace(turned[0], turned[-1], 2 * turned.size - 1)
+            path = placed(turned)
+            continue
         middle = (path[0, coarse] + path[0, coarse + 1]) / 2
         narrow = path[0, coarse + 1] - path[0, coarse]
         if narrow.min() < FINEST:
@@ -529,7 +550,7 @@ def _sampled(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, herm
     if hermite:
         pieces = SAMPLES_PER_BLOCK / 2 * (doubt / chord) ** 0.25
     else:
-        pieces = np.sqrt(MISS / (8 * chord) * (_bend(t, z, dz) + np.abs(s[:-1]) * _bend(t, x, dx)))
+        pieces = np.sqrt(steps.miss / (8 * chord) * (_bend(t, z, dz) + np.abs(s[:-1]) * _bend(t, x, dx)))
     parts = np.maximum(np.ceil(pieces), 1).astype(np.int64)
     _check_count(float(parts.sum()))
     out = np.empty((7, int(parts.sum()) + 1))
@@ -545,7 +566,7 @@ def _doubt(path: Floats) -> Floats:
     def miss_of(f: Floats, df: Floats) -> Floats:
         rise, a = f[2:] - f[:-2], whole * df[:-2]
         c = a + whole * df[2:] - 2 * rise
-        return np.abs(f[:-2] + part * (a + part * (rise - a - c + part * c)) - f[1:-1])
+        return np.asarray(np.abs(f[:-2] + part * (a + part * (rise - a - c + part * c)) - f[1:-1]))
 
     miss = miss_of(z, dz) + np.abs(s[1:-1]) * miss_of(x, dx)
     return np.asarray(np.maximum(np.append(miss[:1], miss), np.append(miss, miss[-1:])))
