@@ -98,6 +98,8 @@ class AdaptiveToolServo(Strategy):
     stand up to the chord above or below the path (`Path.lift`), so that lines pass on both sides of it: steps are
     longer by up to :math:`\sqrt 2`.
 
+    The promise of the cusp is for surfaces without kinks: over those of a lens array no smooth radius can keep it.
+
     Parameters
     ----------
     scallop
