@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
@@ -103,9 +103,10 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
     """Plan the finishing pass by every strategy, to the same cusps and the same chord, and simulate what each leaves.
 
     An adaptive job says both itself. Of any other, the cusps are the highest that its own feed leaves away from the
-    axis, and the chord is the one it states, or the largest that its points leave. Strategies of constant feed keep the
-    job's feed, or, in an adaptive job, take the largest that keeps the scallop. Each turns at the job's spindle speed,
-    or at the highest within all limits if it states none.
+    axis (those of a flat, where the surface is in pieces, since no nose reaches its valleys), and the chord is the one
+    it states, or the largest that its points leave. Strategies of constant feed keep the job's feed, or, in an adaptive
+    job, take the largest that keeps the scallop. Each turns at the job's spindle speed, or at the highest within all
+    limits if it states none.
 
     Parameters
     ----------
@@ -134,15 +135,29 @@ def _asked(own: Strategy, part: Part, tool: Tool, machine: Machine) -> tuple[flo
     if isinstance(own, AdaptiveToolServo):
         spiral = replace(own, x_motion="steady").spiral(part, tool)
         return _feed(spiral.radius, spiral.turns), own.scallop, own.chord
-    spiral = own.spiral(part, tool)
-    feed = _feed(spiral.radius, spiral.turns)
-    found = shares(part, tool, spiral, drive(place(spiral, part, tool), _plain(own), machine))
-    stated = getattr(_plain(own), "chord", None)
-    return feed, found.cusp_away_nm * 1e-6, stated or max(found.chord_nm, 0.1) * 1e-6
+    plain = _plain(own)
+    spiral = plain.spiral(part, tool)
+    feed, nose = _feed(spiral.radius, spiral.turns), tool.actual_radius
+    # Where pieces meet in a valley that no nose reaches, what stays there would hide the cusps.
+    cusp = nose - math.sqrt(nose**2 - feed**2 / 4) if _in_pieces(part) else None
+    chord: float | None = getattr(plain, "chord", None)
+    if cusp is None or chord is None:
+        found = shares(part, tool, spiral, drive(place(spiral, part, tool), plain, machine))
+        cusp = cusp or found.cusp_away_nm * 1e-6
+        chord = chord or max(found.chord_nm, 0.1) * 1e-6
+    return feed, cusp, chord
+
+
+def _in_pieces(part: Part) -> bool:
+    """Say whether the surface has kinks or steps, as a lens array has."""
+    return part.surface.piece(np.zeros(1), np.zeros(1)) is not None
 
 
 def _plain(own: Strategy) -> Strategy:
-    """Return the strategy that plans for a fast tool."""
+    """Return the spiral that a fast or a swinging tool goes by."""
+    if isinstance(own, QuasiEllipticalToolServo):
+        names = {one.name for one in fields(SlowToolServo)} & {one.name for one in fields(own)}
+        return SlowToolServo(**{name: getattr(own, name) for name in names})
     return own.plan if isinstance(own, FastToolServo | HybridToolServo) else own
 
 
@@ -177,7 +192,7 @@ def _ways(
     if "W" in machine.axes:
         yield "fast", lambda: FastToolServo(plan=even())
         yield "hybrid", lambda: HybridToolServo(plan=even(), fast=machine.axes["W"], blocks_per_rev=BLOCKS)
-    if "Y" in machine.axes and part.surface.piece(np.zeros(1), np.zeros(1)) is not None:
+    if "Y" in machine.axes and _in_pieces(part):
 
         def elliptical() -> QuasiEllipticalToolServo:
             if isinstance(own, QuasiEllipticalToolServo):
