@@ -138,6 +138,12 @@ def test_nothing_is_left_above_the_cusps(terms, nose):
 
 
 @quick
+@example(
+    surface=XYPolynomial(terms={(0, 1): 0.02, (1, 0): 0.095, (3, 0): 0.005}),
+    tool=Tool(nose_radius=0.125, included=1.9896753472735358, rake=-0.3490658503988659, waviness=(0.001,)),
+    stop=0.75,
+    down=0.0078125,
+)
 @given(surface=surfaces(), tool=tools(upright=False), stop=unit(0.3, 0.9), down=unit(1e-4, 1e-2))
 def test_more_passes_never_raise_and_a_lower_tool_cuts_as_much_lower(surface, tool, stop, down):
     motion = cut(surface, tool)
@@ -147,6 +153,7 @@ def test_more_passes_never_raise_and_a_lower_tool_cuts_as_much_lower(surface, to
     part = Motion(time=motion.time[:n], axes={a: p[:n] for a, p in motion.axes.items()}, machine=MACHINE)
     some = generate_points(part, tool, x=x, y=y)
     both = np.isfinite(some) & np.isfinite(whole)
-    assert (some[both] >= whole[both]).all()
+    # A leaning edge meets a point at a root that is found to the last digit, not beyond it.
+    assert (some[both] >= whole[both] - 1e-15).all()
     deeper = replace(tool, offset=(*tool.offset[:2], tool.offset[2] - down))
     assert equal(generate_points(motion, deeper, x=x, y=y), whole - down, 1)
