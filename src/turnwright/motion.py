@@ -214,7 +214,7 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     """
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
-    blocks = block_points(motion.time, motion.axes)
+    blocks = motion.blocks
     peaks = _all_peaks(motion.time, motion.axes, blocks)
     number, shortest = kernel.shortest(motion.time[blocks])
     length = float(motion.time[-1] - motion.time[0])

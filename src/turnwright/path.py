@@ -147,12 +147,15 @@ class Motion:
     velocity
         Velocity of every axis at the points, by letter, as a program in positions, velocities and times (PVT) states
         it; ``None`` where it states none. Each (n,) [mm/s or rad/s]
+    stated_blocks
+        Numbers of the points that are blocks of the lathe's program, where a program says so; see `blocks`. (m,)
     """
 
     time: Floats
     axes: Mapping[str, Floats]
     machine: Machine
     velocity: Mapping[str, Floats] | None = None
+    stated_blocks: Ints | None = None
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
@@ -176,11 +179,16 @@ class Motion:
             raise InputError("the time of a motion does not ascend: every block needs a duration above 0 s")
         object.__setattr__(self, "sense", _sense(axes["C"], "a motion"))
 
+    @property
+    def blocks(self) -> Ints:
+        """Numbers of the points that are blocks of the lathe's program: as stated, or else the `block_points`. (m,)."""
+        return block_points(self.time, self.axes) if self.stated_blocks is None else self.stated_blocks
+
     def lathe(self) -> Motion:
-        """Return the share of the lathe itself, what its program holds: no W or U, and only the `block_points`."""
+        """Return the share of the lathe itself, what its program holds: no W or U, and only the `blocks`."""
         if not FAST.keys() & self.axes.keys():
             return self
-        points = block_points(self.time, self.axes)
+        points = self.blocks
 
         def share(of: Mapping[str, Floats]) -> dict[str, Floats]:
             return {letter: values[points] for letter, values in of.items() if letter not in FAST}

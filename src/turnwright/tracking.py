@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from turnwright._arrays import Floats, frozen, positive, same_length
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, INTERPOLATIONS, ROTARY, Axis, Machine
-from turnwright.path import Motion, block_points
+from turnwright.path import Motion
 from turnwright.progress import Progress
 from turnwright.response import FrequencyResponse, RationalResponse, Response
 
@@ -95,7 +95,7 @@ def track(
     machine = machine or motion.machine
     time = _paced(motion, machine)
     velocity = _velocities(motion, machine, time)
-    blocks = block_points(motion.time, motion.axes) if FAST.keys() & motion.axes.keys() else slice(None)
+    blocks = motion.blocks if FAST.keys() & motion.axes.keys() else slice(None)
     uniform = any(
         machine.axes[letter].response is not None and not isinstance(machine.axes[letter].response, RationalResponse)
         for letter in motion.axes
@@ -271,7 +271,7 @@ def _paced(motion: Motion, machine: Machine) -> Floats:
     """Return when the controller is at each point. (n,) [s]."""
     from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
 
-    points = block_points(motion.time, motion.axes)
+    points = motion.blocks
     time = motion.time[points]
     blocks = np.diff(time)
     factor = np.maximum(1.0, (1 - 1e-9) / (blocks * machine.block_rate_hz))

@@ -179,3 +179,17 @@ def test_a_second_axis_has_a_column_of_its_own(tmp_path, by):
     for letter in "UW":
         assert np.interp(begun, again.time, again.axes[letter]) == pytest.approx(made.axes[letter], abs=0.6e-7)
     assert np.interp(begun, again.time, again.axes["X"]) == pytest.approx(made.axes["X"], abs=0.7e-6)
+
+
+def test_a_stream_asks_no_more_blocks_of_the_lathe_than_its_program_has(tmp_path):
+    """Oracle: the program of the lathe, read without the stream; X and Z follow decimals, not straight lines."""
+    machine = tw.Machine.load("nanoform-fts-70")
+    tw.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", by="time", rate_hz=20_000)
+    again, lathe = tw.read_fast_tool(tmp_path / "part.nc", machine), tw.read_nc(tmp_path / "part.nc", machine)
+    assert again.time.size > 2 * lathe.time.size, "the heights stand between the blocks"
+    assert np.array_equal(again.time[again.blocks], lathe.time)
+    assert np.array_equal(again.lathe().axes["Z"], lathe.axes["Z"])
+    limits = tw.check_limits(again, machine)
+    assert limits.block_rate_hz == tw.check_limits(lathe, machine).block_rate_hz < machine.block_rate_hz
+    assert limits.ok
+    assert tw.track(again, machine).time[-1] == pytest.approx(lathe.time[-1] - lathe.time[0], rel=1e-12)

@@ -360,7 +360,7 @@ def _part_of(motion: Motion, at: slice) -> Motion:
         return {letter: one[at].copy() for letter, one in values.items()}
 
     velocity = None if motion.velocity is None else some(motion.velocity)
-    return replace(motion, time=motion.time[at].copy(), axes=some(motion.axes), velocity=velocity)
+    return replace(motion, time=motion.time[at].copy(), axes=some(motion.axes), velocity=velocity, stated_blocks=None)
 
 
 def _few(size: int) -> slice:

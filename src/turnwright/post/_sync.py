@@ -302,13 +302,15 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
         beside = np.minimum(np.abs(at - motion.time[after - 1]), np.abs(motion.time[after] - at))
         # Two times that are one but for rounding would leave C no way to turn between them.
         time = np.union1d(motion.time, at[(beside * rate > SAME) & (at < motion.time[-1])])
+        blocks = np.searchsorted(time, motion.time)
         rows = {name: np.interp(time, at, column) for name, column in zip(names, table.T, strict=True)}
     else:
         time = _turned(file, table, motion, machine)
+        blocks = None
         rows = dict(zip(names, table.T, strict=True))
     axes = {letter: np.interp(time, motion.time, values) for letter, values in motion.axes.items()}
     own = {letter: rows[name] for letter, name in OWN.items() if name in rows}
-    return Motion(time=time, axes={**axes, **own}, machine=machine)
+    return Motion(time=time, axes={**axes, **own}, machine=machine, stated_blocks=blocks)
 
 
 def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floats:
