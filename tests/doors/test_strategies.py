@@ -12,6 +12,14 @@ WAVES = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["0.5 m
 SPIRAL = {"feed": "20 um/rev", "points_per_rev": 180, "spindle_speed": "60 rpm"}
 PART = [("part.surface", WAVES), ("part.radius", "0.5 mm"), ("simulation.patches", [])]
 FAST = [("machine.name", "nanoform-fts-70")]
+ADAPTIVE = {"kind": "adaptive tool servo", "scallop": "80 nm", "chord": "10 nm", "spindle_speed": "60 rpm"}
+SWINGING = {
+    "kind": "quasi-elliptical tool servo",
+    "feed": "5 um/rev",
+    "points_per_rev": 360,
+    "short": "skip",
+    "shortest": "20 um",
+}
 
 
 def left(changes, tmp_path, name):
@@ -50,19 +58,30 @@ def test_a_fast_tool_is_back_plotted_with_its_table(tmp_path, capsys):
 
 def test_an_adaptive_job_keeps_its_scallop(tmp_path):
     """Oracle: the cusp and chord that were asked for, found by simulation on a dense map."""
-    strategy = {"kind": "adaptive tool servo", "scallop": "80 nm", "chord": "10 nm", "spindle_speed": "60 rpm"}
     found = left(
-        [("strategy", strategy), ("simulation.whole_part", {"radii": 1200, "angles": 72})], tmp_path, "adaptive"
+        [("strategy", ADAPTIVE), ("simulation.whole_part", {"radii": 1200, "angles": 72})], tmp_path, "adaptive"
     )
     z = found.predictions[0].error.z * 1e6
     assert 80 * 0.95 < z.max() < 80 + 10 + 2
     assert z.min() > -12
 
 
+def test_a_two_axis_fast_tool_leaves_what_the_slides_would(tmp_path):
+    (tmp_path / "two.toml").write_text('base = "nanoform-fts-70"\n[axes.U]\nlow = "-35 um"\nhigh = "35 um"\n')
+    machine = [("machine", {"file": str(tmp_path / "two.toml")})]
+    slow = left([*machine, ("strategy", ADAPTIVE)], tmp_path, "slow")
+    split = [("strategy", {**ADAPTIVE, "x_motion": "split"}), ("program", {"fast_tool": "position"})]
+    fast = left([*machine, *split], tmp_path, "fast")
+    apart = fast.predictions[0].error.z - slow.predictions[0].error.z
+    assert np.abs(apart).max() * 1e6 < slow.rounding_limit_nm + fast.rounding_limit_nm
+    assert np.ptp(fast.motion.axes["U"]) > 1e-3, "the fast tool makes the fluctuation of X"
+    assert fast.rounding_nm <= fast.rounding_limit_nm < 2
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ([("strategy.kind", "fast tool servo")], "fast_tool is None"),
+        ([("strategy.kind", "fast tool servo")], "fast_tool is not stated"),
         ([("program", {"fast_tool": "position"})], "no other strategy has any"),
         ([*FAST, ("strategy.kind", "fast tool servo"), ("program", {"fast_tool": "time"})], "with a rate in Hz"),
         (
@@ -70,6 +89,13 @@ def test_an_adaptive_job_keeps_its_scallop(tmp_path):
             "choose a machine with a fast",
         ),
         ([("strategy.kind", "adaptive tool servo")], "feed is not a key"),
+        ([("strategy", {**ADAPTIVE, "along": "normal"})], 'the adaptive tool servo plans for "z"'),
+        ([("strategy", {**SWINGING, "along": "normal"})], 'the quasi-elliptical tool servo plans for "z"'),
+        (
+            [*FAST, ("strategy", {"kind": "fast tool servo", **SPIRAL, "along": "normal"})],
+            'the fast tool servo plans for "z"',
+        ),
+        ([("strategy", {**ADAPTIVE, "x_motion": "split"})], "fast_tool is not stated"),
         ([("strategy.kind", "quick tool servo")], "is not known"),
         (
             [

@@ -387,6 +387,11 @@ class Job(Table):
             except InputError as error:
                 raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
         _all_different("passes", names)
+        if self.strategy.along not in self.strategy.placed_along:
+            raise JobError(
+                f'strategy.along is {self.strategy.along!r}, the {self.strategy.kind} plans for "z": choose that, or a '
+                "slow tool servo"
+            )
         self._check_fast_tool()
         if allowance > 0:
             raise JobError(f"the last pass leaves {allowance:g} mm, the limit is 0 mm: let it finish the part")
@@ -419,12 +424,14 @@ class Job(Table):
 
     def _check_fast_tool(self) -> None:
         """Raise unless the job says how the table of a fast tool is written, if it has one."""
-        moves = self.strategy.kind in ("fast tool servo", "hybrid tool servo")
+        split = getattr(self.strategy, "x_motion", None) == "split"
+        moves = split or self.strategy.kind in ("fast tool servo", "hybrid tool servo")
         by, rate = self.program.fast_tool, self.program.fast_tool_rate
         if moves != (by is not None) or (by == "time") != (rate is not None):
             raise JobError(
-                f"program.fast_tool is {by!r} and program.fast_tool_rate {rate} for a {self.strategy.kind}: a fast "
-                'tool takes its heights by "position", or by "time" with a rate in Hz, and no other strategy has any'
+                f"program.fast_tool is {repr(by) if by else 'not stated'} and fast_tool_rate "
+                f"{f'{rate:g} Hz' if rate else 'not stated'} with the {self.strategy.kind}: a fast tool takes its "
+                'heights by "position", or by "time" with a rate in Hz, and no other strategy has any'
             )
         if moves and (len(self.passes) > 1 or self.passes[0].repeats(self.part.stock) > 1):
             raise JobError(

@@ -58,6 +58,8 @@ class StrategyTable(Table):
     along: Literal["z", "normal"] = "z"
     spindle_speed: Speed | None = None
 
+    placed_along: ClassVar[tuple[str, ...]] = ("z",)
+    """Ways to place the tool under which what the strategy promises holds."""
     ways: ClassVar[tuple[str, ...]] = ()
     """Keys that set the points together: a pass that states one of them states them all."""
 
@@ -101,6 +103,7 @@ class SlowTable(StrategyTable):
     lead_in: Thickness | None = None
     overrun: Thickness = 0.0
 
+    placed_along = ("z", "normal")
     ways = ("points_per_rev", "arc_length", "max_step", "chord")
 
     def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
@@ -117,6 +120,8 @@ class FastTable(SlowTable):
 
     kind: Literal["fast tool servo"]  # type: ignore[assignment] # each kind has a name of its own
 
+    placed_along = ("z",)
+
     def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
         """Return the strategy of one pass."""
         return FastToolServo(plan=self.slow(cut))
@@ -131,6 +136,8 @@ class HybridTable(SlowTable):
     kind: Literal["hybrid tool servo"]  # type: ignore[assignment] # each kind has a name of its own
     base: AnySurface | None = None
     blocks_per_rev: Count | None = None
+
+    placed_along = ("z",)
 
     def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:
         """Return the strategy of one pass."""
@@ -147,7 +154,10 @@ class HybridTable(SlowTable):
 
 
 class AdaptiveTable(StrategyTable):
-    """See `turnwright.AdaptiveToolServo`: it plans for the interpolation that the machine file states."""
+    """See `turnwright.AdaptiveToolServo`: it plans for the interpolation that the machine file states.
+
+    With the motion of X split, a two-axis fast tool makes the height on W too.
+    """
 
     kind: Literal["adaptive tool servo"]
     scallop: Size
@@ -158,12 +168,13 @@ class AdaptiveTable(StrategyTable):
     def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
         """Return the strategy of one pass."""
         interpolation = machine.controller.interpolation
-        return AdaptiveToolServo(
+        servo = AdaptiveToolServo(
             interpolation=interpolation,  # type: ignore[arg-type] # one it does not plan for is refused in words
             off_path=self.off_path,
             x_motion=self.x_motion,
             **self.chosen(cut),
         )
+        return FastToolServo(plan=servo) if self.x_motion == "split" else servo
 
 
 class EllipticalTable(StrategyTable):
