@@ -187,18 +187,20 @@ def _in_tiles(cut: _Cut, x: Floats, y: Floats, tiles: _Tiles, progress: Progress
     count = int(np.clip(2 * (high - low) / max(cut.feed, 1e-9), 1, min(most, x.size)))
     rings = np.linspace(low, high, count + 1)
     useful, core = np.empty((count, 2, 2), dtype=np.int64), np.zeros(count, dtype=np.bool_)
+    most_y = float(np.abs(cut.y).max(initial=0.0))
+    blocks = np.empty((5, 0 if cut.upright else -(-(cut.c.size - 1) // kernel.BLOCK)))
+    kernel.block_bounds(cut.x, cut.y, cut.z, cut.row[5], blocks)
     if cut.upright and cut.convex:
         kernel.useful_by_ring(cut.bounds, cut.profile, cut.table, rings, useful)
     else:
-        most_y = float(np.abs(cut.y).max(initial=0.0))
         kernel.useful_aside(
             cut.bounds, cut.row, cut.profile, cut.table, cut.gap, cut.bend, most_y, rings, useful, core
         )  # fmt: skip
 
     def work(start: int, stop: int) -> None:
         kernel.tiles(
-            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, rings, useful, core, cut.row,
-            cut.profile, cut.table, cut.gap, cut.bend, x, y, tiles.offsets, tiles.groups, start, stop, out,
+            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, blocks, rings, useful, core, cut.row,
+            cut.profile, cut.table, cut.gap, cut.bend, most_y, x, y, tiles.offsets, tiles.groups, start, stop, out,
         )  # fmt: skip
 
     groups = tiles.groups.size - 1

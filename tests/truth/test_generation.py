@@ -323,3 +323,60 @@ def test_a_tool_that_swings_in_y_equals_brute_force(tool, sense):
         # Between two samples everything is straight but for the square of a step of 0.02 degrees.
         expected = (height[i] + share * (height[i + 1] - height[i])).min()
         assert got[k] == pytest.approx(expected, abs=2e-8)
+
+
+def passes_of_a_swinging_tool(motion, x, y, above):
+    """Every moment at which an upright tool, ``above`` centre, passes over a point: at most one between two extremes.
+
+    On one line of the motion the point is r sin(c - azimuth) aside, which is as far as the tip is where Y is straight:
+    an extreme of the difference is where r cos(c - azimuth) equals the rate of Y, in closed form.
+    """
+    r, azimuth = np.hypot(x, y), np.arctan2(y, x)
+    index = np.arange(motion.time.size)
+    c, up = motion.axes["C"], motion.axes["Y"] + above
+    rate = np.diff(up) / np.diff(c)
+    inside = np.abs(rate) < r
+    turn = 2 * np.pi
+    moments = [index.astype(float)]
+    for sign in (1, -1):
+        # F = -r sin(c - azimuth) - Y, so F' = 0 at cos(c - azimuth) = -Y' / r.
+        still = azimuth + sign * np.arccos(np.where(inside, -rate / r, 1.0))
+        low, high = np.minimum(c[:-1], c[1:]), np.maximum(c[:-1], c[1:])
+        still += turn * np.ceil((low - still) / turn)
+        on = inside & (still <= high)
+        moments.append((index[:-1] + (still - c[:-1]) / np.diff(c))[on])
+    moments = np.sort(np.concatenate(moments))
+
+    def aside(at):
+        return -r * np.sin(np.interp(at, index, c) - azimuth) - np.interp(at, index, up)
+
+    f = aside(moments)
+    changes = np.flatnonzero((f[1:] > 0) != (f[:-1] > 0))
+    return np.array([brentq(aside, moments[i], moments[i + 1], xtol=1e-13, rtol=1e-15) for i in changes])
+
+
+@pytest.mark.parametrize("above", [0.0, 0.004])
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("share", [0.11, 0.2])
+def test_a_tool_that_stands_still_over_the_part_equals_every_pass_in_closed_form(sense, above, share):
+    """A swing of a ninth of a radian just stops over the part nine times a turn; a larger one turns back and forth."""
+    edge = tw.Tool(nose_radius=0.1, offset=(0.0, above, 0.0))
+    motion = spiral_motion(0.4, 0.02, 180, lambda x, y: 0.02 * np.cos(9 * np.arctan2(y, x)), sense=sense)
+    c, x = motion.axes["C"], motion.axes["X"]
+    swing = share * np.sin(9 * c)
+    motion = replace(motion, axes={**motion.axes, "X": x * np.cos(swing), "Y": x * np.sin(swing)})
+    rng = np.random.default_rng(2)
+    r, azimuth = rng.uniform(0.002, 0.39, 40), rng.uniform(-np.pi, np.pi, 40)
+    azimuth[:20] = np.round(azimuth[:20] * 9 / np.pi) * np.pi / 9 + 1e-4  # where it stands or turns back
+    px, py = r * np.cos(azimuth), r * np.sin(azimuth)
+    got = tw.generate_points(motion, edge, x=px, y=py)
+    index, most = np.arange(c.size), 0
+    for k in range(px.size):
+        at = passes_of_a_swinging_tool(motion, px[k], py[k], above)
+        angle, out, z = (np.interp(at, index, motion.axes[letter]) for letter in "CXZ")
+        u = px[k] * np.cos(angle) + py[k] * np.sin(angle) - out
+        most = max(most, np.count_nonzero(np.abs(angle - angle[:, None]) < 0.5, axis=0).max())
+        reach = np.abs(u) < 0.0999  # what stands on the end of the half circle is never the lowest here
+        expected = (z + 0.1 - np.sqrt(0.01 - u**2, where=reach, out=np.full(u.size, -1.0)))[reach].min()
+        assert got[k] == pytest.approx(expected, abs=2e-11)
+    assert most >= 3 or share < 1 / 9  # passes over one point within half a radian

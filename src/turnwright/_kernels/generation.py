@@ -13,11 +13,14 @@ import numpy as np
 
 from turnwright._kernels import jit
 from turnwright._kernels.edge import height, slope
+from turnwright._kernels.trig import sincos
 
 TURN = 2.0 * np.pi
 FAR = 1e300
 # Angles this close to an end of the motion count as the end: spindle angles of thousands of turns round at 4e-12 rad.
 ROUNDING = 1e-9
+# Lines of a motion, from point to point, that share bounds.
+BLOCK = 8
 
 
 @jit
@@ -406,65 +409,179 @@ def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
 
 
 @jit
-def core_height(
-    c, x, y, z, sense, starts, bounds, row, profile, table, gap, bend, r, azimuth, first, last,
-):  # fmt: skip
-    """Return the height at one point close to the axis, where a turn may pass over it at any number of moments.
+def block_bounds(x, y, z, dx, out):
+    """Fill ``out`` (5, blocks) with least and greatest tip position and Y, and least height, of `BLOCK` lines each."""
+    out[2:4] = 0.0
+    for k in range(out.shape[1]):
+        part = slice(BLOCK * k, min(BLOCK * (k + 1) + 1, x.size))
+        out[0, k], out[1, k], out[4, k] = x[part].min() + dx, x[part].max() + dx, z[part].min()
+        if y.size > 0:
+            out[2, k], out[3, k] = y[part].min(), y[part].max()
 
-    The point stands aside of the edge by F(t) = -sense r sin(t - azimuth) - v. Every root of F that can be lowest is
-    in a piece of a turn that bounds of F and of the height over it cannot exclude; such pieces are halved.
+
+@jit
+def least_between(profile, table, gap, low, high):
+    """Return a height that the edge is nowhere below between the places ``low`` and ``high`` from its tip."""
+    return height(profile, table, low if low > 0.0 else min(high, 0.0)) - gap
+
+
+@jit
+def over(line, row, profile, table, sense, r, phase, s):
+    """Let the tool stand ``s`` along one line of its motion, see `lowest_on_line`.
+
+    Return (height of the edge over the point, how far aside of the edge the point is, place on the edge, sine and
+    cosine of the angle from the point to the tool).
+    """
+    sine, cosine = sincos(phase + s)
+    u = r * cosine - (line[0] + line[3] * s + row[5])
+    w = height(profile, table, u)
+    aside = -sense * r * sine - (line[1] + line[4] * s) - row[6] - row[4] * w
+    return line[2] + line[5] * s + row[7] + row[3] * w, aside, u, sine, cosine
+
+
+@jit
+def lowest_on_line(line, row, profile, table, bend, sense, r, phase, first, last, pieces, lowest):
+    """Return ``lowest``, or less if the edge passes lower over a point while the tool is on one line of its motion.
+
+    ``line`` holds X, Y, Z where it begins and how much they change per radian, ``phase`` the angle there from the point
+    to the tool, ``first`` and ``last`` from where to where along it. Within a piece of it the point stands aside of the
+    edge by F. Pieces that bounds of F and of the height exclude are dropped; one in which F only grows, or only falls,
+    holds at most one root; others are halved. ``pieces`` (64, 2) is scratch.
+    """
+    tiny = 1e-15 * max(r, 1.0)
+    pieces[0, 0], pieces[0, 1] = first, last
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        a, b = pieces[depth, 0], pieces[depth, 1]
+        s, half = 0.5 * (a + b), 0.5 * (b - a)
+        h, aside, u, sine, cosine = over(line, row, profile, table, sense, r, phase, s)
+        # The edge goes over the point at ``pace``, and F changes at ``rate``, give or take what Taylor's theorem says.
+        pace, loose = -r * sine - line[3], r * half * (abs(cosine) + 0.5 * half)
+        du = (abs(pace) + loose) * half
+        flat, steep = slope(profile, table, u - du) - bend, slope(profile, table, u + du) + bend
+        if h - abs(line[5]) * half - row[3] * max(abs(flat), abs(steep)) * du > lowest - 1e-14:
+            continue
+        if abs(aside) <= tiny:
+            lowest = min(lowest, h)
+        rate, doubt = -sense * r * cosine - line[4], r * half * (abs(sine) + 0.5 * half)
+        if row[4] != 0.0:
+            rate -= row[4] * 0.5 * (flat + steep) * pace
+            doubt += abs(row[4]) * (0.5 * (steep - flat) * (abs(pace) + loose) + 0.5 * abs(flat + steep) * loose)
+        if abs(aside) > (abs(rate) + doubt) * half + tiny:
+            continue
+        # Two roots within a microradian, that no change of sign betrays: 1e-13 r further in there are none.
+        if abs(rate) <= doubt and half > 5e-7:
+            pieces[depth, 0], pieces[depth, 1] = a, s
+            pieces[depth + 1, 0], pieces[depth + 1, 1] = s, b
+            depth += 2
+            continue
+        h_a, aside_a, _, _, _ = over(line, row, profile, table, sense, r, phase, a)
+        h_b, aside_b, _, _, _ = over(line, row, profile, table, sense, r, phase, b)
+        # A root on an end belongs to two pieces, whose rounding must not lose it between them.
+        if abs(aside_a) <= tiny:
+            lowest = min(lowest, h_a)
+        if abs(aside_b) <= tiny:
+            lowest = min(lowest, h_b)
+        if (aside_a > 0.0) == (aside_b > 0.0):
+            continue
+        for _ in range(80):
+            if (aside > 0.0) == (aside_a > 0.0):
+                a = s
+            else:
+                b = s
+            rate = -sense * r * cosine - line[4]
+            if row[4] != 0.0:
+                rate += row[4] * slope(profile, table, u) * (r * sine + line[3])
+            if abs(aside) <= 2e-15 * abs(rate) or b - a < 1e-15:
+                break
+            following = s - aside / rate if rate != 0.0 else a
+            s = following if a < following < b else 0.5 * (a + b)
+            h, aside, u, sine, cosine = over(line, row, profile, table, sense, r, phase, s)
+        lowest = min(lowest, h)
+    return lowest
+
+
+@jit
+def core_height(
+    c, x, y, z, sense, starts, bounds, blocks, row, profile, table, gap, bend, most_y, r, azimuth, useful,
+):  # fmt: skip
+    """Return the height at one point that a turn may pass over at any number of moments.
+
+    So it is close to the axis, or Y moves about as fast as the part. From either side the edge can pass over the point
+    only while the plane through the axis is at most as far aside of the point as the edge is of the plane: within a
+    quarter turn, or much less. Each such stretch of each turn of ``useful`` (2, 2), see `useful_aside`, is searched
+    block by block (see `block_bounds`) and line by line, those likely to be lowest first.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
-    floor = np.empty(last - first + 1)
-    for m in range(first, last + 1):
-        beyond = max(bounds[0, m] - r, -r - bounds[1, m], 0.0)
-        least = min(height(profile, table, beyond), height(profile, table, -beyond)) - gap
-        floor[m - first] = bounds[2, m] + row[7] + row[3] * least
-    pieces = np.empty((64, 2))
+    turns, lines = bounds.shape[1], c.size - 1
+    off, lean = abs(row[6]) + most_y, abs(row[4])
+    dip = max(gap - height(profile, table, 0.0), 0.0)  # the most that the edge is below the tip
+    pieces, line = np.empty((64, 2)), np.empty(6)
     lowest = FAR
-    for k in np.argsort(floor):
-        if floor[k] > lowest:
-            break
-        m = first + k
-        pieces[0, 0] = begin + TURN * m - ROUNDING
-        pieces[0, 1] = min(begin + TURN * (m + 1), end) + ROUNDING
-        depth, i = 1, starts[m]
-        speed = r + bounds[4, m]
-        while depth > 0:
-            depth -= 1
-            a, b = pieces[depth, 0], pieces[depth, 1]
-            at, half = 0.5 * (a + b), 0.5 * (b - a)
-            i = guess_index(c, sense, at, starts) if half > 0.1 else i
-            h, across, u, i = stand(c, x, y, z, sense, row, profile, table, at, r * np.cos(at - azimuth), i)
-            aside = -sense * r * np.sin(at - azimuth) - across
-            du = speed * half
-            g = max(abs(slope(profile, table, u - du)), abs(slope(profile, table, u + du))) + bend
-            if h - (bounds[5, m] + row[3] * g * speed) * half > lowest - 1e-14:
+    for which in range(2):
+        side = -1.0 if which == 1 else 1.0
+        first, last = useful[which, 0], useful[which, 1]
+        near = first
+        for m in range(first, last + 1):
+            if abs(bounds[0, m] - side * r) < abs(bounds[0, near] - side * r):
+                near = m
+        behind = np.pi if which == 1 else 0.0
+        start = azimuth + behind + TURN * np.ceil((begin - azimuth - behind) / TURN)
+        # From the nearest outward; a stretch reaches into the turn before or after its own.
+        for step in range(2 * (last - first + 2)):
+            m = near + (step + 1) // 2 if step % 2 == 1 else near - step // 2
+            t = start + TURN * m
+            if m < first - 1 or m > last + 1 or t - 2.0 > end or t + 2.0 < begin:
                 continue
-            if abs(aside) < 1e-15:
-                lowest = min(lowest, h)
-            if abs(aside) > (r + abs(row[4]) * g * speed + bounds[6, m]) * half:
+            before = min(max(int((t - 0.5 * np.pi - begin) / TURN), 0), turns - 1)
+            after = min(max(int((t + 0.5 * np.pi - begin) / TURN), 0), turns - 1)
+            bottom = min(bounds[2, before], bounds[2, after]) + row[7]
+            low, high = min(bounds[0, before], bounds[0, after]), max(bounds[1, before], bounds[1, after])
+            aside = off + lean * max((lowest - bottom) / row[3], dip)
+            share = min(aside / r * (1.0 + 1e-12), 1.0) if r > 0.0 else 1.0
+            wide, inner = np.arcsin(share) + ROUNDING, r * np.sqrt(1.0 - share * share)
+            if which == 0:
+                least = least_between(profile, table, gap, inner - high, r - low)
+            else:
+                least = least_between(profile, table, gap, -r - high, -inner - low)
+            if bottom + row[3] * least > lowest or t - wide > end + ROUNDING or t + wide < begin - ROUNDING:
                 continue
-            # Two roots within a microradian, that no change of sign betrays: 1e-13 r further in there are none.
-            if half > 5e-7:
-                pieces[depth, 0], pieces[depth, 1] = a, at
-                pieces[depth + 1, 0], pieces[depth + 1, 1] = at, b
-                depth += 2
-                continue
-            _, across, _, i = stand(c, x, y, z, sense, row, profile, table, a, r * np.cos(a - azimuth), i)
-            aside_a = -sense * r * np.sin(a - azimuth) - across
-            _, across, _, i = stand(c, x, y, z, sense, row, profile, table, b, r * np.cos(b - azimuth), i)
-            if (aside_a > 0.0) == (-sense * r * np.sin(b - azimuth) - across > 0.0):
-                continue
-            for _ in range(24):
-                if (aside > 0.0) == (aside_a > 0.0):
-                    a = at
-                else:
-                    b = at
-                at = 0.5 * (a + b)
-                h, across, _, i = stand(c, x, y, z, sense, row, profile, table, at, r * np.cos(at - azimuth), i)
-                aside = -sense * r * np.sin(at - azimuth) - across
-            lowest = min(lowest, h)
+            base = t - behind
+            at = min(max(t - wide, begin), end)
+            block = locate(c, sense, at, guess_index(c, sense, at, starts)) // BLOCK
+            while block < blocks.shape[1] and sense * c[BLOCK * block] <= t + wide:
+                i, stop = BLOCK * block, min(BLOCK * (block + 1), lines)
+                k = block
+                block += 1
+                phase = sense * c[i] - base
+                half = 0.5 * (sense * c[stop] - base - phase)
+                sine, cosine = sincos(phase + half)
+                half += ROUNDING
+                along, across = r * half * (abs(sine) + 0.5 * half), r * half * (abs(cosine) + 0.5 * half)
+                low, high = r * cosine - along - blocks[1, k], r * cosine + along - blocks[0, k]
+                rise = (lowest - blocks[4, k] - row[7]) / row[3]
+                if least_between(profile, table, gap, low, high) > rise:
+                    continue
+                rise = min(rise, max(height(profile, table, low), height(profile, table, high)) + gap)
+                across += 0.5 * (blocks[3, k] - blocks[2, k]) + lean * max(rise, dip) + ROUNDING * (1.0 + r)
+                if abs(-sense * r * sine - row[6] - 0.5 * (blocks[2, k] + blocks[3, k])) > across:
+                    continue
+                for j in range(i, stop):
+                    following = sense * c[j + 1] - base
+                    length = following - phase
+                    line[0], line[2], line[3], line[5] = (
+                        x[j],
+                        z[j],
+                        (x[j + 1] - x[j]) / length,
+                        (z[j + 1] - z[j]) / length,
+                    )
+                    line[1], line[4] = (y[j], (y[j + 1] - y[j]) / length) if y.size > 0 else (0.0, 0.0)
+                    lowest = lowest_on_line(
+                        line, row, profile, table, bend, sense, r, phase, -ROUNDING if j == 0 else 0.0,
+                        length + ROUNDING if j == lines - 1 else length, pieces, lowest,
+                    )  # fmt: skip
+                    phase = following
     return lowest
 
 
@@ -688,8 +805,8 @@ def extent(values, start, stop):
 
 @jit
 def tiles(
-    c, x, y, z, sense, starts, bounds, rings, useful, core, row, profile, table, gap, bend, px, py, offsets, groups,
-    start, stop, out,
+    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, row, profile, table, gap, bend, most_y, px, py,
+    offsets, groups, start, stop, out,
 ):  # fmt: skip
     """Fill ``out`` at the points (px, py) of groups ``start`` to ``stop``.
 
@@ -736,8 +853,8 @@ def tiles(
                 ring, _ = rings_between(rings, r[j], r[j])
                 if core[ring] and not upright:
                     out[i] = core_height(
-                        c, x, y, z, sense, starts, bounds, row, profile, table, gap, bend, r[j], azimuth[j],
-                        useful[ring, :, 0].min(), useful[ring, :, 1].max(),
+                        c, x, y, z, sense, starts, bounds, blocks, row, profile, table, gap, bend, most_y, r[j],
+                        azimuth[j], useful[ring],
                     )  # fmt: skip
                     continue
                 n = gather(c, sense, starts, rings, useful, upright, r[j], r[j], azimuth[j], side, shift, hint)
