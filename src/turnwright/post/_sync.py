@@ -40,6 +40,8 @@ OWN = {"W": "height_mm", "U": "outward_mm"}
 """Columns of the fast tool's axes."""
 HEIGHT = 7
 """Decimals of a height, or of what U adds: a tenth of a nanometre."""
+MOST_LEFT_OUT = 0.05
+"""Share of the stroke that straight lines between the heights of a stream may leave out."""
 MOST_ROWS = 300_000_000
 """Beyond this no memory holds the motion."""
 SAME = 1e-6
@@ -117,8 +119,8 @@ def write_fast_tool(
     Raises
     ------
     ProgramError
-        If the motion has no W, there is not a rate with time alone, the angle within a row stands still, or the files
-        cannot be written.
+        If the motion has no W, there is not a rate with time alone or it is too low for the motion, the angle within a
+        row stands still, or the files cannot be written.
     """
     path = Path(path)
     if "W" not in motion.axes:
@@ -191,6 +193,13 @@ def _stream(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
     rows = np.stack([np.rint(np.interp(at, time, values) * 10.0**HEIGHT) for values in own], axis=1).astype(np.int64)
     again = [np.interp(time, at, column / 10.0**HEIGHT) for column in rows.T]
     off = max(float(np.abs(back - values).max()) for back, values in zip(again, own, strict=True))
+    stroke = max(float(np.ptp(values)) for values in own)
+    if off > MOST_LEFT_OUT * stroke + 10.0**-HEIGHT:
+        raise ProgramError(
+            f"{rate:g} heights per second leave out up to {off * 1e3:.3g} um of the fast tool's motion, the limit is "
+            f"{MOST_LEFT_OUT:.0%} of its stroke of {stroke * 1e3:.3g} um: raise the rate, the points of the motion "
+            f"come at up to {1 / float(np.diff(time).min()):.4g} Hz"
+        )
     return rows, np.full(len(own), HEIGHT), off
 
 
