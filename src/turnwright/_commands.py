@@ -147,6 +147,8 @@ def plan(
 
     if out.exists():
         raise InputError(f"{str(out)!r} is there already: name another file")
+    if not out.absolute().parent.is_dir():
+        raise InputError(f"the folder of {str(out)!r} does not exist: make it, or name another file")
     with _progress(door.stop) as progress:
         chosen = plan(Job.load(job), progress=progress)
     chosen.job.dump(out)

@@ -128,3 +128,54 @@ def test_a_two_axis_fast_tool_leaves_what_the_slides_would(tmp_path):
 def test_what_does_not_fit_is_one_sentence(changes, sentence):
     with pytest.raises(JobError, match=sentence):
         Job.read(changed(*changes))
+
+
+def test_a_stream_too_slow_for_the_motion_is_refused_and_nothing_is_left(tmp_path, capsys):
+    program = {"fast_tool": "time", "fast_tool_rate": "1 Hz"}
+    job = written(tmp_path, *PART, *FAST, ("strategy", {"kind": "fast tool servo", **SPIRAL}), ("program", program))
+    assert main(["run", str(job), "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert "1 heights per second leave out up to" in told
+    assert "at up to 180 Hz" in told, "180 points a turn, 1 turn a second"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_spline_controller_is_judged_by_the_path_that_was_meant(tmp_path):
+    """A spline passes inside its points; corrected for, that is none of the servos' error, which fade when slow."""
+    (tmp_path / "spline.toml").write_text(
+        'base = "nanoform"\n[controller]\ninterpolation = "cubic spline"\n'
+        "[axes.X.response]\nfrequency = '1000 Hz'\ndamping = 0.7\nvelocity_feedforward = 1.0\n"
+        "[axes.Z.response]\nfrequency = '1000 Hz'\ndamping = 0.7\nvelocity_feedforward = 1.0\n"
+    )
+    found = left(
+        [
+            ("machine", {"file": str(tmp_path / "spline.toml")}),
+            ("strategy", {"kind": "slow tool servo", **SPIRAL, "points_per_rev": 90}),
+            ("simulation.tracking", True),
+            ("program", {"precorrect": True}),
+        ],
+        tmp_path,
+        "corrected",
+    )
+    added = found.predictions[0].tracking_nm
+    assert added is not None
+    assert added[1] < 1.0, "decimals and what a command of 90 points a second cannot correct; inside it would be 5 nm"
+
+
+def test_the_page_shows_the_frequency_of_a_fast_tool_against_its_bandwidth(tmp_path):
+    job = written(
+        tmp_path, *PART, *FAST, ("strategy", {"kind": "fast tool servo", **SPIRAL}),
+        ("program", {"fast_tool": "position"}),
+    )  # fmt: skip
+    assert main(["run", str(job), "--out", str(tmp_path / "out")]) == 0
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "W bandwidth" in page
+    assert "700 Hz" in page.replace("\u202f", " ").replace("\u00a0", " ")
+
+
+def test_a_plan_without_a_place_is_refused_before_it_is_made(tmp_path, capsys):
+    job = written(tmp_path, *PART, ("tolerances", {"form_pv": "200 nm", "sq": "40 nm"}))
+    assert main(["plan", str(job), "--out", str(tmp_path / "none" / "planned.toml")]) == 2
+    (told,) = capsys.readouterr().err.splitlines()
+    assert "the folder of" in told
+    assert "does not exist" in told

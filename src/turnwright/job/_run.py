@@ -262,9 +262,13 @@ def predict(
         with watch.stage("track") as tell:
             real = track(motion, machine, progress=tell)
         motion = meant or motion
-    if machine.controller.interpolation != "linear":
+    ideal = without_servos(machine)
+    if meant is not None and ideal.controller.interpolation in ("quadratic spline", "cubic spline"):
+        # A spline passes inside its points; what was meant, and what is corrected for, passes through them.
+        ideal = replace(ideal, controller=replace(ideal.controller, interpolation="hermite"))
+    if ideal.controller.interpolation != "linear":
         with watch.stage("interpolate") as tell:
-            motion = track(motion, without_servos(machine), progress=tell)
+            motion = track(motion, ideal, progress=tell)
 
     def predicted(name: str, form: int | str, made: Callable[[Motion, Progress], HeightMap]) -> Prediction:
         with watch.stage(f"simulate {name}") as tell:

@@ -103,7 +103,7 @@ class SlowTable(StrategyTable):
     lead_in: Thickness | None = None
     overrun: Thickness = 0.0
 
-    placed_along = ("z", "normal")
+    placed_along: ClassVar[tuple[str, ...]] = ("z", "normal")
     ways = ("points_per_rev", "arc_length", "max_step", "chord")
 
     def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
