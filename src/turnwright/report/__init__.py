@@ -451,6 +451,8 @@ def _limit_rows(limits: Limits, machine: Machine) -> list[_Row]:
                 asked.append(("spindle speed", peaks[letter], unit, machine.spindle_rpm / factor, factor))
             else:
                 asked.append((f"{letter} {kind}", peaks[letter], unit, stated, factor))
+        if letter in limits.frequency_hz and axis is not None:
+            asked.append((f"{letter} bandwidth", limits.frequency_hz[letter], "Hz", axis.bandwidth_hz, 1.0))
     rows = []
     for name, value, unit, limit, factor in asked:
         share = limits.utilisation.get(name)

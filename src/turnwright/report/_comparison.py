@@ -19,6 +19,9 @@ __all__ = ["COLUMNS", "cells", "write_comparison"]
 
 NM = 1e6
 
+FAINT = 1e-5
+"""Below this a number is not worth its digits, in the units of the page."""
+
 COLUMNS = (
     "strategy", "turns", "points", "program [MB]", "spindle [rev/min]", "bound by", "minutes", "PV [nm]", "rms [nm]",
     "cusps [nm]", "chord [nm]", "decimals [nm]", "servos [nm]",
@@ -44,6 +47,11 @@ class _Page:
     version: str
 
 
+def _shown(value: float) -> str:
+    """Return three digits, or 0 for what is mere rounding."""
+    return f"{value:.3g}" if value >= FAINT else "0"
+
+
 def cells(one: Candidate) -> tuple[str, ...]:
     """Return what is said of a strategy that was not refused, see `COLUMNS`."""
     limits, found = one.limits, one.shares
@@ -52,7 +60,8 @@ def cells(one: Candidate) -> tuple[str, ...]:
     return (
         one.name, f"{one.turns:.0f}", f"{limits.points:,}", f"{one.size_bytes / 1e6:.3g}", f"{limits.spindle_rpm:.4g}",
         limits.binding, f"{limits.cycle_time_s / 60:.3g}", f"{found.pv_nm:.3g}", f"{found.rms_nm:.3g}",
-        f"{found.cusp_nm:.3g}", f"{found.chord_nm:.3g}", f"{found.rounding_nm:.2g}", f"{found.tracking_nm:.3g}",
+        f"{found.cusp_nm:.3g}", f"{found.chord_nm:.3g}", f"{found.rounding_nm:.2g}",
+        _shown(found.tracking_nm),
     )  # fmt: skip
 
 
@@ -80,8 +89,8 @@ def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
     page = _Page(
         title=part.name or "Part",
         kind="Strategies compared",
-        asked=f"Every strategy keeps cusps of {found.scallop * NM:.3g} nm and chords of {found.chord * NM:.3g} nm "
-        f"on {found.job.machine.machine.name}.",
+        asked=f"Every strategy is planned for cusps of {found.scallop * NM:.3g} nm away from the axis and the valleys "
+        f"that no nose reaches, and for chords of {found.chord * NM:.3g} nm, on {found.job.machine.machine.name}.",
         columns=COLUMNS,
         rows=[cells(one) for one in done],
         axes=[
@@ -89,7 +98,7 @@ def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
             *(
                 f"{letter} {what}"
                 for letter in letters
-                for what in ("stroke [mm]", "peak speed [mm/s]", "peak [mm/s²]")
+                for what in ("stroke [mm]", "peak speed [mm/s]", "peak acceleration [mm/s²]")
             ),
         ],
         motions=[(one.name, *_motions(one, letters)) for one in done],
@@ -112,6 +121,6 @@ def _motions(one: Candidate, letters: Sequence[str]) -> list[str]:
             continue
         low, high = one.limits.travel[letter]
         told += [
-            f"{high - low:.3g}", f"{one.limits.peak_speed[letter]:.3g}", f"{one.limits.peak_acceleration[letter]:.3g}"
+            _shown(high - low), _shown(one.limits.peak_speed[letter]), _shown(one.limits.peak_acceleration[letter]),
         ]  # fmt: skip
     return told

@@ -486,9 +486,18 @@ def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
         # Nobody else is both quicker and better: these are worth a choice.
         best = sorted(here for here in at if not any(o != here and o[0] <= here[0] and o[1] <= here[1] for o in at))
         axes.plot(*zip(*best, strict=True), color=LINE, linewidth=0.8)
+        gap = 0.04 * np.ptp(at, axis=0) + 1e-12
+        labels: list[tuple[Any, Floats]] = []
         for number, (minutes, pv) in enumerate(at, 1):
             axes.plot(minutes, pv, "o", color=SERIES[0] if (minutes, pv) in best else LINE, markersize=5)
-            axes.annotate(str(number), (minutes, pv), (5, 4), textcoords="offset points")
+            # Points that hide each other share a label, which stands with the first of them.
+            here = np.array([minutes, pv])
+            near = next((label for label, other in labels if (np.abs(other - here) < gap).all()), None)
+            if near is None:
+                label = axes.annotate(str(number), (minutes, pv), (5, 4), textcoords="offset points")
+                labels.append((label, here))
+            else:
+                near.set_text(f"{near.get_text()}, {number}")
         axes.set(xlabel="minutes", ylabel="form error PV [nm]")
         axes.margins(0.12)
         axes.grid(visible=True)
