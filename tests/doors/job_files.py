@@ -30,7 +30,7 @@ def changed(*changes):
         if value is GONE:
             del table[last]
         else:
-            table[last] = value
+            table[last] = copy.deepcopy(value)
     return job
 
 

@@ -4,10 +4,12 @@ import json
 import math
 
 import numpy as np
+import pytest
 from job_files import written
 
 import turnwright as tw
 from turnwright.cli import main
+from turnwright.errors import Stopped
 from turnwright.job import Job, compare
 
 WAVES = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["0.5 mm", "0.5 mm"]}
@@ -77,3 +79,17 @@ def test_a_machine_without_a_fast_tool_is_one_sentence(tmp_path, capsys):
     job = written(tmp_path, *CHANGES, ("strategy.kind", "hybrid tool servo"))
     assert main(["compare", str(job), "--out", str(tmp_path / "out")]) == 2
     assert "choose a machine with a fast tool" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_whoever_wants_an_end_is_heard_within_a_strategy(tmp_path):
+    """Oracle: what the progress raises comes out, as Ctrl-C does, and is not taken for the strategy's refusal."""
+    told = []
+
+    def stop(stage, done, total):
+        told.append((stage, done, total))
+        if stage == "slow, points by chord" and 0 < done < total:
+            raise Stopped("enough")
+
+    with pytest.raises(Stopped):
+        compare(Job.load(written(tmp_path, *CHANGES)), progress=stop)
+    assert told[-1][0] == "slow, points by chord"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from turnwright.contact import place
-from turnwright.errors import TurnwrightError
+from turnwright.errors import Stopped, TurnwrightError
 from turnwright.job._shares import Shares, shares
 from turnwright.motion import Limits, check_limits, drive
 from turnwright.post import read_fast_tool, read_nc, write_fast_tool, write_nc
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from turnwright.machine import Machine
     from turnwright.part import Part
     from turnwright.path import Motion
+    from turnwright.progress import Progress
     from turnwright.tool import Tool
 
 __all__ = ["Candidate", "Comparison", "compare"]
@@ -123,10 +124,10 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
     told("what the job asks for", 1, 1)
     ways = list(_ways(job, own, feed, scallop, chord))
     candidates = []
-    for done, (name, way) in enumerate(ways):
-        told("strategies", done, len(ways))
-        candidates.append(_tried(name, way, part, tool, machine))
-    told("strategies", len(ways), len(ways))
+    for name, way in ways:
+        told(name, 0, 1)
+        candidates.append(_tried(name, way, part, tool, machine, told))
+        told(name, 1, 1)
     return Comparison(job=job, scallop=scallop, chord=chord, candidates=tuple(candidates))
 
 
@@ -204,14 +205,21 @@ def _ways(
         yield "quasi-elliptical", elliptical
 
 
-def _tried(name: str, way: Callable[[], Strategy], part: Part, tool: Tool, machine: Machine) -> Candidate:
+def _tried(
+    name: str, way: Callable[[], Strategy], part: Part, tool: Tool, machine: Machine, told: StageProgress
+) -> Candidate:
     """Return what a strategy makes of a part, or why it does not."""
     start = time.perf_counter()
     servo = None
+
+    def third(number: int) -> Progress:
+        """Plan, place and simulate: each a third of the bar."""
+        return lambda done, total: told(name, 100 * number + 99 * done // max(total, 1), 300)
+
     try:
         servo = way()
-        spiral = servo.spiral(part, tool)
-        motion = drive(place(spiral, part, tool), servo, machine)
+        spiral = servo.spiral(part, tool, progress=third(0))
+        motion = drive(place(spiral, part, tool, progress=third(1)), servo, machine)
         with TemporaryDirectory(prefix="turnwright-") as folder:
             again = _written(motion, machine, File(folder))
             size = sum(file.stat().st_size for file in File(folder).iterdir())
@@ -221,9 +229,11 @@ def _tried(name: str, way: Callable[[], Strategy], part: Part, tool: Tool, machi
             turns=spiral.turns,
             size_bytes=size,
             limits=check_limits(motion, machine),
-            shares=shares(part, tool, spiral, motion, again=again),
+            shares=shares(part, tool, spiral, motion, again=again, progress=third(2)),
             wall_s=time.perf_counter() - start,
         )
+    except Stopped:
+        raise
     except TurnwrightError as error:
         return Candidate(name=name, servo=servo, refused=str(error), wall_s=time.perf_counter() - start)
 
