@@ -7,6 +7,7 @@ from scipy.interpolate import CubicHermiteSpline
 from turnwright import (
     AdaptiveToolServo,
     FastToolServo,
+    LensArray,
     Machine,
     Motion,
     Part,
@@ -203,3 +204,27 @@ def test_a_split_motion_recombines_and_x_is_steady():
             assert np.abs(both["X"] + both["U"] - rates["X"]).max() < 1e-15
             assert np.abs(both["X"] - slope.mean()).max() < 1e-9
     assert drive(path, whole, machine).axes["X"].size == path.z.size
+
+
+@pytest.mark.parametrize("bend", [-8.0, 8.0])
+def test_over_the_kinks_of_a_lens_array_steps_go_on_and_the_chord_is_kept(bend):
+    part = Part(surface=LensArray.hexagonal(pitch=0.3, lenslet=Sphere(radius=bend), rings=3), radius=0.4)
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation="linear", inside_out=True)
+    _, angle, radius, z, exact = followed(servo, part, each=8)
+    # In the last turn, which cuts nothing inside the rim, the surface ends for a denser path elsewhere by a trifle.
+    last = angle > angle[-1] - TURN
+    assert np.abs(z - exact)[~last].max() <= 10e-6
+    assert np.abs(z - exact)[last].max() <= 12e-6
+    # Every lenslet takes the steps of a sphere, sqrt(8 R h (1 - R / bend)), so that the spiral is Archimedean inside.
+    step = np.sqrt(8 * 0.1 * 0.9925 * SCALLOP * (1 - 0.1 / bend))
+    at = np.arange(2.0, 55.0, 0.05) * TURN
+    assert np.diff(np.interp(at, angle, radius)[::20]) == pytest.approx(step, rel=5e-3)
+
+
+def test_turns_come_to_rest_outside_the_rim_with_no_denser_points_than_inside():
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation="linear", inside_out=True)
+    spiral = servo.spiral(Part(surface=GRID.surface, radius=0.6), TOOL)
+    rate = TURN / np.diff(spiral.angle)
+    resting = spiral.angle[1:] > spiral.angle[-1] - 8 * TURN
+    inside = (spiral.angle[1:] > spiral.angle[-1] - 16 * TURN) & ~resting
+    assert rate[resting].max() < 1.8 * rate[inside].max()  # with the radius held as closely as inside: 3.5 and more

@@ -60,11 +60,11 @@ def refine(path, parts, out):
 
 
 @jit
-def fits(path, first, last, a, b, hermite, slack):
+def fits(path, first, last, a, b, hermite, slack, bend):
     """Return whether the controller's curve between nodes a and b passes samples first to last within ``slack``.
 
     A node is (t, z, dz, x, dx). Where the controller's radius is off the sampled one, so is the height that is right
-    there, by the slope along the radius.
+    there, by the slope along the radius, and by no more than ``bend`` times the square besides.
     """
     t, z, x, s, aside = path[0], path[1], path[3], path[5], path[6]
     h = b[0] - a[0]
@@ -86,7 +86,8 @@ def fits(path, first, last, a, b, hermite, slack):
             out = a[3] + u * (v + u * (along - v - d + u * d))
         else:
             up, out = a[1] + u * p, a[3] + u * v
-        if not (abs(up - z[j] - s[j] * (out - x[j])) <= slack and abs(out - x[j]) <= aside[j]):
+        off = out - x[j]
+        if not (abs(up - z[j] - s[j] * off) <= slack - bend * off * off and abs(off) <= aside[j]):
             return False
     return True
 
@@ -100,7 +101,7 @@ def node(path, k, at):
 
 
 @jit
-def on_path(path, begin, stop, slack, widest, hermite, out):
+def on_path(path, begin, stop, slack, bend, widest, hermite, out):
     """Choose nodes on a path, each the furthest that the controller's curve reaches; return how many.
 
     The first node stands at ``begin``, within the first interval. Nodes follow
@@ -119,7 +120,7 @@ def on_path(path, begin, stop, slack, widest, hermite, out):
         j = first + 1
         while j < n and j <= k + LOOK * (best - k) + MORE and t[j] - last[0] <= widest:
             tried = node(path, j - 1, t[j])
-            if fits(path, first, j - 1, last, tried, hermite, slack):
+            if fits(path, first, j - 1, last, tried, hermite, slack, bend):
                 best, new = j, tried
             j += 1
         if j == n:
@@ -130,7 +131,7 @@ def on_path(path, begin, stop, slack, widest, hermite, out):
             if not low < at < high:
                 break
             tried = node(path, best, at)
-            if fits(path, first, best, last, tried, hermite, slack):
+            if fits(path, first, best, last, tried, hermite, slack, bend):
                 low, new = at, tried
             else:
                 high = at
@@ -141,7 +142,7 @@ def on_path(path, begin, stop, slack, widest, hermite, out):
 
 
 @jit
-def cone(path, first, last, a, b, slack, bounds):
+def cone(path, first, last, a, b, slack, bend, bounds):
     """Narrow ``bounds`` to the slopes of straight lines from node a that pass all samples before b; say if any is left.
 
     See `fits`; b itself must be within ``slack`` of its own height.
@@ -157,7 +158,8 @@ def cone(path, first, last, a, b, slack, bounds):
         if abs(off) > aside[j]:
             return False
         rise = z[j] + s[j] * off - a[1]
-        low, high = max(low, (rise - slack) / h), min(high, (rise + slack) / h)
+        room = slack - bend * off * off
+        low, high = max(low, (rise - room) / h), min(high, (rise + room) / h)
         if low > high:
             return False
     bounds[0], bounds[1] = low, high
@@ -165,7 +167,7 @@ def cone(path, first, last, a, b, slack, bounds):
 
 
 @jit
-def off_path(path, begin, start, stop, slack, widest, out, lift):
+def off_path(path, begin, start, stop, slack, bend, widest, out, lift):
     """Choose nodes up to ``slack`` off a path, each the furthest that a straight line reaches; return how many.
 
     A line from the last node fits while its slope lies in a cone, which only narrows: the furthest node is the last
@@ -186,7 +188,7 @@ def off_path(path, begin, start, stop, slack, widest, out, lift):
         # From about where the last step ended, down to what fits and up to what does not.
         j = min(k + max(stride - 2, 1), n - 1)
         while j > first and (
-            t[j] - last[0] > widest or not cone(path, first, j - 1, last, node(path, j - 1, t[j]), slack, bounds)
+            t[j] - last[0] > widest or not cone(path, first, j - 1, last, node(path, j - 1, t[j]), slack, bend, bounds)
         ):
             j = first + (j - first) * 3 // 4
         best = max(j, first)
@@ -194,7 +196,7 @@ def off_path(path, begin, start, stop, slack, widest, out, lift):
         while (
             j < n
             and t[j] - last[0] <= widest
-            and cone(path, first, j - 1, last, node(path, j - 1, t[j]), slack, bounds)
+            and cone(path, first, j - 1, last, node(path, j - 1, t[j]), slack, bend, bounds)
         ):
             best = j
             j += 1
@@ -202,14 +204,14 @@ def off_path(path, begin, start, stop, slack, widest, out, lift):
             break
         stride = best - k
         new = node(path, best - 1, t[best])
-        cone(path, first, best - 1, last, new, slack, bounds)
+        cone(path, first, best - 1, last, new, slack, bend, bounds)
         low, high = t[best], min(t[best + 1], last[0] + widest)
         for _ in range(HALVINGS):
             at = 0.5 * (low + high)
             if not low < at < high:
                 break
             tried = node(path, best, at)
-            if cone(path, first, best, last, tried, slack, bounds):
+            if cone(path, first, best, last, tried, slack, bend, bounds):
                 low, new = at, tried
             else:
                 high = at

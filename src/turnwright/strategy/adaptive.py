@@ -15,7 +15,7 @@ from turnwright.path import Spiral
 from turnwright.strategy._strategy import Strategy
 
 if TYPE_CHECKING:
-    from turnwright._arrays import Floats
+    from turnwright._arrays import Bools, Floats, Ints
     from turnwright.part import Part
     from turnwright.path import Path
     from turnwright.progress import Progress
@@ -50,6 +50,9 @@ LEAST_STEP = 0.1
 STEP_GROWTH = 4.0
 """A step grows at most by this factor from turn to turn."""
 
+BESIDE = 1e-7
+"""How far to either side of a contact another piece of the surface makes it one between two. [mm]"""
+
 ASIDE = 3e-3
 """Between the points the controller's radius may be aside by this share of a step: a cusp changes by up to four times
 as much, since two passes make it."""
@@ -59,6 +62,10 @@ AIM = 0.9925
 
 REST = 3.0
 """Steps within which a spoke that is cut comes to rest."""
+
+IDLE_ASIDE = 0.1
+"""A pass whose cusp with the last one is outside the rim cuts nothing inside it, so that no cusp depends on it: it may
+be aside by as much as that cusp is outside, up to this share of the step on a flat; the cusp moves by half of that."""
 
 MISS = 200
 """Straight lines between samples, and the cubics that fill them in, may each miss the path by the chord over this."""
@@ -99,6 +106,8 @@ class AdaptiveToolServo(Strategy):
     longer by up to :math:`\sqrt 2`.
 
     The promise of the cusp is for surfaces without kinks: over those of a lens array no smooth radius can keep it.
+    Where the edge goes over from one piece to another, steps go on as they were on the piece before, so that cusps in a
+    sharp valley or at a ridge are those of a constant feed of that step; on the pieces themselves they are kept.
 
     Parameters
     ----------
@@ -181,6 +190,9 @@ class AdaptiveToolServo(Strategy):
         steady = self.x_motion == "steady"
         steps = _Steps(part, tool, self.scallop if steady else AIM * self.scallop, self.sense, way)
         curve, end = steps.march(steady=steady, progress=progress)
+        # From here on the surface ends for every tip where it ends for the outermost, as when the path is placed: were
+        # it nearer than any sample, samples that are placed together would end it elsewhere than others.
+        steps.rim = max(part.radius, curve.outermost())
         turned, lift = _points(self, steps, curve, end, progress)
         radius, rate = curve.at(turned)
         radius = radius - tool.offset[0]
@@ -227,13 +239,19 @@ def _amid(angle: Floats, radius: Floats) -> Floats:
     return np.asarray(slope * turned + (rest.min() + rest.max()) / 2)
 
 
+def _eased(share: Floats) -> Floats:
+    """Return 0 below 0, 1 above 1, and between them what has two continuous derivatives. (n,)."""
+    share = np.clip(share, 0.0, 1.0)
+    return np.asarray(share**3 * (10 - 15 * share + 6 * share**2))
+
+
 class _Curve:
     """The real radius of the tip over the angle turned: a cubic spline, with two continuous derivatives."""
 
-    def __init__(self, values: Floats, per_turn: int, usual: float) -> None:
+    def __init__(self, values: Floats, per_turn: int, usual: float, idle: Floats) -> None:
         from scipy.linalg import solve_banded  # noqa: PLC0415 - scipy is costly to import
 
-        self.values, self.density, self.usual = values, per_turn / TURN, usual
+        self.values, self.density, self.usual, self.idle = values, per_turn / TURN, usual, idle
         right = np.empty(values.size)
         right[1:-1] = 3 * (values[2:] - values[:-2])
         right[0] = 0.0  # it begins at rest
@@ -251,13 +269,27 @@ class _Curve:
         kernel.spline_at(self.values, self.slopes, turned * self.density, radius, rate)
         return radius, rate * self.density
 
-    def step(self, turned: Floats) -> Floats:
-        """Return the lesser of the steps to the turns inside and outside, but for where a spoke comes to rest. (n,)."""
+    def outermost(self) -> float:
+        """Return how far from the axis the tip comes, and hold the radius closely there. [mm]."""
+        last = self.values.size - 1
+        turned = np.clip(int(np.argmax(self.values)) + np.linspace(-2, 2, 4001), 0.0, last)
+        farthest = float(self.at(turned / self.density)[0].max())
+        room = (farthest - self.values) / (IDLE_ASIDE * self.usual)
+        self.idle = np.minimum(self.idle, np.clip(room, 0.0, 1.0))
+        return farthest
+
+    def aside(self, turned: Floats) -> Floats:
+        """Return by how much the controller's radius may differ. (n,) [mm]."""
         here = self.at(turned)[0]
         last = (self.values.size - 1) / self.density
         inner = np.where(turned >= TURN, here - self.at(np.maximum(turned - TURN, 0.0))[0], np.inf)
         outer = np.where(turned + TURN <= last, self.at(np.minimum(turned + TURN, last))[0] - here, np.inf)
-        return np.asarray(np.maximum(np.minimum(inner, outer), self.usual / 2))
+        # The lesser of the steps to the turns inside and outside, but for where a spoke comes to rest.
+        step = np.maximum(np.minimum(inner, outer), self.usual / 2)
+        # Next to a knot that cuts every place counts as cutting.
+        knot = np.minimum((turned * self.density).astype(np.int64), self.idle.size - 2)
+        idle = np.minimum(self.idle[knot], self.idle[knot + 1])
+        return np.asarray(ASIDE * step + IDLE_ASIDE * self.usual * idle)
 
 
 class _Steps:
@@ -271,7 +303,6 @@ class _Steps:
         from turnwright._kernels.edge import trace as edge_trace  # noqa: PLC0415
 
         self.kernel = kernel
-        self.rim = part.radius
         self.ridges = part.surface.piece(np.zeros(1), np.zeros(1)) is not None
         self.miss = MISS_AT_RIDGES if self.ridges else MISS
         self.part, self.tool, self.scallop, self.sense, self.way = part, tool, scallop, sense, way
@@ -285,22 +316,34 @@ class _Steps:
                 f"scallop is {scallop:g} mm, the arc of the tool is only {edge.min():.4g} mm high, so cuts would not "
                 "overlap: give a smaller scallop, or take a tool with a larger nose_radius or included angle"
             )
-        self.width = tool.actual_radius * (math.sin(high) - math.sin(low))
         self.flat = math.sqrt(8 * tool.actual_radius * scallop)
+        self.width = tool.actual_radius * (math.sin(high) - math.sin(low))
         feature = part.surface.feature_size
         self.spokes = 4 * math.ceil(max(LEAST_SPOKES, SPOKES_PER_FEATURE * TURN * part.radius / feature) / 4)
         _check_count(part.radius / self.flat * self.spokes)
         azimuth = way * (TURN / self.spokes * np.arange(self.spokes) + math.pi)
         self.azimuth, self.cosine, self.sine = azimuth, np.cos(azimuth), np.sin(azimuth)
         self.every = np.arange(self.spokes)
+        # When the path is placed the surface ends where the outermost tip stands, which touches at the rim: beside it
+        # by the slope there.
+        with np.errstate(all="ignore"):
+            _, zx, zy = part.surface.evaluate(part.radius * self.cosine, part.radius * self.sine, 1)
+        slope = np.nan_to_num(zx * self.cosine + zy * self.sine, nan=0.0, posinf=0.0, neginf=0.0)
+        beside = tool.actual_radius * float((slope / np.sqrt(1 + slope * slope)).min())
+        self.rim = max(part.radius, part.radius - beside + REST * self.flat / 2)
         # The tip's height on rings, from `first` on as far as was needed so far.
         self.ring = min(feature / RINGS_PER_FEATURE, part.radius / LEAST_RINGS, tool.actual_radius / RINGS_PER_NOSE)
-        self.first = 0
+        self.first, self.bend, self.lag = 0, 0.0, 0.0
         self.height = np.empty((0, self.spokes))
         self.slope = np.empty((0, self.spokes))
+        self.piece = np.empty((0, self.spokes), dtype=np.int64)
 
     def placed(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the tip's height, its derivative by the angle at constant radius, and by the radius. Each (n,)."""
+        return self._placed(angle, radius)[:3]
+
+    def _placed(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats, Ints]:
+        """Return that, and which piece of the surface the edge touches, -1 where it rests between two. Each (n,)."""
         from turnwright.dilation import touch  # noqa: PLC0415 - numba is costly to import
 
         surface, sense = self.part.surface, self.sense
@@ -314,7 +357,10 @@ class _Steps:
             trace = np.empty((4, angle.size))
             self.trace(*self.edge, np.ascontiguousarray(at.sweep), trace)
             outward = self.row[3] * trace[3] / trace[2]
-        return at.z, around, outward
+        sides = [surface.piece(at.x + way * np.cos(angle), at.y + way * np.sin(angle)) for way in (-BESIDE, BESIDE)]
+        if sides[0] is None or sides[1] is None:
+            return at.z, around, outward, np.zeros(angle.size, dtype=np.int64)
+        return at.z, around, outward, np.where(sides[0] == sides[1], sides[0], -1)
 
     def _tips(self, radius: Floats) -> tuple[Floats, Floats]:
         """Return height and slope along the spoke of a tip on every spoke. Each (m,)."""
@@ -327,12 +373,15 @@ class _Steps:
             # Every ring a turn, so that points of one azimuth share their line.
             angle = self.azimuth + self.way * TURN * np.arange(rings.size)[:, None]
             radii = np.repeat(rings * self.ring, self.spokes)
-            z, _, outward = self.placed(angle.ravel(), radii)
+            z, _, outward, piece = self._placed(angle.ravel(), radii)
             keep = slice(max(low - self.first, 0), None)
             self.first += min(max(low - self.first, 0), self.height.shape[0])
             shape = (rings.size, self.spokes)
             self.height = np.concatenate([self.height[keep], z.reshape(shape)])
             self.slope = np.concatenate([self.slope[keep], outward.reshape(shape)])
+            self.piece = np.concatenate([self.piece[keep], piece.reshape(shape)])
+            # Half the second derivative: what a height is off by for the square of what its radius is.
+            self.bend = max(self.bend, float(np.abs(np.diff(self.slope, axis=0)).max()) / (2 * self.ring))
         tip, along = np.empty((2, radius.size))
         self.kernel.tips_at(self.first, self.ring, self.height, self.slope, self.every, radius, tip, along)
         return tip, along
@@ -381,7 +430,28 @@ class _Steps:
             moved = self.kernel.next_step(*shape, goal, crest, *self._tips(new), new, low, high)
             if not moved > 1e-9 * self.flat:
                 break
-        return np.maximum(new - radius, LEAST_STEP * self.flat), crest
+        whole = self._on_one_piece(radius, np.maximum(new, radius + step), crest)
+        found = np.maximum(new - radius, LEAST_STEP * self.flat)
+        step = np.where(whole, found, step)
+        if self.ridges:
+            # Crests jump with the contacts from piece to piece: each counts as far inside as any was found to be.
+            self.lag = min(self.lag, float((crest - radius - step / 2)[whole].min(initial=0.0)))
+            crest = radius + step / 2 + self.lag
+        return step, crest
+
+    def _on_one_piece(self, radius: Floats, new: Floats, crest: Floats) -> Bools:
+        """Say where the edge touches one piece all the way, with the rings that heights are from, crest included."""
+        if not self.ridges:
+            return np.ones(radius.size, dtype=np.bool_)
+        self._tips(new)
+        low, high = (np.floor(at / self.ring).astype(np.int64) - self.first for at in (radius, new))
+        piece = self.piece[low, self.every]
+        x, y = np.empty((2, crest.size))
+        self.kernel.under(self.row, *self.profile[:2], self.cosine, self.sine, radius, crest, x, y)
+        whole = (piece >= 0) & (self.part.surface.piece(x, y) == piece)
+        for ring in range(1, int((high - low).max()) + 2):
+            whole &= self.piece[np.minimum(low + ring, high + 1), self.every] == piece
+        return whole
 
     def march(self, *, steady: bool, progress: Progress | None) -> tuple[_Curve, float]:
         """Return the radius over the angle turned from the axis, and the angle at which the part is cut. [rad]."""
@@ -394,20 +464,25 @@ class _Steps:
         # Half a turn from rest on the axis to the steady advance.
         begin = 2 * np.arange(self.spokes // 2) / self.spokes
         parts = [least * begin**3 * (1 - begin / 2) / 2]
+        idle = [np.zeros(begin.size)]
         # The first whole turn: Archimedean, but for what joins it smoothly to the second.
         share = np.arange(self.spokes) / self.spokes
         radius = least * (0.25 + share)
         if not steady:
             radius = radius + self._joint(radius, step, share, least)
         total, short = parts[0].size, 0
+        beyond = np.zeros(self.spokes)
+        crest, taken = np.full(self.spokes, np.nan), step
         while True:
-            if steady:
-                crest = self.next(radius, step)[1]
-            else:
-                new, crest = self.next(radius, step)
-                # Outside the rim there is no cusp to ask for, and maybe no surface.
-                step = np.where(crest < rim, new, np.minimum(new, step))
+            new, met = self.next(radius, step)
+            # Outside the rim there is no cusp to ask for, and maybe no surface: there steps and crests go on as before.
+            crest = np.where(beyond > 0, crest + taken, met)
+            new = np.where(beyond > 0, step, new)
             parts.append(radius)
+            idle.append(np.clip(beyond / IDLE_ASIDE, 0.0, 1.0))
+            beyond = (crest - rim) / step
+            if not steady:
+                step = new - (new - step) * _eased(beyond)
             inside = np.flatnonzero(crest < rim)
             if inside.size:
                 short = total + int(inside[-1]) + 1
@@ -419,11 +494,12 @@ class _Steps:
             if progress is not None:
                 progress(round(500 * min(float(radius.min()) / rim, 1.0)), 1000)
             # A spoke whose crest is outside the rim comes to rest within some steps.
-            rest = np.zeros(1) if steady else np.clip((crest - rim) / (REST * step), 0.0, 1.0)
-            radius = radius + step * (1 - rest**3 * (10 - 15 * rest + 6 * rest**2))
-        # From here on the surface ends for every tip where it ends for the outermost, as when the path is placed.
-        self.rim = max(rim, float(np.max(radius)) + abs(self.row[5]))
-        return _Curve(np.concatenate(parts), self.spokes, self.flat), (short / self.spokes + 1) * TURN
+            taken = step if steady else step * (1 - _eased(beyond / REST))
+            radius = radius + taken
+        return (
+            _Curve(np.concatenate(parts), self.spokes, self.flat, np.concatenate(idle)),
+            (short / self.spokes + 1) * TURN,
+        )
 
     def _joint(self, radius: Floats, step: Floats, share: Floats, least: float) -> Floats:
         """Return what a first turn lacks for its radius and two derivatives to go over into the next turn's."""
@@ -433,7 +509,7 @@ class _Steps:
         rate = ends @ [-25, 48, -36, 16, -3] / (12 * h) - least
         bend = ends @ [35, -104, 114, -56, 11] / (12 * h * h)
         return np.asarray(
-            value * share**3 * (10 - 15 * share + 6 * share**2)
+            value * _eased(share)
             - rate * share**3 * (1 - share) * (4 - 3 * share)
             + bend * share**3 * (1 - share) ** 2 / 2
         )
@@ -470,9 +546,9 @@ def _points(
         begin, stop = float(nodes[-1][-1]), min(end, high)
         at, lift = np.empty((2, path.shape[1] + 1))
         if off:
-            count = kernel.off_path(path, begin, float(lifts[-1][-1]), stop, slack, WIDEST_STEP, at, lift)
+            count = kernel.off_path(path, begin, float(lifts[-1][-1]), stop, slack, steps.bend, WIDEST_STEP, at, lift)
         else:
-            count = kernel.on_path(path, begin, stop, slack, WIDEST_STEP, hermite, at)
+            count = kernel.on_path(path, begin, stop, slack, steps.bend, WIDEST_STEP, hermite, at)
         nodes.append(at[1:count].copy())
         lifts.append(lift[1:count].copy())
         _check_count(sum(part.size for part in nodes))
@@ -556,7 +632,7 @@ def _sampled(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, herm
     parts = np.maximum(np.ceil(pieces), 1).astype(np.int64)
     _check_count(float(parts.sum()))
     out = np.empty((7, int(parts.sum()) + 1))
-    kernel.refine(np.vstack([path, ASIDE * curve.step(t)]), parts, out)
+    kernel.refine(np.vstack([path, curve.aside(t)]), parts, out)
     return out
 
 
