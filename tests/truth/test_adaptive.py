@@ -211,7 +211,8 @@ def test_over_the_kinks_of_a_lens_array_steps_go_on_and_the_chord_is_kept(bend):
     part = Part(surface=LensArray.hexagonal(pitch=0.3, lenslet=Sphere(radius=bend), rings=3), radius=0.4)
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation="linear", inside_out=True)
     _, angle, radius, z, exact = followed(servo, part, each=8)
-    # In the last turn, which cuts nothing inside the rim, the surface ends for a denser path elsewhere by a trifle.
+    # In the last turn one sample in 20 000 misses by a tenth more: where the surface ends is settled by the points placed
+    # together, and these are not the program's.
     last = angle > angle[-1] - TURN
     assert np.abs(z - exact)[~last].max() <= 10e-6
     assert np.abs(z - exact)[last].max() <= 12e-6
@@ -227,4 +228,6 @@ def test_turns_come_to_rest_outside_the_rim_with_no_denser_points_than_inside():
     rate = TURN / np.diff(spiral.angle)
     resting = spiral.angle[1:] > spiral.angle[-1] - 8 * TURN
     inside = (spiral.angle[1:] > spiral.angle[-1] - 16 * TURN) & ~resting
-    assert rate[resting].max() < 1.8 * rate[inside].max()  # with the radius held as closely as inside: 3.5 and more
+    assert (
+        rate[resting].max() < 1.8 * rate[inside].max()
+    )  # held as closely as inside it is 3.3 to 3.7 times on parts of 1 to 3 mm
