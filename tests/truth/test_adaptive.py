@@ -211,8 +211,8 @@ def test_over_the_kinks_of_a_lens_array_steps_go_on_and_the_chord_is_kept(bend):
     part = Part(surface=LensArray.hexagonal(pitch=0.3, lenslet=Sphere(radius=bend), rings=3), radius=0.4)
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation="linear", inside_out=True)
     _, angle, radius, z, exact = followed(servo, part, each=8)
-    # In the last turn one sample in 20 000 misses by a tenth more: where the surface ends is settled by the points placed
-    # together, and these are not the program's.
+    # In the last turn one sample in 20 000 misses by a tenth more: where the surface ends is settled by the points
+    # placed together, and these are not the program's.
     last = angle > angle[-1] - TURN
     assert np.abs(z - exact)[~last].max() <= 10e-6
     assert np.abs(z - exact)[last].max() <= 12e-6
