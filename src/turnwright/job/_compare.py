@@ -178,7 +178,9 @@ def _ways(
 
     def even() -> SlowToolServo:
         """The spiral of constant angle that keeps the chord: at its tightest place like the one by chord."""
-        least = float(np.abs(np.diff(by_chord.spiral(part, tool).angle)).min())
+        steps = np.abs(np.diff(by_chord.spiral(part, tool).angle))
+        # A plan by chord is made in pieces; the last step of each may be cut short, the one beside it is not.
+        least = float(np.maximum(steps[1:], steps[:-1]).min())
         return SlowToolServo(feed=feed, points_per_rev=max(math.ceil(TURN / least), 8), **shared)
 
     def adaptive(x_motion: Literal["servo", "steady"]) -> AdaptiveToolServo:
