@@ -39,6 +39,9 @@ __all__ = ["Candidate", "Comparison", "compare"]
 
 TURN = 2 * math.pi
 
+FEW = 1e-4
+"""Share of the steps of a plan by chord that may be shorter than those of the plan at a constant angle."""
+
 BLOCKS = 360
 """Blocks of the slide in a turn under a fast tool, which has its own table."""
 
@@ -179,8 +182,8 @@ def _ways(
     def even() -> SlowToolServo:
         """The spiral of constant angle that keeps the chord: at its tightest place like the one by chord."""
         steps = np.abs(np.diff(by_chord.spiral(part, tool).angle))
-        # A plan by chord is made in pieces; the last step of each may be cut short, the one beside it is not.
-        least = float(np.maximum(steps[1:], steps[:-1]).min())
+        # A plan by chord is made in pieces, whose last steps are cut short: they are few.
+        least = float(np.quantile(steps, FEW))
         return SlowToolServo(feed=feed, points_per_rev=max(math.ceil(TURN / least), 8), **shared)
 
     def adaptive(x_motion: Literal["servo", "steady"]) -> AdaptiveToolServo:

@@ -475,9 +475,11 @@ class _Steps:
         crest, taken = np.full(self.spokes, np.nan), step
         while True:
             new, met = self.next(radius, step)
-            # Outside the rim there is no cusp to ask for, and maybe no surface: there steps and crests go on as before.
-            crest = np.where(beyond > 0, crest + taken, met)
-            new = np.where(beyond > 0, step, new)
+            # Outside the rim there is no cusp to ask for, and soon no surface: steps and crests go over to going on as
+            # before, so that a spoke just inside and its neighbour just outside stay side by side.
+            share = _eased(beyond)
+            crest = np.where(share > 0, met + share * (crest + taken - met), met)
+            new = new + share * (step - new)
             parts.append(radius)
             idle.append(np.clip(beyond / IDLE_ASIDE, 0.0, 1.0))
             beyond = (crest - rim) / step
