@@ -274,12 +274,22 @@ class SlowToolServo(Strategy):
             )
 
         kept = [np.zeros(1)]
+        # The last two steps of a piece share what is left at its border: they are thinned again with the next piece, or
+        # their shortness would bind the block rate of the whole cut.
+        rest = np.empty((3, 0))
         borders = np.linspace(0, samples.size - 1, math.ceil((samples.size - 1) / BLOCK) + 1).astype(np.int64)
         for low, high in pairwise(borders):  # neighbours share their end
             turned, z, bulge = _refined(samples[low : high + 1] * (TURN / per_turn), height, tolerance)
-            keep = np.empty(turned.size, dtype=np.int64)
-            count = kernel.fewest(turned, z, tolerance - bulge, widest, keep)
-            kept.append(turned[keep[1:count]])
+            piece = np.stack([turned, z, tolerance - bulge])
+            if rest.size:
+                piece[2, 0] = min(piece[2, 0], rest[2, -1])
+                piece = np.concatenate([rest[:, :-1], piece], axis=1)
+            keep = np.empty(piece.shape[1], dtype=np.int64)
+            count = kernel.fewest(*piece, widest, keep)
+            if high < samples.size - 1:
+                count = max(count - 2, 1)
+                rest = piece[:, keep[count - 1] :]
+            kept.append(piece[0, keep[1:count]])
             if progress is not None:
                 progress(round(float(turned[-1]) / TURN), round(whole / TURN))
         _check_count(sum(part.size for part in kept))
