@@ -15,6 +15,7 @@ from annotated_types import Ge
 from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator, Strict, ValidationError, model_validator
 
 from turnwright._toml import read_toml
+from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, UnitError
 from turnwright.job._prescriptions import FAMILIES, AnySurface
 from turnwright.job._strategies import KINDS, AnyStrategy, Choices
@@ -424,8 +425,7 @@ class Job(Table):
 
     def _check_fast_tool(self) -> None:
         """Raise unless the job says how the table of a fast tool is written, if it has one."""
-        split = getattr(self.strategy, "x_motion", None) == "split"
-        moves = split or self.strategy.kind in ("fast tool servo", "hybrid tool servo")
+        moves = self.strategy.moves_fast_tool
         by, rate = self.program.fast_tool, self.program.fast_tool_rate
         if moves != (by is not None) or (by == "time") != (rate is not None):
             raise JobError(
@@ -496,10 +496,4 @@ class Job(Table):
 
     def dump(self, path: str | PathLike[str]) -> None:
         """Write the job as a file, which appears when it is whole. See `to_toml`."""
-        path = File(path)
-        whole = path.with_name(f".{path.name}.part")
-        try:
-            whole.write_text(self.to_toml(), encoding="utf-8")
-            whole.replace(path)
-        finally:
-            whole.unlink(missing_ok=True)
+        write_whole(File(path), self.to_toml())

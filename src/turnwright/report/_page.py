@@ -7,6 +7,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path as File
 from typing import TYPE_CHECKING
 
+from turnwright._whole import write_whole
+
 if TYPE_CHECKING:
     from os import PathLike
 
@@ -33,12 +35,7 @@ def set_page(template: str, page: object, path: File) -> File:
     environment.filters["typeset"] = lambda text: re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text)
     text = environment.get_template(template).render(page=page)
     text = re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "", text)  # no page may hold them, whatever a name does
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    write_whole(path, text)
     return path
 
 
