@@ -32,6 +32,10 @@ app = typer.Typer(
 )
 
 JobFile = Annotated[Path, typer.Argument(metavar="JOB.toml", help="The job file.", show_default=False)]
+Folder = Annotated[Path, typer.Option(help="Folder for the results; it is made when all is done.", show_default=False)]
+Force = Annotated[
+    bool, typer.Option("--force", help="If the folder is there already, keep it under another name and go on.")
+]
 
 
 class Door:
@@ -86,10 +90,8 @@ def _root(
 def run(
     context: typer.Context,
     job: JobFile,
-    out: Annotated[Path, typer.Option(help="Folder for the results; it is made when all is done.", show_default=False)],
-    force: Annotated[
-        bool, typer.Option("--force", help="If the folder is there already, keep it under another name and go on.")
-    ] = False,
+    out: Folder,
+    force: Force = False,
 ) -> None:
     """Check, plan, place, drive, write the program, read it back, predict the surface it leaves, and report."""
     door: Door = context.obj
@@ -168,10 +170,8 @@ def plan(
 def compare(
     context: typer.Context,
     job: JobFile,
-    out: Annotated[Path, typer.Option(help="Folder for the results; it is made when all is done.", show_default=False)],
-    force: Annotated[
-        bool, typer.Option("--force", help="If the folder is there already, keep it under another name and go on.")
-    ] = False,
+    out: Folder,
+    force: Force = False,
 ) -> None:
     """Plan the finishing pass by every strategy that the machine can do, and put what each leaves side by side."""
     door: Door = context.obj
@@ -210,9 +210,7 @@ def backplot(
     track: Annotated[
         bool, typer.Option("--track", help="Let the axes move as the machine's servos do, and say what that adds.")
     ] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="If the folder is there already, keep it under another name and go on.")
-    ] = False,
+    force: Force = False,
 ) -> None:
     """Predict the surface that a program leaves, anybody's."""
     door: Door = context.obj

@@ -133,7 +133,7 @@ def _z_rate(spiral: Spiral, part: Part, tool: Tool, at: Touch) -> Floats | None:
         )  # fmt: skip
         if not tangent.all():
             rate[some][~tangent & (np.hypot(x, y) > rim * (1 - 1e-9))] = np.nan
-        if surface.piece(x[:1], y[:1]) is None:
+        if not surface.in_pieces:
             return
         hair = BESIDE * along / np.hypot(*along)
         sides = [(x - hair[0], y - hair[1]), (x + hair[0], y + hair[1])]

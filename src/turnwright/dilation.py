@@ -255,7 +255,7 @@ class _Contact:
 
     def one_tangent(self) -> bool:
         """Say whether, on a grid over the part, the surface curves up less than the edge everywhere."""
-        if not self.profile.convex or self.surface.piece(np.zeros(1), np.zeros(1)) is not None:
+        if not self.profile.convex or self.surface.in_pieces:
             return False
         self.limit = CONCAVITY * self.edge_curvature()
         # The grid is finer than the surface's features; where that is too fine, the search is as quick.

@@ -84,6 +84,11 @@ class Spiral:
         """Number of spindle revolutions."""
         return float(abs(self.angle[-1] - self.angle[0]) / (2 * np.pi))
 
+    @property
+    def feed(self) -> float:
+        """Mean advance per turn. [mm/rev]."""
+        return abs(float(self.radius[-1] - self.radius[0])) / self.turns
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Path:
@@ -183,6 +188,12 @@ class Motion:
     def blocks(self) -> Ints:
         """Numbers of the points that are blocks of the lathe's program: as stated, or else the `block_points`. (m,)."""
         return block_points(self.time, self.axes) if self.stated_blocks is None else self.stated_blocks
+
+    @property
+    def feed(self) -> float:
+        """Mean advance per turn. [mm/rev]."""
+        c, x = self.axes["C"], self.axes["X"]
+        return abs(float(x[-1] - x[0]) / float(c[-1] - c[0])) * 2 * np.pi
 
     def lathe(self) -> Motion:
         """Return the share of the lathe itself, what its program holds: no W or U, and only the `blocks`."""

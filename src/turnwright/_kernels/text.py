@@ -411,6 +411,7 @@ def parse_blocks(data, at, end, whole, real, out, first):
             i += ONE
             while data[i] == 32:
                 i += ONE
+            # As in `number_at`, written out: the call costs a tenth of the time of reading.
             negative = data[i] == 45
             if negative or data[i] == 43:
                 i += ONE

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
@@ -138,12 +139,12 @@ def _asked(own: Strategy, part: Part, tool: Tool, machine: Machine) -> tuple[flo
     """Return the feed [mm/rev], the scallop and the chord [mm] that a strategy stands for."""
     if isinstance(own, AdaptiveToolServo):
         spiral = replace(own, x_motion="steady").spiral(part, tool)
-        return _feed(spiral.radius, spiral.turns), own.scallop, own.chord
+        return spiral.feed, own.scallop, own.chord
     plain = _plain(own)
     spiral = plain.spiral(part, tool)
-    feed, nose = _feed(spiral.radius, spiral.turns), tool.actual_radius
+    feed, nose = spiral.feed, tool.actual_radius
     # Where pieces meet in a valley that no nose reaches, what stays there would hide the cusps.
-    cusp = nose - math.sqrt(nose**2 - feed**2 / 4) if _in_pieces(part) else None
+    cusp = nose - math.sqrt(nose**2 - feed**2 / 4) if part.surface.in_pieces else None
     chord: float | None = getattr(plain, "chord", None)
     if cusp is None or chord is None:
         found = shares(part, tool, spiral, drive(place(spiral, part, tool), plain, machine))
@@ -152,21 +153,12 @@ def _asked(own: Strategy, part: Part, tool: Tool, machine: Machine) -> tuple[flo
     return feed, cusp, chord
 
 
-def _in_pieces(part: Part) -> bool:
-    """Say whether the surface has kinks or steps, as a lens array has."""
-    return part.surface.piece(np.zeros(1), np.zeros(1)) is not None
-
-
 def _plain(own: Strategy) -> Strategy:
     """Return the spiral that a fast or a swinging tool goes by."""
     if isinstance(own, QuasiEllipticalToolServo):
         names = {one.name for one in fields(SlowToolServo)} & {one.name for one in fields(own)}
         return SlowToolServo(**{name: getattr(own, name) for name in names})
     return own.plan if isinstance(own, FastToolServo | HybridToolServo) else own
-
-
-def _feed(radius: np.ndarray, turns: float) -> float:
-    return abs(float(radius[-1] - radius[0])) / turns
 
 
 def _ways(
@@ -179,10 +171,11 @@ def _ways(
     shared: dict[str, Any] = {"spindle_rpm": rpm, "sense": sense, "inside_out": inside_out}
     by_chord = SlowToolServo(feed=feed, chord=chord, **shared)
 
+    @cache  # several strategies go by it
     def even() -> SlowToolServo:
         """The spiral of constant angle that keeps the chord: at its tightest place like the one by chord."""
         steps = np.abs(np.diff(by_chord.spiral(part, tool).angle))
-        # A plan by chord is made in pieces, whose last steps are cut short: they are few.
+        # The last two steps of a plan by chord share what is left, and may be short.
         least = float(np.quantile(steps, FEW))
         return SlowToolServo(feed=feed, points_per_rev=max(math.ceil(TURN / least), 8), **shared)
 
@@ -198,7 +191,7 @@ def _ways(
     if "W" in machine.axes:
         yield "fast", lambda: FastToolServo(plan=even())
         yield "hybrid", lambda: HybridToolServo(plan=even(), fast=machine.axes["W"], blocks_per_rev=BLOCKS)
-    if "Y" in machine.axes and _in_pieces(part):
+    if "Y" in machine.axes and part.surface.in_pieces:
 
         def elliptical() -> QuasiEllipticalToolServo:
             if isinstance(own, QuasiEllipticalToolServo):

@@ -10,8 +10,6 @@ from pathlib import Path as File
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from turnwright.contact import place
 from turnwright.errors import JobError, LimitError
 from turnwright.generation import generate_polar
@@ -24,6 +22,7 @@ from turnwright.job._shares import (
     finish_nm,
     has_servos,
     lines,
+    pv_nm_of,
     shares,
     without_servos,
 )
@@ -252,11 +251,11 @@ def _across(job: Job, form: float, sq: float) -> tuple[float, float]:
     for _ in range(ROUNDS):
         filled = _filled(job, across, chord=pv_limit) if scallop else _filled(job, across, points=FEWEST)
         spiral = filled.servo(filled.passes[-1]).spiral(part, tool)
-        feed = abs(float(spiral.radius[-1] - spiral.radius[0])) / spiral.turns
+        feed = spiral.feed
         radius, angle = lines(part, feed)
         made = generate_polar(exact_motion(spiral, part, tool, machine, angle), tool, radius=radius, angle=angle)
         error = made.minus(part.surface)
-        pv, finish = float(np.nanmax(error.z) - np.nanmin(error.z)), finish_nm(error, feed) / NM
+        pv, finish = pv_nm_of(error.z) / NM, finish_nm(error, feed) / NM
         share = max(pv / pv_limit, finish / sq_limit)
         if NEAR <= share <= 1:
             return _plain(across), pv
@@ -275,18 +274,16 @@ def _within(servo: Strategy, spiral: Spiral, part: Part, tool: Tool, machine: Ma
     motion = drive(place(spiral, part, tool), servo, machine)
     if math.isinf(share):
         return motion
-    radius, angle = lines(part, COARSE * abs(float(spiral.radius[-1] - spiral.radius[0])) / spiral.turns)
-    ideal = without_servos(machine)
+    radius, angle = lines(part, COARSE * spiral.feed)
+    # Without servos a slower spindle takes the tool along the same way.
+    ideal = generate_polar(track(motion, without_servos(machine), chord=NEAR_ENOUGH), tool, radius=radius, angle=angle)
     slow, quick = 0.0, math.inf  # speeds, as shares of the highest, that keep it and that do not
     speed = 1.0
     kept: Motion | None = None
     for _ in range(2 * ROUNDS):
         asked = replace(motion, time=motion.time / speed)
-        made = [
-            generate_polar(track(asked, one, chord=NEAR_ENOUGH), tool, radius=radius, angle=angle)
-            for one in (machine, ideal)
-        ]
-        ratio = apart_nm(*made) / NM / share
+        made = generate_polar(track(asked, machine, chord=NEAR_ENOUGH), tool, radius=radius, angle=angle)
+        ratio = apart_nm(made, ideal) / NM / share
         if ratio <= 1:
             slow, kept = speed, asked
             if speed == 1 or ratio >= NEAR:

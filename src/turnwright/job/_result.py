@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
+from turnwright.job._shares import pv_nm_of, rms_nm_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -103,8 +103,7 @@ class Prediction:
         """Peak to valley and root mean square of what the servos add, or ``None``."""
         if self.tracking is None:
             return None
-        z = self.tracking.z
-        return float(np.nanmax(z) - np.nanmin(z)) * 1e6, float(np.sqrt(np.nanmean(z**2))) * 1e6
+        return pv_nm_of(self.tracking.z), rms_nm_of(self.tracking.z)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

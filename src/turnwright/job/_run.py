@@ -43,8 +43,6 @@ __all__ = ["StageProgress", "predict", "preview", "read_back", "run", "written"]
 StageProgress: TypeAlias = Callable[[str, int, int], None]
 """Called with (stage, done, total); raising in it, as Ctrl-C does, stops the run cleanly."""
 
-TURN = 2 * math.pi
-
 PICTURE = 20_000
 """Points that a picture of a path needs."""
 
@@ -113,7 +111,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             spiral = _asked(servo.spiral(part, tool, progress=tell), machine)
         with watch.stage("place") as tell:
             path = place(spiral, part, tool, along=job.strategy.along, progress=tell)
-        feed = abs(float(spiral.radius[-1] - spiral.radius[0])) / spiral.turns
+        feed = spiral.feed
         del spiral
         with watch.stage("drive") as tell:
             motion, meant = _commanded(job, drive(path, servo, machine), tell)
@@ -408,8 +406,7 @@ def _rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
     dense = np.linspace(0, 2 * np.pi, 360, endpoint=False)
     cosine, sine = np.cos(dense)[:, None], np.sin(dense)[:, None]
     zx, zy = part.surface.gradient(radius * cosine, radius * sine)
-    feed = TURN * abs(float(np.ptp(motion.axes["X"]) / np.ptp(motion.axes["C"])))
-    along = np.abs(zx * cosine + zy * sine).max() + feed / (2 * tool.actual_radius)
+    along = np.abs(zx * cosine + zy * sine).max() + motion.feed / (2 * tool.actual_radius)
     around = np.abs(zy * cosine - zx * sine)
     limit = z + max(x * along, by_x) + max(c * (around * radius).max(), by_c)
     if "Y" in motion.axes:

@@ -29,7 +29,9 @@ __all__ = [
     "finish_nm",
     "has_servos",
     "lines",
+    "pv_nm_of",
     "require_servos",
+    "rms_nm_of",
     "shares",
     "without_servos",
 ]
@@ -111,7 +113,7 @@ def shares(
         Called with (surfaces done, surfaces in all).
     """
     machine, told = motion.machine, progress or (lambda _done, _total: None)
-    feed = abs(float(spiral.radius[-1] - spiral.radius[0])) / spiral.turns
+    feed = spiral.feed
     radius, angle = lines(part, feed)
 
     def made(one: Motion, done: int) -> HeightMap:
@@ -128,20 +130,26 @@ def shares(
     error = real.minus(part.surface)
     cusps = exact.minus(part.surface).z
     return Shares(
-        cusp_nm=_pv_nm(cusps),
-        cusp_away_nm=_pv_nm(cusps[:, radius > 2 * feed]),
+        cusp_nm=pv_nm_of(cusps),
+        cusp_away_nm=pv_nm_of(cusps[:, radius > 2 * feed]),
         chord_nm=apart_nm(straight, exact),
         rounding_nm=apart_nm(rounded, straight),
         tracking_nm=apart_nm(real, rounded),
-        pv_nm=_pv_nm(error.z),
-        rms_nm=float(np.sqrt(np.nanmean(error.z**2))) * NM,
+        pv_nm=pv_nm_of(error.z),
+        rms_nm=rms_nm_of(error.z),
         sq_nm=finish_nm(error, feed),
         error=error,
     )
 
 
-def _pv_nm(z: Floats) -> float:
+def pv_nm_of(z: Floats) -> float:
+    """Return the peak to valley of heights."""
     return float(np.nanmax(z) - np.nanmin(z)) * NM
+
+
+def rms_nm_of(z: Floats) -> float:
+    """Return the root mean square of heights."""
+    return float(np.sqrt(np.nanmean(z**2))) * NM
 
 
 def lines(part: Part, feed: float) -> tuple[Floats, Floats]:

@@ -63,6 +63,11 @@ class StrategyTable(Table):
     ways: ClassVar[tuple[str, ...]] = ()
     """Keys that set the points together: a pass that states one of them states them all."""
 
+    @property
+    def moves_fast_tool(self) -> bool:
+        """Whether a fast tool takes its own table of heights."""
+        return False
+
     @abstractmethod
     def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:
         """Return the strategy of one pass: what the pass states, else what all passes share.
@@ -122,6 +127,11 @@ class FastTable(SlowTable):
 
     placed_along = ("z",)
 
+    @property
+    def moves_fast_tool(self) -> bool:
+        """Whether a fast tool takes its own table of heights."""
+        return True
+
     def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
         """Return the strategy of one pass."""
         return FastToolServo(plan=self.slow(cut))
@@ -138,6 +148,11 @@ class HybridTable(SlowTable):
     blocks_per_rev: Count | None = None
 
     placed_along = ("z",)
+
+    @property
+    def moves_fast_tool(self) -> bool:
+        """Whether a fast tool takes its own table of heights."""
+        return True
 
     def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:
         """Return the strategy of one pass."""
@@ -164,6 +179,11 @@ class AdaptiveTable(StrategyTable):
     chord: Size
     off_path: Annotated[bool, Strict()] = True
     x_motion: Literal["servo", "split", "steady"] = "servo"
+
+    @property
+    def moves_fast_tool(self) -> bool:
+        """Whether a fast tool takes its own table: that of its two axes."""
+        return self.x_motion == "split"
 
     def servo(self, cut: Choices, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
         """Return the strategy of one pass."""

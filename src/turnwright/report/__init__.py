@@ -262,7 +262,7 @@ def write_backplot(
     verdict = (
         _Verdict("bad", "Not within limits", "; ".join(failed)) if failed else _Verdict("good", "Within limits", "")
     )
-    turns, feed = _single_turns(motion), _feed(motion)
+    turns, feed = _single_turns(motion), motion.feed
     shown = _thinned(motion)
     maps, left_out = _maps(predictions, feed)
     page = _Page(
@@ -582,9 +582,3 @@ def _single_turns(motion: Motion) -> tuple[Motion, ...]:
         axes = {letter: values[span] for letter, values in motion.axes.items()}
         turns.append(Motion(time=motion.time[span], axes=axes, machine=motion.machine))
     return tuple(turns)
-
-
-def _feed(motion: Motion) -> float:
-    """Return the mean advance per turn. [mm/rev]."""
-    turns = abs(float(motion.axes["C"][-1] - motion.axes["C"][0])) / TURN
-    return abs(float(motion.axes["X"][-1] - motion.axes["X"][0])) / turns

@@ -303,7 +303,7 @@ class _Steps:
         from turnwright._kernels.edge import trace as edge_trace  # noqa: PLC0415
 
         self.kernel = kernel
-        self.ridges = part.surface.piece(np.zeros(1), np.zeros(1)) is not None
+        self.ridges = part.surface.in_pieces
         self.miss = MISS_AT_RIDGES if self.ridges else MISS
         self.part, self.tool, self.scallop, self.sense, self.way = part, tool, scallop, sense, way
         self.trace, self.edge = edge_trace, tool.table(sense)

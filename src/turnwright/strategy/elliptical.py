@@ -264,7 +264,7 @@ class QuasiEllipticalToolServo(Strategy):
         self, base: Spiral, part: Part, tool: Tool, progress: Progress | None
     ) -> tuple[_Course, _Crossings, Bools]:
         """Return the swing, the valleys as they are met in its own poses, and at which of them it stands still."""
-        if part.surface.piece(np.zeros(1), np.zeros(1)) is None:
+        if not part.surface.in_pieces:
             raise InputError(
                 f"{type(part.surface).__name__} is one smooth piece, so there is no valley to stand still at: use a "
                 "SlowToolServo"

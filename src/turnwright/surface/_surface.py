@@ -62,6 +62,11 @@ class Surface(ABC):
         return None
 
     @property
+    def in_pieces(self) -> bool:
+        """Whether it has kinks or steps, as a lens array has."""
+        return self.piece(np.zeros(1), np.zeros(1)) is not None
+
+    @property
     def feature_size(self) -> float:
         """Length over which the curvature changes noticeably; the step of a search must be well below it. [mm]."""
         return float("inf")
