@@ -8,7 +8,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from turnwright.access import Access, Finding, check_access
+    from turnwright.access import Access, AccessFinding, check_access
     from turnwright.contact import place
     from turnwright.edge_fit import EdgeFit, fit_edge, read_edge_trace
     from turnwright.errors import (
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from turnwright.motion import Limits, check_limits, drive
     from turnwright.part import Part
     from turnwright.path import Motion, Path, Spiral
+    from turnwright.pose import Pose
     from turnwright.post import (
         FastToolFiles,
         ProgramFiles,
@@ -76,7 +77,7 @@ if TYPE_CHECKING:
     from turnwright.tracking import precorrect, track
 
 _HOMES = {
-    "access": ("Access", "Finding", "check_access"),
+    "access": ("Access", "AccessFinding", "check_access"),
     "contact": ("place",),
     "edge_fit": ("EdgeFit", "fit_edge", "read_edge_trace"),
     "errors": (
@@ -98,6 +99,7 @@ _HOMES = {
     "motion": ("Limits", "check_limits", "drive"),
     "part": ("Part",),
     "path": ("Motion", "Path", "Spiral"),
+    "pose": ("Pose",),
     "post": (
         "FastToolFiles",
         "ProgramFiles",
@@ -149,6 +151,7 @@ __version__ = version("turnwright")
 
 __all__ = [
     "Access",
+    "AccessFinding",
     "AdaptiveToolServo",
     "Axis",
     "Biconic",
@@ -162,7 +165,6 @@ __all__ = [
     "Expression",
     "FastToolFiles",
     "FastToolServo",
-    "Finding",
     "Forbes",
     "FrequencyResponse",
     "GougeError",
@@ -182,6 +184,7 @@ __all__ = [
     "Placed",
     "Plan",
     "Plane",
+    "Pose",
     "ProgramError",
     "ProgramFiles",
     "ProgramHeader",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from turnwright.part import Part
     from turnwright.tool import Tool
 
-__all__ = ["Access", "Finding", "check_access"]
+__all__ = ["Access", "AccessFinding", "check_access"]
 
 TURN = 2 * math.pi
 
@@ -32,7 +32,7 @@ SHARP = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class AccessFinding:
     """One thing that was looked at.
 
     Parameters
@@ -90,7 +90,7 @@ class Access:
     clearance_needed: float
     rake_range: tuple[float, float]
     ok: bool
-    findings: tuple[Finding, ...]
+    findings: tuple[AccessFinding, ...]
 
 
 class _Places(NamedTuple):
@@ -199,7 +199,7 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1) -> Access:
         _nose(tool, limit, curved),
         _angle("included angle", "included", needed, tool.included, at_needed),
         _angle("clearance", "clearance", clearance, tool.clearance, falling),
-        Finding(
+        AccessFinding(
             name="rake",
             value=rakes[0],
             limit=None,
@@ -305,15 +305,17 @@ def _deg(angle: float) -> str:
     return f"{round(math.degrees(angle), 6) + 0.0:.3g} deg"
 
 
-def _nose(tool: Tool, limit: float, where: tuple[float, float]) -> Finding:
+def _nose(tool: Tool, limit: float, where: tuple[float, float]) -> AccessFinding:
     """Judge the nose radius."""
     radius = tool.actual_radius
     if math.isinf(limit):
         words = f"nose_radius is {radius:.4g} mm and no place is concave along the radius: any nose fits"
-        return Finding(name="nose radius", value=radius, limit=limit, margin=limit, where=None, ok=True, sentence=words)
+        return AccessFinding(
+            name="nose radius", value=radius, limit=limit, margin=limit, where=None, ok=True, sentence=words
+        )
     ok = radius <= limit * (1 + 1e-9)
     words = f"nose_radius is {radius:.4g} mm, the limit is {limit:.4g} mm {_at(where)}"
-    return Finding(
+    return AccessFinding(
         name="nose radius",
         value=radius,
         limit=limit,
@@ -324,7 +326,7 @@ def _nose(tool: Tool, limit: float, where: tuple[float, float]) -> Finding:
     )
 
 
-def _angle(name: str, field: str, needed: float, has: float | None, where: tuple[float, float]) -> Finding:
+def _angle(name: str, field: str, needed: float, has: float | None, where: tuple[float, float]) -> AccessFinding:
     """Judge an angle of the tool."""
     words = f"{name} needs to be {_deg(needed)} {_at(where)}"
     ok = needed <= SHARP if has is None else needed <= has
@@ -334,10 +336,10 @@ def _angle(name: str, field: str, needed: float, has: float | None, where: tuple
         words += f", the tool has {_deg(has)}"
         words += "" if ok else f": use a tool with more {name}"
     margin = None if has is None else has - needed
-    return Finding(name=name, value=needed, limit=has, margin=margin, where=where, ok=ok, sentence=words)
+    return AccessFinding(name=name, value=needed, limit=has, margin=margin, where=where, ok=ok, sentence=words)
 
 
-def _borders(part: Part, tool: Tool, places: _Places) -> list[Finding]:
+def _borders(part: Part, tool: Tool, places: _Places) -> list[AccessFinding]:
     """Look for valleys and steps where a radial line passes from one piece of the surface to the next."""
     surface = part.surface
     # Whole diameters: a valley through the centre counts like any other.
@@ -360,13 +362,13 @@ def _borders(part: Part, tool: Tool, places: _Places) -> list[Finding]:
     turn = np.arctan(ax * c + ay * s) - np.arctan(bx * c + by * s)
     turn = np.where(jump > SHARP, 0.0, turn)
 
-    def worst(name: str, sizes: Floats, words: Callable[[float, str], str]) -> list[Finding]:
+    def worst(name: str, sizes: Floats, words: Callable[[float, str], str]) -> list[AccessFinding]:
         if not sizes.size or sizes.max() <= SHARP:
             return []
         at = int(np.argmax(sizes))
         size, where = float(sizes[at]), (float(low[at] * c[at]), float(low[at] * s[at]))
         sentence = words(size, _at(where))
-        return [Finding(name=name, value=size, limit=0.0, margin=-size, where=where, ok=False, sentence=sentence)]
+        return [AccessFinding(name=name, value=size, limit=0.0, margin=-size, where=where, ok=False, sentence=sentence)]
 
     def step(size: float, at: str) -> str:
         return f"the surface steps by {size:.4g} mm {at}, no nose cuts a wall: a fillet as wide as the edge stays"

@@ -1,16 +1,19 @@
-"""Heights over a grid: designed, generated, measured or their difference."""
+"""Heights: designed, generated, measured or their difference."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen
+from turnwright._arrays import Floats, frozen, positive
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
+    from turnwright.pose import Pose
     from turnwright.surface import Surface
 
 __all__ = ["HeightMap"]
@@ -18,18 +21,23 @@ __all__ = ["HeightMap"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeightMap:
-    """Heights over a rectangular grid (``x``, ``y``) or over a polar one (``radius``, ``angle``).
+    """Heights over a rectangular grid (``x``, ``y``), over a polar one (``radius``, ``angle``), or at scattered points.
 
     Parameters
     ----------
     z
-        Heights; nan is a missing point. (ny, nx), or (n_angle, n_radius) [mm]
+        Heights; nan is a missing point. (ny, nx), (n_angle, n_radius), or (n,) for scattered points [mm]
     x, y
-        Ascending columns (nx,) and rows (ny,) of a rectangular grid. [mm]
+        Ascending columns (nx,) and rows (ny,) of a rectangular grid, or the places of scattered points (n,). [mm]
     radius, angle
         Columns (n_radius,) [mm] and rows (n_angle,) [rad] of a polar grid.
     name
         What the map shows.
+    calibrated
+        False where the instrument's file does not say how large a pixel is: ``x`` and ``y`` then count pixels, and
+        all that needs lengths asks for a pixel size. See `scaled`.
+    metadata
+        What the instrument's file says beside the heights, as text.
 
     Raises
     ------
@@ -43,6 +51,8 @@ class HeightMap:
     radius: Floats | None = None
     angle: Floats | None = None
     name: str = ""
+    calibrated: bool = True
+    metadata: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         given = [name for name in ("x", "y", "radius", "angle") if getattr(self, name) is not None]
@@ -52,11 +62,19 @@ class HeightMap:
             )
         for name in given:
             object.__setattr__(self, name, frozen(getattr(self, name), name))
-        object.__setattr__(self, "z", frozen(self.z, "z", ndim=2, finite=False))
-        shape = (getattr(self, given[1]).size, getattr(self, given[0]).size)
-        if self.z.shape != shape:
+        scattered = np.ndim(self.z) == 1 and given == ["x", "y"]
+        object.__setattr__(self, "z", frozen(self.z, "z", ndim=1 if scattered else 2, finite=False))
+        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+        columns, rows = (getattr(self, name).size for name in given)
+        if scattered and not self.z.size == columns == rows:
             raise InputError(
-                f"z has the shape {self.z.shape} and its axes {shape}: rows are {given[1]}, columns {given[0]}"
+                f"{self.z.size} scattered heights have {columns} x and {rows} y: give as many of each, or a grid of "
+                "heights with rows y and columns x"
+            )
+        if not scattered and self.z.shape != (rows, columns):
+            raise InputError(
+                f"z has the shape {self.z.shape} and its axes {(rows, columns)}: rows are {given[1]}, columns "
+                f"{given[0]}"
             )
 
     @property
@@ -64,20 +82,80 @@ class HeightMap:
         """Whether the grid is polar."""
         return self.radius is not None
 
+    @property
+    def scattered(self) -> bool:
+        """Whether the heights stand at scattered points instead of on a grid."""
+        return self.z.ndim == 1
+
     def points(self) -> tuple[Floats, Floats]:
         """Return x and y of every height. Each the shape of ``z`` [mm]."""
         if self.radius is not None and self.angle is not None:
             return np.cos(self.angle)[:, None] * self.radius, np.sin(self.angle)[:, None] * self.radius
-        x, y = np.meshgrid(self.x, self.y)  # type: ignore[arg-type]
+        assert self.x is not None  # noqa: S101 - a map that is not polar has x and y
+        assert self.y is not None  # noqa: S101
+        if self.scattered:
+            return self.x, self.y
+        x, y = np.meshgrid(self.x, self.y)
         return x, y
 
-    def minus(self, other: HeightMap | Surface) -> HeightMap:
-        """Return this map minus another on the same grid, or minus a surface. Cut minus design is the error.
+    def require_calibrated(self) -> None:
+        """Raise unless ``x`` and ``y`` are lengths.
 
         Raises
         ------
         InputError
-            If the other map has another grid.
+            If they count pixels.
+        """
+        if not self.calibrated:
+            raise InputError(
+                f"the map {self.name!r} of {self.z.shape[-1]} columns says nothing of the size of its pixels, so it "
+                "has no lengths: give the pixel size (HeightMap.scaled, or pixel_size where the file is read)"
+            )
+
+    def scaled(self, pixel_size: float | tuple[float, float]) -> HeightMap:
+        """Return a map whose axes count pixels with those pixels as large as stated.
+
+        Parameters
+        ----------
+        pixel_size
+            Of a pixel along x and y, or one size for both. [mm]
+
+        Raises
+        ------
+        InputError
+            If the map has lengths already, or a size is not positive.
+
+        >>> pixels = HeightMap(z=np.zeros((2, 3)), x=np.arange(3.0), y=np.arange(2.0), calibrated=False)
+        >>> pixels.scaled(0.1).x.tolist()
+        [0.0, 0.1, 0.2]
+        """
+        if self.calibrated or self.x is None or self.y is None:
+            raise InputError(f"the map {self.name!r} has its lengths already: leave the pixel size out")
+        along_x, along_y = pixel_size if isinstance(pixel_size, tuple) else (pixel_size, pixel_size)
+        return replace(
+            self,
+            x=self.x * positive(along_x, "the pixel size along x", "mm"),
+            y=self.y * positive(along_y, "the pixel size along y", "mm"),
+            calibrated=True,
+        )
+
+    def moved(self, pose: Pose) -> HeightMap:
+        """Return the valid heights as scattered points, moved as a rigid body. See `Pose`."""
+        self.require_calibrated()
+        x, y = self.points()
+        valid = ~np.isnan(self.z)
+        x, y, z = pose.apply(x[valid], y[valid], self.z[valid])
+        return HeightMap(x=x, y=y, z=z, name=self.name, metadata=self.metadata)
+
+    def minus(self, other: HeightMap | Surface) -> HeightMap:
+        """Return this map minus another on the same grid, or minus a surface. Cut minus design is the error.
+
+        A surface is not asked for its height where the map has none.
+
+        Raises
+        ------
+        InputError
+            If the other map has another grid, or this one has no lengths.
         DomainError
             If the surface is not defined at a point of the map.
         """
@@ -88,7 +166,12 @@ class HeightMap:
                     raise InputError(f"the two height maps differ in {name}: bring them to one grid first")
             z = self.z - other.z
         else:
-            z = self.z - other.sag(*self.points())
-        return HeightMap(
-            z=z, x=self.x, y=self.y, radius=self.radius, angle=self.angle, name=f"{self.name} error".strip()
-        )
+            self.require_calibrated()
+            x, y = self.points()
+            missing = np.isnan(self.z)
+            if missing.any():
+                z = np.full(self.z.shape, np.nan)
+                z[~missing] = self.z[~missing] - other.sag(x[~missing], y[~missing])
+            else:
+                z = self.z - other.sag(x, y)
+        return replace(self, z=z, name=f"{self.name} error".strip())

@@ -165,7 +165,7 @@ def test_missing_points_are_left_out_as_loops_over_the_definitions_leave_them_ou
 
 
 def test_the_autocorrelation_is_the_mean_product_over_valid_pairs():
-    from turnwright.metrology import _autocorrelation
+    from turnwright.metrology.roughness import _autocorrelation
 
     z = holed((14, 11))
     correlation, known = _autocorrelation(z)

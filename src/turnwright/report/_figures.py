@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from turnwright._arrays import Floats
-    from turnwright.access import Finding
+    from turnwright.access import AccessFinding
     from turnwright.heightmap import HeightMap
     from turnwright.job import Candidate
     from turnwright.part import Part
@@ -215,7 +215,7 @@ def view(part: Part) -> Picture:
     return Picture(canvas.svg, f"Perspective view of the design, heights stretched about {stretch:.3g} times.")
 
 
-def access_map(part: Part, findings: Sequence[Finding]) -> Picture:
+def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
     """Draw where on the nose the part is touched, and the tightest places by the numbers of the access table."""
     x, y, r = _square(part.radius)
     inside = r <= part.radius

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.errors import InputError
+from turnwright.pose import Pose
 from turnwright.surface._surface import Surface
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from turnwright._arrays import Bools, Floats, Ints
 
 __all__ = ["Placed", "Sum"]
@@ -150,13 +149,9 @@ class Placed(Surface):
     def __post_init__(self) -> None:
         if not isinstance(self.surface, Surface):
             raise InputError(f"what is placed is {self.surface!r}, which is not a surface: give a Surface")
-        for name, size in (("shift", 3), ("tilt", 2)):
-            values = getattr(self, name)
-            if np.shape(values) != (size,) or not np.isfinite(values).all():
-                raise InputError(f"{name} is {values}, it must be {size} finite numbers: complete it")
-            object.__setattr__(self, name, tuple(float(value) for value in values))
-        if not np.isfinite(self.rotation):
-            raise InputError(f"rotation is {self.rotation}, it must be finite: give an angle in rad")
+        pose = self.pose
+        for name in ("shift", "rotation", "tilt"):
+            object.__setattr__(self, name, getattr(pose, name))
         lean = np.rad2deg(np.arccos(np.clip(np.cos(self.tilt[0]) * np.cos(self.tilt[1]), -1, 1)))
         if lean > 89.9:
             raise InputError(
@@ -214,13 +209,14 @@ class Placed(Surface):
         """The surface's own, foreshortened by the tilt. [mm]."""
         return float(self.surface.feature_size * self._turn()[2, 2])
 
-    def _turn(self) -> NDArray[np.float64]:
+    @property
+    def pose(self) -> Pose:
+        """Where the surface's own frame sits in the part's."""
+        return Pose(shift=self.shift, rotation=self.rotation, tilt=self.tilt)
+
+    def _turn(self) -> Floats:
         """Return the rotation matrix from the surface's frame to the part's."""
-        (ca, cb, cr), (sa, sb, sr) = (part([*self.tilt, self.rotation]) for part in (np.cos, np.sin))
-        about_x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
-        about_y = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]])
-        about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
-        return np.asarray(about_z @ about_x @ about_y)
+        return self.pose.matrix
 
     def _level(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Evaluate without tilt: the heights are the surface's own."""

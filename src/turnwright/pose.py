@@ -1,0 +1,89 @@
+"""Where a thing sits: a turn and a shift of rigid bodies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from turnwright._arrays import Floats
+from turnwright.errors import InputError
+
+__all__ = ["Pose"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pose:
+    r"""A rigid motion: a point p goes to ``shift + Rz(rotation) Rx(tilt[0]) Ry(tilt[1]) p``.
+
+    The second tilt is about the y axis as the first tilt has left it, the order of lens-design programs, and the order
+    of `turnwright.Placed`.
+
+    Parameters
+    ----------
+    shift
+        Where the origin goes (x, y, z). [mm]
+    rotation
+        About z, counter-clockwise seen from the tool. [rad]
+    tilt
+        About x, then about y, before the rotation. [rad]
+
+    Raises
+    ------
+    InputError
+        If a number is missing or not finite.
+
+    >>> quarter = Pose(shift=(1, 0, 0), rotation=np.pi / 2)
+    >>> [float(round(one, 12)) for one in quarter.apply(2, 0, 5)]
+    [1.0, 2.0, 5.0]
+    >>> [float(round(one, 12)) for one in quarter.inverse.apply(1, 2, 5)]
+    [2.0, 0.0, 5.0]
+    """
+
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: float = 0.0
+    tilt: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for name, size in (("shift", 3), ("tilt", 2)):
+            values = getattr(self, name)
+            if np.shape(values) != (size,) or not np.isfinite(values).all():
+                raise InputError(f"{name} is {values}, it must be {size} finite numbers: complete it")
+            object.__setattr__(self, name, tuple(float(value) for value in values))
+        if not np.isfinite(self.rotation):
+            raise InputError(f"rotation is {self.rotation}, it must be finite: give an angle in rad")
+        object.__setattr__(self, "rotation", float(self.rotation))
+
+    @classmethod
+    def of(cls, matrix: ArrayLike, shift: ArrayLike) -> Pose:
+        """Return the pose of a rotation matrix (3, 3) and a shift (3,) [mm]; its first tilt is within ±π/2."""
+        turn = np.asarray(matrix, dtype=np.float64)
+        tilt = (np.arcsin(np.clip(turn[2, 1], -1, 1)), np.arctan2(-turn[2, 0], turn[2, 2]))
+        x, y, z = np.asarray(shift, dtype=np.float64)
+        return cls(shift=(x, y, z), rotation=np.arctan2(-turn[0, 1], turn[1, 1]), tilt=tilt)
+
+    @property
+    def matrix(self) -> Floats:
+        """The rotation matrix. (3, 3)."""
+        (ca, cb, cr), (sa, sb, sr) = (part([*self.tilt, self.rotation]) for part in (np.cos, np.sin))
+        about_x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
+        about_y = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]])
+        about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
+        return np.asarray(about_z @ about_x @ about_y)
+
+    @property
+    def inverse(self) -> Pose:
+        """The pose that undoes this one."""
+        back = self.matrix.T
+        return Pose.of(back, -back @ self.shift)
+
+    def after(self, first: Pose) -> Pose:
+        """Return the one pose that does ``first`` and then this one."""
+        return Pose.of(self.matrix @ first.matrix, self.matrix @ first.shift + self.shift)
+
+    def apply(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Floats, Floats, Floats]:
+        """Return where points go. Any one shape, or what broadcasts. [mm]."""
+        x, y, z = (np.asarray(one, dtype=np.float64) for one in (x, y, z))
+        at = [row[0] * x + row[1] * y + row[2] * z + shift for row, shift in zip(self.matrix, self.shift, strict=True)]
+        return at[0], at[1], at[2]
