@@ -1,0 +1,174 @@
+r"""A smooth surface through scattered, noisy heights.
+
+Among tensor products of cubic B-splines, the one that minimises
+
+.. math:: \sum_i (s(x_i, y_i) - z_i)^2 + \mu \iint s_{xx}^2 + 2 s_{xy}^2 + s_{yy}^2
+
+Where n points stand on a unit of area, a wave of angular frequency k keeps :math:`1/(1 + k^4 \mu / n)` of its height:
+half at the cutoff, and never more than all of it, so that noise is not amplified. Missing places, a round border and
+what lies beyond it cost nothing: the plate runs on as straight as it can.
+
+Sources
+-------
+[Green1994]_ ch. 7, thin plates over a finite basis; the choice of the cutoff is by cross-validation, ch. 3.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from turnwright._arrays import Floats
+from turnwright.surface.gridded import Gridded
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+__all__ = ["Smooth", "smooth_table"]
+
+PER_CUTOFF = 5
+"""Steps of the grid in the wavelength of the cutoff."""
+
+LONGER = (1.0, 2.0, 4.0, 8.0)
+"""Longer cutoffs that are tried too."""
+
+WORTH = 2.0
+"""Standard errors by which a correction must do better than none in the half of the points that it has not seen."""
+
+
+class Smooth(NamedTuple):
+    """What is left of the heights."""
+
+    table: Gridded
+    cutoff: float | None  # chosen [mm]; None if the points show nothing but noise, and the table is zero
+
+
+class _Points(NamedTuple):
+    """Points, each of them the mean of those in its cell."""
+
+    x: Floats
+    y: Floats
+    z: Floats
+    weight: Floats
+
+
+def smooth_table(x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float) -> Smooth:
+    """Return what the points share over wavelengths above a cutoff, on a square grid about the origin.
+
+    One half of the points is smoothed and compared with the other. The cutoff that foretells that best is taken, among
+    the one asked for and longer ones; if none foretells it better than zero does, nothing but noise is there.
+
+    Parameters
+    ----------
+    x, y, z
+        Points. Each (n,) [mm]
+    cutoff
+        Shortest wavelength that keeps half of its height. [mm]
+    reach
+        Half-width of the grid. [mm]
+    """
+    # Cells, not points, are split: neighbours share the cell's noise only.
+    cell = cutoff / PER_CUTOFF / 2
+    column, row = (np.floor((at + reach) / cell).astype(np.int64) for at in (x, y))
+    odd = (column + row) % 2 == 1
+    halves = [_binned(x[chosen], y[chosen], z[chosen], cell, reach) for chosen in (odd, ~odd)]
+    best: tuple[float, float] | None = None
+    none = np.concatenate([half.weight * half.z**2 for half in halves])
+    for longer in LONGER:
+        if cutoff * longer > 2 * reach:
+            break
+        missed = np.concatenate(
+            [
+                other.weight * (_at(_smoothed(one, cutoff * longer, reach), other) - other.z) ** 2
+                for one, other in (halves, halves[::-1])
+            ]
+        )
+        better = none - missed
+        gain = float(better.sum())
+        if gain > WORTH * float(better.std()) * math.sqrt(better.size) and (best is None or gain > best[0]):
+            best = gain, cutoff * longer
+    if best is None:
+        flat = np.linspace(-reach, reach, 6)
+        return Smooth(Gridded(x=flat, y=flat, z=np.zeros((6, 6))), None)
+    return Smooth(_smoothed(_binned(x, y, z, cell, reach), best[1], reach), best[1])
+
+
+def _binned(x: Floats, y: Floats, z: Floats, cell: float, reach: float) -> _Points:
+    """Return the means of points and heights over square cells."""
+    side = math.ceil(2 * reach / cell) + 1
+    column, row = (np.floor((at + reach) / cell).astype(np.int64) for at in (x, y))
+    number = row * side + column
+    count = np.bincount(number)
+    filled = count > 0
+    weight = count[filled].astype(np.float64)
+    at_x, at_y, height = (np.bincount(number, weights=values)[filled] / weight for values in (x, y, z))
+    return _Points(at_x, at_y, height, weight)
+
+
+def _smoothed(points: _Points, cutoff: float, reach: float) -> Gridded:
+    """Return the spline of least squares and bending, as a table of its heights at its knots."""
+    from scipy.interpolate import BSpline  # noqa: PLC0415 - scipy is costly to import
+    from scipy.linalg import solveh_banded  # noqa: PLC0415
+    from scipy.sparse import kron  # noqa: PLC0415
+
+    steps = max(math.ceil(2 * reach * PER_CUTOFF / cutoff), 6)
+    knots = reach * np.linspace(-1, 1, steps + 1)
+    step = knots[1] - knots[0]
+    padded = np.concatenate([knots[0] + step * np.arange(-3, 0), knots, knots[-1] + step * np.arange(1, 4)])
+    size = padded.size - 4
+    across, along = (BSpline.design_matrix(at, padded, 3) for at in (points.x, points.y))
+    basis = _row_products(along, across)
+    weighted = basis.multiply(points.weight[:, None]).tocsr()
+    density = points.weight.sum() / _area(points, cutoff)
+    bend = density * (cutoff / (2 * math.pi)) ** 4
+    height, slope, curve = (_gram(padded, order) for order in range(3))
+    plate = kron(curve, height) + 2 * kron(slope, slope) + kron(height, curve)
+    normal = (basis.T @ weighted + bend * plate).tocoo()
+    # Plates without points on two sides of them would be loose; what holds them is far below rounding of the heights.
+    band = np.zeros((int(np.abs(normal.row - normal.col).max()) + 1, size * size))
+    lower = normal.row >= normal.col
+    np.add.at(band, (normal.row[lower] - normal.col[lower], normal.col[lower]), normal.data[lower])
+    band[0] += 1e-13 * band[0].max()
+    found = solveh_banded(band, weighted.T @ points.z, lower=True, overwrite_ab=True).reshape(size, size)
+    at_knots = BSpline.design_matrix(knots, padded, 3)
+    return Gridded(x=knots, y=knots, z=np.asarray(at_knots @ found @ at_knots.T))
+
+
+def _at(table: Gridded, points: _Points) -> Floats:
+    """Return the heights of a table."""
+    return table.evaluate(points.x, points.y, 0)[0]
+
+
+def _area(points: _Points, cutoff: float) -> float:
+    """Return the area that the points cover, in squares of a third of the cutoff. [mm²]."""
+    side = cutoff / 3
+    squares = np.unique(np.floor(np.stack([points.x, points.y]) / side), axis=1)
+    return float(squares.shape[1]) * side**2
+
+
+def _row_products(one: csr_array, other: csr_array) -> csr_array:
+    """Return the products of all values of a row of one with all of the same row of the other."""
+    from scipy.sparse import csr_array as rows  # noqa: PLC0415
+
+    count, width = one.shape[0], other.shape[1]
+    values = one.data.reshape(count, 4, 1) * other.data.reshape(count, 1, 4)
+    columns = one.indices.reshape(count, 4, 1).astype(np.int64) * width + other.indices.reshape(count, 1, 4)
+    return rows(
+        (values.ravel(), columns.ravel(), np.arange(0, 16 * count + 1, 16)), shape=(count, one.shape[1] * width)
+    )
+
+
+def _gram(knots: Floats, order: int) -> csr_array:
+    """Return the integrals of the products of all cubic B-splines' derivatives, exact by Gauss' rule."""
+    from scipy.interpolate import BSpline  # noqa: PLC0415
+    from scipy.sparse import csr_array as rows  # noqa: PLC0415
+
+    size = knots.size - 4
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    inner = knots[3:-3]
+    half = np.diff(inner)[:, None] / 2
+    at = (inner[:-1, None] + half + half * nodes).ravel()
+    values = BSpline(knots, np.eye(size), 3)(at, nu=order)
+    return rows(values.T @ (values * (half * weights).reshape(-1, 1)))
