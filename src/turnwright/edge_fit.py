@@ -84,6 +84,9 @@ class EdgeFit:
         Of these points about the circle, waviness and noise together. [mm]
     noise_rms
         Of these points about the circle with its waviness. [mm]
+    waviness_std
+        Standard uncertainty of the waviness at each sweep of ``tool.waviness``, from the scatter about it and how far
+        this is correlated; what the cutoff smooths away is not in it. (m,) [mm]
     cutoff
         Wavelength along the edge of which the waviness keeps half of the height. [mm]
     """
@@ -97,16 +100,20 @@ class EdgeFit:
     nose: Bools
     residual_rms: float
     noise_rms: float
+    waviness_std: Floats
     cutoff: float
 
 
-def read_edge_trace(path: str | PathLike[str]) -> tuple[Floats, Floats]:
-    """Read a single trace of an edge as the Mitaka MLP point-autofocus instruments export it.
+def read_edge_trace(path: str | PathLike[str], *, profile: int | None = None) -> tuple[Floats, Floats]:
+    """Read a trace of an edge as the Mitaka MLP point-autofocus instruments export it, or as two plain columns.
 
     Parameters
     ----------
     path
-        Lines of description, a line ``X,Y,Z``, then rows of X along the trace and Y across the edge in mm.
+        Lines of description, a line ``X,Y,Z``, then rows of X along the trace and Y across the edge in mm; or nothing
+        but rows of these two, parted by blanks or commas.
+    profile
+        Which one, from 1, where the instrument has traced the edge several times side by side.
 
     Returns
     -------
@@ -116,7 +123,7 @@ def read_edge_trace(path: str | PathLike[str]) -> tuple[Floats, Floats]:
     Raises
     ------
     InputError
-        If the file cannot be read, is not of this form, or holds several profiles.
+        If the file cannot be read, is not of this form, or it is not said which of its profiles is meant.
     """
     path = Path(path)
     try:
@@ -124,23 +131,38 @@ def read_edge_trace(path: str | PathLike[str]) -> tuple[Floats, Floats]:
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
     heads = [number for number, line in enumerate(lines) if line.replace(" ", "").upper() == "X,Y,Z"]
-    if not heads:
-        raise InputError(f"{path} has no line 'X,Y,Z' above its points: export the trace with its head")
-    head, body = lines[: heads[0]], lines[heads[0] + 1 :]
-    profiles = 1
-    for line in head:
-        cells = [cell.strip() for cell in line.split(",")]
-        if cells[0] in {"Number of points in Y direction", "Number of data"} and cells[-1].isdigit():
-            profiles = int(cells[-1])
-    if profiles != 1:
-        raise InputError(f"{path} holds {profiles} profiles, the limit is 1: export one profile a file")
+    head, body = (lines[: heads[0]], lines[heads[0] + 1 :]) if heads else ([], lines)
+    body = _profile(path, head, body, profile)
+    table = [line.replace(",", " ").split() for line in body if line.strip()]
+    if not heads and any(len(row) != 2 for row in table):
+        raise InputError(
+            f"{path} has no line 'X,Y,Z' above its points, and not two columns: export the trace with its head"
+        )
     try:
-        rows = np.array([[float(cell) for cell in line.split(",")[:2]] for line in body if line.strip()])
+        rows = np.array([[float(cell) for cell in row[:2]] for row in table])
     except ValueError as error:
         raise InputError(f"{path} holds something that is not a number ({error}): correct it") from error
     if rows.ndim != 2 or rows.shape[1] != 2:
-        raise InputError(f"{path} has {len(body)} lines below 'X,Y,Z', it needs rows of X,Y,Z: export the trace again")
+        raise InputError(f"{path} has {len(body)} rows, it needs rows of X,Y,Z or of two columns: export it again")
     return frozen(rows[:, 0], "trace X"), frozen(rows[:, 1], "trace Y")
+
+
+def _profile(path: Path, head: list[str], body: list[str], profile: int | None) -> list[str]:
+    """Return the rows of one profile."""
+    profiles, size = 1, len(body)
+    for line in head:
+        cells = [cell.strip() for cell in line.split(",")]
+        if cells[0] == "Number of points in Y direction" and cells[-1].isdigit():
+            profiles = int(cells[-1])
+        if cells[0] == "Number of data" and len(cells) == 3 and cells[1].isdigit() and cells[2].isdigit():
+            size, profiles = int(cells[1]), int(cells[2])
+    if profiles > 1 and (profile is None or size == len(body)):
+        raise InputError(f"{path} holds {profiles} profiles, the limit is 1: say which (profile=1, ...), or export one")
+    if profile is None:
+        return body
+    if not 1 <= profile <= profiles:
+        raise InputError(f"{path} has no profile {profile}, it holds {profiles}: ask for one of them, from 1")
+    return body[(profile - 1) * size : profile * size]
 
 
 def fit_edge(
@@ -204,21 +226,27 @@ def fit_edge(
     low, high = _ends(sweep, off, shape)
     inside, scatter = sweep[nose], _scatter(off[nose])
     arc_height = radius * (1 - np.cos(np.ptp(inside) / 2)) if inside.size else 0.0
-    if inside.size < FEWEST or arc_height < SEEN * scatter:
+    if inside.size < FEWEST or arc_height < SEEN * scatter or min(-(low + tilt), high + tilt) <= 0:
         raise InputError(
             f"a trace of {along.size} points shows no arc: the best one holds {inside.size} points and is "
             f"{1e3 * arc_height:.3g} um high where they scatter by {1e3 * scatter:.3g} um, it needs {FEWEST} points "
             f"and {SEEN:g} times the scatter: clean the tool and trace its nose again"
         )
-    table = _smooth(inside + tilt, off[nose], cutoff / radius)
+    table, table_std = _smooth(inside + tilt, off[nose], cutoff / radius)
     nominal = radius if nose_radius is None else positive(nose_radius, "nose_radius", "mm")
-    tool = Tool(
-        nose_radius=nominal,
-        radius_error=radius - nominal,
-        included=2 * min(-(low + tilt), high + tilt, np.pi / 2),
-        waviness=table,
-        name=name,
-    )
+    try:
+        tool = Tool(
+            nose_radius=nominal,
+            radius_error=radius - nominal,
+            included=2 * min(-(low + tilt), high + tilt, np.pi / 2),
+            waviness=table,
+            name=name,
+        )
+    except InputError as error:
+        raise InputError(
+            f"a trace of {along.size} points shows an arc of {radius:.4g} mm that no nose has ({error}): clean the "
+            "tool and trace its nose again"
+        ) from error
     return EdgeFit(
         tool=tool,
         radius=radius,
@@ -229,6 +257,7 @@ def fit_edge(
         nose=nose,
         residual_rms=float(np.sqrt(np.mean(off[nose] ** 2))),
         noise_rms=float(np.sqrt(np.mean((off[nose] - tool.deviation(inside + tilt)) ** 2))),
+        waviness_std=frozen(table_std, "waviness_std"),
         cutoff=cutoff,
     )
 
@@ -356,8 +385,8 @@ def _ends(sweep: Floats, off: Floats, shape: Floats) -> tuple[float, float]:
     return max(-float(shape[3]), float(near.min())), min(float(shape[4]), float(near.max()))
 
 
-def _smooth(sweep: Floats, off: Floats, cutoff: float) -> WavinessTable:
-    """Return the deviation without wavelengths shorter than ``cutoff`` [rad].
+def _smooth(sweep: Floats, off: Floats, cutoff: float) -> tuple[WavinessTable, Floats]:
+    """Return the deviation without wavelengths shorter than ``cutoff`` [rad], and its standard uncertainty [mm].
 
     A cubic smoothing spline through points h apart that minimises the squares plus lam times the squared second
     derivative passes a wave of angular frequency w with 1 / (1 + lam h w^4) of its height.
@@ -374,8 +403,33 @@ def _smooth(sweep: Floats, off: Floats, cutoff: float) -> WavinessTable:
             "least one cutoff must fit: take a smaller cutoff"
         )
     at, height = (np.bincount(number, weights=values)[filled] / count[filled] for values in (sweep, off))
-    spline = make_smoothing_spline(at, height, lam=(cutoff / (2 * np.pi)) ** 4 / step)
-    return WavinessTable(sweep=at, deviation=spline(at))
+
+    def smoothed(values: Floats) -> Floats:
+        return np.asarray(make_smoothing_spline(at, values, lam=(cutoff / (2 * np.pi)) ** 4 / step)(at))
+
+    deviation = smoothed(height)
+    left = off - np.interp(sweep, at, deviation)
+    # What each point of the table draws from every bin; bins this far apart share nothing, so one spline tells many.
+    order, apart = np.arange(at.size), 8 * PER_CUTOFF
+    own, variance = 0.0, np.zeros(at.size)
+    for first in range(min(apart, at.size)):
+        drawn = smoothed((order % apart == first).astype(np.float64))
+        own += drawn[first::apart].sum()
+        nearest = np.clip(
+            first + apart * np.round((order - first) / apart).astype(np.int64), first, order[first::apart][-1]
+        )
+        variance += drawn**2 / count[filled][nearest]
+    together = _together(left[np.argsort(sweep)])
+    scatter = together * np.sum(left**2) / max(left.size - own * together, 1.0)
+    return WavinessTable(sweep=at, deviation=deviation), np.sqrt(variance * scatter)
+
+
+def _together(values: Floats) -> float:
+    """Return how many neighbouring values count as one, since they scatter in a correlated way."""
+    centred = values - values.mean()
+    correlation = np.correlate(centred, centred, "full")[values.size - 1 :] / max(float(centred @ centred), 1e-300)
+    end = int(np.argmax(correlation <= 0)) or values.size
+    return float(1 + 2 * correlation[1:end].sum())
 
 
 def _radius_std(sweep: Floats, off: Floats, stroke: Ints) -> float:
@@ -383,9 +437,6 @@ def _radius_std(sweep: Floats, off: Floats, stroke: Ints) -> float:
     order = np.argsort(sweep)
     own = stroke[:, None] == np.arange(stroke.max() + 1)  # each stroke has its own centre
     slopes = np.column_stack([np.ones(sweep.size), own * np.sin(sweep)[:, None], own * np.cos(sweep)[:, None]])
-    centred = off[order] - off.mean()
-    correlation = np.correlate(centred, centred, "full")[off.size - 1 :] / max(float(centred @ centred), 1e-300)
-    end = int(np.argmax(correlation <= 0)) or off.size
-    together = 1 + 2 * correlation[1:end].sum()  # points that count as one
+    together = _together(off[order])
     variance = together * np.sum(off**2) / max(off.size - slopes.shape[1] * together, 1)
     return float(np.sqrt(variance * np.linalg.inv(slopes.T @ slopes)[0, 0]))

@@ -130,3 +130,35 @@ def test_a_measured_edge_agrees_with_the_algebraic_circle():
     fit = fit_edge(u[:1838], height[:1838], toward_x=1, cutoff=0.01)
     assert fit.radius == pytest.approx(taubin(u[:1838][fit.nose], height[:1838][fit.nose]), abs=0.5 * fit.radius_std)
     assert fit.radius_std < 2e-3
+
+
+@pytest.mark.parametrize("together", [1, 5])
+def test_the_uncertainty_of_the_waviness_covers_its_error(together):
+    """Oracle: a perfect nose under white noise, and under noise that five neighbouring points share."""
+    rng, tool = np.random.default_rng(0), Tool(nose_radius=0.2, included=np.deg2rad(110))
+    u, _, e = tool.edge(np.deg2rad(np.linspace(-70, 70, 3001)))
+    off = []
+    for _ in range(6):
+        noise = np.convolve(rng.normal(size=u.size + together - 1), np.full(together, together**-0.5), "valid")
+        fit = fit_edge(u, 1e-4 * noise - e, toward_x=1, cutoff=0.02)
+        off.append(fit.tool.waviness.deviation / fit.waviness_std)
+    assert 0.9 < np.std(np.concatenate(off)) < 1.2
+    assert np.mean(np.abs(np.concatenate(off)) < 1.96) > 0.91
+
+
+def test_one_of_several_profiles_and_plain_columns_are_read(tmp_path):
+    rows = [(0.001 * k, 0.1 * profile) for profile in (1, 2, 3) for k in range(4)]
+    several = tmp_path / "several.csv"
+    several.write_text(
+        "Number of data,4,3\nX,Y,Z\n" + "\n".join(f"{x:.3f},{y:.3f},{y + 1:.3f}" for x, y in rows), encoding="utf-8"
+    )
+    u, height = read_edge_trace(several, profile=2)
+    np.testing.assert_allclose(u, [0, 0.001, 0.002, 0.003])
+    np.testing.assert_allclose(height, 0.2)
+    with pytest.raises(ValueError, match="holds 3 profiles"):
+        read_edge_trace(several)
+    with pytest.raises(ValueError, match="no profile 4"):
+        read_edge_trace(several, profile=4)
+    plain = tmp_path / "plain.txt"
+    plain.write_text("0.1 2.5 \n0.2 2.6 \n", encoding="utf-8")
+    np.testing.assert_allclose(read_edge_trace(plain), [[0.1, 0.2], [2.5, 2.6]])

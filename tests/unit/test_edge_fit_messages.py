@@ -74,11 +74,11 @@ def test_one_radius_is_kept_as_nominal():
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("1,2,3\n", "has no line 'X,Y,Z' above its points: export"),
-        ("Number of data,661,16\nX,Y,Z\n1,2,3\n", "holds 16 profiles, the limit is 1: export one profile a file"),
+        ("1,2,3\n", "has no line 'X,Y,Z' above its points, and not two columns: export"),
+        ("Number of data,661,16\nX,Y,Z\n1,2,3\n", "holds 16 profiles, the limit is 1: say which"),
         ("X,Y,Z\n1,2,3\n1,two,3\n", "holds something that is not a number"),
-        ("X,Y,Z\n", "has 0 lines below 'X,Y,Z'"),
-        ("X,Y,Z\n1\n2\n", "has 2 lines below 'X,Y,Z', it needs rows"),
+        ("X,Y,Z\n", "has 0 rows, it needs rows"),
+        ("X,Y,Z\n1\n2\n", "has 2 rows, it needs rows"),
     ],
 )
 def test_files_that_are_no_trace(tmp_path: Path, text, told):
