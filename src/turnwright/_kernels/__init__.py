@@ -15,7 +15,7 @@ from typing import Any
 import numba
 import platformdirs
 
-__all__ = ["jit"]
+__all__ = ["jit", "jit_sums"]
 
 
 def _cache_folder() -> Path:
@@ -36,4 +36,12 @@ def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")(
         function
     )
+    return compiled
+
+
+def jit_sums(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a kernel as `jit` does, for sums whose order does not matter: only then do their loops vectorise."""
+    compiled: Callable[..., Any] = numba.njit(
+        cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy"
+    )(function)
     return compiled
