@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from turnwright.job import Comparison, Job, Plan, Result, Shares, compare, plan, predict, preview, run, shares
     from turnwright.machine import Axis, Controller, Convention, Machine
     from turnwright.metrology import Roughness, remove_form, roughness
+    from turnwright.metrology.registration import PoseCandidate, Registration, Undetermined, register
     from turnwright.motion import Limits, check_limits, drive
     from turnwright.part import Part
     from turnwright.path import Motion, Path, Spiral
@@ -96,6 +97,7 @@ _HOMES = {
     "job": ("Comparison", "Job", "Plan", "Result", "Shares", "compare", "plan", "predict", "preview", "run", "shares"),
     "machine": ("Axis", "Controller", "Convention", "Machine"),
     "metrology": ("Roughness", "remove_form", "roughness"),
+    "metrology.registration": ("PoseCandidate", "Registration", "Undetermined", "register"),
     "motion": ("Limits", "check_limits", "drive"),
     "part": ("Part",),
     "path": ("Motion", "Path", "Spiral"),
@@ -185,6 +187,7 @@ __all__ = [
     "Plan",
     "Plane",
     "Pose",
+    "PoseCandidate",
     "ProgramError",
     "ProgramFiles",
     "ProgramHeader",
@@ -192,6 +195,7 @@ __all__ = [
     "ProgramWarning",
     "QuasiEllipticalToolServo",
     "RadialPolynomial",
+    "Registration",
     "Response",
     "Result",
     "Roughness",
@@ -209,6 +213,7 @@ __all__ = [
     "Toroid",
     "TransferFunction",
     "TurnwrightError",
+    "Undetermined",
     "UnitError",
     "Valleys",
     "WavinessTable",
@@ -232,6 +237,7 @@ __all__ = [
     "read_fast_tool",
     "read_nc",
     "read_table",
+    "register",
     "remove_form",
     "roughness",
     "run",

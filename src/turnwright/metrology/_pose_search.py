@@ -1,0 +1,256 @@
+"""Where a map may lie on a part: level it, correlate it with a table of the design, and keep every peak."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from turnwright._arrays import Floats
+from turnwright.metrology._rigid import Fit, Problem, fit, residuals, rows, turns
+from turnwright.progress import run_chunks
+from turnwright.surface import LensArray, Placed, Sum, Surface
+
+__all__ = ["Lattice", "lattice_of", "search"]
+
+LARGEST_TABLE = 1500
+PEAKS = 12
+"""How many places of the correlation are refined; with a full turn of clocking twice as many."""
+
+SURE = 4
+"""So many are refined, however poor they are beside the best."""
+
+POOR = 4.0
+"""Mean square over the best one's at which a place is not refined."""
+
+MOST_REPEATS = 60
+PLACES_AT_A_TIME = 64
+LEAST = 0.5
+"""Share of the points that must lie on the part."""
+
+
+class Lattice(NamedTuple):
+    """What repeats on a surface: two steps of its pattern in the part frame (2, 2), and how fine it is. [mm]."""
+
+    steps: Floats | None
+    fine: float
+
+
+def lattice_of(surface: Surface) -> Lattice:
+    """Return the pattern of lenses of a surface; no steps where there is none or where it does not repeat."""
+    turn, inner = 0.0, surface
+    while isinstance(inner, Placed):
+        turn, inner = turn + inner.rotation, inner.surface
+    if isinstance(inner, Sum):
+        found = [lattice_of(term) for term in inner.terms]
+        fine = min(one.fine for one in found)
+        patterns = [one for one in found if one.steps is not None]
+        steps = patterns[0].steps if len(patterns) == 1 else None
+    elif isinstance(inner, LensArray):
+        fine = 2 * inner.feature_size if inner.aperture is None else min(2 * inner.feature_size, inner.aperture / 2)
+        steps = _repeat(inner.centres)
+    else:
+        return Lattice(None, inner.feature_size)
+    if steps is not None:
+        c, s = np.cos(turn), np.sin(turn)
+        steps = steps @ np.array([[c, s], [-s, c]])
+    return Lattice(steps, fine)
+
+
+def _repeat(centres: Floats) -> Floats | None:
+    """Return the two shortest shifts that bring most centres onto others. (2, 2), or None."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - scipy is costly to import
+
+    if centres.shape[0] < 4:
+        return None
+    tree = cKDTree(centres)
+    middle = int(np.argmin(np.hypot(*(centres - centres.mean(axis=0)).T)))
+    shifts = centres[tree.query(centres[middle], k=min(25, centres.shape[0]))[1]] - centres[middle]
+    kept: list[Floats] = []
+    for shift in shifts[1:]:
+        length = np.hypot(*shift)
+        if kept and abs(kept[0][0] * shift[1] - kept[0][1] * shift[0]) < 0.3 * length * np.hypot(*kept[0]):
+            continue
+        meets = np.asarray(tree.query(centres + shift)[0]) < 1e-6 * length
+        # What runs over the edge of a round array meets nothing.
+        if meets.mean() > 0.4:
+            kept.append(shift)
+        if len(kept) == 2:
+            return np.array(kept)
+    return None
+
+
+def axisymmetric(surface: Surface, radius: float) -> bool:
+    """Say whether a surface is the same at every clocking."""
+    angle = np.linspace(0, 2 * np.pi, 37)[:-1]
+    rings = radius * np.array([0.13, 0.37, 0.61, 0.83, 0.997])[:, None]
+    x, y = rings * np.cos(angle), rings * np.sin(angle)
+    (z,) = surface.evaluate(np.ascontiguousarray(x), np.ascontiguousarray(y), 0)
+    return bool(np.nanmax(np.ptp(z, axis=1)) < 1e-12 * max(1.0, float(np.nanmax(np.abs(z)))))
+
+
+def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach: float, clocking: float) -> list[Fit]:
+    """Return fits to the problem's (few) points from every place where the correlation peaks, the best first.
+
+    Parameters
+    ----------
+    state
+        The start (6 + terms,); lateral places up to ``reach`` mm and turns up to ``clocking`` rad from it count.
+    """
+    pattern = lattice_of(problem.surface)
+    start = level(problem, state, free, size)
+    lateral = [k for k in (0, 1, 3) if k in free]
+    if not lateral or (reach == 0 and clocking == 0):
+        return [fit(problem, start, free, size, close=1e-9)]
+    points = _levelled(problem, start)
+    if points is None:
+        return [fit(problem, start, free, size, close=1e-9)]
+    a = 1 / size[3]
+    step = min(pattern.fine / 2 if np.isfinite(pattern.fine) else np.inf, a / 5)
+    if axisymmetric(problem.surface, problem.within) or 3 not in free:
+        clocking = 0.0
+    table, low, grain = _table(problem.surface, problem.within, step)
+    turn_step = min(step / a * 1.5, 0.35)
+    angles = _axis(clocking, turn_step)
+    along = [_axis(reach, step) if k in free else np.zeros(1) for k in (0, 1)]
+    cell: Floats
+    if pattern.steps is not None and 0 in free and 1 in free:
+        count = np.maximum(np.ceil(np.hypot(*pattern.steps.T) / step), 2)
+        u, v = np.meshgrid(np.arange(count[0]) / count[0], np.arange(count[1]) / count[1])
+        cell = np.stack([u.ravel() - 0.5, v.ravel() - 0.5], axis=-1) @ pattern.steps
+        if cell.shape[0] > along[0].size * along[1].size:
+            pattern = Lattice(None, pattern.fine)
+    if pattern.steps is None or 0 not in free or 1 not in free:
+        x, y = np.meshgrid(*along)
+        cell = np.stack([x.ravel(), y.ravel()], axis=-1)
+    places = np.concatenate([np.repeat(cell, angles.size, axis=0), np.tile(angles, cell.shape[0])[:, None]], axis=1)
+    least = LEAST * points.shape[1]
+    score = _scores(points, places + np.array([start[0], start[1], 0.0]), table, low, grain, least)
+    peaks = _peaks(places, score, 1.6 * step, 1.6 * turn_step, PEAKS * (2 if clocking > 0.5 else 1))
+    fits = [one for place, _ in peaks if (one := _refined(problem, start, place, free, size)) is not None]
+    if pattern.steps is not None and fits:
+        tabled = (points, table, low, grain, start)
+        fits += _repeats(problem, fits, pattern.steps, state, reach, free, size, tabled, peaks[0][1])
+    return sorted(fits, key=lambda one: one.square)
+
+
+def level(problem: Problem, state: Floats, free: list[int], size: Floats) -> Floats:
+    """Return the state with height and tilts fitted, whatever the lateral place is."""
+    state = state.copy()
+    tilts = [k for k in (2, 4, 5) if k in free]
+    if not tilts:
+        return state
+    calm = replace(problem, terms=(), normal=False, loss="huber")
+    if 2 in free:
+        state[2] -= float(np.nanmedian(residuals(calm, state[:6])))
+    found = fit(calm, state[:6], tilts, size, steps=12, close=1e-6)
+    state[:6] = found.state
+    return state
+
+
+def _levelled(problem: Problem, state: Floats) -> Floats | None:
+    """Return the points (3, n) as the state turns them, about the pivot, without gross outliers."""
+    found = rows(problem, state, slice(0, problem.points.shape[1]))
+    if found.which.size < 10:
+        return None
+    limit = 4 * np.quantile(np.abs(found.residual), 0.95) + 1e-9
+    bad = found.which[np.abs(found.residual) > limit]
+    arm = turns(state)[0] @ problem.points
+    arm[2] += state[2]
+    return np.ascontiguousarray(np.delete(arm, bad, axis=1))
+
+
+def _axis(reach: float, step: float) -> Floats:
+    """Return places from -reach to reach no farther apart than the step; a full turn closes on itself."""
+    if reach >= np.pi:
+        return np.linspace(-np.pi, np.pi, int(np.ceil(2 * np.pi / step)), endpoint=False)
+    half = int(np.ceil(reach / step))
+    return np.linspace(-reach, reach, 2 * half + 1) if half else np.zeros(1)
+
+
+def _table(surface: Surface, within: float, step: float) -> tuple[Floats, float, float]:
+    """Tabulate the surface over the part, nan outside; return its lower corner and its step too."""
+    count = int(min(max(2 * within / (step / 4), 64), LARGEST_TABLE))
+    axis = np.linspace(-within, within, count)
+    x, y = np.meshgrid(axis, axis)
+    table = np.full(x.shape, np.nan)
+    there = x * x + y * y <= (within * (1 + 2 / count)) ** 2
+    inside = surface.inside(x, y)
+    if inside is not None:
+        there &= inside
+    table[there] = surface.evaluate(x[there], y[there], 0)[0]
+    return table, -within, float(axis[1] - axis[0])
+
+
+def _scores(points: Floats, places: Floats, table: Floats, low: float, step: float, least: float) -> Floats:
+    """Return the misfit at each place. (m,)."""
+    from turnwright._kernels.registration import misfit  # noqa: PLC0415 - numba is costly to import
+
+    x, y, z = (np.ascontiguousarray(row) for row in points)
+    places = np.ascontiguousarray(places)
+    out = np.empty(places.shape[0])
+
+    def work(start: int, stop: int) -> None:
+        misfit(x, y, z, places[start:stop], table, low, step, least, out[start:stop])
+
+    run_chunks(work, places.shape[0], PLACES_AT_A_TIME)
+    return out
+
+
+def _peaks(places: Floats, score: Floats, apart: float, turn_apart: float, most: int) -> list[tuple[Floats, float]]:
+    """Return the best places that are not on the flank of a better one, with their scores."""
+    kept: list[tuple[Floats, float]] = []
+    left = np.isfinite(score)
+    order = np.argsort(score)
+    places, left, score = places[order], left[order], score[order]
+    while left.any() and len(kept) < most:
+        first = int(np.argmax(left))
+        if len(kept) >= SURE and score[first] > POOR * score[0]:
+            break
+        best = places[first]
+        kept.append((best, float(score[first])))
+        turn = np.abs((places[:, 2] - best[2] + np.pi) % (2 * np.pi) - np.pi)
+        left &= (np.hypot(places[:, 0] - best[0], places[:, 1] - best[1]) > apart) | (turn > turn_apart)
+    return kept
+
+
+def _refined(problem: Problem, start: Floats, place: Floats, free: list[int], size: Floats) -> Fit | None:
+    """Fit from a place of the correlation: turned and shifted as it says, levelled, then all at once."""
+    state = start.copy()
+    state[:2] += place[:2]
+    state[3] += place[2]
+    tilts = [k for k in (2, 4, 5) if k in free]
+    state = fit(problem, state, tilts, size, steps=1).state
+    pose = [k for k in free if k < 6]
+    found = fit(problem, state, pose, size, steps=15, close=1e-7)
+    found = fit(problem, found.state, free, size, steps=25, close=1e-9) if len(pose) < len(free) else found
+    return found if found.used > 0 else None
+
+
+def _repeats(
+    problem: Problem,
+    fits: list[Fit],
+    steps: Floats,
+    state: Floats,
+    reach: float,
+    free: list[int],
+    size: Floats,
+    tabled: tuple[Floats, Floats, float, float, Floats],
+    lowest: float,
+) -> list[Fit]:
+    """Return fits from every repeat of the pattern within reach of the best that was found."""
+    points, table, low, grain, start = tabled
+    base = min(fits, key=lambda one: one.square)
+    most = int(np.ceil((2 * reach) / np.sqrt(abs(np.linalg.det(steps))))) + 1
+    i, j = np.meshgrid(np.arange(-most, most + 1), np.arange(-most, most + 1))
+    at = base.state[:2] + np.stack([i.ravel(), j.ravel()], axis=-1) @ steps
+    at = at[np.abs(at - state[:2]).max(axis=1) <= reach + np.hypot(*steps.T).min() / 2]
+    places = np.concatenate([at, np.full((at.shape[0], 1), base.state[3] - start[3])], axis=1)
+    if not places.size:
+        return []
+    score = _scores(points, places, table, low, grain, LEAST * points.shape[1])
+    most_score = POOR * min(lowest, float(score.min()))
+    order = [int(k) for k in np.argsort(score)[:MOST_REPEATS] if score[k] <= most_score]
+    refined = [_refined(problem, start, places[k] - np.array([start[0], start[1], 0.0]), free, size) for k in order]
+    return [one for one in refined if one is not None]

@@ -1,0 +1,310 @@
+"""Measured points against a prescription under a rigid motion: residuals, exact gradients, least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from turnwright._arrays import Floats, Ints
+from turnwright.pose import Pose
+from turnwright.progress import run_chunks
+from turnwright.surface import Surface
+
+__all__ = ["NAMES", "Fit", "Loss", "Problem", "Rows", "fit", "pose_of", "state_of"]
+
+Loss: TypeAlias = Literal["linear", "huber", "tukey"]
+
+NAMES = ("x", "y", "z", "rotation", "tilt_x", "tilt_y")
+"""The six numbers of a pose: where the pivot goes, and the three angles of `Pose`."""
+
+BLOCK = 1 << 14
+"""Points at a time, so that what belongs to them stays in the cache."""
+
+WIDTH = {"huber": 1.345, "tukey": 4.685}
+"""Residual over scatter at which a loss turns; 95 % efficient on Gaussian noise."""
+
+FINEST = 1e-9
+"""Scatter below which residuals are rounding and none is an outlier. [mm]."""
+
+FOOT_STEPS = 3
+"""Steps to the foot of a perpendicular; each gains a factor of distance times curvature."""
+
+SETTLED = 1e-3
+"""A step this far below the standard error of a mean height is the last."""
+
+MAX_STEPS = 60
+LEAST_SHARE = 0.5
+"""A step that leaves fewer of the points on the part than this share of what the last one had is not taken."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """Points about the pivot, and what they are compared with.
+
+    ``points`` is (3, n); ``within`` is the radius about the part's axis inside which points count [mm]; ``whole`` says
+    that the surface is known to be defined all over it.
+    """
+
+    points: Floats
+    surface: Surface
+    terms: tuple[Surface, ...]
+    within: float
+    whole: bool
+    normal: bool
+    loss: Loss
+
+    def only(self, index: Ints) -> Problem:
+        """Return the problem of some of the points."""
+        return replace(self, points=np.ascontiguousarray(self.points[:, index]))
+
+
+class Rows(NamedTuple):
+    """Residuals of the points that count, and their derivatives by pose and terms."""
+
+    which: Ints  # the points that count
+    at: Floats  # where they are in the part frame (3, m)
+    residual: Floats  # (m,)
+    columns: Floats  # (6 + terms, m)
+
+
+class Fit(NamedTuple):
+    """Where least squares ended: the state (6 + terms,), and how well it fits there."""
+
+    state: Floats
+    normal: Floats  # J W Jᵀ over all unknowns
+    used: int  # points
+    square: float  # mean square of the residuals that the loss still believes [mm²]
+    scale: float  # scatter that the loss was scaled by [mm]
+    steps: int
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residuals. [mm]."""
+        return float(np.sqrt(self.square))
+
+
+class _Sums(NamedTuple):
+    normal: Floats
+    right: Floats
+    cost: float
+    square: float
+    weight: float
+    used: int
+
+
+def turns(state: Floats) -> tuple[Floats, Floats]:
+    """Return the rotation matrix of a state, and the axes that its three angles turn about, as rows. (3, 3) each."""
+    pose = Pose(rotation=state[3], tilt=(state[4], state[5]))
+    c, s = np.cos(state[3]), np.sin(state[3])
+    ca, sa = np.cos(state[4]), np.sin(state[4])
+    return pose.matrix, np.array([[0, 0, 1], [c, s, 0], [-s * ca, c * ca, sa]])
+
+
+def pose_of(state: Floats, pivot: Floats) -> Pose:
+    """Return the pose of a state."""
+    turn, _ = turns(state)
+    x, y, z = state[:3] - turn @ pivot
+    return Pose(shift=(x, y, z), rotation=state[3], tilt=(state[4], state[5]))
+
+
+def state_of(pose: Pose, pivot: Floats, terms: int) -> Floats:
+    """Return the state of a pose, the terms at zero."""
+    at = [float(one) for one in pose.apply(*pivot)]
+    return np.array([*at, pose.rotation, *pose.tilt, *[0.0] * terms])
+
+
+def rows(problem: Problem, state: Floats, span: slice) -> Rows:
+    """Return residuals along part z, or along the normal, and their exact derivatives."""
+    turn, axes = turns(state)
+    arm = turn @ problem.points[:, span]
+    at = arm + state[:3, None]
+    counts = at[0] * at[0] + at[1] * at[1] <= problem.within**2
+    if not problem.whole:
+        inside = problem.surface.inside(at[0], at[1])
+        if inside is not None:
+            counts &= inside
+    index = np.arange(at.shape[1])
+    if not counts.all():
+        index = np.flatnonzero(counts)
+        arm, at = np.ascontiguousarray(arm[:, index]), np.ascontiguousarray(at[:, index])
+    z, zx, zy, shapes = _design(problem, state, at[0], at[1])
+    residual = at[2] - z
+    if problem.normal:
+        # The foot of the perpendicular; there the distance to the tangent plane is the distance.
+        for _ in range(FOOT_STEPS):
+            along = residual / (1 + zx * zx + zy * zy)
+            x, y = at[0] + along * zx, at[1] + along * zy
+            z, zx, zy, shapes = _design(problem, state, x, y)
+            residual = at[2] - z - (at[0] - x) * zx - (at[1] - y) * zy
+    columns = np.empty((6 + len(shapes), index.size))
+    columns[0], columns[1], columns[2] = -zx, -zy, 1.0
+    moment = np.stack([arm[1] + arm[2] * zy, -arm[2] * zx - arm[0], -arm[0] * zy + arm[1] * zx])
+    np.matmul(axes, moment, out=columns[3:6])
+    for k, shape in enumerate(shapes):
+        columns[6 + k] = -shape
+    if problem.normal:
+        shrink = 1 / np.sqrt(1 + zx * zx + zy * zy)
+        residual, columns = residual * shrink, columns * shrink
+    finite = np.isfinite(residual)
+    if not finite.all():  # a pole, or a foot outside of the domain
+        index, at, residual, columns = index[finite], at[:, finite], residual[finite], columns[:, finite]
+    return Rows(index + span.start, at, residual, columns)
+
+
+def _design(problem: Problem, state: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats, list[Floats]]:
+    """Return height and slopes of the surface with its terms, and the height of each term."""
+    z, zx, zy = problem.surface.evaluate(x, y, 1)
+    shapes = []
+    for amplitude, term in zip(state[6:], problem.terms, strict=True):
+        shape, slope_x, slope_y = term.evaluate(x, y, 1)
+        z, zx, zy = z + amplitude * shape, zx + amplitude * slope_x, zy + amplitude * slope_y
+        shapes.append(shape)
+    return z, zx, zy, shapes
+
+
+def spans(count: int) -> list[slice]:
+    """Return the blocks of so many points."""
+    return [slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK)]
+
+
+def weights(residual: Floats, scale: float, loss: Loss) -> tuple[Floats, Floats]:
+    """Return how much each residual counts, and what it costs [mm²]."""
+    if loss == "linear":
+        return np.ones_like(residual), residual * residual
+    width = WIDTH[loss] * scale
+    size = np.abs(residual)
+    if loss == "huber":
+        beyond = np.maximum(size, width)
+        return width / beyond, np.where(size <= width, size * size, width * (2 * size - width))
+    share = np.maximum(1 - (size / width) ** 2, 0.0)
+    return share * share, width * width / 3 * (1 - share**3)
+
+
+def _sums(problem: Problem, state: Floats, scale: float) -> _Sums:
+    """Add up the normal equations over all points, on all cores."""
+    count = problem.points.shape[1]
+    blocks = spans(count)
+    parts: list[_Sums | None] = [None] * len(blocks)
+
+    def work(start: int, stop: int) -> None:
+        for k in range(start, stop):
+            found = rows(problem, state, blocks[k])
+            weight, cost = weights(found.residual, scale, problem.loss)
+            weighted = found.columns if problem.loss == "linear" else found.columns * weight
+            parts[k] = _Sums(
+                weighted @ found.columns.T,
+                weighted @ found.residual,
+                float(cost.sum()),
+                float((weight * found.residual) @ found.residual),
+                float(weight.sum()),
+                found.which.size,
+            )
+
+    _each(work, len(blocks))
+    done = [part for part in parts if part is not None]
+    return _Sums(*(sum(values) for values in zip(*done, strict=True)))
+
+
+def residuals(problem: Problem, state: Floats) -> Floats:
+    """Return the residual of every point, nan where it does not count. (n,) [mm]."""
+    out = np.full(problem.points.shape[1], np.nan)
+    blocks = spans(out.size)
+
+    def work(start: int, stop: int) -> None:
+        for k in range(start, stop):
+            found = rows(problem, state, blocks[k])
+            out[found.which] = found.residual
+
+    _each(work, len(blocks))
+    return out
+
+
+def _each(work: Callable[[int, int], object], count: int) -> None:
+    """Do blocks of work, on all cores where it is worth starting them."""
+    if count < 3:
+        work(0, count)
+    else:
+        run_chunks(work, count, max(count // 16, 1))
+
+
+def scatter(residual: Floats) -> float:
+    """Return the standard deviation that the median size of the residuals stands for. [mm]."""
+    valid = residual[np.isfinite(residual)]
+    return max(1.4826 * float(np.median(np.abs(valid))), FINEST) if valid.size else FINEST
+
+
+def fit(
+    problem: Problem,
+    state: Floats,
+    free: Sequence[int],
+    size: Floats,
+    *,
+    steps: int = MAX_STEPS,
+    close: float = 1e-14,
+) -> Fit:
+    """Minimise the loss over the free numbers of the state by Levenberg-Marquardt.
+
+    ``size`` (6 + terms,) says by how much each number must change to move a point of the map by 1 mm; a step that
+    moves none by more than ``close`` mm is the last. A robust loss is scaled by the scatter anew until that settles.
+    """
+    if problem.loss == "linear":
+        return _march(problem, state, free, size, 1.0, steps, close)
+    scale, taken = np.inf, 0
+    for _ in range(12):
+        new = scatter(residuals(problem, state))
+        if new > 0.98 * scale:  # it shrinks as outliers lose their pull
+            break
+        scale = new
+        found = _march(problem, state, free, size, scale, steps, close)
+        state, taken = found.state, taken + found.steps
+    return found._replace(steps=taken)
+
+
+def _march(
+    problem: Problem, state: Floats, free: Sequence[int], size: Floats, scale: float, steps: int, close: float
+) -> Fit:
+    """Levenberg-Marquardt with the loss scaled once; undamped as long as that helps."""
+    chosen = np.asarray(free, dtype=np.int64)
+    here = _sums(problem, state, scale)
+    damping, taken = 0.0, 0
+    while taken < steps and here.used > 0:
+        taken += 1
+        unit = size[chosen]
+        normal = here.normal[np.ix_(chosen, chosen)] * np.outer(unit, unit)
+        right = here.right[chosen] * unit
+        step = _solve(normal, right, damping)
+        trial = state.copy()
+        trial[chosen] -= step * unit
+        moved = float(np.abs(step).max(initial=0.0))
+        there = _sums(problem, trial, scale) if moved < 1e3 and abs(trial[4]) < 1.5 else None
+        better = (
+            there is not None
+            and there.used >= max(LEAST_SHARE * here.used, chosen.size + 1)
+            and there.cost / there.used <= here.cost / here.used
+        )
+        if better and there is not None:
+            state, here = trial, there
+            damping = 0.0 if damping < 1e-6 else damping / 10
+        else:
+            if moved < 1e-9:  # rounding decides the rest
+                break
+            damping = max(10 * damping, 1e-6)
+            if damping > 1e8:
+                break
+        if moved <= max(close, SETTLED * np.sqrt(here.square / max(here.weight, 1e-300) / here.used)):
+            break
+    return Fit(state, here.normal, here.used, here.square / max(here.weight, 1e-300), scale, taken)
+
+
+def _solve(normal: Floats, right: Floats, damping: float) -> Floats:
+    """Solve the damped equations; a direction that nothing fixes takes no step."""
+    width = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(width, width)
+    scaled[np.diag_indices_from(scaled)] += damping
+    values, vectors = np.linalg.eigh(scaled)
+    along = vectors.T @ (right / width)
+    kept = values > 1e-15 * values[-1]
+    return np.asarray((vectors[:, kept] @ (along[kept] / values[kept])) / width)

@@ -1,0 +1,665 @@
+"""Registration: where a measured map lies on the part, and what the surface cannot tell about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from turnwright._arrays import Bools, Floats, Ints, between, positive
+from turnwright.errors import InputError
+from turnwright.metrology._grid import valid_points
+from turnwright.metrology._pose_search import search
+from turnwright.metrology._rigid import (
+    FINEST,
+    NAMES,
+    WIDTH,
+    Fit,
+    Loss,
+    Problem,
+    fit,
+    pose_of,
+    residuals,
+    rows,
+    scatter,
+    state_of,
+)
+from turnwright.metrology._weak import Doubt, doubt, held, plausible
+from turnwright.pose import Pose
+from turnwright.surface import Surface
+
+if TYPE_CHECKING:
+    from turnwright.heightmap import HeightMap
+    from turnwright.part import Part
+
+__all__ = ["PoseCandidate", "Registration", "Undetermined", "register"]
+
+FEW = 3000
+"""Points that the search looks at."""
+
+SOME = 20_000
+"""Points that uncertainties and candidates are judged by."""
+
+LIMIT = 0.1
+"""Uncertainty of the rim's place beyond which a direction counts as undetermined: a dial gauge does better. [mm]."""
+
+FORM_ERROR = 1e-3
+"""What the form of a part may be off if the caller says nothing. [mm]."""
+
+NEARLY = 1.44
+"""Ratio of mean squares up to which another pose fits nearly as well; it stands for a fifth more rms."""
+
+EVEN = 1.02
+"""Ratio of mean squares up to which two poses fit equally well."""
+
+QUIETEST = 1e-6
+"""Noise and form together are never taken to be less than this where poses are compared. [mm]."""
+
+SAME = 1e-7
+"""Height by which a part may differ from itself moved and still be called symmetric. [mm]."""
+
+MOST_CANDIDATES = 50
+STRAY = 6.0
+"""Residual over scatter beyond which a point is flagged under a robust loss."""
+
+EDGE = 1e-9
+"""Share of the part's radius by which a point on its rim may lie outside."""
+
+NM = 1e6
+RIGHT_ANGLE = np.deg2rad(5)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseCandidate:
+    """Another place where the map lies on the part as well.
+
+    Parameters
+    ----------
+    pose
+        From the map's frame to the part's, as `Registration.pose`.
+    rms_nm
+        Root mean square of the residual there, along z or the normal as fitted. [nm]
+    ratio
+        Mean square of what remains there over that at `Registration.pose`, the plausible errors of form taken off
+        both: 1 fits as well; with white noise alone it has an F distribution.
+    symmetric
+        Whether the design moved from the one pose to the other is the same surface, so that the two are equivalent and
+        no measurement of the surface tells them apart.
+    """
+
+    pose: Pose
+    rms_nm: float
+    ratio: float
+    symmetric: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Undetermined:
+    """A direction in which the part can move without the map showing it.
+
+    Parameters
+    ----------
+    direction
+        Change of (x, y, z, rotation, tilt_x, tilt_y) that moves the rim of the map by 1 mm. (6,) [mm, rad]
+    std
+        Standard deviation along it, as movement of the rim: inf where nothing but rounding changes. [mm]
+    cause
+        "surface", if the design moved along it is the same surface; "form", if a plausible error of form looks like
+        it; "noise", if noise alone leaves it open.
+    words
+        The same in a sentence.
+    """
+
+    direction: Floats
+    std: float
+    cause: Literal["surface", "form", "noise"]
+    words: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Registration:
+    """Where a map lies on a part.
+
+    Parameters
+    ----------
+    pose
+        From the frame of the map to that of the part: a measured point (x, y, z) is at ``pose.apply(x, y, z)`` of the
+        part.
+    names
+        The numbers that were fitted, of "x", "y", "z", "rotation", "tilt_x", "tilt_y". The first three are the place,
+        in the part frame, of the ``pivot`` [mm]; the others are the angles of `Pose` [rad], counter-clockwise about the
+        part's z, then about x and y as `Pose` says.
+    pivot
+        The point of the map, in its own frame, that the map was turned about: the middle of its valid points. [mm]
+    covariance
+        Of the fitted numbers from noise alone: from the scatter of the residual, or from the noise that was stated;
+        noise is taken as independent from point to point. (k, k) [mm, rad]
+    form_covariance
+        Of the same from errors of form of the size ``form_error``. (k, k) [mm, rad]
+    form_error
+        Height at the rim of each Zernike form of degree 2 to 4 that the part was taken to have, as a standard
+        deviation. [mm]
+    amplitudes, amplitudes_std
+        What each of the caller's terms was multiplied by, and its standard deviation from noise. (n_terms,)
+    residual
+        What neither pose nor terms explain, measured minus design: on the grid, or at the scattered points, of the map
+        that was given, so ``x`` and ``y`` are those of the map's frame, while the heights are along the part's z (or,
+        with ``distance="normal"``, along the normal of the design). nan where the map has no height, was masked, or
+        lies outside of the part. [mm]
+    error
+        The same with the caller's terms left in: cut minus design at this pose.
+    candidates
+        Other poses that fit as well or nearly so, the best first. Empty if the pose stands alone within the search.
+    undetermined
+        Directions of the pose that the surface does not fix.
+    held
+        Numbers that were left where ``start`` has them because of those directions.
+    start
+        The pose that the search started from, and that ``held`` numbers have.
+    outliers
+        Points that a robust loss flagged, six times the scatter or more away. The shape of the map.
+    count
+        Points that were fitted.
+    rms_nm
+        Root mean square of ``residual``, outliers left out. [nm]
+    iterations
+        Steps of least squares over all points.
+    distance
+        "vertical" or "normal".
+    """
+
+    pose: Pose
+    names: tuple[str, ...]
+    pivot: tuple[float, float, float]
+    covariance: Floats
+    form_covariance: Floats
+    form_error: float
+    amplitudes: Floats
+    amplitudes_std: Floats
+    residual: HeightMap
+    error: HeightMap
+    candidates: tuple[PoseCandidate, ...]
+    undetermined: tuple[Undetermined, ...]
+    held: tuple[str, ...]
+    start: Pose
+    outliers: Bools
+    count: int
+    rms_nm: float
+    iterations: int
+    distance: str
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviation of each fitted number, noise and form together. [mm, rad]."""
+        both = np.sqrt(np.diag(self.covariance + self.form_covariance))
+        return dict(zip(self.names, both.tolist(), strict=True))
+
+    @property
+    def correlation(self) -> Floats:
+        """Correlation of the fitted numbers, noise and form together. (k, k)."""
+        both = self.covariance + self.form_covariance
+        size = np.sqrt(np.diag(both))
+        return np.asarray(both / np.outer(size, size))
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether another pose, not a symmetric one, fits nearly as well."""
+        return any(not other.symmetric for other in self.candidates)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What a person should know, one sentence each."""
+        shift = ", ".join(f"{one:.6g}" for one in self.pose.shift)
+        angles = ", ".join(f"{1e3 * one:.6g}" for one in (self.pose.rotation, *self.pose.tilt))
+        along = "part z" if self.distance == "vertical" else "normal"
+        first = (
+            f"The map lies on the part with shift ({shift}) mm and rotation and tilts ({angles}) mrad from its own "
+            f"frame to the part's; {self.count} points fit to {self.rms_nm:.4g} nm rms along the {along}."
+        )
+        said = [first, *(one.words for one in self.undetermined)]
+        if self.held:
+            said.append(f"{_listed(self.held)} were left where the start has them, so they are no result of the fit.")
+        near = [other for other in self.candidates if not other.symmetric]
+        if near:
+            first = ", ".join(f"{one:.4g}" for one in near[0].pose.shift)
+            turn = np.rad2deg(near[0].pose.rotation)
+            said.append(
+                f"{len(near)} other poses fit nearly as well, the next with shift ({first}) mm and rotation "
+                f"{turn:.4g} deg at {near[0].rms_nm:.4g} nm rms: measure the edge of the part or a fiducial, or give "
+                "a start and a reach below half of the pattern's pitch."
+            )
+        equal = [other for other in self.candidates if other.symmetric]
+        if equal:
+            turned = ", ".join(f"{np.rad2deg(one.pose.rotation - self.pose.rotation):.4g} deg" for one in equal)
+            said.append(
+                f"The part is symmetric: {len(equal)} other poses are equivalent, turned by {turned}; which one it is "
+                "only a mark on the part can tell."
+            )
+        return tuple(said)
+
+
+class _Task(NamedTuple):
+    """What is asked, ready to compute."""
+
+    problem: Problem
+    pivot: Floats
+    start: Floats
+    free: list[int]
+    size: Floats
+    noise: float | None
+    form: float
+    which: Ints
+
+
+def register(
+    heights: HeightMap,
+    part: Part,
+    *,
+    free: Sequence[str] = NAMES,
+    terms: Sequence[Surface] = (),
+    distance: Literal["vertical", "normal"] = "vertical",
+    loss: Loss = "linear",
+    start: Pose | None = None,
+    reach: float = 5.0,
+    clocking: float = RIGHT_ANGLE,
+    within: float | None = None,
+    mask: ArrayLike | None = None,
+    noise_nm: float | None = None,
+    form_error: float | None = None,
+    weak: Literal["hold", "fit", "raise"] = "hold",
+) -> Registration:
+    r"""Find where a measured map lies on a part: least squares of its distance to the exact prescription.
+
+    The heights are levelled at the start, correlated with the design at every lateral place within ``reach`` and every
+    turn within ``clocking`` (over one cell of a lens pattern first, then over its repeats), and every peak is fitted
+    with the exact gradients. The best is fitted to all points, each counting the same. Others that fit nearly as well
+    are listed, and directions that the surface cannot fix are named and held at the start.
+
+    Parameters
+    ----------
+    heights
+        The measured map.
+    part
+        What it was measured on. Points farther from its axis than its radius do not count.
+    free
+        What may move: any of "x", "y", "z", "rotation", "tilt_x", "tilt_y"; see `Registration.names`.
+    terms
+        Errors of form to fit along with the pose, each a surface in the part frame whose amplitude is found:
+        Zernike(terms={5: 1.0}, ...) has its amplitude in mm.
+    distance
+        Along the part's z, or along the normal of the design.
+    loss
+        "linear" for least squares; "huber" or "tukey" where dust and spikes must not pull. On a lens array whose
+        lenslets are displaced take "huber": Tukey's loss would drop the lenslets.
+    start
+        Roughly where the map lies. By default the frame of the map is taken as that of the part; if then part of the
+        map lies beyond the part and the reach, its middle is put on the part's axis.
+    reach
+        How far the map's middle may be from the start along x and along y; 0 with ``clocking=0`` skips the search. [mm]
+    clocking
+        How far its rotation may be from the start, π for any. [rad]
+    within
+        Radius about the part's axis inside which points count; by default that of the part. [mm]
+    mask
+        True where heights count. The shape of the map.
+    noise_nm
+        Standard deviation of a height; by default the scatter of the residual. [nm]
+    form_error
+        Height at the rim by which each low form (Zernike degrees 2 to 4) may be off. Poses that such a form passes for
+        are not trusted further than that. By default 1 um, or 0 where ``terms`` say what the form may be. [mm]
+    weak
+        What to do with directions in which the rim may be off by more than 0.1 mm: leave as many numbers where the
+        start has them ("hold"), fit them all the same and say so ("fit"), or "raise". Where the start contradicts the
+        surface a number is fitted in any case.
+
+    Raises
+    ------
+    InputError
+        If the map has too few heights on the part, an option is out of range, or with ``weak="raise"`` the surface does
+        not fix the pose.
+
+    Notes
+    -----
+    The normal distance is that to the tangent plane at the foot of the perpendicular, found by three steps.
+
+    Sources
+    -------
+    [Troutman2016]_ 7.3.1 (registration of 360 points). [Kong2019]_ (two-step matching of a compound surface).
+    [Nocedal2006]_ 10.3 (Levenberg-Marquardt). Oracles: SciPy's least squares on residuals of its own, closed forms.
+    """
+    task = _task(heights, part, free, terms, distance, loss, start, within, mask, noise_nm, form_error)
+    between(reach, "reach of the search", 0, np.inf, "mm")
+    between(clocking, "clocking of the search", 0, np.pi * (1 + 1e-9), "rad")
+    if weak not in ("hold", "fit", "raise"):
+        raise InputError(f'weak is {weak!r}, it can be "hold", "fit" or "raise": choose one of them')
+    few, some = (task.problem.only(_sample(task.problem.points.shape[1], count)) for count in (FEW, SOME))
+    found = [one for one in search(few, task.start, task.free, task.size, reach, clocking) if _enough(one, few)]
+    if not found:
+        raise InputError(
+            f"fewer than half of the map's {task.which.size} heights come to lie within {task.problem.within:g} mm of "
+            "the part's axis, from the start that was given: check units and start, or give a larger reach"
+        )
+    best = fit(some, found[0].state, task.free, task.size, close=1e-10)
+    kept, fixed, directions = _decide(task, some, best, weak)
+    fits = _distinct(task, few, found, kept, fixed)
+    chosen, candidates = _candidates(task, some, fits, kept)
+    final = fit(task.problem, chosen.state, kept, task.size)
+    return _answer(task, heights, final, some, kept, fixed, directions, candidates)
+
+
+def _task(
+    heights: HeightMap,
+    part: Part,
+    free: Sequence[str],
+    terms: Sequence[Surface],
+    distance: str,
+    loss: Loss,
+    start: Pose | None,
+    within: float | None,
+    mask: ArrayLike | None,
+    noise_nm: float | None,
+    form_error: float | None,
+) -> _Task:
+    """Check what is asked and put the points about their middle."""
+    heights.require_calibrated()
+    unknown = sorted(set(free) - set(NAMES))
+    if unknown or not free:
+        raise InputError(f"free holds {unknown or 'nothing'}, known are {', '.join(NAMES)}: choose among them")
+    if distance not in ("vertical", "normal"):
+        raise InputError(f'distance is {distance!r}, it can be "vertical" or "normal": choose one of them')
+    if loss != "linear" and loss not in WIDTH:
+        raise InputError(f'loss is {loss!r}, it can be "linear", "huber" or "tukey": choose one of them')
+    for term in terms:
+        if not isinstance(term, Surface):
+            raise InputError(f"terms hold {term!r}, which is not a surface: give surfaces whose amplitude is sought")
+    radius = part.radius if within is None else positive(within, "within, the radius that counts,", "mm")
+    noise = None if noise_nm is None else positive(noise_nm, "noise", "nm") / NM
+    form = (0.0 if terms else FORM_ERROR) if form_error is None else between(form_error, "form_error", 0, np.inf, "mm")
+    valid = valid_points(heights, len(free) + len(terms) + 1, "a registration")
+    if mask is not None:
+        chosen = np.asarray(mask)
+        if chosen.shape != heights.z.shape or chosen.dtype != np.bool_:
+            raise InputError(
+                f"the mask has the shape {chosen.shape} of {chosen.dtype}, the map {heights.z.shape}: give one bool "
+                "for each height, True where it counts"
+            )
+        valid = valid & chosen
+    index = np.flatnonzero(valid)
+    if index.size <= len(free) + len(terms):
+        raise InputError(
+            f"the mask leaves {index.size} heights for {len(free) + len(terms)} unknowns: let more of them count"
+        )
+    x, y = heights.points()
+    points = np.stack([one.ravel()[index] for one in (x, y, heights.z)])
+    pivot = points.mean(axis=1)
+    points -= pivot[:, None]
+    rim = float(np.sqrt((points * points).sum(axis=0).max())) or 1.0
+    if start is None:
+        far = np.hypot(points[0] + pivot[0], points[1] + pivot[1]).max() > radius + 5
+        start = Pose(shift=(-pivot[0], -pivot[1], 0.0)) if far else Pose()
+    heights_of_terms: list[float] = [_largest(term, radius) for term in terms]
+    return _Task(
+        problem=Problem(
+            points=np.ascontiguousarray(points),
+            surface=part.surface,
+            terms=tuple(terms),
+            within=radius * (1 + EDGE),
+            whole=radius <= part.radius,
+            normal=distance == "normal",
+            loss=loss,
+        ),
+        pivot=pivot,
+        start=state_of(start, pivot, len(terms)),
+        free=[k for k, name in enumerate(NAMES) if name in free] + list(range(6, 6 + len(terms))),
+        size=np.array([1, 1, 1, 1 / rim, 1 / rim, 1 / rim, *[1 / one for one in heights_of_terms]]),
+        noise=noise,
+        form=form,
+        which=index,
+    )
+
+
+def _largest(term: Surface, radius: float) -> float:
+    """Return the largest height of a term over the part; steps are scaled by it. [mm]."""
+    axis = np.linspace(-radius, radius, 41)
+    x, y = np.meshgrid(axis, axis)
+    disc = x * x + y * y <= radius * radius
+    (z,) = term.evaluate(x[disc], y[disc], 0)
+    largest = float(np.nanmax(np.abs(z), initial=0.0))
+    if not 0 < largest < np.inf:
+        raise InputError(
+            f"the term {type(term).__name__} has the height {largest:g} mm over the part: give one that is not 0, for "
+            "instance with the amplitude 1"
+        )
+    return largest
+
+
+def _sample(count: int, most: int) -> Ints:
+    """Return points drawn evenly at random, always the same ones."""
+    if count <= most:
+        return np.arange(count)
+    # One from each of so many stretches of the map: nothing is left out and no raster beats with a pattern.
+    edges = np.linspace(0, count, most + 1)
+    return (edges[:-1] + np.random.default_rng(0).random(most) * np.diff(edges)).astype(np.int64)
+
+
+def _enough(one: Fit, problem: Problem) -> bool:
+    """Say whether most of the points lie on the part."""
+    return bool(one.used >= max(problem.points.shape[1] / 2, one.state.size + 1))
+
+
+def _noise(task: _Task, one: Fit) -> float:
+    """Return the standard deviation of a height. [mm]."""
+    return max(one.rms, FINEST) if task.noise is None else task.noise
+
+
+def _decide(
+    task: _Task, some: Problem, best: Fit, weak: str
+) -> tuple[list[int], list[int], list[tuple[Floats, float, str]]]:
+    """Return the numbers to fit, those to hold, and the directions that are not fixed (6 numbers, std, cause)."""
+    pose = [k for k in task.free if k < 6]
+    count = int(task.which.size * best.used / some.points.shape[1])
+    noise = _noise(task, best)
+    unsure = doubt(some, best, task.free, task.size, noise=noise, count=count, form=task.form)
+    parts = Doubt(*(one[: len(pose), : len(pose)] for one in unsure))
+    vectors, pivots = held(parts.total, LIMIT)
+    directions: list[tuple[Floats, float, str]] = []
+    for vector in vectors.T:
+        by_noise, by_form = (float(vector @ one @ vector) for one in parts)
+        std = np.sqrt(by_noise + by_form)
+        cause = "surface" if std > 1e3 else "form" if by_form > by_noise else "noise"
+        full = np.zeros(6)
+        full[pose] = vector * task.size[pose] * (1 if vector[np.argmax(np.abs(vector))] > 0 else -1)
+        directions.append((full, std if cause != "surface" else np.inf, cause))
+    if directions and weak == "raise":
+        raise InputError(
+            " ".join(_words(task, *one) for one in directions)[:-1]
+            + f", the limit is {LIMIT:g} mm: leave numbers out of free, give terms or a smaller form_error, or measure "
+            "a fiducial"
+        )
+    fixed = [pose[k] for k in pivots] if weak == "hold" else []
+    while fixed:
+        kept = [k for k in task.free if k not in fixed]
+        state = best.state.copy()
+        state[fixed] = task.start[fixed]
+        there = fit(some, state, kept, task.size, close=1e-9)
+        if there.used >= best.used / 2 and there.square <= best.square + 9 * max(task.form, noise) ** 2:
+            return kept, fixed, directions
+        # The start contradicts the surface: what the surface fixes best among the held numbers is fitted.
+        fixed = fixed[:-1] if 3 not in fixed else [k for k in fixed if k != 3]
+    return task.free, [], directions
+
+
+def _words(task: _Task, direction: Floats, std: float, cause: str) -> str:
+    """Say what is not fixed and how badly."""
+    share = np.abs(direction / task.size[:6])
+    named = [
+        f"{NAMES[k]} {direction[k]:+.4g} mm" if k < 3 else f"{NAMES[k]} {1e3 * direction[k]:+.4g} mrad"
+        for k in np.argsort(-share)
+        if share[k] > 0.02
+    ]
+    together = " with ".join(named)
+    if cause == "surface":
+        return f"The surface is the same when the part moves by {together}: nothing fixes this direction."
+    why = f"{1e3 * task.form:.3g} um of form error passes for" if cause == "form" else "noise passes for"
+    return f"The surface hardly fixes the direction {together}: {why} {1e3 * std:.3g} um of it at the rim."
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
+
+
+def _distinct(task: _Task, few: Problem, found: list[Fit], kept: list[int], fixed: list[int]) -> list[Fit]:
+    """Return the fits that differ from better ones, held numbers held."""
+    distinct: list[Fit] = []
+    best = found[0].square
+    pose = np.arange(6)
+    for one in found:
+        if one.square > 9 * best + 9 * task.form**2 + QUIETEST**2:
+            continue
+        moved = one
+        if fixed:
+            state = one.state.copy()
+            state[fixed] = task.start[fixed]
+            moved = fit(few, state, kept, task.size, close=1e-9)
+            if not _enough(moved, few):
+                continue
+        if all(_apart(task, moved.state, other.state, pose) > 0.02 for other in distinct):
+            distinct.append(moved)
+    return sorted(distinct, key=lambda one: one.square)[:MOST_CANDIDATES]
+
+
+def _apart(task: _Task, one: Floats, other: Floats, pose: Ints) -> float:
+    """Return by how much two poses move the rim apart. [mm]."""
+    gap = one[pose] - other[pose]
+    gap[3:] = (gap[3:] + np.pi) % (2 * np.pi) - np.pi
+    return float(np.abs(gap / task.size[pose]).max())
+
+
+def _candidates(task: _Task, some: Problem, fits: list[Fit], kept: list[int]) -> tuple[Fit, list[tuple[Fit, float]]]:
+    """Return the fit to believe, and the others that fit nearly as well with their ratios of mean squares."""
+    if len(fits) == 1:
+        return fits[0], []
+    fine = [fit(some, one.state, kept, task.size, close=1e-9) for one in fits]
+    quiet = (task.noise or QUIETEST) ** 2
+    left = np.array([_without_form(task, some, one, kept) + quiet for one in fine])
+    ratio = left / left.min()
+    even = np.flatnonzero(ratio <= EVEN)
+    pose = np.arange(6)
+    near = even[np.argmin([_apart(task, fine[k].state, task.start, pose) for k in even])]
+    others = [(fine[k], float(ratio[k] / ratio[near])) for k in np.argsort(ratio) if k != near and ratio[k] <= NEARLY]
+    return fine[near], others
+
+
+def _without_form(task: _Task, some: Problem, one: Fit, kept: list[int]) -> float:
+    """Return the mean square that is left when plausible forms and small moves are taken off. [mm²]."""
+    found = rows(some, one.state, slice(0, some.points.shape[1]))
+    columns = found.columns[kept] * task.size[kept, None]
+    if task.form == 0:
+        return one.square
+    x, y = np.ascontiguousarray(found.at[0]), np.ascontiguousarray(found.at[1])
+    shapes = np.stack([shape.evaluate(x, y, 0)[0] for shape in plausible(some.within)])
+    both = np.concatenate([columns, shapes])
+    penalty = np.zeros(both.shape[0])
+    penalty[len(kept) :] = QUIETEST**2 / task.form**2
+    normal = both @ both.T
+    normal[np.diag_indices_from(normal)] += penalty + 1e-12 * np.diag(normal)
+    step = np.linalg.solve(normal, both @ found.residual)
+    left = found.residual - step @ both
+    return float(np.mean(left * left))
+
+
+def _symmetric(task: _Task, one: Floats, other: Floats) -> bool:
+    """Say whether the design, moved from one pose to the other, is the same surface."""
+    move = pose_of(other, task.pivot).after(pose_of(one, task.pivot).inverse)
+    radius = task.problem.within
+    axis = np.linspace(-radius, radius, 61)
+    x, y = np.meshgrid(axis, axis)
+    disc = x * x + y * y <= (0.98 * radius) ** 2
+    x, y = x[disc], y[disc]
+    surface = task.problem.surface
+    with np.errstate(all="ignore"):
+        at = move.apply(x, y, surface.evaluate(x, y, 0)[0])
+        gap = at[2] - surface.evaluate(np.ascontiguousarray(at[0]), np.ascontiguousarray(at[1]), 0)[0]
+    # Fits that stopped a little apart still count; noise moves them by more than rounding.
+    rms = float(np.sqrt(np.mean(gap * gap)))
+    inside = np.hypot(at[0], at[1]).max() <= radius * 1.001
+    return bool(inside and np.isfinite(rms) and rms < SAME)
+
+
+def _answer(
+    task: _Task,
+    heights: HeightMap,
+    final: Fit,
+    some: Problem,
+    kept: list[int],
+    fixed: list[int],
+    directions: list[tuple[Floats, float, str]],
+    candidates: list[tuple[Fit, float]],
+) -> Registration:
+    """Put together what was found."""
+    problem = task.problem
+    left = residuals(problem, final.state)
+    names = [k for k in kept if k < 6]
+    outliers = np.zeros(heights.z.shape, dtype=np.bool_)
+    good = np.isfinite(left)
+    if problem.loss != "linear":
+        stray = good & (np.abs(left) > STRAY * scatter(left))
+        outliers.ravel()[task.which[stray]] = True
+        good &= ~stray
+    rms = float(np.sqrt(np.mean(left[good] ** 2))) if good.any() else 0.0
+    unsure = doubt(some, final, kept, task.size, noise=_noise(task, final), count=final.used, form=task.form)
+    unit = task.size[kept]
+    noise, form = (one * np.outer(unit, unit) for one in unsure)
+    size = len(names)
+    outliers.flags.writeable = False
+    pose = pose_of(final.state, task.pivot)
+    return Registration(
+        pose=pose,
+        names=tuple(NAMES[k] for k in names),
+        pivot=(float(task.pivot[0]), float(task.pivot[1]), float(task.pivot[2])),
+        covariance=noise[:size, :size],
+        form_covariance=form[:size, :size],
+        form_error=task.form,
+        amplitudes=final.state[6:],
+        amplitudes_std=np.sqrt(np.diag(noise)[size:]),
+        residual=_filled(heights, task.which, left, "residual"),
+        error=_filled(heights, task.which, left + _terms(problem, final.state), "error"),
+        candidates=tuple(
+            PoseCandidate(
+                pose=pose_of(one.state, task.pivot),
+                rms_nm=one.rms * NM,
+                ratio=ratio,
+                symmetric=_symmetric(task, final.state, one.state),
+            )
+            for one, ratio in candidates
+        ),
+        undetermined=tuple(
+            Undetermined(direction=vector, std=std, cause=cause, words=_words(task, vector, std, cause))  # type: ignore[arg-type]
+            for vector, std, cause in directions
+        ),
+        held=tuple(NAMES[k] for k in sorted(fixed)),
+        start=pose_of(task.start, task.pivot),
+        outliers=outliers,
+        count=int(good.sum()),
+        rms_nm=rms * NM,
+        iterations=final.steps,
+        distance="normal" if problem.normal else "vertical",
+    )
+
+
+def _terms(problem: Problem, state: Floats) -> Floats | float:
+    """Return what the terms add at every point, along the distance that was fitted. [mm]."""
+    if not problem.terms:
+        return 0.0
+    plain = replace(problem, terms=())
+    return residuals(plain, state[:6]) - residuals(problem, state)
+
+
+def _filled(heights: HeightMap, index: Ints, values: Floats, what: str) -> HeightMap:
+    """Return a map on the grid of the one given, nan where there is no value."""
+    z = np.full(heights.z.size, np.nan)
+    z[index] = values
+    return replace(heights, z=z.reshape(heights.z.shape), name=f"{heights.name} {what}".strip())
