@@ -17,11 +17,13 @@ if TYPE_CHECKING:
         InputError,
         JobError,
         LimitError,
+        MapError,
         ProgramError,
         Stopped,
         TurnwrightError,
         UnitError,
     )
+    from turnwright.files import read_map, write_map
     from turnwright.generation import generate, generate_points, generate_polar
     from turnwright.heightmap import HeightMap
     from turnwright.job import Comparison, Job, Plan, Result, Shares, compare, plan, predict, preview, run, shares
@@ -87,11 +89,13 @@ _HOMES = {
         "InputError",
         "JobError",
         "LimitError",
+        "MapError",
         "ProgramError",
         "Stopped",
         "TurnwrightError",
         "UnitError",
     ),
+    "files": ("read_map", "write_map"),
     "generation": ("generate", "generate_points", "generate_polar"),
     "heightmap": ("HeightMap",),
     "job": ("Comparison", "Job", "Plan", "Result", "Shares", "compare", "plan", "predict", "preview", "run", "shares"),
@@ -180,6 +184,7 @@ __all__ = [
     "LimitError",
     "Limits",
     "Machine",
+    "MapError",
     "Motion",
     "Part",
     "Path",
@@ -235,6 +240,7 @@ __all__ = [
     "preview",
     "read_edge_trace",
     "read_fast_tool",
+    "read_map",
     "read_nc",
     "read_table",
     "register",
@@ -244,6 +250,7 @@ __all__ = [
     "shares",
     "track",
     "write_fast_tool",
+    "write_map",
     "write_nc",
 ]
 

@@ -10,11 +10,14 @@ if TYPE_CHECKING:
 __all__ = ["write_whole"]
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file, which takes its name only when all of it is there; what stood there before is replaced."""
+def write_whole(path: Path, text: str | bytes) -> None:
+    """Write a file, which takes its name only when all of it is there; what stood there before is replaced."""
     part = path.with_name(f".{path.name}.part")
     try:
-        part.write_text(text, encoding="utf-8")
+        if isinstance(text, bytes):
+            part.write_bytes(text)
+        else:
+            part.write_text(text, encoding="utf-8")
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)

@@ -9,7 +9,8 @@
     │   ├── GougeError        a tool, feed or path that cannot leave the designed surface
     │   ├── LimitError        something beyond what the machine can do
     │   ├── JobError          a job file that is wrong, with the field named
-    │   └── ProgramError      a lathe program that cannot be written or read
+    │   ├── ProgramError      a lathe program that cannot be written or read
+    │   └── MapError          a file of a measured map that cannot be written or read
     └── Stopped               the user asked for an end
 
 Every message is one sentence: what, how much, the limit, the remedy.
@@ -21,6 +22,7 @@ __all__ = [
     "InputError",
     "JobError",
     "LimitError",
+    "MapError",
     "ProgramError",
     "Stopped",
     "TurnwrightError",
@@ -58,6 +60,10 @@ class JobError(InputError):
 
 class ProgramError(InputError):
     """A lathe program cannot be written or read."""
+
+
+class MapError(InputError):
+    """A file of a measured map cannot be written or read."""
 
 
 class Stopped(TurnwrightError):  # noqa: N818 - an end that was asked for is not an error

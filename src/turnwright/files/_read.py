@@ -1,0 +1,146 @@
+"""One door for reading maps: the bytes say which format, and where they do not, the suffix."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from turnwright.errors import MapError
+from turnwright.files import arrays, datx, digital_surf, grid_sag, metropro, other, points, sdf, x3p, zygo_text
+from turnwright.files._base import DAMAGE, LARGEST_FILE
+from turnwright.files._numbers import text_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from os import PathLike
+
+    from turnwright.heightmap import HeightMap
+
+__all__ = ["read_map"]
+
+
+def read_map(
+    file: str | PathLike[str], *, pixel_size: float | tuple[float, float] | None = None, unit: str | None = None
+) -> HeightMap:
+    """Read a measured map, whatever instrument wrote it.
+
+    The first bytes tell the format, and where they do not, the suffix: Zygo ``.dat``, ``.datx``, ASCII and XYZ;
+    ISO 25178-72 ``.x3p``; ISO 25178-71 ``.sdf``; Digital Surf ``.sur``; Zemax grid sag; NumPy ``.npz`` and ``.npy``;
+    text and CSV of x, y and z; and with the extra ``formats`` those that SurfaceTopography reads, such as ``.opd``,
+    ``.plu`` and ``.al3d``.
+
+    Parameters
+    ----------
+    file
+        The instrument's file.
+    pixel_size
+        Along x and y, or one size for both, for a file that does not say. Without it such a map counts pixels, and is
+        not `calibrated`. [mm]
+    unit
+        Of the numbers in a text file that states none, such as "um".
+
+    Returns
+    -------
+    HeightMap
+        In mm, rows ascending in y, nan where nothing was measured; points that stand on no grid are scattered. Its
+        ``metadata`` are what the file says beside the heights.
+
+    Raises
+    ------
+    MapError
+        If the file cannot be read, is damaged, or leaves open what its numbers mean; if a pixel size or unit is given
+        for a file that states its own.
+    """
+    path = Path(file)
+    data = _contents(path)
+    reader, kind = _reader_of(path, data)
+    if unit is not None and reader is not _read_text:
+        raise MapError(f"{path} is {kind}, which has units of its own: leave unit={unit!r} out")
+    try:
+        found = _read_text(path, data, unit) if reader is _read_text else reader(path, data)
+    except MapError:
+        raise
+    except DAMAGE as error:
+        said = str(error).split("\n")[0].rstrip(".")[:200] or type(error).__name__
+        raise MapError(
+            f"{path} cannot be read as {kind} ({said}): it is damaged, so export or copy it again"
+        ) from error
+    if pixel_size is None:
+        return found
+    if found.calibrated:
+        raise MapError(f"{path} states the size of its pixels: leave pixel_size={pixel_size} out")
+    return found.scaled(pixel_size)
+
+
+def _contents(path: Path) -> bytes:
+    """Return the bytes of a file that can be a map."""
+    try:
+        size = path.stat().st_size if path.is_file() or not path.exists() else -1
+        data = path.read_bytes() if 0 < size <= LARGEST_FILE else b""
+    except (OSError, MemoryError, ValueError) as error:
+        said = getattr(error, "strerror", None) or error
+        raise MapError(f"{path} cannot be read ({said}): check its name and place") from error
+    if size < 0:
+        raise MapError(f"{path} is no file: name the instrument's file itself")
+    if not data:
+        raise MapError(f"{path} has {size:,} bytes, the limits are 1 and {LARGEST_FILE:,}: export it again, or crop it")
+    return data
+
+
+def _reader_of(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightMap], str]:
+    """Return what reads a file and what the file is."""
+    suffix = path.suffix.lower()
+    for begins, reader, kind in SIGNATURES:
+        if data.startswith(begins):
+            return reader, kind
+    if sdf.SIGNATURE.match(data):
+        return sdf.read, "SDF"
+    if suffix in other.SUFFIXES:
+        return other.read, f"an instrument's file ({suffix})"
+    if data.startswith(b"PK\x03\x04"):
+        return _reader_of_archive(path, data)
+    return (other.refuse, "an instrument's file") if suffix == other.DISPUTED else (_read_text, "text")
+
+
+def _reader_of_archive(path: Path, data: bytes) -> tuple[Callable[[Path, bytes], HeightMap], str]:
+    """Return what reads a zip archive, by what is in it."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            names = archive.namelist()
+    except DAMAGE as error:
+        raise MapError(
+            f"{path} is an archive that cannot be opened: it is cut short or damaged, so copy it again"
+        ) from error
+    if any(name.endswith("main.xml") for name in names):
+        return x3p.read, "x3p"
+    if any(name.endswith(".npy") for name in names):
+        return arrays.read_named, "NumPy .npz"
+    raise MapError(f"{path} is an archive of {len(names)} files, neither an .x3p nor an .npz: unpack or export the map")
+
+
+def _read_text(path: Path, data: bytes, unit: str | None = None) -> HeightMap:
+    """Read a text, of whatever kind it is; ``unit`` is for numbers that it gives none."""
+    text = text_of(data)
+    if text is None:
+        raise MapError(
+            f"{path} is of no known format: maps are .dat, .datx, .asc, .xyz, .x3p, .sdf, .sur, .npz, .npy, .csv or, "
+            "with the extra 'formats', .opd, .plu, .al3d and others"
+        )
+    own = zygo_text.read if text.startswith((zygo_text.PHASES, zygo_text.POINTS)) else None
+    own = grid_sag.read if grid_sag.is_grid_sag(text) else own
+    if own is None:
+        return points.read(path, text, unit)
+    if unit is not None:
+        raise MapError(f"{path} has units of its own: leave unit={unit!r} out")
+    return own(path, text)
+
+
+SIGNATURES = (
+    (metropro.SIGNATURES, metropro.read, "Zygo MetroPro"),
+    (datx.SIGNATURE, datx.read, "Zygo .datx"),
+    (digital_surf.SIGNATURES, digital_surf.read, "Digital Surf"),
+    (arrays.SIGNATURE, arrays.read_bare, "NumPy .npy"),
+)
+"""What files begin with, what reads them, and what they are."""

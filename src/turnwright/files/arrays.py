@@ -1,0 +1,160 @@
+"""NumPy files: ``.npz`` holds a whole map, ``.npy`` a bare grid of heights.
+
+Both are in mm, like all that is Turnwright's own, and rows ascend in y. An ``.npz`` has arrays ``z`` and ``x``, ``y``
+or ``radius``, ``angle``, and may have ``name``, ``calibrated`` and ``metadata`` (text of a JSON object); x and y may be
+meshes, and may descend. An ``.npy`` says nothing of the size of its pixels.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import zipfile
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+
+from turnwright._arrays import Floats
+from turnwright.errors import MapError
+from turnwright.files._base import MOST_POINTS, grid_map, inflated, require_bytes, require_points
+from turnwright.heightmap import HeightMap
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["SIGNATURE", "packed", "read_bare", "read_named"]
+
+SIGNATURE = b"\x93NUMPY"
+AXES = (("x", "y"), ("radius", "angle"))
+
+
+def read_bare(path: Path, data: bytes) -> HeightMap:
+    """Read a table of heights."""
+    heights = _numbers(path, "heights", _array(path, io.BytesIO(data), len(data)))
+    if heights.ndim != 2 or heights.shape[1] == 3:
+        raise MapError(
+            f"{path} holds an array of shape {heights.shape}, which may be points as well as heights: save it as .npz "
+            "with x, y and z"
+        )
+    require_points(path, heights.shape[1], heights.shape[0])
+    return grid_map(path, heights, None, metadata={"format": "NumPy .npy"})
+
+
+def read_named(path: Path, data: bytes) -> HeightMap:
+    """Read named arrays."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        found = {
+            member.filename.removesuffix(".npy"): _member(path, archive, member)
+            for member in archive.infolist()
+            if member.filename.removesuffix(".npy")
+            in {"z", "x", "y", "radius", "angle", "name", "calibrated", "metadata"}
+        }
+    names = next((pair for pair in AXES if {"z", *pair} <= found.keys()), None)
+    if names is None:
+        raise MapError(
+            f"{path} holds the arrays {', '.join(sorted(found)) or 'none'} of a map, it needs z with x and y, or z "
+            "with radius and angle: save it with these"
+        )
+    z, column, row = (_numbers(path, name, found[name]) for name in ("z", *names))
+    z[np.isinf(z)] = np.nan
+    if column.ndim == row.ndim == z.ndim == 2:
+        z, column, row = _from_meshes(path, z, column, row)
+    if z.ndim == 2:
+        z, column, row = _ascending(path, names, z, column, row)
+    calibrated = found.get("calibrated")
+    return HeightMap(
+        z=z,
+        **{names[0]: column, names[1]: row},
+        name=str(found["name"]) if "name" in found else path.name,
+        calibrated=calibrated is None or bool(calibrated.all()),
+        metadata=_metadata(path, found.get("metadata")),
+    )
+
+
+def _member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, Any]:
+    inflated(path, member.compress_size, member.file_size)
+    with archive.open(member) as stream:
+        return _array(path, stream, member.file_size)
+
+
+def _array(path: Path, stream: IO[bytes], size: int) -> np.ndarray[Any, Any]:
+    """Return the array of a stream of that many bytes, which hold numbers, truths or text but never objects."""
+    version = np.lib.format.read_magic(stream)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, by_columns, dtype = read(stream)
+    if dtype.kind not in "biufU":
+        raise MapError(f"{path} holds an array of {dtype}, it must hold plain real numbers: save it as float64")
+    count = math.prod(shape)
+    if count > MOST_POINTS or min(shape, default=1) < 0:
+        raise MapError(
+            f"{path} says that it has an array of shape {shape}, the limit is {MOST_POINTS:,} in all: crop it"
+        )
+    require_bytes(path, count * dtype.itemsize, size)
+    raw = stream.read(count * dtype.itemsize)
+    require_bytes(path, count * dtype.itemsize, len(raw))
+    return np.frombuffer(raw, dtype, count).reshape(shape, order="F" if by_columns else "C")
+
+
+def _numbers(path: Path, name: str, array: np.ndarray[Any, Any]) -> Floats:
+    """Return an array as float64 of its own."""
+    if array.dtype.kind not in "iuf" or not 1 <= array.ndim <= 2 or not array.size:
+        raise MapError(
+            f"{path} holds {name} as {array.dtype} of shape {array.shape}, it must be numbers in 1 or 2 dimensions"
+        )
+    return np.array(array, dtype=np.float64)
+
+
+def _from_meshes(path: Path, z: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return a grid, or points where the meshes are none."""
+    if not x.shape == y.shape == z.shape:
+        raise MapError(f"{path} holds x {x.shape}, y {y.shape} and z {z.shape}: give all three the same shape")
+    if (x == x[0]).all() and (y == y[:, :1]).all():
+        return z, x[0], y[:, 0]
+    return z.ravel(), x.ravel(), y.ravel()
+
+
+def _ascending(
+    path: Path, names: tuple[str, str], z: Floats, column: Floats, row: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return the grid with axes that ascend."""
+    if column.ndim != 1 or row.ndim != 1 or z.shape != (row.size, column.size):
+        raise MapError(
+            f"{path} holds z of shape {z.shape} with {names[0]} {column.shape} and {names[1]} {row.shape}: rows of z "
+            f"are {names[1]}, columns {names[0]}"
+        )
+    require_points(path, column.size, row.size)
+    if column.size > 1 and (np.diff(column) < 0).all():
+        column, z = column[::-1], z[:, ::-1]
+    if row.size > 1 and (np.diff(row) < 0).all():
+        row, z = row[::-1], z[::-1]
+    for name, axis in zip(names, (column, row), strict=True):
+        if not (np.diff(axis) > 0).all():
+            raise MapError(
+                f"{path} has an axis {name} that does not ascend or holds a nan: sort it, drop repeated values"
+            )
+    return z, column, row
+
+
+def _metadata(path: Path, stored: np.ndarray[Any, Any] | None) -> dict[str, str]:
+    if stored is None:
+        return {"format": "NumPy .npz"}
+    found = json.loads(str(stored))
+    if not isinstance(found, dict):
+        raise MapError(f"{path} holds metadata that are no JSON object: save them as one")
+    return {str(key): str(text) for key, text in found.items()}
+
+
+def packed(one: HeightMap) -> bytes:
+    """Return the bytes of an ``.npz`` with all of a map."""
+    names = AXES[one.polar]
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        z=one.z,
+        **{name: getattr(one, name) for name in names},
+        name=np.array(one.name),
+        calibrated=np.array(one.calibrated),
+        metadata=np.array(json.dumps(dict(one.metadata), ensure_ascii=False)),
+    )
+    return buffer.getvalue()

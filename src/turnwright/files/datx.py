@@ -1,0 +1,161 @@
+"""Zygo ``.datx``: HDF5 with one surface under ``Data/Surface``, its calibration in attributes beside it.
+
+Heights are stored in a unit of length, or in fringes, times scale factor, wavelength and obliquity. Rows go down from
+the top of the camera's picture.
+
+Sources
+-------
+Oracles: a file of a Fizeau interferometer on which prysm and an independent reader agree; files made with h5py.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from turnwright._arrays import Floats
+from turnwright.errors import MapError
+from turnwright.files._base import grid_map, inflated, require_points
+from turnwright.files._units import to_mm
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import h5py
+
+    from turnwright.heightmap import HeightMap
+
+__all__ = ["SIGNATURE", "read"]
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+PREFIX = "Data Context.Data Attributes."
+HUGE = 1e30
+"""Marks of missing points from here on are met from above, for they are stored with few digits."""
+
+LONGEST = 500
+"""Letters of an attribute that are kept."""
+
+
+def read(path: Path, data: bytes) -> HeightMap:
+    """Read a datx file."""
+    import h5py  # noqa: PLC0415 - costly to import
+
+    with h5py.File(io.BytesIO(data), "r") as file:
+        surface = _surface(path, file)
+        rows, columns = surface.shape
+        require_points(path, columns, rows)
+        inflated(path, len(data), surface.id.get_storage_size())
+        inflated(path, len(data), rows * columns * surface.dtype.itemsize)
+        scale = _height_unit(path, surface)
+        stored = np.asarray(surface[()][::-1], dtype=np.float64)
+        missing = ~np.isfinite(stored)
+        no_data = surface.attrs.get("No Data")
+        if no_data is not None:
+            mark = float(np.ravel(no_data)[0])
+            missing |= stored >= mark if mark > HUGE else stored == mark
+        heights: Floats = np.where(missing, np.nan, stored * np.where(missing, 0.0, scale))
+        return grid_map(
+            path,
+            heights,
+            _pixel(path, surface),
+            metadata={"format": "Zygo .datx", **_metadata(file), "stored in": _unit(surface)},
+        )
+
+
+def _surface(path: Path, file: h5py.File) -> h5py.Dataset:
+    """Return the heights of the first surface that the file itself holds."""
+    import h5py  # noqa: PLC0415
+
+    group = file.get("Data/Surface")
+    if not isinstance(group, h5py.Group):
+        raise MapError(f"{path} is HDF5 without a group Data/Surface, where .datx files keep heights: export it again")
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            continue
+        found = group[name]
+        if not isinstance(found, h5py.Dataset) or found.external is not None or found.is_virtual:
+            continue  # what lies in other files is not what this one holds
+        if len(found.shape) == 2 and found.dtype.kind in "fiu":
+            return found
+    raise MapError(f"{path} has no table of heights in its group Data/Surface: export it again with its surface")
+
+
+def _text(value: Any) -> str:
+    """Return an attribute's text."""
+    one = np.ravel(np.asarray(value, dtype=object))[0]
+    return (one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one))[:LONGEST]
+
+
+def _unit(surface: h5py.Dataset) -> str:
+    unit = surface.attrs.get("Unit")
+    return "" if unit is None else _text(unit)
+
+
+def _converter(surface: h5py.Dataset, name: str) -> tuple[str, str, Floats] | None:
+    """Return category, unit and parameters of a converter."""
+    found = surface.attrs.get(name)
+    if found is None:
+        return None
+    category, unit, parameters = np.ravel(found)[0]
+    return _text(category), _text(unit), np.asarray(parameters, dtype=np.float64)
+
+
+def _height_unit(path: Path, surface: h5py.Dataset) -> float:
+    """Return the height of one stored unit [mm]."""
+    unit = _unit(surface)
+    converter = _converter(surface, "Z Converter")
+    if not unit and converter is not None:
+        unit = converter[1]
+    if unit.lower() != "fringes":
+        return to_mm(unit, f"{path} states its heights in")
+    names = ("Wavelength", "Interferometric Scale Factor", "Obliquity Factor")
+    given = [surface.attrs.get(name) for name in names]
+    if any(one is None for one in given) and converter is not None and converter[2].size >= 4:
+        given = list(converter[2][1:4])
+    values = [math.nan if one is None else float(np.ravel(one)[0]) for one in given]
+    if not all(math.isfinite(value) and value > 0 for value in values):
+        listed = ", ".join(f"{name} {value:g}" for name, value in zip(names, values, strict=True))
+        raise MapError(f"{path} has heights in fringes with {listed}, all must be stated and above 0: it is damaged")
+    return math.prod(values) * 1e3
+
+
+def _pixel(path: Path, surface: h5py.Dataset) -> tuple[float, float] | None:
+    """Return the size of a pixel, or nothing for a camera that was not calibrated [mm]."""
+    sizes = []
+    for name in ("X Converter", "Y Converter"):
+        converter = _converter(surface, name)
+        if converter is None:
+            return None
+        category, unit, parameters = converter
+        if category != "LateralCat" or unit != "Pixels" or parameters.size < 2:
+            raise MapError(
+                f"{path} has the {name} {category} in {unit} with {parameters.size} numbers, it must be LateralCat in "
+                "Pixels with 2 or more: export it from the instrument's software again"
+            )
+        sizes.append(float(parameters[1]) * 1e3)
+    return None if sizes == [0.0, 0.0] else (sizes[0], sizes[1])
+
+
+def _metadata(file: h5py.File) -> dict[str, str]:
+    """Return what the first set of attributes says in plain words and numbers."""
+    import h5py  # noqa: PLC0415
+
+    kept: dict[str, str] = {}
+    groups = file.get("Attributes")
+    if not isinstance(groups, h5py.Group):
+        return kept
+    for name in groups:
+        if not isinstance(groups.get(name, getlink=True), h5py.HardLink):
+            continue
+        for key, value in groups[name].attrs.items():
+            label = key.removeprefix(PREFIX)
+            if not key.startswith(PREFIX) or label.startswith("attr.") or label.endswith(":Unit"):
+                continue
+            unit = groups[name].attrs.get(f"{key.removesuffix(':Value')}:Unit") if key.endswith(":Value") else None
+            if np.asarray(value).dtype.kind in "fiuOSU" and np.asarray(value).size == 1:
+                text = f"{_text(value)} {'' if unit is None else _text(unit)}".strip()
+                kept[label.removesuffix(":Value").lower()] = text
+    return kept

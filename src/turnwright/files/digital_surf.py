@@ -1,0 +1,144 @@
+"""Digital Surf ``.sur``: a head of 512 bytes, two notes, then whole numbers, plain or deflated.
+
+Rows go down from the top of the picture. A header that says that its heights were inverted is refused: two programs
+turn them over then, and two do not. The shift of all heights that a header may state is kept as text.
+
+Sources
+-------
+[Gwyddion]_ and surfalize give the layout. Oracles: a file on which SurfaceTopography and surfalize agree; files packed
+field by field.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from turnwright.errors import MapError
+from turnwright.files._base import grid_map, inflated, require_bytes, require_points, words
+from turnwright.files._units import to_mm
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from turnwright.heightmap import HeightMap
+
+__all__ = ["SIGNATURES", "read"]
+
+PLAIN, DEFLATED = b"DIGITAL SURF", b"DSCOMPRESSED"
+SIGNATURES = (PLAIN, DEFLATED)
+HEAD = 512
+PLACES = {
+    "format": (12, "<h"),
+    "objects": (14, "<h"),
+    "kind": (18, "<h"),
+    "object": (20, "30s"),
+    "operator": (50, "30s"),
+    "not measured": (86, "<h"),
+    "bits": (98, "<h"),
+    "lowest": (100, "<i"),
+    "columns": (108, "<i"),
+    "rows": (112, "<i"),
+    "points": (116, "<i"),
+    "step x": (120, "<f"),
+    "step y": (124, "<f"),
+    "step z": (128, "<f"),
+    "unit x": (180, "16s"),
+    "unit y": (196, "16s"),
+    "unit z": (212, "16s"),
+    "inverted": (290, "<h"),
+    "packed bytes": (324, "<I"),
+    "comment bytes": (334, "<h"),
+    "private bytes": (336, "<h"),
+    "offset z": (474, "<f"),
+}
+"""Fields that are used or kept: where they begin and how they are packed."""
+
+TIME = 306
+"""Where the six numbers of the time begin."""
+
+SURFACES = frozenset({1, 2})
+"""Profiles and surfaces; Gwyddion writes surfaces as profiles."""
+
+
+def read(path: Path, data: bytes) -> HeightMap:
+    """Read a Digital Surf file with one surface or profile."""
+    require_bytes(path, HEAD, len(data))
+    field = {name: struct.unpack_from(form, data, place)[0] for name, (place, form) in PLACES.items()}
+    for name, allowed, remedy in (
+        ("format", {0}, "save it on a PC"),
+        ("objects", {0, 1}, "save the surface alone"),
+        ("kind", SURFACES, "save the surface alone"),
+        ("inverted", {0}, "on inverted heights programs disagree by the sign of z, so save it without"),
+        ("bits", {16, 32}, "it is damaged"),
+    ):
+        if field[name] not in allowed:
+            raise MapError(f"{path} has {name} {field[name]}, what can be read is {sorted(allowed)}: {remedy}")
+    columns, rows = field["columns"], field["rows"]
+    require_points(path, columns, rows)
+    if field["points"] != columns * rows:
+        raise MapError(f"{path} says {field['points']} points for {columns} x {rows}: it is damaged, so save it again")
+    if min(field["comment bytes"], field["private bytes"]) < 0:
+        raise MapError(f"{path} says that its notes are shorter than nothing: it is damaged, so save it again")
+    begin = HEAD + field["comment bytes"] + field["private bytes"]
+    needed = columns * rows * field["bits"] // 8
+    raw = data[begin:] if data.startswith(PLAIN) else _unpacked(path, data[begin:], needed)
+    require_bytes(path, needed, len(raw))
+    stored = np.frombuffer(raw, f"<i{field['bits'] // 8}", columns * rows).reshape(rows, columns)[::-1]
+    step = field["step z"] * to_mm(_unit(field["unit z"]), f"{path} states its heights in")
+    if not (math.isfinite(step) and step != 0):
+        raise MapError(f"{path} has steps of height of {step:g} mm, they must be finite and not 0: it is damaged")
+    heights = stored * step
+    if field["not measured"] == 1:
+        heights[stored == field["lowest"] - 2] = np.nan
+    second, minute, hour, day, month, year = struct.unpack_from("<6h", data, TIME)
+    return grid_map(
+        path,
+        heights,
+        (_pixel(path, field, "x"), _pixel(path, field, "y")),
+        metadata={
+            "format": "Digital Surf .sur",
+            "object": words(field["object"]),
+            "operator": words(field["operator"]),
+            "date": f"{year:04d}-{month:02d}-{day:02d}T{hour:02d}:{minute:02d}:{second:02d}" if year > 0 else "",
+            "comment": words(data[HEAD : HEAD + field["comment bytes"]]),
+            "offset z": f"{field['offset z']:g}, not added" if field["offset z"] else "",
+        },
+    )
+
+
+def _unit(raw: bytes) -> str:
+    """Return the name of a unit; old files write the micro sign of MS-DOS."""
+    return words(raw).replace("\xe6", "u")
+
+
+def _pixel(path: Path, field: dict[str, Any], axis: str) -> float:
+    """Return the size of a pixel [mm]."""
+    unit = _unit(field[f"unit {axis}"])
+    size: float = field[f"step {axis}"] * to_mm(unit, f"{path} states its {axis} in")
+    return size
+
+
+def _unpacked(path: Path, rest: bytes, needed: int) -> bytes:
+    """Return the heights out of deflated streams, no more than are needed."""
+    require_bytes(path, 4, len(rest))
+    (streams,) = struct.unpack_from("<I", rest)
+    require_bytes(path, 4 + 8 * streams, len(rest))
+    inflated(path, len(rest), needed)
+    begin = 4 + 8 * streams
+    parts: list[bytes] = []
+    for plain, packed in struct.iter_unpack("<II", rest[4:begin]):
+        require_bytes(path, begin + packed, len(rest))
+        room = needed - sum(len(part) for part in parts)
+        if plain > room:
+            break
+        part = zlib.decompressobj().decompress(rest[begin : begin + packed], plain + 1)
+        if len(part) != plain:
+            raise MapError(f"{path} has a stream of {len(part)} bytes that says {plain}: it is damaged")
+        parts.append(part)
+        begin += packed
+    return b"".join(parts)

@@ -1,0 +1,141 @@
+r"""Zygo MetroPro ``.dat``: a big-endian head of 834 or 4096 bytes, the camera's intensities, then the phase.
+
+A height is :math:`p S O W / R` for a phase of p counts, with the scale factor S of the interferometer, the obliquity
+factor O, the wavelength W, and R counts to a fringe. Rows go down from the top of the camera's picture.
+
+The sign field is refused when it is set: two programs turn the heights over then, and two do not.
+
+Sources
+-------
+The layout is the one on which [Gwyddion]_, prysm and SurfaceTopography agree. Oracles: a file of prysm's test set, on which prysm,
+SurfaceTopography and Gwyddion agree, and files packed field by field.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from turnwright.errors import MapError
+from turnwright.files._base import grid_map, require_bytes, require_points, words
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from turnwright.heightmap import HeightMap
+
+__all__ = ["COUNTS", "MISSING", "SIGNATURES", "fringe_scale", "read"]
+
+SIGNATURES = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
+
+COUNTS = {0: 4096, 1: 32768, 2: 131072}
+"""Counts of one fringe, by phase resolution."""
+
+MISSING = 2147483640
+"""Phases from here on say that there is none."""
+
+SHORTEST = 834
+PLACES = {
+    "header size": (6, ">I"),
+    "software date": (12, "30s"),
+    "intensity columns": (52, ">H"),
+    "intensity rows": (54, ">H"),
+    "intensity buckets": (56, ">H"),
+    "intensity bytes": (60, ">I"),
+    "columns": (68, ">H"),
+    "rows": (70, ">H"),
+    "timestamp": (76, ">i"),
+    "comment": (80, "82s"),
+    "scale factor": (164, ">f"),
+    "wavelength": (168, ">f"),
+    "numerical aperture": (172, ">f"),
+    "obliquity factor": (176, ">f"),
+    "magnification": (180, ">f"),
+    "pixel size": (184, ">f"),
+    "phase resolution": (218, ">h"),
+    "sign": (232, ">h"),
+    "objective": (246, "12s"),
+    "part": (258, "40s"),
+    "part serial number": (320, "40s"),
+}
+"""Fields that are used or kept: where they begin and how they are packed."""
+
+
+class Fringes(NamedTuple):
+    """What turns counts of phase into heights."""
+
+    scale: float
+    wavelength: float  # [m]
+    obliquity: float
+    resolution: int
+
+
+def fringe_scale(path: Path, found: Fringes) -> float:
+    """Return the height of one count [mm]."""
+    if found.resolution not in COUNTS:
+        raise MapError(f"{path} has the phase resolution {found.resolution}, it must be 0, 1 or 2: it is damaged")
+    value = found.scale * found.obliquity * found.wavelength
+    if not (math.isfinite(value) and value > 0):
+        raise MapError(
+            f"{path} says scale factor {found.scale:g}, wavelength {found.wavelength:g} m, obliquity "
+            f"{found.obliquity:g}, they must be finite and above 0: it is damaged, so export it again"
+        )
+    return value * 1e3 / COUNTS[found.resolution]
+
+
+def read(path: Path, data: bytes) -> HeightMap:
+    """Read a MetroPro file."""
+    require_bytes(path, SHORTEST, len(data))
+    field = {name: struct.unpack_from(form, data, place)[0] for name, (place, form) in PLACES.items()}
+    if field["sign"]:
+        raise MapError(
+            f"{path} marks its heights as inverted (sign {field['sign']}), on which programs disagree by the sign of "
+            "z: export it with data sign normal"
+        )
+    columns, rows = field["columns"], field["rows"]
+    require_points(path, columns, rows)
+    begin = field["header size"] + _intensity_bytes(path, field)
+    require_bytes(path, begin + 4 * columns * rows, len(data))
+    counts = np.frombuffer(data, ">i4", columns * rows, begin).reshape(rows, columns)[::-1]
+    scale = fringe_scale(
+        path,
+        Fringes(field["scale factor"], field["wavelength"], field["obliquity factor"], field["phase resolution"]),
+    )
+    heights = counts * scale
+    heights[counts >= MISSING] = np.nan
+    size = 1e3 * field["pixel size"]
+    return grid_map(
+        path,
+        heights,
+        (size, size) if size != 0 else None,
+        metadata={
+            "format": "Zygo MetroPro .dat",
+            "wavelength": f"{field['wavelength'] * 1e9:.6g} nm",
+            "scale factor": f"{field['scale factor']:g}",
+            "obliquity factor": f"{field['obliquity factor']:g}",
+            "magnification": f"{field['magnification']:g}",
+            "numerical aperture": f"{field['numerical aperture']:g}",
+            "timestamp": datetime.fromtimestamp(field["timestamp"], UTC).isoformat() if field["timestamp"] > 0 else "",
+            **{
+                name: words(field[name])
+                for name in ("comment", "objective", "part", "part serial number", "software date")
+            },
+        },
+    )
+
+
+def _intensity_bytes(path: Path, field: dict[str, int]) -> int:
+    """Return how many bytes of camera pictures stand before the phase."""
+    picture = 2 * field["intensity columns"] * field["intensity rows"]
+    # Some files count no bucket and hold one.
+    for buckets in (field["intensity buckets"], 1):
+        if field["intensity bytes"] == picture * buckets:
+            return picture * buckets
+    raise MapError(
+        f"{path} says {field['intensity bytes']} bytes of intensity for {field['intensity buckets']} pictures of "
+        f"{picture} bytes, they must agree: it is damaged, so export it again"
+    )

@@ -1,0 +1,77 @@
+"""Instruments whose files SurfaceTopography reads, an optional extra: ``pip install turnwright[formats]``.
+
+It gives all of them with the first row at the top of the picture. Its heights of ``.opd``, ``.al3d`` and ``.frt`` files
+were compared with other readers; ``.nms`` files are refused, since readers disagree on the sign of their heights.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.errors import MapError
+from turnwright.files._base import grid_map, require_points
+from turnwright.files._units import to_mm
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from turnwright.heightmap import HeightMap
+
+__all__ = ["DISPUTED", "SUFFIXES", "read", "refuse"]
+
+SUFFIXES = frozenset(
+    {".al3d", ".frt", ".lext", ".opd", ".opdx", ".os3d", ".plu", ".plux", ".vk3", ".vk4", ".vk6", ".vk7"}
+)
+DISPUTED = ".nms"
+
+
+def refuse(path: Path, _: bytes) -> HeightMap:
+    """Raise for a format whose readers do not agree."""
+    raise MapError(
+        f"{path} is of a format on which readers disagree by the sign of z ({DISPUTED}): export it as .x3p or .sdf"
+    )
+
+
+def read(path: Path, data: bytes) -> HeightMap:
+    """Read a file through SurfaceTopography."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            from SurfaceTopography.IO import open_topography  # noqa: PLC0415 - an optional extra, costly to import
+    except ImportError as error:
+        raise MapError(
+            f"{path} is read through SurfaceTopography, which is not installed: pip install 'turnwright[formats]', or "
+            "export it as .x3p or .sdf"
+        ) from error
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with open_topography(io.BytesIO(data)) as reader:
+                channel = reader.default_channel
+                require_points(path, *channel.nb_grid_pts)
+                topography = reader.topography(channel_index=channel.index)
+                heights = np.ma.filled(np.ma.asarray(topography.heights(), dtype=np.float64), np.nan)
+                unit, sizes = topography.unit, topography.physical_sizes
+                kind = reader.format()
+    except MapError:
+        raise
+    except Exception as error:
+        raise MapError(
+            f"{path} cannot be read by SurfaceTopography ({type(error).__name__}): it is damaged, or export it as .x3p"
+        ) from error
+    if unit is None:
+        raise MapError(f"{path} does not state the unit of its heights: export it as .x3p or .sdf")
+    scale = to_mm(unit, f"{path} states its heights in")
+    pixel = None
+    if sizes is not None:
+        pixel = (sizes[0] / heights.shape[0] * scale, sizes[1] / heights.shape[1] * scale)
+    return grid_map(
+        path,
+        np.ascontiguousarray(heights.T[::-1]) * scale,
+        pixel,
+        metadata={"format": f"{kind}, by SurfaceTopography"},
+    )

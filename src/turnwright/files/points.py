@@ -1,0 +1,314 @@
+"""Text and CSV: points x, y, z in rows, which become a grid if they stand on one; or a bare table of heights.
+
+What the numbers mean must be in the file: separator and decimal sign are found from the rows, and refused where two
+readings are possible; names and units of the columns are taken from the description above. Points of a lattice become a
+grid with nan where it has none. A bare table of heights has more than eight columns, no names, and its first row at the
+top.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import Floats
+from turnwright.errors import MapError
+from turnwright.files._base import grid_map, require_points
+from turnwright.files._lattice import on_lattice
+from turnwright.files._numbers import table
+from turnwright.files._units import SPELLINGS, to_mm
+from turnwright.heightmap import HeightMap
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["read"]
+
+MOST_LINES = 300
+"""Lines of description above the table, at most."""
+
+ALIKE = 3
+"""Rows that must have the same columns for a table to begin with the first of them."""
+
+SOME, ALL = 1, 2
+"""How well lines read as a table."""
+
+BARE = 8
+"""A table of more columns than this is one of heights; of fewer, it may be points with more beside them."""
+
+LONGEST = 2000
+"""Letters of the description that are kept."""
+
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+COMMA = re.compile(r"[+-]?(?:\d*,\d+|\d+)(?:[eE][+-]?\d+)?")
+GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
+ONLY_NUMBERS = re.compile(r"\s*[-+\d.,][-+\d.,eE\s]*")
+MISSING = re.compile(r"(?i)nan|no ?data|bad|n/?a|null|\*+|-{2,}|")
+MARKS = "#%!;/"
+"""What a line of description may begin with."""
+
+NAMES = {
+    "x": re.compile(r"x([ _-]?(pos(ition)?|coord(inate)?|axis|value))?"),
+    "y": re.compile(r"y([ _-]?(pos(ition)?|coord(inate)?|axis|value))?"),
+    "z": re.compile(r"z([ _-]?(pos(ition)?|coord(inate)?|axis|value))?|heights?|sag|elevation"),
+}
+UNIT = "|".join(sorted(map(re.escape, SPELLINGS), key=len, reverse=True)) + "|px|pixels?"
+CELL = re.compile(rf"(?i)\s*(.*?)\s*(?:[\[(/_,]\s*({UNIT})\s*[\])]?|\s({UNIT}))?\s*")
+STATED = re.compile(
+    rf"(?i)\b(?:(x[ /,&-]*y|lateral|x|y|z|heights?)[ _-]*)?units?\b(?:\s+of\s+(x|y|z|heights?))?\W{{1,4}}({UNIT})\b"
+)
+PIXELS = frozenset({"px", "pixel", "pixels"})
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """How the table is written."""
+
+    first: int  # line in which it begins, from 0
+    separator: str | None  # None: white space
+    comma: bool  # decimal commas
+    columns: int
+    numeric: bool  # every column
+
+
+def read(path: Path, text: str, unit: str | None) -> HeightMap:
+    """Read text; ``unit`` is for numbers that the text gives none."""
+    lines = _first_lines(text)
+    layout = _layout(path, lines)
+    above = lines[: layout.first]
+    names = _names(above, layout)
+    chosen = _columns(path, names, layout.columns)
+    begin = 0
+    for _ in range(layout.first):
+        begin = text.index("\n", begin) + 1
+    body = text[begin:]
+    metadata = {"format": "text", "description": "\n".join(line for line in above if line.strip())[:LONGEST]}
+    if chosen is None:
+        scale = _unit(path, {}, _stated(above), "z", unit)
+        if scale is None:
+            raise MapError(f"{path} has heights that count pixels: state a length")
+        found = _table(path, body, layout, None)
+        require_points(path, found.shape[1], found.shape[0])
+        return grid_map(path, found[::-1] * scale, None, metadata=metadata)
+    units = _column_units(above, layout)
+    scales = {axis: _unit(path, units, _stated(above), axis, unit) for axis in chosen}
+    found = _table(path, body, layout, tuple(chosen.values()))
+    return _as_map(path, dict(zip(chosen, found.T, strict=True)), scales, metadata)
+
+
+def _as_map(
+    path: Path, found: dict[str, Floats], scales: dict[str, float | None], metadata: dict[str, str]
+) -> HeightMap:
+    """Return points as a grid where they stand on one, in mm."""
+    x, z = found["x"], found["z"]
+    y = found.get("y", np.zeros_like(x))
+    pixels = scales["x"] is None
+    if scales["z"] is None or pixels != (scales.get("y", scales["x"]) is None):
+        raise MapError(f"{path} counts pixels where a length is needed: only x and y together may, never z")
+    placed = np.isfinite(x) & np.isfinite(y)
+    if not placed.any() or (np.isfinite(z) & ~placed).any():
+        raise MapError(f"{path} has heights whose place is missing: give every height its x and y, or leave it out")
+    x, y, z = x[placed], y[placed], np.where(np.isfinite(z[placed]), z[placed] * scales["z"], np.nan)
+    lattice = on_lattice(x, y)
+    along_x, along_y = scales["x"] or 1.0, (scales["y"] or 1.0) if "y" in scales else 1.0
+    if lattice is None:
+        if pixels:
+            raise MapError(f"{path} counts pixels in x and y that stand on no grid: give lengths")
+        return HeightMap(x=x * along_x, y=y * along_y, z=z, name=path.name, metadata=metadata)
+    require_points(path, lattice.x.size, lattice.y.size)
+    heights = np.full((lattice.y.size, lattice.x.size), np.nan)
+    heights[lattice.row, lattice.column] = z
+    if pixels:
+        # Rows of pixels are counted from the top.
+        return grid_map(path, heights[::-1], None, metadata=metadata)
+    return HeightMap(z=heights, x=lattice.x * along_x, y=lattice.y * along_y, name=path.name, metadata=metadata)
+
+
+# ------------------------------------------------------------------ how it is written
+def _first_lines(text: str) -> list[str]:
+    """Return the lines in which a table must begin."""
+    lines: list[str] = []
+    begin = 0
+    while begin < len(text) and len(lines) < MOST_LINES + 20:
+        end = text.find("\n", begin)
+        end = len(text) if end < 0 else end
+        lines.append(text[begin:end].rstrip("\r"))
+        begin = end + 1
+    return lines
+
+
+def _layout(path: Path, lines: list[str]) -> _Layout:
+    """Find where the table begins and how it is written."""
+    for first, line in enumerate(lines[:MOST_LINES]):
+        if not line.strip() or line.lstrip()[0] in MARKS:
+            continue
+        some = [one for one in lines[first:] if one.strip() and one.lstrip()[0] not in MARKS][: ALIKE + 17]
+        ways = [(*way, agreed == ALL) for way in _ways(some) if (agreed := _agree(some, *way))]
+        # A way in which all is numbers is meant before one in which some is not.
+        ways = [way for way in ways if way[2]] or ways
+        if len(ways) > 1 or (
+            not ways and len(re.findall(r"\d+", line)) > 2 and "," in line and ONLY_NUMBERS.fullmatch(line)
+        ):
+            raise MapError(
+                f"{path} can be read in more than one way from line {first + 1}, {line.strip()[:60]!r}, for commas may "
+                "part numbers, decimals or thousands: write decimal points, or part the columns by semicolons"
+            )
+        if ways:
+            separator, comma, numeric = ways[0]
+            return _Layout(first, separator, comma, len(_cells(some[0], separator)), numeric)
+        if ONLY_NUMBERS.fullmatch(line) and len(line.split()) > 1:
+            raise MapError(
+                f"{path} has the numbers {line.strip()[:60]!r} in line {first + 1}, unlike the lines below: every line "
+                "must have the same columns, or be marked as a remark with #"
+            )
+    raise MapError(
+        f"{path} has no table of numbers within its first {MOST_LINES} lines: it holds no map, or is no text"
+    )
+
+
+def _ways(lines: list[str]) -> list[tuple[str | None, bool]]:
+    """Return the separators that can be meant, with and without decimal commas."""
+    joined = "".join(lines)
+    for strong in ";\t":
+        if strong in joined:
+            return [(strong, False), (strong, True)] if "," in joined else [(strong, False)]
+    if "," not in joined:
+        return [(None, False)]
+    return [(",", False), (None, True)]
+
+
+def _cells(line: str, separator: str | None) -> list[str]:
+    cells = [cell.strip().strip('"').strip() for cell in line.split(separator)]
+    if separator is not None and len(cells) > 1 and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def _agree(lines: list[str], separator: str | None, comma: bool) -> int:
+    """Return how well lines read as a table: ALL numbers, SOME of them with the first column, or not at all (0)."""
+    rows = [_cells(line, separator) for line in lines[:ALIKE]]
+    width = len(rows[0])
+    kind = COMMA if comma else NUMBER
+    if width < 2 or any(len(row) != width for row in rows) or not any(kind.fullmatch(cell) for cell in rows[0]):
+        return 0
+    numeric = [
+        all(kind.fullmatch(cell) or MISSING.fullmatch(cell) for cell in column) for column in zip(*rows, strict=True)
+    ]
+    if not (numeric[0] and sum(numeric) >= 2):
+        return 0
+    cells = [cell for line in lines for cell in _cells(line, separator)]
+    if comma:
+        # Where each comma could part thousands, nothing says that it is a decimal sign.
+        marked = [cell for cell in cells if "," in cell]
+        clear = not marked or not all(GROUPED.fullmatch(cell) for cell in marked)
+    else:
+        # Whole numbers between commas are as well decimals, if they are even in number.
+        clear = separator != "," or width % 2 == 1 or any("." in cell or "e" in cell.lower() for cell in cells)
+    return (ALL if all(numeric) else SOME) if clear else 0
+
+
+def _table(path: Path, body: str, layout: _Layout, columns: tuple[int, ...] | None) -> Floats:
+    """Return the columns of the table, or all; missing numbers are nan."""
+    if layout.numeric and columns is not None:
+        # All columns are read, for then no line may have more of them.
+        return _table(path, body, layout, None)[:, columns]
+    body = body.replace(",", ".") if layout.comma else body
+    for mark in "%!":
+        body = body.replace(f"\n{mark}", "\n#")
+    try:
+        return table(path, body, layout.separator, columns, layout.first + 1)
+    except MapError:
+        # Words for missing numbers are put right only where there are some.
+        separator = layout.separator
+        if separator is None:
+            body = re.sub(r"(?i)(?<!\S)(?:no data|nodata|bad|n/?a|null|\*+|-{2,})(?!\S)", "nan", body)
+        else:
+            part = re.escape(separator)
+            word = r"[ \"]*(?:no ?data|bad|n/?a|null|\*+|-{2,}|)[ \"]*"
+            body = re.sub(rf"(?im)(?:(?<={part})|^){word}(?={part}|\r?$)", "nan", body)
+        return table(path, body, separator, columns, layout.first + 1)
+
+
+# ------------------------------------------------------------------ what it means
+def _names(above: list[str], layout: _Layout) -> list[str] | None:
+    """Return the cells of the line of names above the table, if it has one."""
+    for line in reversed(above):
+        if not line.strip():
+            continue
+        plain = line.strip().lstrip(MARKS).strip()
+        for separator in (layout.separator, ",", ";", "\t", None):
+            cells = _cells(plain, separator)
+            if len(cells) == layout.columns and not any(NUMBER.fullmatch(cell) for cell in cells):
+                return cells
+        return None
+    return None
+
+
+def _split_cell(cell: str) -> tuple[str, str]:
+    """Return name and unit of a column."""
+    found = CELL.fullmatch(cell)
+    if found is None:
+        return cell.lower(), ""
+    return found[1].lower(), (found[2] or found[3] or "")
+
+
+def _axis(cell: str) -> str | None:
+    name = _split_cell(cell)[0]
+    return next((axis for axis, spelled in NAMES.items() if spelled.fullmatch(name)), None)
+
+
+def _columns(path: Path, names: list[str] | None, width: int) -> dict[str, int] | None:
+    """Return where x, y and z stand; nothing for a bare table of heights."""
+    axes = [_axis(cell) for cell in names or []]
+    places = {axis: axes.index(axis) for axis in "xyz" if axis in axes}
+    twice = [axis for axis in "xyz" if axes.count(axis) > 1]
+    if twice:
+        raise MapError(f"{path} has {axes.count(twice[0])} columns {twice[0]}, the limit is 1: name them apart")
+    if places.keys() == {"x", "y", "z"} or (places.keys() == {"x", "z"} and width == 2):
+        return places
+    if names is not None and places:
+        raise MapError(
+            f"{path} names its columns {', '.join(names)}, x, y and z (or x and z alone) are needed: name them so"
+        )
+    if width == 3:
+        return {"x": 0, "y": 1, "z": 2}
+    if width > BARE:
+        return None
+    raise MapError(
+        f"{path} has {width} columns without names, x, y and z are 3, and a table of heights has more than {BARE}: "
+        "name the columns in the line above them"
+    )
+
+
+def _column_units(above: list[str], layout: _Layout) -> dict[str, str]:
+    names = _names(above, layout)
+    return {axis: _split_cell(cell)[1] for cell in names or [] if (axis := _axis(cell)) and _split_cell(cell)[1]}
+
+
+def _stated(above: list[str]) -> dict[str, set[str]]:
+    """Return the units that lines of description state, by axis."""
+    stated: dict[str, set[str]] = {"x": set(), "y": set(), "z": set()}
+    for found in STATED.finditer("\n".join(above)):
+        what = re.sub(r"[^a-z]", "", (found[1] or found[2] or "xyz").lower())
+        axes = {"lateral": "xy", "height": "z", "heights": "z"}.get(what, what)
+        for axis in axes:
+            stated[axis].add(found[3])
+    return stated
+
+
+def _unit(
+    path: Path, columns: dict[str, str], stated: dict[str, set[str]], axis: str, given: str | None
+) -> float | None:
+    """Return the unit of an axis in mm, or nothing if it counts pixels."""
+    told = {columns[axis]} if axis in columns else stated[axis]
+    if len({SPELLINGS.get(one.lower(), one.lower()) for one in told}) > 1:
+        raise MapError(f"{path} states the units {', '.join(sorted(told))} for {axis}, the limit is 1: state one")
+    if told and given is not None and axis == "z":
+        raise MapError(f"{path} states the unit of its heights, {next(iter(told))}: leave unit={given!r} out")
+    unit = next(iter(told), given)
+    if unit is None:
+        raise MapError(f"{path} does not state the unit of {axis}: give it as unit='mm', or as a column '{axis} [mm]'")
+    return None if unit.lower() in PIXELS else to_mm(unit, f"{path} has {axis} in")
