@@ -1,0 +1,505 @@
+"""What does not belong to the part: spikes, ragged edges, what lies beyond the aperture, and holes, on request."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats, Ints, positive
+from turnwright.errors import InputError
+from turnwright.metrology._grid import measure, valid_points
+from turnwright.progress import run_chunks
+
+if TYPE_CHECKING:
+    from turnwright.heightmap import HeightMap
+    from turnwright.surface import Surface
+
+__all__ = ["Despiked", "Filled", "despike", "fill_holes", "keep_disc", "trim_edge"]
+
+Rule: TypeAlias = Literal["robust", "kong"]
+
+THRESHOLDS: dict[str, float] = {"robust": 5.0, "kong": 3.0}
+"""Standard deviations beyond which a point is a spike, unless others are asked for."""
+
+NORMAL = 1.4826
+"""Standard deviation of Gaussian noise over its median absolute deviation."""
+
+QUIET = 1e-9
+"""Least deviation that counts as noise: a picometre, below what any instrument reads. [mm]"""
+
+UNEVEN = 1e-6
+"""Spread of the steps of an even grid, over the step."""
+
+CHUNK = 1 << 16
+"""Points that a thread judges at a time."""
+
+TOUCHING = np.ones((3, 3), dtype=bool)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Despiked:
+    """A map without its spikes, and what they were.
+
+    Parameters
+    ----------
+    heights
+        The map, nan where spikes were.
+    spikes
+        Where they were, the shape of the map.
+    scale
+        Standard deviation of the noise by which they were judged; for ``"kong"`` that of the second differences, across
+        and along. [mm]
+    threshold
+        Beyond how many of them a point was a spike. [1]
+    unjudged
+        Number of valid points with too few neighbours to be judged, or spared; they are kept.
+    """
+
+    heights: HeightMap
+    spikes: Bools
+    scale: tuple[float, ...]
+    threshold: float
+    unjudged: int
+
+    @property
+    def count(self) -> int:
+        """Number of spikes."""
+        return int(np.count_nonzero(self.spikes))
+
+    @property
+    def places(self) -> Floats:
+        """Where they were, x and y. (count, 2) [mm]."""
+        x, y = self.heights.points()
+        return np.stack([x[self.spikes], y[self.spikes]], axis=-1)
+
+
+def despike(
+    heights: HeightMap,
+    *,
+    rule: Rule = "robust",
+    threshold: float | None = None,
+    design: Surface | None = None,
+    spare: float = 0.0,
+) -> Despiked:
+    r"""Take out single points and small groups of them that stand out from their neighbours.
+
+    ``"robust"`` asks how far a point stands out from the mean of its two neighbours along the row, the column and both
+    diagonals (on a polar grid along the first two), at borders and holes from the line through the next two on one
+    side, and counts the least of these: a scratch, a ridge or a straight edge stands out in one direction and not along
+    itself. What the median of 5 x 5 neighbours does too is form. The noise is the median absolute deviation of the
+    second differences. The worst of touching points goes first, and its neighbours are judged again without it.
+
+    ``"kong"`` is the rule as published: whatever has a second difference along its row or its column further than 3
+    standard deviations from their mean, once. A spike swells that deviation, and takes its neighbours with it.
+
+    Edges of lenses and steps look like spikes to either. With the design given, both look at what is left of the map
+    without it, and compare no point with one of another smooth piece; a map that is not quite in register needs a
+    ``spare`` as wide as it is off.
+
+    Parameters
+    ----------
+    heights
+        On a rectangular or polar grid; steps may be uneven only as far as the form is flat.
+    rule
+        ``"robust"`` or ``"kong"``.
+    threshold
+        Standard deviations beyond which a point is a spike, by default 5 (robust) and 3 (Kong). [1]
+    design
+        What the map should be, in the frame of the map.
+    spare
+        Distance from the borders of the design's pieces within which no point is judged. [mm]
+
+    Raises
+    ------
+    InputError
+        If the rule is unknown, the threshold not positive, the points are scattered, or there is something to spare and
+        no design.
+    DomainError
+        If the design is not defined at a point of the map.
+
+    Sources
+    -------
+    [Kong2019]_ removes noise by second differences and three standard deviations.
+
+    >>> from turnwright.heightmap import HeightMap
+    >>> z = np.random.default_rng(1).normal(0, 2e-5, (50, 60))
+    >>> z[20, 30] += 1e-3
+    >>> found = despike(HeightMap(x=np.arange(60.0), y=np.arange(50.0), z=z))
+    >>> found.places.tolist()
+    [[30.0, 20.0]]
+    """
+    if rule not in THRESHOLDS:
+        raise InputError(f'the rule is {rule!r}, it can be "robust" or "kong": choose one of them')
+    threshold = THRESHOLDS[rule] if threshold is None else positive(threshold, "the threshold", "deviations")
+    valid = valid_points(heights, 3, "a search for spikes")
+    grid = measure(heights)
+    if not spare >= 0 or (spare > 0 and design is None):
+        raise InputError(f"the distance to spare is {spare:g} mm, it needs a design and at least 0 mm: give both")
+    z, piece = np.array(heights.z), np.zeros(heights.z.shape, dtype=np.int64)
+    judged = valid.copy()
+    if design is not None:
+        z = np.array(heights.minus(design).z)
+        x, y = heights.points()
+        pieces = design.piece(x[valid], y[valid])
+        if pieces is not None:
+            piece[~valid], piece[valid] = -1, pieces
+            if spare > 0:
+                judged &= _distance(heights, _borders(piece, closed=grid.closed)) > spare
+    if rule == "kong":
+        spikes, scale, open_points = _kong(z, piece, threshold)
+    else:
+        spikes, scale, open_points = _robust(
+            z, piece, judged, threshold, closed=grid.closed, ways=2 if heights.polar else 4
+        )
+    spikes &= judged
+    spikes.flags.writeable = False
+    return Despiked(
+        heights=replace(heights, z=np.where(spikes, np.nan, heights.z)),
+        spikes=spikes,
+        scale=scale,
+        threshold=threshold,
+        unjudged=int(np.count_nonzero(valid & (open_points | ~judged))),
+    )
+
+
+def _differences(z: Floats) -> tuple[Floats, Floats]:
+    """Return the second differences across and along, nan where a neighbour is missing."""
+    from turnwright._kernels.neighbours import second_differences  # noqa: PLC0415 - numba is costly to import
+
+    across, along = np.empty_like(z), np.empty_like(z)
+    rows = max(CHUNK // z.shape[1], 1)
+    run_chunks(lambda start, stop: second_differences(z, start, stop, across, along), z.shape[0], rows)
+    return across, along
+
+
+def _kong(z: Floats, piece: Ints, threshold: float) -> tuple[Bools, tuple[float, ...], Bools]:
+    """Return the spikes, the deviations and what was not judged, by mean and standard deviation."""
+    spikes, known = np.zeros(z.shape, dtype=bool), np.zeros(z.shape, dtype=bool)
+    scales = []
+    for axis, values in zip((1, 0), _differences(z), strict=True):
+        mixed = np.diff(piece, axis=axis) != 0
+        pad = [(0, 0), (0, 0)]
+        for side in ((1, 0), (0, 1)):
+            pad[axis] = side
+            values[np.pad(mixed, pad)] = np.nan
+        here = ~np.isnan(values)
+        known |= here
+        if here.any():
+            mean, deviation = float(values[here].mean()), float(values[here].std())
+            scales.append(deviation)
+            spikes |= np.abs(values - mean) > max(threshold * deviation, QUIET)
+    return spikes, tuple(scales), ~known
+
+
+def _robust(
+    z: Floats, piece: Ints, judged: Bools, threshold: float, *, closed: bool, ways: int
+) -> tuple[Bools, tuple[float, ...], Bools]:
+    """Return the spikes, the deviation of the noise and what was not judged; takes the spikes out of ``z``."""
+    from turnwright._kernels.neighbours import prominent, stand_out  # noqa: PLC0415 - numba is costly to import
+
+    spread = [np.abs(d - np.median(d)) for values in _differences(z) if (d := values[~np.isnan(values)]).size]
+    scale = max(NORMAL * float(np.median(np.concatenate(spread))) / 6**0.5 if spread else 0.0, QUIET)
+    least = 2 if min(z.shape) > 1 else 1
+    amount = np.full(z.shape, np.nan)
+    spikes = np.zeros(z.shape, dtype=bool)
+    index = np.flatnonzero(~np.isnan(z))
+    while index.size:
+
+        def judge(start: int, stop: int, index: Ints = index) -> None:
+            stand_out(z, piece, closed, ways, least, index[start:stop], amount)
+
+        run_chunks(judge, index.size, CHUNK)
+        high = np.flatnonzero((np.abs(amount) > threshold * scale) & judged)
+        chosen = np.zeros(high.size, dtype=bool)
+        prominent(amount, closed, threshold * scale, high, chosen)
+        gone = high[chosen]
+        spikes.flat[gone] = True
+        z.flat[gone] = amount.flat[gone] = np.nan
+        index = _around(gone, z, closed=closed)
+    alone = np.isnan(amount) & ~np.isnan(z)
+    lost = alone & judged & _left_alone(z, spikes, closed=closed)
+    return spikes | lost, (scale,), alone & ~lost
+
+
+def _around(places: Ints, z: Floats, *, closed: bool) -> Ints:
+    """Return the flat places of the valid points within two steps of some places."""
+    m, n = z.shape
+    offsets = np.arange(-2, 3)
+    rows = (places // n)[:, None, None] + offsets[:, None]
+    columns = (places % n)[:, None, None] + offsets
+    rows, columns = np.broadcast_arrays(rows % m if closed else rows, columns)
+    inside = (rows >= 0) & (rows < m) & (columns >= 0) & (columns < n)
+    found = np.unique(rows[inside] * n + columns[inside])
+    return found[~np.isnan(z.flat[found])]
+
+
+def _left_alone(z: Floats, spikes: Bools, *, closed: bool) -> Bools:
+    """Return what has no valid neighbour left, and a spike among those it had: the middle of a broad spike."""
+    from scipy import ndimage  # noqa: PLC0415 - only this needs it
+
+    ring = TOUCHING.copy()
+    ring[1, 1] = False
+    mode: Literal["wrap", "constant"] = "wrap" if closed else "constant"
+    padded = [np.pad(mask, ((1, 1), (0, 0)), mode=mode) for mask in (~np.isnan(z), spikes)]
+    near, touched = (ndimage.binary_dilation(mask, ring)[1:-1] for mask in padded)
+    return touched & ~near
+
+
+def trim_edge(heights: HeightMap, width: float, *, holes: bool = False) -> HeightMap:
+    """Return the map without the points within ``width`` of its edge.
+
+    The edge is the nearest point that is missing and connected to the outside, or the first place beyond the grid.
+
+    Parameters
+    ----------
+    heights
+        On a rectangular or polar grid.
+    width
+        Distance within which points are taken off. [mm]
+    holes
+        Whether to trim around the holes inside too.
+
+    Raises
+    ------
+    InputError
+        If the width is not positive or nothing would be left.
+
+    >>> from turnwright.heightmap import HeightMap
+    >>> whole = HeightMap(x=np.arange(5.0), y=np.arange(5.0), z=np.zeros((5, 5)))
+    >>> int(np.isfinite(trim_edge(whole, 1.5).z).sum())
+    9
+    """
+    positive(width, "the width to trim", "mm")
+    valid = valid_points(heights, 1, "trimming")
+    missing = np.pad(~valid, 1, constant_values=True)
+    outside = missing if holes else _outside(missing, closed=measure(heights).closed)
+    near = _distance(heights, outside, padded=True) <= width
+    if not (valid & ~near).any():
+        raise InputError(f"trimming {width:g} mm leaves nothing of the map {heights.name!r}: trim less")
+    return replace(heights, z=np.where(near, np.nan, heights.z))
+
+
+def _outside(missing: Bools, *, closed: bool) -> Bools:
+    """Return what is missing and connected to the frame around the map; a closed grid has no frame at its seam."""
+    from scipy import ndimage  # noqa: PLC0415 - only this needs it
+
+    if closed:
+        missing = missing.copy()
+        missing[0], missing[-1] = missing[-2], missing[1]
+    label = ndimage.label(missing, TOUCHING)[0]
+    frame = [label[:, 0], label[:, -1]] if closed else [label[:, 0], label[:, -1], label[0], label[-1]]
+    out = set(np.concatenate(frame).tolist()) - {0}
+    while closed:
+        # The same row stands at both ends, under labels of its own.
+        same = {*zip(label[0], label[-2], strict=True), *zip(label[1], label[-1], strict=True)}
+        more = {int(one) for pair in same if out & set(pair) for one in pair} - {0} - out
+        if not more:
+            break
+        out |= more
+    return np.isin(label, list(out))
+
+
+def _distance(heights: HeightMap, targets: Bools, *, padded: bool = False) -> Floats:
+    """Return how far every point is from the nearest target, inf if there is none. The shape of the map [mm].
+
+    ``padded`` targets have a frame around the map, one step wide.
+    """
+    from scipy import ndimage  # noqa: PLC0415 - only this needs it
+    from scipy.spatial import cKDTree  # noqa: PLC0415
+
+    grid = measure(heights)
+    axes = [_one_more(axis) for axis in (grid.columns, grid.rows)]
+    targets = targets.copy() if padded else np.pad(targets, 1)
+    if not targets.any():
+        return np.full(heights.z.shape, np.inf)
+    steps = [np.diff(axis) for axis in axes]
+    if not heights.polar and all(np.ptp(step) <= UNEVEN * step.mean() for step in steps):
+        sampling = float(steps[1].mean()), float(steps[0].mean())
+        return np.asarray(ndimage.distance_transform_edt(~targets, sampling=sampling))[1:-1, 1:-1]
+    if grid.closed:
+        targets[0], targets[-1] = targets[-2], targets[1]
+    # Only targets that touch something else can be the nearest.
+    rim = targets & ndimage.binary_dilation(~targets, TOUCHING)
+    if grid.closed:
+        rim[[0, -1]] = False
+    columns, rows = np.broadcast_arrays(axes[0], axes[1][:, None])
+    if heights.polar:
+        rim &= columns > 0
+        columns, rows = columns * np.cos(rows), columns * np.sin(rows)
+    points = np.stack([columns, rows], axis=-1)
+    found = np.asarray(cKDTree(points[rim]).query(points[1:-1, 1:-1].reshape(-1, 2), workers=-1)[0])
+    return np.where(targets[1:-1, 1:-1], 0.0, found.reshape(heights.z.shape))
+
+
+def _one_more(axis: Floats) -> Floats:
+    """Return an axis with one more step at either end."""
+    if axis.size == 1:
+        return np.array([axis[0] - 1, axis[0], axis[0] + 1])
+    return np.concatenate([[2 * axis[0] - axis[1]], axis, [2 * axis[-1] - axis[-2]]])
+
+
+def _borders(piece: Ints, *, closed: bool) -> Bools:
+    """Return the points whose neighbour in the row or column is of another piece; missing ones, -1, are of none."""
+    border = np.zeros(piece.shape, dtype=bool)
+    for axis in (0, 1):
+        following = np.roll(piece, -1, axis=axis)
+        differ = (piece != following) & (piece >= 0) & (following >= 0)
+        if axis == 1 or not closed:
+            differ[(-1,) if axis == 0 else (slice(None), -1)] = False
+        border |= differ | np.roll(differ, 1, axis=axis)
+    return border
+
+
+def keep_disc(heights: HeightMap, radius: float, *, centre: tuple[float, float] = (0.0, 0.0)) -> HeightMap:
+    """Return the map without what lies outside a round aperture.
+
+    Parameters
+    ----------
+    heights
+        On any grid, or scattered.
+    radius
+        Of the aperture. [mm]
+    centre
+        Its middle, x and y. [mm]
+
+    Raises
+    ------
+    InputError
+        If the radius is not positive, or no valid height lies inside.
+
+    >>> from turnwright.heightmap import HeightMap
+    >>> whole = HeightMap(x=np.arange(-2.0, 3.0), y=np.arange(-2.0, 3.0), z=np.zeros((5, 5)))
+    >>> int(np.isfinite(keep_disc(whole, 1.1).z).sum())
+    5
+    """
+    heights.require_calibrated()
+    positive(radius, "the radius of the aperture", "mm")
+    x, y = heights.points()
+    z = np.where(np.hypot(x - centre[0], y - centre[1]) <= radius, heights.z, np.nan)
+    if np.isnan(z).all():
+        raise InputError(
+            f"no valid height lies within {radius:g} mm of ({centre[0]:g}, {centre[1]:g}) mm: give the aperture in the "
+            "frame of the map"
+        )
+    return replace(heights, z=z)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Filled:
+    """A map with holes filled in, and which heights are made up.
+
+    Parameters
+    ----------
+    heights
+        The map.
+    filled
+        Where its heights were not measured, the shape of the map.
+    holes
+        Number of holes filled.
+    left
+        Number of holes left, because they are larger.
+    """
+
+    heights: HeightMap
+    filled: Bools
+    holes: int
+    left: int
+
+
+def fill_holes(heights: HeightMap, largest: float) -> Filled:
+    """Fill the holes inside a map with the plate of least bending, held by all that surrounds them.
+
+    That is the biharmonic surface through the two rings of points around a hole; polynomials of degree 3 come out
+    exactly where both rings are valid. What is missing and connected to the outside stays missing. Heights that nobody measured are no
+    measurement: fill only for what cannot do without.
+
+    Parameters
+    ----------
+    heights
+        On an even rectangular grid.
+    largest
+        Extent along x and along y of the largest hole to fill. [mm]
+
+    Raises
+    ------
+    InputError
+        If the map is not on an even rectangular grid, or ``largest`` is not positive.
+
+    Sources
+    -------
+    Thin plates: discrete biharmonic equation of thirteen points. Oracle: cubics.
+
+    >>> from turnwright.heightmap import HeightMap
+    >>> x = np.arange(9.0)
+    >>> z = np.add.outer(x, x**2)
+    >>> z[4, 4] = np.nan
+    >>> float(round(fill_holes(HeightMap(x=x, y=x, z=z), largest=1.0).heights.z[4, 4], 9))
+    20.0
+    """
+    from scipy import ndimage  # noqa: PLC0415 - only this needs it
+
+    positive(largest, "the largest hole to fill", "mm")
+    valid = valid_points(heights, 1, "filling holes")
+    grid = measure(heights)
+    steps = [np.diff(axis) for axis in (grid.columns, grid.rows)]
+    if heights.polar or any(step.size < 2 or np.ptp(step) > UNEVEN * step.mean() for step in steps):
+        raise InputError(
+            "holes are filled on even rectangular grids of at least 3 x 3 points, and the map has another: bring it to "
+            "such a grid first"
+        )
+    dx, dy = (float(step.mean()) for step in steps)
+    missing = np.pad(~valid, 1, constant_values=True)
+    inside = (missing & ~_outside(missing, closed=False))[1:-1, 1:-1]
+    label, count = ndimage.label(inside, TOUCHING)
+    small = [False]
+    for rows, columns in ndimage.find_objects(label):
+        extent = max((rows.stop - rows.start) * dy, (columns.stop - columns.start) * dx)
+        small.append(extent <= largest * (1 + UNEVEN))
+    filled = np.array(small)[label]
+    z = np.array(heights.z)
+    if filled.any():
+        z[filled] = _plate(z, filled, dx, dy)
+    filled.flags.writeable = False
+    return Filled(heights=replace(heights, z=z), filled=filled, holes=sum(small), left=count - sum(small))
+
+
+def _plate(z: Floats, unknown: Bools, dx: float, dy: float) -> Floats:
+    """Return the unknown heights that bend least: the least squares of all second differences that touch them."""
+    from scipy.sparse import csc_array  # noqa: PLC0415 - only this needs it
+    from scipy.sparse.linalg import spsolve  # noqa: PLC0415
+
+    m, n = z.shape
+    number = np.full(z.size, -1)
+    number[unknown.ravel()] = np.arange(np.count_nonzero(unknown))
+    mean = float(np.nanmean(z))
+    flat = np.where(unknown, 0.0, z - mean).ravel()
+    # Each kind: how far from its first point the others are, in rows and columns, and their shares.
+    kinds = [
+        ([(0, 0), (0, 1), (0, 2)], np.array([1, -2, 1]) / dx**2),
+        ([(0, 0), (1, 0), (2, 0)], np.array([1, -2, 1]) / dy**2),
+        ([(0, 0), (0, 1), (1, 0), (1, 1)], np.array([1, -1, -1, 1]) * np.sqrt(2) / (dx * dy)),
+    ]
+    rows, columns, values, right = [], [], [], []
+    total = 0
+    places = np.argwhere(unknown)
+    for offsets, shares in kinds:
+        first = np.unique(np.concatenate([places - offset for offset in offsets]), axis=0)
+        reach = np.max(offsets, axis=0)
+        first = first[((first >= 0) & (first + reach < (m, n))).all(axis=1)]
+        points = np.stack([(first + offset) @ (n, 1) for offset in offsets], axis=1)
+        points = points[~np.isnan(flat[points]).any(axis=1)]
+        known = flat[points] @ shares
+        numbers = number[points]
+        equation = np.broadcast_to(np.arange(points.shape[0])[:, None] + total, points.shape)
+        chosen = numbers >= 0
+        rows.append(equation[chosen])
+        columns.append(numbers[chosen])
+        values.append(np.broadcast_to(shares, points.shape)[chosen])
+        right.append(-known)
+        total += points.shape[0]
+    system = csc_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(total, places.shape[0])
+    )
+    return np.asarray(spsolve(system.T @ system, system.T @ np.concatenate(right))) + mean

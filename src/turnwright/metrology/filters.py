@@ -1,0 +1,379 @@
+"""Filters of ISO 16610 over maps with missing points, and the bands that ISO 25178-3 makes of a surface with them.
+
+Libraries refuse maps with missing points, or fill them in first; here a missing point weighs nothing and stays missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats, positive
+from turnwright.errors import InputError
+from turnwright.metrology._grid import measure, valid_points
+from turnwright.metrology._regression import WIDTHS, regress
+from turnwright.metrology.form import Form, remove_form
+from turnwright.progress import run_chunks
+
+if TYPE_CHECKING:
+    from turnwright.heightmap import HeightMap
+
+__all__ = ["Along", "Bands", "Nesting", "filter_map", "separate_bands"]
+
+Kind: TypeAlias = Literal["gaussian", "robust", "spline"]
+Along: TypeAlias = Literal["x", "y", "radius"]
+
+ORDERS: dict[str, int] = {"gaussian": 1, "robust": 2}
+"""Orders of the local polynomial unless others are asked for."""
+
+FINEST = 5
+"""Steps of the grid in the shortest cutoff: there the sampled Gaussian still passes 0.5000 of a wave at the cutoff (at
+4 steps 0.501), and ISO 25178-3 asks for as many."""
+
+UNEVEN = 1e-6
+"""Spread of the steps of an even grid, over the step."""
+
+BOUND = 4.4478
+"""Tukey's bound over the median of the residuals, three standard deviations of Gaussian noise; ISO 16610-31."""
+
+SETTLED = 3e-3
+"""Change of the bound, and root-mean-square change of the mean surface, below which a robust filter has settled, over
+the bound."""
+
+QUIET = 1e-9
+"""Bound below which residuals say nothing: a picometre. [mm]"""
+
+STEPS = 50
+"""Steps after which an iteration gives up."""
+
+LINES = 16
+"""Lines that a thread takes at a time."""
+
+
+def filter_map(
+    heights: HeightMap,
+    cutoff: float,
+    *,
+    kind: Kind = "gaussian",
+    order: int | None = None,
+    along: Along | None = None,
+) -> HeightMap:
+    r"""Return what is longer than the cutoff: the mean line or surface. Missing points stay missing and weigh nothing.
+
+    ``"gaussian"`` fits, at every point, a polynomial of degree ``order`` to its surroundings, weighted with a Gaussian:
+    order 0 is their weighted mean, order 1 follows planes and order 2 curved forms up to borders and holes. Away from
+    them orders 0 and 1 are the Gaussian filter, which passes :math:`2^{-(\lambda_c/\lambda)^2}` of a wave, and order 2
+    passes more of longer and less of shorter waves; all pass 0.50 at the cutoff, in every direction. ``"robust"``
+    repeats that while points far from the mean surface lose their weight, by Tukey's function with a bound of 4.4478
+    times the median distance, until bound and mean surface change by less than 0.3 % of the bound. ``"spline"``, along lines only, is the
+    natural cubic smoothing spline, which passes
+    :math:`1/(1 + (\sin(\pi d/\lambda)/\sin(\pi d/\lambda_c))^4)` at the step d.
+
+    Sums run over the whole map: the Gaussian is cut only where it is below the rounding of doubles, not at the
+    cutoff, where the standard allows it.
+
+    Parameters
+    ----------
+    heights
+        On an even rectangular grid, or on a polar one along its radius.
+    cutoff
+        Nesting index: wavelength of which half passes, at least 5 steps of the grid and at most its extent. [mm]
+    kind
+        ``"gaussian"``, ``"robust"`` or ``"spline"``.
+    order
+        0, 1 or 2; by default 1, and 2 for a robust filter. A spline has none.
+    along
+        ``None`` filters areas; ``"x"``, ``"y"`` or ``"radius"`` every line in that direction as a profile of its own,
+        with a bound of its own.
+
+    Raises
+    ------
+    InputError
+        If kind, order and direction do not fit the map or each other, the cutoff does not fit the grid, or a robust
+        filter does not settle.
+
+    Sources
+    -------
+    ISO 16610-21, -61 (Gaussian), -28 (ends), -31, -71 (robust regression), -22 (spline). Oracles: closed forms of
+    waves, dense sums, SciPy's convolution, surfalize.
+
+    >>> from turnwright.heightmap import HeightMap
+    >>> x = np.arange(400) * 0.01
+    >>> wave = HeightMap(x=x, y=x, z=np.tile(np.cos(2 * np.pi * x / 0.8), (400, 1)))
+    >>> round(float(filter_map(wave, 0.8).z[200, 160]), 4)
+    0.5
+    """
+    order = _order(kind, order, along)
+    positive(cutoff, "the cutoff", "mm")
+    valid = valid_points(heights, 1, "a filter")
+    steps = _steps(heights, along)
+    _check_cutoff(heights, cutoff, along, steps, "the cutoff")
+    # A mean of zero keeps the digits of the sums for what varies.
+    mean = float(heights.z[valid].mean())
+    z = heights.z - mean
+    if along == "y":
+        z, valid = np.ascontiguousarray(z.T), np.ascontiguousarray(valid.T)
+    if kind == "spline":
+        out = _spline(z, cutoff / steps[0])
+    else:
+        width = WIDTHS[order] * cutoff
+        # A map of one line has no step across it, and any width will do.
+        points = [width / step if np.isfinite(step) else 1.0 for step in steps]
+        widths = points[0], (points[1] if along is None else None)
+        z = np.where(valid, z, 0.0)
+
+        def smooth(weight: Floats) -> Floats:
+            return regress(z, weight, widths, order)
+
+        out = smooth(valid.astype(np.float64))
+        if kind == "robust":
+            out = _robust(z, valid, smooth, out, apart=along is not None)
+    out += mean
+    out[~valid] = np.nan
+    return replace(heights, z=out.T if along == "y" else out)
+
+
+def _order(kind: str, order: int | None, along: str | None) -> int:
+    """Return the order, and raise unless kind, order and direction go together."""
+    if kind not in {"gaussian", "robust", "spline"}:
+        raise InputError(f'the kind of filter is {kind!r}, it can be "gaussian", "robust" or "spline": choose one')
+    if kind == "spline" and (order is not None or along is None):
+        raise InputError(
+            "a spline filter works along lines and has no order: give along and leave the order out, or take a Gaussian"
+        )
+    if order is not None and (isinstance(order, bool) or order not in (0, 1, 2)):
+        raise InputError(f"the order of the filter is {order!r}, it can be 0, 1 or 2: choose one of them")
+    return ORDERS.get(kind, 0) if order is None else order
+
+
+def _steps(heights: HeightMap, along: str | None) -> tuple[float, ...]:
+    """Return the steps of the grid in the directions that are filtered, and raise unless they are even. [mm]."""
+    grid = measure(heights)
+    if along is not None and along not in ("x", "y", "radius"):
+        raise InputError(f'the direction of the lines is {along!r}, it can be "x", "y" or "radius": choose one')
+    if heights.polar != (along == "radius"):
+        lines = 'take its lines with along="radius"' if heights.polar else 'take along="x" or "y"'
+        way = "areas" if along is None else f"lines along {along}"
+        raise InputError(
+            f"the {'polar' if heights.polar else 'rectangular'} map cannot be filtered over {way}: {lines}"
+            + (", or bring it to a rectangular grid" if heights.polar else "")
+        )
+    axes = {"x": grid.columns, "y": grid.rows, "radius": grid.columns}
+    found = []
+    for name in ("x", "y") if along is None else (along,):
+        steps = np.diff(axes[name])
+        if steps.size == 0:
+            if along is not None:
+                raise InputError(f"the map has 1 value of {name}, a filter along it needs 2: filter along the other")
+            found.append(np.inf)
+            continue
+        if np.ptp(steps) > UNEVEN * steps.mean():
+            raise InputError(
+                f"the steps of {name} are {steps.min():g} to {steps.max():g} mm, a filter needs them even to 1e-6: "
+                "bring the map to an even grid first"
+            )
+        found.append(float(steps.mean()))
+    if not np.isfinite(found).any():
+        raise InputError("the map has 1 point, a filter needs 2: measure more of the part")
+    return tuple(found)
+
+
+def _check_cutoff(heights: HeightMap, cutoff: float, along: str | None, steps: tuple[float, ...], name: str) -> None:
+    """Raise unless the grid is fine enough and wide enough for a cutoff."""
+    coarsest = max(step for step in steps if np.isfinite(step))
+    if cutoff < FINEST * coarsest * (1 - UNEVEN):
+        raise InputError(
+            f"{name} is {cutoff:g} mm, the limit is {FINEST} steps of the grid, {FINEST * coarsest:g} mm: filter "
+            "longer waves, or measure with smaller pixels"
+        )
+    axes = [getattr(heights, axis) for axis in (("x", "y") if along is None else (along,))]
+    extent = max(float(np.ptp(axis) + step) for axis, step in zip(axes, steps, strict=True) if axis.size > 1)
+    if cutoff > extent * (1 + UNEVEN):
+        raise InputError(
+            f"{name} is {cutoff:g} mm, the limit is the extent of the map, {extent:g} mm: filter shorter waves, or "
+            "remove a form instead"
+        )
+
+
+def _spline(z: Floats, cutoff: float) -> Floats:
+    """Return the smoothing spline of every line; the cutoff in points."""
+    from turnwright._kernels.regression import spline  # noqa: PLC0415 - numba is costly to import
+
+    out = np.empty_like(z)
+    stiffness = (2 * np.sin(np.pi / cutoff)) ** -4
+    run_chunks(lambda start, stop: spline(z[start:stop], stiffness, out[start:stop]), z.shape[0], LINES)
+    return out
+
+
+def _robust(z: Floats, valid: Bools, smooth: Callable[[Floats], Floats], wave: Floats, *, apart: bool) -> Floats:
+    """Weigh and smooth again until the bounds settle: one of the map, or one of each line."""
+    from turnwright._kernels.regression import biweight  # noqa: PLC0415 - numba is costly to import
+
+    weight = np.empty_like(z)
+    # Points that do not count stand at nan, from where their weight falls to 0.
+    known = np.where(valid, z, np.nan)
+    bound = np.maximum(BOUND * _medians(np.abs(known - wave), apart=apart), QUIET)
+    for _ in range(STEPS):
+
+        def weigh(start: int, stop: int, bound: Floats = bound, wave: Floats = wave) -> None:
+            rows = slice(start, stop)
+            biweight(known[rows], wave[rows], bound[rows], weight[rows])
+
+        run_chunks(weigh, z.shape[0], LINES)
+        new = smooth(weight)
+        # Where every point around is an outlier, the mean surface stays where it was.
+        new = np.where(np.isnan(new), wave, new)
+        moved = float(np.sqrt(np.mean(((new - wave)[valid] / np.broadcast_to(bound[:, None], z.shape)[valid]) ** 2)))
+        last, wave = bound, new
+        bound = np.maximum(BOUND * _medians(np.abs(known - wave), apart=apart), QUIET)
+        if moved <= SETTLED and (np.abs(bound - last) <= SETTLED * bound).all():
+            return wave
+    raise InputError(
+        f"the robust filter has not settled within {SETTLED * 100:g} % after {STEPS} steps: take a longer cutoff, or "
+        "remove outliers and form first"
+    )
+
+
+def _medians(distances: Floats, *, apart: bool) -> Floats:
+    """Return the median of what is not nan, of all or of each line, for each line; 0 where there is nothing."""
+    count = distances.shape[0]
+    if not apart:
+        return np.full(count, np.median(distances[~np.isnan(distances)]))
+    ordered = np.sort(distances, axis=1)  # nan goes last
+    known = np.count_nonzero(~np.isnan(ordered), axis=1)
+    lines = np.arange(count)
+    middle = (ordered[lines, np.maximum(known - 1, 0) // 2] + ordered[lines, known // 2]) / 2
+    return np.where(known > 0, middle, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Nesting:
+    """Where the bands of a surface begin and end, after ISO 25178-3: S-filter, F-operation, L-filter, in this order.
+
+    Parameters
+    ----------
+    s_filter
+        Nesting index of the S-filter, which takes off what is shorter; ``None`` for none. [mm]
+    form
+        What the F-operation removes; see `remove_form`.
+    l_filter
+        Nesting index of the L-filter, which takes off what is longer; ``None`` for none. [mm]
+    kind, order, along
+        How to filter; see `filter_map`. The S-filter of a robust L-filter is Gaussian.
+
+    Raises
+    ------
+    InputError
+        If an index is not positive, or the S-filter's is not below the L-filter's.
+    """
+
+    s_filter: float | None
+    form: Form
+    l_filter: float | None
+    kind: Kind = "gaussian"
+    order: int | None = None
+    along: Along | None = None
+
+    def __post_init__(self) -> None:
+        _order(self.kind, self.order, self.along)
+        for name, index in (("S", self.s_filter), ("L", self.l_filter)):
+            if index is not None:
+                positive(index, f"the nesting index of the {name}-filter", "mm")
+        if self.s_filter is not None and self.l_filter is not None and self.s_filter >= self.l_filter:
+            raise InputError(
+                f"the nesting index of the S-filter is {self.s_filter:g} mm, the limit is that of the L-filter, "
+                f"{self.l_filter:g} mm: S takes off what is shorter and L what is longer, so exchange them"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bands:
+    """A surface in its bands: noise + form + waviness + roughness is what was measured.
+
+    Parameters
+    ----------
+    nesting
+        Where they begin and end.
+    noise
+        What the S-filter took off. [mm]
+    form
+        What the F-operation took off. [mm]
+    waviness
+        What the L-filter took off: the long waves of the SF-surface; all zero without one. [mm]
+    roughness
+        What is left, the SL-surface; without an L-filter the SF-surface. [mm]
+    """
+
+    nesting: Nesting
+    noise: HeightMap
+    form: HeightMap
+    waviness: HeightMap
+    roughness: HeightMap
+
+    @property
+    def sf_surface(self) -> HeightMap:
+        """Waviness and roughness: what S-filter and F-operation leave."""
+        return replace(self.roughness, z=self.waviness.z + self.roughness.z)
+
+    @property
+    def sl_surface(self) -> HeightMap:
+        """The roughness by its name in the standard."""
+        return self.roughness
+
+
+def separate_bands(heights: HeightMap, nesting: Nesting) -> Bands:
+    """Take a surface apart: S-filter, F-operation, L-filter.
+
+    Parameters
+    ----------
+    heights
+        Missing points weigh nothing and stay missing.
+    nesting
+        Where the bands begin and end.
+
+    Raises
+    ------
+    InputError
+        If the grid is too coarse for the S-filter or too small for the L-filter, and as `filter_map` and `remove_form`.
+
+    Sources
+    -------
+    ISO 25178-3.
+
+    >>> from turnwright.heightmap import HeightMap
+    >>> x = np.arange(200) * 0.01
+    >>> tilted = HeightMap(x=x, y=x, z=np.add.outer(0.1 * x, 0.2 * x))
+    >>> bands = separate_bands(tilted, Nesting(s_filter=0.05, form="plane", l_filter=0.8))
+    >>> bool(np.abs(bands.roughness.z).max() < 1e-12)
+    True
+    """
+    steps = _steps(heights, nesting.along)
+    for name, index in (("S", nesting.s_filter), ("L", nesting.l_filter)):
+        if index is not None:
+            _check_cutoff(heights, index, nesting.along, steps, f"the nesting index of the {name}-filter")
+    primary, zero = heights, np.where(np.isnan(heights.z), np.nan, 0.0)
+    if nesting.s_filter is not None:
+        kind: Kind = "gaussian" if nesting.kind == "robust" else nesting.kind
+        primary = filter_map(heights, nesting.s_filter, kind=kind, order=nesting.order, along=nesting.along)
+    flat = remove_form(primary, nesting.form)
+    waviness = zero
+    if nesting.l_filter is not None:
+        waviness = filter_map(flat, nesting.l_filter, kind=nesting.kind, order=nesting.order, along=nesting.along).z
+
+    def part(z: Floats, what: str) -> HeightMap:
+        return replace(heights, z=z, name=_named(heights, what))
+
+    return Bands(
+        nesting=nesting,
+        noise=part(heights.z - primary.z, "noise"),
+        form=part(primary.z - flat.z, "form"),
+        waviness=part(waviness, "waviness"),
+        roughness=part(flat.z - waviness, "roughness"),
+    )
+
+
+def _named(heights: HeightMap, what: str) -> str:
+    return f"{heights.name} {what}".strip()
