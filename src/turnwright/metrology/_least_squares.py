@@ -222,8 +222,8 @@ def solve(normal: Floats, right: Floats, names: Sequence[str], what: str) -> tup
     blind = [name for name, size in zip(names, length, strict=True) if not size > 0]
     if blind:
         raise InputError(
-            f"the valid heights say nothing of {len(blind)} parameters of {what} ({', '.join(blind)}), the limit is 0: "
-            "hold them fixed or leave them out"
+            f"the valid heights say nothing of {len(blind)} parameters of {what} ({', '.join(blind)}), the limit is "
+            "0: hold them fixed or leave them out"
         )
     values, vectors = np.linalg.eigh(normal / length / length[:, None])
     condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
@@ -231,7 +231,7 @@ def solve(normal: Floats, right: Floats, names: Sequence[str], what: str) -> tup
         share = np.abs(vectors[:, 0])
         confused = [names[i] for i in np.argsort(-share)[:6] if share[i] > 0.1]
         raise InputError(
-            f"the valid heights cannot tell {', '.join(confused)} of {what} apart (condition {condition:.1e}, the limit "
+            f"the heights cannot tell {', '.join(confused)} of {what} apart (condition {condition:.1e}, the limit "
             f"is {CONDITION:.0e}): hold one of them fixed or leave it out, or measure more of the part"
         )
     return vectors @ (vectors.T @ (right / length) / values) / length, condition

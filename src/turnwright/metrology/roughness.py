@@ -41,6 +41,8 @@ class Roughness:
     ----------
     sa_nm, sq_nm
         Mean and root-mean-square of the heights left by the form. [nm]
+    sp_nm, sv_nm
+        Height of the highest peak and depth of the lowest valley, from zero. [nm]
     sz_nm, pv_nm
         Highest minus lowest height: the standard's name and the optician's. [nm]
     ssk, sku
@@ -63,6 +65,8 @@ class Roughness:
 
     sa_nm: float
     sq_nm: float
+    sp_nm: float
+    sv_nm: float
     sz_nm: float
     pv_nm: float
     ssk: float
@@ -124,7 +128,8 @@ def roughness(heights: HeightMap, *, form: Form = "plane") -> Roughness:
     sa = mean(np.abs(z), *weights)
     square = z * z
     sq = float(np.sqrt(mean(square, *weights)))
-    sz = float(np.nanmax(z) - np.nanmin(z))
+    sp, sv = float(np.nanmax(z)), -float(np.nanmin(z))
+    sz = sp + sv
     notes: list[str] = []
     if sq > 0:
         ssk = mean(square * z, *weights) / sq**3
@@ -140,6 +145,8 @@ def roughness(heights: HeightMap, *, form: Form = "plane") -> Roughness:
     return Roughness(
         sa_nm=sa * NM,
         sq_nm=sq * NM,
+        sp_nm=sp * NM,
+        sv_nm=sv * NM,
         sz_nm=sz * NM,
         pv_nm=sz * NM,
         ssk=ssk,

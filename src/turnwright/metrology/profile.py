@@ -1,0 +1,247 @@
+"""Profiles along any line through a map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+from turnwright._arrays import Floats, frozen, positive, same_length
+from turnwright.errors import InputError
+from turnwright.metrology._grid import Grid, measure
+
+if TYPE_CHECKING:
+    from turnwright.heightmap import HeightMap
+
+__all__ = ["Method", "Profile", "line_profile"]
+
+Method: TypeAlias = Literal["linear", "cubic"]
+
+NM = 1e6
+NODES = {"linear": 2, "cubic": 4}
+MAX_POINTS = 10_000_000
+MAX_DEGREE = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Profile:
+    """Heights along a straight line. See `line_profile`.
+
+    Parameters
+    ----------
+    distance
+        From the start, or from the point that the line goes through; ascending and even. (n,) [mm]
+    z
+        Heights; nan is missing. (n,) [mm]
+    x, y
+        Where they stand. (n,) [mm]
+    name
+        What the profile shows.
+    """
+
+    distance: Floats
+    z: Floats
+    x: Floats
+    y: Floats
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("distance", "z", "x", "y"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name, finite=name != "z"))
+        same_length((name, getattr(self, name)) for name in ("distance", "z", "x", "y"))
+
+    def without(self, degree: int) -> Profile:
+        """Return the profile without its polynomial of best fit: 0 takes off the mean, 1 a line.
+
+        Raises
+        ------
+        InputError
+            If the degree is not from 0 to 10, or there are too few valid heights.
+        """
+        if isinstance(degree, bool) or not isinstance(degree, int) or not 0 <= degree <= MAX_DEGREE:
+            raise InputError(
+                f"the degree of a profile's polynomial is {degree!r}, the limits are 0 to {MAX_DEGREE}: choose between"
+            )
+        valid = ~np.isnan(self.z)
+        if np.count_nonzero(valid) <= degree:
+            raise InputError(
+                f"the profile has {np.count_nonzero(valid)} valid heights, a polynomial of degree {degree} needs "
+                f"{degree + 1}: take a longer one"
+            )
+        low, high = self.distance[valid][[0, -1]]
+        terms: Floats = legvander((2 * self.distance - low - high) / ((high - low) or 1.0), degree)
+        return replace(self, z=self.z - terms @ np.linalg.lstsq(terms[valid], self.z[valid])[0])
+
+    @property
+    def pa_nm(self) -> float:
+        """Mean of the heights' sizes, from zero: take the line off first. [nm]."""
+        return float(np.nanmean(np.abs(self.z))) * NM
+
+    @property
+    def pq_nm(self) -> float:
+        """Root mean square of the heights, from zero: take the line off first. [nm]."""
+        return float(np.sqrt(np.nanmean(self.z**2))) * NM
+
+    @property
+    def pt_nm(self) -> float:
+        """Highest minus lowest. [nm]."""
+        return float(np.nanmax(self.z) - np.nanmin(self.z)) * NM
+
+
+def line_profile(
+    heights: HeightMap,
+    start: tuple[float, float],
+    end: tuple[float, float] | None = None,
+    *,
+    angle: float | None = None,
+    step: float | None = None,
+    method: Method = "linear",
+) -> Profile:
+    """Return the heights along a line, interpolated on the map's own grid.
+
+    A height is missing where any of the points that it is interpolated from is, and outside the map.
+
+    Parameters
+    ----------
+    heights
+        On a rectangular or polar grid.
+    start
+        Where the line starts (x, y); or, with ``angle``, a point on it. [mm]
+    end
+        Where it ends (x, y). [mm]
+    angle
+        Instead of ``end``: the line's direction from +x toward +y, from border to border of the map. 0 is a horizontal
+        line, π/2 a vertical one; with the axis of the part as ``start`` it is a diameter. [rad]
+    step
+        Distance of the points; up to an ``end`` a little smaller, so that a whole number fits. By default the finer
+        mean step of the grid, or the radial one. [mm]
+    method
+        ``"linear"``, between 2 x 2 points: exact for planes. ``"cubic"``, through 4 x 4 points: exact for cubics, and
+        four times as shy of holes.
+
+    Raises
+    ------
+    InputError
+        If neither or both of ``end`` and ``angle`` are given, the line misses the map, or has no length.
+
+    >>> from turnwright.heightmap import HeightMap
+    >>> x = np.linspace(-1, 1, 5)
+    >>> wedge = HeightMap(x=x, y=x, z=np.tile(x, (5, 1)))
+    >>> line_profile(wedge, (0.0, 0.0), angle=0.0).z.tolist()
+    [-1.0, -0.5, 0.0, 0.5, 1.0]
+    """
+    if method not in NODES:
+        raise InputError(f'the method is {method!r}, it can be "linear" or "cubic": choose one of them')
+    if (end is None) == (angle is None):
+        raise InputError(
+            f"a line is given {'no' if end is None else 'both an'} end and angle, it takes one of them: give the end, "
+            "or the angle of a line from border to border"
+        )
+    for name, point in (("start", start), ("end", (0.0, 0.0) if end is None else end)):
+        if np.shape(point) != (2,) or not np.isfinite(point).all():
+            raise InputError(f"the {name} of a line is {point}, it must be two finite numbers: give (x, y)")
+    grid = measure(heights)
+    nodes = NODES[method]
+    if min(heights.z.shape) < nodes:
+        raise InputError(
+            f"the map has {heights.z.shape[0]} x {heights.z.shape[1]} points, a {method} profile needs {nodes} each "
+            "way: map more of the part"
+        )
+    if step is None:
+        along_rows = () if heights.polar else (np.diff(grid.rows).mean(),)
+        step = float(min(np.diff(grid.columns).mean(), *along_rows, np.inf))
+    positive(step, "the step of a profile", "mm")
+    distance, way = _distances(heights, start, end, angle, step)
+    x, y = start[0] + distance * way[0], start[1] + distance * way[1]
+    z = _interpolated(heights, grid, x, y, nodes)
+    return Profile(distance=distance, z=z, x=x, y=y, name=f"{heights.name} profile".strip())
+
+
+def _distances(
+    heights: HeightMap, start: tuple[float, float], end: tuple[float, float] | None, angle: float | None, step: float
+) -> tuple[Floats, Floats]:
+    """Return how far the points of a line are from its start (n,), and its direction (2,)."""
+    origin = np.array(start, dtype=np.float64)
+    if end is not None:
+        way = np.array(end, dtype=np.float64) - origin
+        first, last = 0.0, float(np.hypot(*way))
+        way = way / (last or 1.0)
+    else:
+        way = np.array([np.cos(angle or 0.0), np.sin(angle or 0.0)])
+        # A cosine of pi/2 is not quite 0: the line would leave the map a million widths away.
+        way[np.abs(way) < 1e-15] = 0.0
+        first, last = _borders(heights, origin, way)
+    if not last > first:
+        raise InputError(
+            f"the line at {start} has a length of 0 mm over the map, it must be above 0 mm: move it onto the map"
+        )
+    if (last - first) / step > MAX_POINTS:
+        raise InputError(
+            f"a profile of {last - first:g} mm in steps of {step:g} mm has more than {MAX_POINTS} points, the limit: "
+            "widen the step"
+        )
+    if end is not None:
+        return np.linspace(0, last, max(int(np.ceil(last / step * (1 - 1e-9))), 1) + 1), way
+    # From border to border whole steps count from the start, so that they meet the points of the grid.
+    return np.arange(np.ceil(first / step - 1e-9), np.floor(last / step + 1e-9) + 1) * step, way
+
+
+def _borders(heights: HeightMap, origin: Floats, way: Floats) -> tuple[float, float]:
+    """Return where a line enters and leaves the map. [mm]."""
+    if heights.radius is not None:
+        middle = -float(origin @ way)
+        square = float(heights.radius[-1]) ** 2 - float(origin @ origin) + middle**2
+        half = np.sqrt(square) if square > 0 else -np.inf
+        return middle - half, middle + half
+    first, last = -np.inf, np.inf
+    for axis, at, toward in zip((heights.x, heights.y), origin, way, strict=True):
+        assert axis is not None  # noqa: S101 - a map that is not polar has x and y
+        if toward == 0:
+            if not axis[0] <= at <= axis[-1]:
+                return 0.0, 0.0
+            continue
+        low, high = sorted(((axis[0] - at) / toward, (axis[-1] - at) / toward))
+        first, last = max(first, float(low)), min(last, float(high))
+    return first, last
+
+
+def _interpolated(heights: HeightMap, grid: Grid, x: Floats, y: Floats, nodes: int) -> Floats:
+    """Return heights at points by the polynomial through the nearest nodes each way; nan outside the map."""
+    z, columns, rows, across, along = heights.z, grid.columns, grid.rows, x, y
+    if heights.polar:
+        across = np.hypot(x, y)
+        along = rows[0] + (np.arctan2(y, x) - rows[0]) % (2 * np.pi)
+        if grid.closed:
+            rows = np.concatenate([rows[-nodes:] - 2 * np.pi, rows, rows[:nodes] + 2 * np.pi])
+            z = np.concatenate([z[-nodes:], z, z[:nodes]])
+        else:
+            # An angle a rounding below the first one is the first one, not a turn later.
+            along = np.where(along > rows[0] + 2 * np.pi - 1e-9, rows[0], along)
+    column, column_share, column_in = _shares(columns, across, nodes)
+    row, row_share, row_in = _shares(rows, along, nodes)
+    total = np.zeros(x.size)
+    for i in range(nodes):
+        for j in range(nodes):
+            share = row_share[i] * column_share[j]
+            # A node of no weight may be missing.
+            total += np.where(share == 0, 0.0, share * z[row + i, column + j])
+    return np.where(column_in & row_in, total, np.nan)
+
+
+def _shares(axis: Floats, at: Floats, nodes: int) -> tuple[np.ndarray, Floats, np.ndarray]:
+    """Return the first node for each place, the weights of the nodes (nodes, n), and whether it is inside the axis."""
+    slack = 1e-9 * float(np.diff(axis).min())
+    inside = (at >= axis[0] - slack) & (at <= axis[-1] + slack)
+    at = np.clip(at, axis[0], axis[-1])
+    first = np.clip(np.searchsorted(axis, at, side="right") - nodes // 2, 0, axis.size - nodes)
+    near = axis[np.clip(np.searchsorted((axis[1:] + axis[:-1]) / 2, at), 0, axis.size - 1)]
+    at = np.where(np.abs(near - at) <= slack, near, at)
+    known = axis[first + np.arange(nodes)[:, None]]
+    share = np.ones((nodes, at.size))
+    for i in range(nodes):
+        for j in range(nodes):
+            if i != j:
+                share[i] *= (at - known[j]) / (known[i] - known[j])
+    return first, share, inside

@@ -1,0 +1,360 @@
+"""Power spectral densities of maps and profiles, with missing points, and the rms in a band of spatial frequencies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+
+from turnwright._arrays import Floats, frozen
+from turnwright.errors import InputError
+from turnwright.metrology._grid import measure, valid_points
+from turnwright.metrology.form import Form, remove_form
+from turnwright.metrology.profile import Profile
+from turnwright.progress import cores
+
+if TYPE_CHECKING:
+    from turnwright.heightmap import HeightMap
+
+__all__ = ["AreaSpectrum", "Missing", "Spectrum", "Window", "area_psd", "line_psd"]
+
+Window: TypeAlias = Literal["none", "hann", "blackman"]
+Missing: TypeAlias = Literal["rectangle", "mask"]
+
+NM = 1e6
+FEWEST = 8
+"""Points each way below which a spectrum says nothing."""
+
+COSINES = {"none": (1.0,), "hann": (0.5, -0.5), "blackman": (0.42, -0.5, 0.08)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Spectrum:
+    r"""A density over spatial frequency: of lines, or the radial mean of an area's. See `line_psd` and `area_psd`.
+
+    Parameters
+    ----------
+    frequency
+        Middle of each bin; (n,) [1/mm]
+    edges
+        Borders of the bins; the first and the last of a line's are half as wide as the others. (n + 1,) [1/mm]
+    density
+        Of lines one-sided: :math:`\int_0 P\,df` is the mean square. [nm² mm] Radial:
+        :math:`\int_0 P\,2\pi f\,df` is. [nm² mm²]
+    radial
+        Which of the two.
+    count
+        Number of lines, or of bins of the area's spectrum in the outermost ring.
+    notes
+        What was left out, and what biases the density.
+    """
+
+    frequency: Floats
+    edges: Floats
+    density: Floats
+    radial: bool
+    count: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def unit(self) -> str:
+        """Unit of the density."""
+        return "nm² mm²" if self.radial else "nm² mm"
+
+    def band_rms_nm(self, low: float, high: float) -> float:
+        """Return the rms of what lies between two spatial frequencies; a bin counts with its share inside. [nm].
+
+        Parameters
+        ----------
+        low, high
+            The band, for instance that of mid-spatial errors; ``inf`` is the highest there is. [1/mm]
+
+        Raises
+        ------
+        InputError
+            If the band is empty, or begins below 0.
+        """
+        _require_band(low, high)
+        inside = np.clip(self.edges, low, high)
+        size = np.diff(np.pi * inside**2 if self.radial else inside)
+        return float(np.sqrt(self.density @ size))
+
+    @property
+    def rms_nm(self) -> float:
+        """Root mean square over all frequencies. [nm]."""
+        return self.band_rms_nm(0.0, float("inf"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AreaSpectrum:
+    r"""A density over two spatial frequencies. See `area_psd`.
+
+    Parameters
+    ----------
+    frequency_x, frequency_y
+        Ascending, 0 in the middle. (nx,), (ny,) [1/mm]
+    density
+        Two-sided: :math:`\iint P\,df_x\,df_y` is the mean square. (ny, nx) [nm² mm²]
+    notes
+        What was left out, and what biases the density.
+    """
+
+    frequency_x: Floats
+    frequency_y: Floats
+    density: Floats
+    notes: tuple[str, ...] = ()
+
+    @property
+    def _steps(self) -> tuple[float, float]:
+        return float(np.diff(self.frequency_x).mean()), float(np.diff(self.frequency_y).mean())
+
+    @property
+    def _radius(self) -> Floats:
+        return np.asarray(np.hypot(self.frequency_x, self.frequency_y[:, None]))
+
+    @property
+    def rms_nm(self) -> float:
+        """Root mean square over all frequencies. [nm]."""
+        return float(np.sqrt(self.density.sum() * np.prod(self._steps)))
+
+    def band_rms_nm(self, low: float, high: float) -> float:
+        """Return the rms of what has a spatial frequency, in any direction, from ``low`` to below ``high``. [nm].
+
+        A bin counts where its middle lies.
+
+        Parameters
+        ----------
+        low, high
+            The band. [1/mm]
+
+        Raises
+        ------
+        InputError
+            If the band is empty, or begins below 0.
+        """
+        _require_band(low, high)
+        radius = self._radius
+        return float(np.sqrt(self.density[(radius >= low) & (radius < high)].sum() * np.prod(self._steps)))
+
+    def radial(self) -> Spectrum:
+        """Return the mean over all directions, in rings as wide as the coarser step of the frequencies.
+
+        It ends at the lower of the two highest frequencies: beyond, the rings are not whole.
+        """
+        step = max(self._steps)
+        ring = np.rint(self._radius / step).astype(np.int64)
+        count = 1 + int(min(self.frequency_x[-1], self.frequency_y[-1]) / step + 1e-9)
+        kept = ring < count
+        bins = np.bincount(ring[kept], minlength=count)
+        density = np.bincount(ring[kept], weights=self.density[kept], minlength=count) / bins
+        frequency = np.arange(count) * step
+        edges = np.concatenate([[0.0], frequency + step / 2])
+        return Spectrum(
+            frequency=frozen(frequency, "frequency"),
+            edges=frozen(edges, "edges"),
+            density=frozen(density, "density"),
+            radial=True,
+            count=int(bins[-1]),
+            notes=(*self.notes, "the corners beyond the highest frequency of either axis are left out"),
+        )
+
+
+def line_psd(
+    heights: HeightMap | Profile,
+    *,
+    along: Literal["x", "y", "radius"] | None = None,
+    form: Form = "plane",
+    window: Window = "hann",
+    missing: Missing = "rectangle",
+) -> Spectrum:
+    r"""Return the power spectral density of profiles: the mean over all lines of a map, or of one profile.
+
+    .. math:: P(f) = \frac{2\,\Delta}{\sum w^2} \left|\sum_j w_j (z_j - \bar z)\,e^{-2\pi i f j\Delta}\right|^2
+
+    One-sided, in nm² mm: its integral over f is the mean square of the windowed line, exactly (Parseval). Each line has
+    its own mean taken off, weighted as the window does.
+
+    Parameters
+    ----------
+    heights
+        A map on an even grid, or a profile.
+    along
+        The lines of a map: ``"x"`` or ``"y"``, of a polar one ``"radius"``, the radial lines that turning leaves its
+        marks across.
+    form
+        Removed first from all valid points, see `remove_form`; of a profile ``"none"``, ``"mean"``, ``"plane"`` (a
+        line) or a degree.
+    window
+        ``"hann"`` and ``"blackman"`` keep what does not close at the ends of the line from leaking into all
+        frequencies; a peak is then two, or three, steps wide, and what lies near the ends counts little. ``"none"``
+        suits a whole number of periods.
+    missing
+        ``"rectangle"`` takes the largest rectangle of valid points, which biases nothing but sees less. ``"mask"``
+        takes all, with the missing ones of no weight: the density is then smeared by the spectrum of the mask, so that
+        a steep one reads too high where it is low.
+
+    Raises
+    ------
+    InputError
+        If the grid is uneven or polar and the lines are not, there are fewer than eight points, or a choice is unknown.
+
+    Sources
+    -------
+    ISO 10110-8:2019; [Heinzel2002]_ for windows. Oracles: closed forms, SciPy's periodogram.
+    """
+    _require(window, missing)
+    if isinstance(heights, Profile):
+        profile = heights if form == "none" else heights.without(_degree(form))
+        z, step = profile.z[None], _even(profile.distance, "the profile")
+        if along is not None:
+            raise InputError(f"along is {along!r}, a profile has one direction: leave it out")
+    else:
+        choices = ("radius",) if heights.polar else ("x", "y")
+        if along not in choices:
+            listed = " or ".join(f'"{one}"' for one in choices)
+            raise InputError(f"along is {along!r}, the lines of this map run along {listed}: choose")
+        valid_points(heights, FEWEST, "a spectrum")
+        grid = measure(heights)
+        z = remove_form(heights, form).z
+        step = _even(grid.rows if along == "y" else grid.columns, f"the map along {along}")
+        z = z.T if along == "y" else z
+    z, notes = _cut(z, missing, (1.0, step), rows=1)
+    from scipy import fft  # noqa: PLC0415 - only this needs it
+
+    weight = np.where(np.isnan(z), 0.0, _taper(z.shape[1], window))
+    total = weight.sum(axis=1, keepdims=True)
+    mean = np.where(np.isnan(z), 0.0, weight * z).sum(axis=1, keepdims=True) / np.where(total > 0, total, 1.0)
+    centred = np.where(weight > 0, weight * (z - mean), 0.0) * NM
+    power = np.square(np.abs(fft.rfft(centred, axis=1, workers=cores()))).sum(axis=0)
+    frequency = fft.rfftfreq(z.shape[1], step)
+    width = frequency[1]
+    edges = np.concatenate([[0.0], frequency[:-1] + width / 2, [0.5 / step]])
+    return Spectrum(
+        frequency=frozen(frequency, "frequency"),
+        edges=frozen(edges, "edges"),
+        density=frozen(2 * step * power / np.square(weight).sum(), "density"),
+        radial=False,
+        count=int(np.count_nonzero(total > 0)),
+        notes=notes,
+    )
+
+
+def area_psd(
+    heights: HeightMap, *, form: Form = "plane", window: Window = "hann", missing: Missing = "rectangle"
+) -> AreaSpectrum:
+    r"""Return the power spectral density of an area, two-sided, in nm² mm².
+
+    .. math:: P(f_x, f_y) = \frac{\Delta_x \Delta_y}{\sum w^2}
+        \left|\sum w (z - \bar z)\,e^{-2\pi i (f_x x + f_y y)}\right|^2
+
+    Its integral over both frequencies is the mean square under the window, exactly (Parseval). The weighted mean is
+    taken off, so that the mask and the window leak nothing from frequency zero.
+
+    Parameters
+    ----------
+    heights
+        A map on an even rectangular grid.
+    form, window, missing
+        See `line_psd`; the window is the product of one along x and one along y, over the rectangle, or over the one
+        around all valid points.
+
+    Raises
+    ------
+    InputError
+        If the grid is uneven or polar, there are fewer than 8 x 8 points, or a choice is unknown.
+    """
+    _require(window, missing)
+    if heights.polar:
+        raise InputError(
+            "the map has 1 polar grid, the spectrum of an area needs a rectangular one: take line_psd along the radius"
+        )
+    valid_points(heights, FEWEST, "a spectrum")
+    grid = measure(heights)
+    steps = _even(grid.rows, "the map along y"), _even(grid.columns, "the map along x")
+    z, notes = _cut(remove_form(heights, form).z, missing, steps, rows=FEWEST)
+    from scipy import fft  # noqa: PLC0415 - only this needs it
+
+    absent = np.isnan(z)
+    weight = np.multiply.outer(_taper(z.shape[0], window), _taper(z.shape[1], window))
+    weight[absent] = 0.0
+    z = np.where(absent, 0.0, z)
+    z = (z - np.vdot(weight, z) / weight.sum()) * weight * NM
+    half = fft.rfft2(z, workers=cores())
+    power = half.real**2 + half.imag**2
+    power *= steps[0] * steps[1] / np.vdot(weight, weight)
+    frequency_x, frequency_y = (fft.fftshift(fft.fftfreq(z.shape[axis], steps[axis])) for axis in (1, 0))
+    # The other half is the mirror of this one: P(-f) = P(f).
+    mirrored = (np.roll(power[::-1], 1, axis=0))[:, 1 : (z.shape[1] + 1) // 2][:, ::-1]
+    middle = z.shape[1] // 2
+    upper = power[:, : z.shape[1] - middle]
+    lower = mirrored if z.shape[1] % 2 else np.concatenate([power[:, middle : middle + 1], mirrored], axis=1)
+    density = fft.fftshift(np.concatenate([lower, upper], axis=1), axes=0)
+    return AreaSpectrum(
+        frequency_x=frozen(frequency_x, "frequency_x"),
+        frequency_y=frozen(frequency_y, "frequency_y"),
+        density=frozen(density, "density", ndim=2),
+        notes=notes,
+    )
+
+
+def _require(window: str, missing: str) -> None:
+    if window not in COSINES:
+        raise InputError(f'the window is {window!r}, it can be "none", "hann" or "blackman": choose one of them')
+    if missing not in ("rectangle", "mask"):
+        raise InputError(f'missing is {missing!r}, it can be "rectangle" or "mask": choose one of them')
+
+
+def _require_band(low: float, high: float) -> None:
+    if not 0 <= low < high:
+        raise InputError(f"the band is {low:g} to {high:g} /mm, it must rise from 0 /mm or more: correct it")
+
+
+def _degree(form: Form) -> int:
+    degree = {"mean": 0, "plane": 1}.get(form) if isinstance(form, str) else form
+    if degree is None:
+        raise InputError(f'the form of a profile is {form!r}, it can be "none", "mean", "plane" or a degree: choose')
+    return degree
+
+
+def _even(axis: Floats, what: str) -> float:
+    steps = np.diff(axis)
+    if axis.size < FEWEST or np.ptp(steps) > 1e-6 * steps.mean():
+        raise InputError(
+            f"{what} has {axis.size} points{'' if axis.size < FEWEST else ' in uneven steps'}, a spectrum needs at "
+            f"least {FEWEST} in even steps: bring it to an even grid first"
+        )
+    return float(steps.mean())
+
+
+def _taper(size: int, window: str) -> Floats:
+    """Return the window at the middles of the samples' cells. (size,)."""
+    turn = 2 * np.pi * (np.arange(size) + 0.5) / size
+    return np.asarray(sum(share * np.cos(order * turn) for order, share in enumerate(COSINES[window])) * np.ones(size))
+
+
+def _cut(z: Floats, missing: str, steps: tuple[float, float], *, rows: int) -> tuple[Floats, tuple[str, ...]]:
+    """Return the part of the heights that is to be transformed, and what is to be said of it."""
+    valid = ~np.isnan(z)
+    if valid.all():
+        return z, ()
+    if missing == "rectangle":
+        from turnwright._kernels.rectangle import largest_rectangle  # noqa: PLC0415 - numba is costly to import
+
+        row, tall, column, wide = largest_rectangle(valid, steps[1], steps[0])
+        part = z[row : row + tall, column : column + wide]
+        share = part.size / np.count_nonzero(valid)
+        note = f"of the valid heights {100 * share:.3g} % lie in the largest whole rectangle, the others are left out"
+    else:
+        some_rows, some_columns = np.flatnonzero(valid.any(axis=1)), np.flatnonzero(valid.any(axis=0))
+        part = z[some_rows[0] : some_rows[-1] + 1, some_columns[0] : some_columns[-1] + 1]
+        note = (
+            f"{100 * np.isnan(part).mean():.3g} % of the heights are missing and of no weight: the density is smeared "
+            "by the spectrum of the mask, so a steep one reads too high where it is low"
+        )
+    if part.shape[0] < rows or part.shape[1] < FEWEST:
+        raise InputError(
+            f"the part of the map for the spectrum has {part.shape[0]} x {part.shape[1]} points, the least is {rows} x "
+            f'{FEWEST}: map more of the part, or take missing="mask"'
+        )
+    return part, (note,)
