@@ -25,11 +25,14 @@ from time import perf_counter
 import bench_program
 import numpy as np
 import thesis_backplotter
+from scipy import fft
 from scipy.signal import lsim, lti
 
 from turnwright.contact import place
 from turnwright.generation import generate, generate_polar
+from turnwright.heightmap import HeightMap
 from turnwright.machine import Axis, Machine
+from turnwright.metrology import despike, filter_map
 from turnwright.motion import check_limits, drive
 from turnwright.part import Part
 from turnwright.path import Motion, Spiral
@@ -329,6 +332,32 @@ def bench_tracking(table, scale):
     )  # fmt: skip
 
 
+def bench_metrology(table, scale):
+    """Cleaning and filters of a measured map: noise, spikes, a round border, one point in a hundred missing."""
+    n = int(2000 * np.sqrt(scale))
+    rng = np.random.default_rng(1)
+    x = 1e-3 * (np.arange(n) - n / 2)
+    z = 1e-3 * np.cos(TURN * x / (n * 4e-4)) + rng.normal(0, 2e-5, (n, n))
+    z[rng.random(z.shape) < 1e-3] += 1e-3
+    z[(rng.random(z.shape) < 0.01) | (np.hypot(x, x[:, None]) > n * 4.9e-4)] = np.nan
+    heights, cutoff = HeightMap(x=x, y=x, z=z), n * 4e-5
+    whole = rng.normal(size=(n, n))
+    works = {
+        "despike": (lambda: despike(heights), None),
+        "filter_map, Gaussian": (lambda: filter_map(heights, cutoff), 1.5),
+        "filter_map, Gaussian, cutoff of ten times that": (lambda: filter_map(heights, 10 * cutoff), 1.5),
+        "filter_map, robust": (lambda: filter_map(heights, cutoff, kind="robust"), 6.0),
+    }
+    for name, (work, limit) in works.items():
+        ours, floor = timed(work, lambda: fft.irfft2(fft.rfft2(whole, workers=cores()), workers=cores()), times=3)
+        table.add(
+            what=f"{name}, {n} x {n} points, {plural(cores())}",
+            ours=ours, yardstick="`scipy.fft.rfft2` there and back", theirs=floor,
+        )  # fmt: skip
+        if limit is not None and scale == 1:
+            table.note(f"{name}: {seconds(median(ours))}, asked for is {limit:g} s.")
+
+
 def bench_doors(table, scale):
     command = str(Path(sys.executable).with_name("turnwright"))
 
@@ -403,7 +432,7 @@ def main():
         f"{np.__version__}, numba {version('numba')}, Turnwright {version('turnwright')}; other work kept "
         f"{os.getloadavg()[0]:.1f} cores busy."
     )
-    programs = (bench_program_files, bench_planning, bench_tracking)
+    programs = (bench_program_files, bench_planning, bench_tracking, bench_metrology)
     for bench in (bench_place, bench_polar, bench_patch, *programs, bench_doors, bench_thesis):
         bench(table, scale)
     if scale == 1:
