@@ -44,7 +44,7 @@ if TYPE_CHECKING:
         trim_edge,
     )
     from turnwright.metrology.registration import PoseCandidate, Registration, Undetermined, register
-    from turnwright.motion import Limits, check_limits, drive
+    from turnwright.motion import Limits, SpeedProfile, check_limits, drive
     from turnwright.part import Part
     from turnwright.path import Motion, Path, Spiral
     from turnwright.pose import Pose
@@ -130,7 +130,7 @@ _HOMES = {
         "trim_edge",
     ),
     "metrology.registration": ("PoseCandidate", "Registration", "Undetermined", "register"),
-    "motion": ("Limits", "check_limits", "drive"),
+    "motion": ("Limits", "SpeedProfile", "check_limits", "drive"),
     "part": ("Part",),
     "path": ("Motion", "Path", "Spiral"),
     "pose": ("Pose",),
@@ -240,6 +240,7 @@ __all__ = [
     "Shares",
     "SineGrid",
     "SlowToolServo",
+    "SpeedProfile",
     "Sphere",
     "Spiral",
     "Stopped",

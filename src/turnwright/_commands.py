@@ -154,6 +154,8 @@ def plan(
     with _progress(door.stop) as progress:
         chosen = plan(Job.load(job), progress=progress)
     chosen.job.dump(out)
+    for one in chosen.tried if len(chosen.tried) > 1 else ():
+        door.say(f"{one.interpolation}: {one.refused or f'{one.points} points, {one.minutes:.1f} min'}")
     found = chosen.shares
     door.say(
         f"{chosen.limits.points} points, {chosen.limits.cycle_time_s / 60:.1f} min at "

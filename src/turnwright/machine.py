@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
@@ -17,8 +18,6 @@ from turnwright.errors import InputError
 from turnwright.response import FrequencyResponse, Response, SecondOrder, TransferFunction
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import ArrayLike
 
 __all__ = ["INTERPOLATIONS", "Axis", "Controller", "Convention", "Machine"]
@@ -120,6 +119,8 @@ class Controller:
         Blocks that it knows beforehand, within which it must be able to brake; ``None`` for as many as it needs.
     variable_speed
         Whether the spindle may turn at another speed in every block, as times or inverse times of blocks allow.
+    other_interpolations
+        What else it offers, each with the dialect of the programs that ask for it; see `Machine.interpolating`.
 
     Raises
     ------
@@ -130,13 +131,24 @@ class Controller:
     interpolation: str = "linear"
     look_ahead: int | None = None
     variable_speed: bool = False
+    other_interpolations: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        others = self.other_interpolations
+        if not isinstance(others, Mapping) or not all(isinstance(dialect, str) for dialect in others.values()):
+            raise InputError(
+                f"other_interpolations is {others!r}, it must name the dialect of each: write for instance "
+                '{ hermite = "pmac" }'
+            )
+        object.__setattr__(self, "other_interpolations", MappingProxyType(dict(others)))
         if not isinstance(self.variable_speed, bool):
             raise InputError(f"variable_speed is {self.variable_speed!r}, it must be true or false: change it")
-        if self.interpolation not in INTERPOLATIONS:
+        for name in (self.interpolation, *others):
+            if name not in INTERPOLATIONS:
+                raise InputError(f"interpolation is {name!r}, it must be one of {', '.join(INTERPOLATIONS)}: name one")
+        if self.interpolation in others:
             raise InputError(
-                f"interpolation is {self.interpolation!r}, it must be one of {', '.join(INTERPOLATIONS)}: name one"
+                f"other_interpolations names {self.interpolation!r}, which is the interpolation already: leave it out"
             )
         ahead = self.look_ahead
         if ahead is not None and (isinstance(ahead, bool) or not isinstance(ahead, int) or ahead < 1):
@@ -278,6 +290,35 @@ class Machine:
             return _from_table(table)
         except InputError as error:
             raise InputError(f"machine file {str(name)!r}: {error}") from error
+
+    def interpolating(self, interpolation: str) -> Machine:
+        """Return the machine with its controller asked for one of the interpolations that it offers.
+
+        Its programs are then in the dialect that asks for it.
+
+        Raises
+        ------
+        InputError
+            If the controller does not offer it.
+
+        >>> machine = Machine.load("nanoform")
+        >>> both = replace(machine, controller=Controller(other_interpolations={"hermite": "pmac"}))
+        >>> machine.dialect, both.interpolating("hermite").dialect
+        ('generic', 'pmac')
+        """
+        own, others = self.controller.interpolation, dict(self.controller.other_interpolations)
+        if interpolation == own:
+            return self
+        if interpolation not in others:
+            raise InputError(
+                f"interpolation is {interpolation!r}, the controller of {self.name} offers "
+                f"{', '.join((own, *others))}: choose one of these, or add it to the machine file"
+            )
+        dialect = others.pop(interpolation)
+        controller = replace(
+            self.controller, interpolation=interpolation, other_interpolations={own: self.dialect, **others}
+        )
+        return replace(self, controller=controller, dialect=dialect)
 
     def z_error(self, x: ArrayLike) -> Floats:
         """Height of the tip where X stands at ``x``, minus what it should be. (n,) [mm]."""

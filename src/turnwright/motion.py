@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from turnwright.errors import LimitError
+from turnwright._arrays import frozen, same_length
+from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, ROTARY, Axis
 from turnwright.path import Motion, Path, block_points
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats, Ints
     from turnwright.machine import Machine
 
-__all__ = ["Limits", "check_limits", "drive"]
+__all__ = ["Limits", "SpeedProfile", "check_limits", "drive", "require_variable"]
 
 TURN = 2 * math.pi
 
@@ -55,6 +56,59 @@ class Servo(Protocol):
 
     def rates(self, path: Path) -> Mapping[str, Floats] | None:
         """Return the derivatives by the angle of all these axes, or ``None`` if the path states none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SpeedProfile:
+    r"""Spindle speed over the radius, for a controller that may vary it.
+
+    Between two radii :math:`\omega^2` runs straight over the radius, so that at a steady feed the spindle speeds up
+    steadily in time; beyond the ends the speed is held.
+
+    Parameters
+    ----------
+    radius
+        Where X stands, ascending. (n,) [mm]
+    spindle_rpm
+        Spindle speed there. (n,) [rev/min]
+
+    Raises
+    ------
+    InputError
+        If the radii do not ascend, or a speed is not positive.
+
+    >>> profile = SpeedProfile(radius=[1.0, 2.0], spindle_rpm=[500.0, 100.0])
+    >>> (profile.at(np.array([0.0, 1.0, 1.5, 3.0])) * 60 / TURN).round(3).tolist()
+    [500.0, 500.0, 360.555, 100.0]
+    """
+
+    radius: Floats
+    spindle_rpm: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "spindle_rpm"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        same_length([("radius", self.radius), ("spindle_rpm", self.spindle_rpm)])
+        if not (self.radius[1:] > self.radius[:-1]).all():
+            raise InputError("the radii of a speed profile do not ascend: sort them, and give each one speed")
+        if not (self.spindle_rpm > 0).all():
+            raise InputError(
+                f"a speed of the profile is {self.spindle_rpm.min():g} rev/min, it must be above 0 rev/min: increase it"
+            )
+
+    def at(self, radius: Floats) -> Floats:
+        """Return the spindle speed where X stands at some radii. (n,) [rad/s]."""
+        omega: Floats = np.sqrt(np.interp(radius, self.radius, (self.spindle_rpm * (TURN / 60)) ** 2))
+        return omega
+
+
+def require_variable(machine: Machine) -> None:
+    """Raise if the controller of a machine keeps one spindle speed."""
+    if not machine.controller.variable_speed:
+        raise LimitError(
+            f"the spindle speed shall vary over the radius, the controller of {machine.name} keeps one: state one "
+            "speed, or variable_speed = true in the [controller] of the machine file if it may"
+        )
 
 
 class _Asked(NamedTuple):
@@ -119,7 +173,7 @@ class Limits:
         return max(self.utilisation, key=self.utilisation.__getitem__)
 
 
-def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
+def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile | None = None) -> Motion:
     r"""Return the motion of the axes along a path.
 
     Time is the angle turned over the spindle speed, which is steady unless the controller may vary it. Z is commanded
@@ -147,11 +201,13 @@ def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
         The strategy: which axis carries what, and the spindle speed.
     machine
         What the axes can do, and how they err.
+    profile
+        Spindle speed over the radius, in place of what the strategy says of it.
 
     Raises
     ------
     LimitError
-        If the machine lacks an axis that is needed, or turns slower than what is asked.
+        If the machine lacks an axis that is needed, turns slower than what is asked, or cannot vary its speed.
 
     Sources
     -------
@@ -173,7 +229,10 @@ def drive(path: Path, servo: Servo, machine: Machine) -> Motion:
     rpm = servo.spindle_rpm
     turned = np.abs(path.angle - path.angle[0])
     omega: float | Floats
-    if rpm is None and machine.controller.variable_speed:
+    if profile is not None:
+        require_variable(machine)
+        omega = profile.at(path.radius)
+    elif rpm is None and machine.controller.variable_speed:
         omega = _varied(turned, axes, machine)
     elif rpm is None:
         omega = _highest(turned, turned, axes, machine)

@@ -1,11 +1,17 @@
 """`turnwright plan`: from tolerances to a job that keeps them."""
 
+import re
+
+import numpy as np
 import pytest
 from job_files import written
+from scipy.integrate import quad
+from scipy.interpolate import CubicHermiteSpline
 
+import turnwright as tw
 from turnwright.cli import main
 from turnwright.errors import JobError
-from turnwright.job import Job, plan, run
+from turnwright.job import Job, compare, plan, run
 
 TOLERANCES = {"form_pv": "300 nm", "sq": "20 nm"}
 
@@ -81,3 +87,151 @@ def test_a_strategy_without_a_chord_is_one_sentence(tmp_path):
     }
     with pytest.raises(JobError, match="choose another kind"):
         plan(Job.load(written(tmp_path, ("tolerances", TOLERANCES), ("strategy", swing))))
+
+
+SERVO = """
+name = "lathe with servos"
+spindle_rpm = 1000
+block_rate_hz = {rate}
+dialect = "generic"
+[controller]
+{controller}
+[axes.C]
+acceleration = "50 rad/s^2"
+[axes.X]
+acceleration = "1000 mm/s^2"
+[axes.Z]
+acceleration = "1000 mm/s^2"
+[axes.X.response]
+frequency = "100 Hz"
+damping = 0.7
+velocity_feedforward = 1.0
+[axes.Z.response]
+frequency = "100 Hz"
+damping = 0.7
+velocity_feedforward = 1.0
+"""
+WAVES = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["1 mm", "1 mm"]}
+CORRECTED = [("program.precorrect", True), ("simulation.tracking", True)]
+
+
+def lathe(folder, *changes, controller="", rate=1000):
+    (folder / "lathe.toml").write_text(SERVO.format(controller=controller, rate=rate), encoding="utf-8")
+    return written(
+        folder, ("machine", {"file": "lathe.toml"}), ("part.surface", WAVES), ("tolerances", TOLERANCES),
+        ("simulation", {"whole_part": {"radii": 1001, "angles": 48}}), *changes,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def steady(tmp_path_factory):
+    """The plan of the job with servos, at one speed, as commanded."""
+    return plan(Job.load(lathe(tmp_path_factory.mktemp("steady"))))
+
+
+def test_the_quickest_interpolation_that_the_controller_offers_is_taken(tmp_path, capsys):
+    """Oracle: SciPy's cubic Hermite spline through the program read back, against the exact height of the tip."""
+    job = lathe(tmp_path, controller='other_interpolations = { hermite = "pmac" }', rate=100)
+    assert main(["plan", str(job), "--out", str(tmp_path / "planned.toml")]) == 0
+    said = capsys.readouterr().out
+    planned = Job.load(tmp_path / "planned.toml")
+    assert planned.machine.interpolation == "hermite"
+    points = [int(re.search(rf"^{name}: (\d+) points", said, re.MULTILINE)[1]) for name in ("linear", "hermite")]
+    assert points[1] < points[0]
+    assert main(["run", str(tmp_path / "planned.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert "the tolerance is" not in capsys.readouterr().err
+    program = tmp_path / "out" / "part.nc"
+    assert "PVT" in program.read_text()
+    again = tw.read_nc(program, planned.machine.machine)
+    share = float(re.search(r"points (\S+) nm, decimals", said)[1])
+    # Away from both ends, which a program of velocities passes from rest and to rest.
+    start, end = np.quantile(again.time, (0.05, 0.95))
+    time = np.linspace(start, end, 4001)
+    made = {one: CubicHermiteSpline(again.time, again.axes[one], again.velocity[one])(time) for one in "CXZ"}
+    spiral = tw.path.Spiral(angle=made["C"], radius=made["X"])
+    exact = tw.place(spiral, planned.part.part, planned.tool.tool)
+    off = np.abs(made["Z"] - exact.z).max() * 1e6
+    assert 0.3 * share < off < 1.1 * share
+    assert main(["backplot", str(program), "--job", str(tmp_path / "planned.toml")]) == 0
+    capsys.readouterr()
+    assert compare(planned).candidates[0].shares.chord_nm > 0
+
+
+def test_a_job_that_asks_for_an_interpolation_gets_it(tmp_path):
+    job = Job.load(
+        lathe(tmp_path, ("machine.interpolation", "linear"), controller='other_interpolations = { hermite = "pmac" }')
+    )
+    assert [one.interpolation for one in plan(job).tried] == ["linear"]
+
+
+@pytest.mark.parametrize(
+    ("controller", "changes", "sentence"),
+    [
+        ("", {"interpolation": "hermite"}, "the controller of lathe with servos offers linear"),
+        ('other_interpolations = { hermite = "generic" }', {"interpolation": "hermite"},
+         "a program in the dialect generic asks for linear"),
+        ('other_interpolations = { hermite = "pmac" }', {"dialect": "pmac"}, "said to interpolate by linear"),
+        ('other_interpolations = { linear = "pmac" }', {}, "which is the interpolation already"),
+        ('other_interpolations = { nurbs = "pmac" }', {}, "it must be one of linear"),
+        ('other_interpolations = ["hermite"]', {}, "must name the dialect of each"),
+    ],
+)  # fmt: skip
+def test_what_controller_or_dialect_cannot_do_is_one_sentence(controller, changes, sentence, tmp_path):
+    with pytest.raises(JobError, match=re.escape(sentence)) as refused:
+        Job.load(lathe(tmp_path, *((f"machine.{key}", value) for key, value in changes.items()), controller=controller))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_corrected_plan_is_quicker_and_keeps_the_limits(steady, tmp_path):
+    """Oracle: `run` on the planned job, by its own maps and by the limits of what it writes."""
+    job = Job.load(lathe(tmp_path, *CORRECTED))
+    chosen = plan(job)
+    assert chosen.limits.cycle_time_s < 0.7 * steady.limits.cycle_time_s
+    assert chosen.job.program.precorrect
+    made = run(chosen.job, out=tmp_path)
+    assert made.limits.ok
+    assert made.limits.cycle_time_s == pytest.approx(chosen.limits.cycle_time_s, rel=1e-9)
+    (whole,) = made.predictions
+    assert whole.roughness.pv_nm <= 300
+    assert np.abs(whole.tracking.z).max() * 1e6 <= 1.02 * chosen.shares.tracking_nm
+
+
+@pytest.mark.parametrize("corrected", [(), CORRECTED], ids=["commanded", "corrected"])
+def test_a_speed_over_the_radius_lets_every_ring_use_its_share(corrected, steady, tmp_path):
+    """Oracles: the integral of the stated speeds by SciPy, and `run` by its own maps."""
+    job = Job.load(lathe(tmp_path, *corrected, controller="variable_speed = true"))
+    chosen = plan(job)
+    assert chosen.limits.cycle_time_s < 0.8 * steady.limits.cycle_time_s
+    assert chosen.limits.ok
+    radius, rpm = np.array(chosen.job.strategy.spindle_speeds).T
+    assert rpm[0] > 1.3 * rpm[-1]
+    chosen.job.dump(tmp_path / "planned.toml")
+    again = Job.load(tmp_path / "planned.toml")
+    assert again == chosen.job
+    made = run(again, out=tmp_path)
+    motion = tw.read_nc(tmp_path / "part.nc", again.machine.machine)
+    feed, ends = again.strategy.feed, np.sort(motion.axes["X"][[0, -1]])
+    seconds, _ = quad(
+        lambda at: 60 / np.sqrt(np.interp(at, radius, rpm**2)) / feed, *ends,
+        points=radius[(radius > ends[0]) & (radius < ends[1])], limit=200,
+    )  # fmt: skip
+    assert made.limits.cycle_time_s == pytest.approx(seconds, rel=1e-3)
+    assert made.predictions[0].roughness.pv_nm <= 300
+    assert compare(again).candidates[1].limits.cycle_time_s == pytest.approx(seconds, rel=1e-3)
+
+
+def test_speeds_that_cannot_be_are_one_sentence(tmp_path):
+    speeds = ("strategy.spindle_speeds", [["0 mm", "300 rpm"], ["1 mm", "200 rpm"]])
+    varied = "variable_speed = true"
+    for controller, changes, sentence in (
+        ("", [speeds], "keeps one: state one speed"),
+        (varied, [speeds, ("strategy.spindle_speed", "100 rpm")], "are both given"),
+        (varied, [(speeds[0], speeds[1][::-1])], "do not ascend"),
+        (varied, [(speeds[0], speeds[1][:1])], "needs 2"),
+    ):
+        with pytest.raises(JobError, match=sentence) as refused:
+            Job.load(lathe(tmp_path, *changes, controller=controller))
+        assert "\n" not in str(refused.value)
+    own = ("passes", [{"name": "finish", "spindle_speed": "120 rpm"}])
+    job = Job.load(lathe(tmp_path, speeds, own, controller=varied))
+    assert run(job).limits.spindle_rpm == pytest.approx(120, rel=1e-9)

@@ -1,7 +1,7 @@
 """The recipe: a job is data only, and `run` is the one place that knows the order of the stages."""
 
 from turnwright.job._compare import Candidate, Comparison, compare
-from turnwright.job._plan import Plan, plan
+from turnwright.job._plan import Plan, Trial, plan
 from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.job._run import StageProgress, predict, preview, run
 from turnwright.job._schema import Job
@@ -18,6 +18,7 @@ __all__ = [
     "Result",
     "Shares",
     "StageProgress",
+    "Trial",
     "compare",
     "plan",
     "predict",

@@ -110,8 +110,8 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
     An adaptive job says both itself. Of any other, the cusps are the highest that its own feed leaves away from the
     axis (those of a flat, where the surface is in pieces, since no nose reaches its valleys), and the chord is the one
     it states, or the largest that its points leave. Strategies of constant feed keep the job's feed, or, in an adaptive
-    job, take the largest that keeps the scallop. Each turns at the job's spindle speed, or at the highest within all
-    limits if it states none.
+    job, take the largest that keeps the scallop. Each turns at the job's spindle speed or speeds, or at the highest
+    within all limits if it states none.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
     candidates = []
     for name, way in ways:
         told(name, 0, 1)
-        candidates.append(_tried(name, way, part, tool, machine, told))
+        candidates.append(_tried(name, way, job, told))
         told(name, 1, 1)
     return Comparison(job=job, scallop=scallop, chord=chord, candidates=tuple(candidates))
 
@@ -203,11 +203,10 @@ def _ways(
         yield "quasi-elliptical", elliptical
 
 
-def _tried(
-    name: str, way: Callable[[], Strategy], part: Part, tool: Tool, machine: Machine, told: StageProgress
-) -> Candidate:
+def _tried(name: str, way: Callable[[], Strategy], job: Job, told: StageProgress) -> Candidate:
     """Return what a strategy makes of a part, or why it does not."""
     start = time.perf_counter()
+    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
     servo = None
 
     def third(number: int) -> Progress:
@@ -217,7 +216,8 @@ def _tried(
     try:
         servo = way()
         spiral = servo.spiral(part, tool, progress=third(0))
-        motion = drive(place(spiral, part, tool, progress=third(1)), servo, machine)
+        profile = job.strategy.profile(job.passes[-1])
+        motion = drive(place(spiral, part, tool, progress=third(1)), servo, machine, profile=profile)
         with TemporaryDirectory(prefix="turnwright-") as folder:
             again = _written(motion, machine, File(folder))
             size = sum(file.stat().st_size for file in File(folder).iterdir())

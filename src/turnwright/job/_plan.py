@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import dataclass, replace
-from decimal import Decimal
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from turnwright.contact import place
-from turnwright.errors import JobError, LimitError
+from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
 from turnwright.generation import generate_polar
 from turnwright.job._run import read_back, written
 from turnwright.job._schema import Job
@@ -26,36 +25,24 @@ from turnwright.job._shares import (
     shares,
     without_servos,
 )
+from turnwright.job._speed import NEAR, ROUNDS, Servos, at_speed, few_lines, guess, largest, plain
 from turnwright.job._strategies import Choices
-from turnwright.motion import Limits, check_limits, drive
+from turnwright.motion import Limits, SpeedProfile, check_limits, drive
 from turnwright.tracking import track
 from turnwright.units import write
 
 if TYPE_CHECKING:
-    from turnwright.job._run import StageProgress
-    from turnwright.machine import Machine
-    from turnwright.part import Part
-    from turnwright.path import Motion, Spiral
-    from turnwright.strategy import Strategy
-    from turnwright.tool import Tool
+    from collections.abc import Mapping
 
-__all__ = ["Plan", "plan"]
+    from turnwright.job._run import StageProgress
+    from turnwright.path import Motion, Path, Spiral
+    from turnwright.strategy import Strategy
+
+__all__ = ["Plan", "Trial", "plan"]
 
 NM = 1e6
 CUSP_SQ = math.sqrt(4 / 45)
 """Sq of round cusps over their height."""
-
-NEAR = 0.93
-"""A share that is used up to here needs no better plan."""
-
-ROUNDS = 8
-"""Plans that are tried for one number."""
-
-COARSE = 4
-"""Where only the difference of two surfaces counts, one sample in so many will do."""
-
-NEAR_ENOUGH = 1e-5
-"""How finely the real motion is followed while a speed is sought. [mm]"""
 
 FEWEST = 72
 """Points per turn of a spiral that is only looked at for its radii."""
@@ -82,6 +69,32 @@ ROOM = 0.97
 SPLITS = (0.9, 0.6, 0.4, 0.25, 0.15)
 """Parts of what the cusps leave that are tried for the points; the servos get the rest."""
 
+WIDEST = "15 deg"
+"""Largest step of points at even distances, which near the axis say nothing of the angle."""
+
+FEW = 6
+"""Points to a feature of the surface that a search for fewer begins with."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """What one of the interpolations that the controller offers makes of the tolerances.
+
+    Parameters
+    ----------
+    interpolation
+        Which one.
+    points, minutes
+        Of the quickest plan found that keeps the tolerances.
+    refused
+        Why there is none, in a sentence; empty if there is.
+    """
+
+    interpolation: str
+    points: int = 0
+    minutes: float = math.nan
+    refused: str = ""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Plan:
@@ -96,17 +109,17 @@ class Plan:
     limits
         What the program asks of the machine.
     tried
-        (chord [mm], spindle speed [rev/min], minutes) of every plan that was tried; the quickest was taken.
+        What each interpolation that was tried would do; the quickest was taken.
     """
 
     job: Job
     shares: Shares
     limits: Limits
-    tried: tuple[tuple[float, float, float], ...]
+    tried: tuple[Trial, ...]
 
 
 def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
-    r"""Choose feed, points and spindle speed for the finishing pass.
+    r"""Choose feed, points, interpolation and spindle speed for the finishing pass.
 
     The feed, or the scallop of an adaptive tool servo, is the largest whose cusps keep the finish tolerance, and half
     of the form tolerance. What the cusps and the program's decimals leave of the form tolerance is split between the
@@ -115,7 +128,12 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     quickest is written, read back and simulated whole. Since not all shares meet in one place it may keep the
     tolerances with room to spare: then the shares grow, until the proof uses the tolerances up.
 
-    A machine that may vary its speed, and states no servos, is left to do so; otherwise one speed is stated.
+    Every interpolation that the controller offers is tried, unless the job asks for one itself. The quickest plan is
+    taken; where minutes are alike, that of fewer points.
+
+    A machine that may vary its speed, and states no servos, is left to do so. With servos one speed is sought, and, if
+    the machine may vary it, a speed over the radius that lets every ring use up its share; the quicker is taken. A job
+    that says ``precorrect`` gets its speed for the corrected motion, within the limits of the machine.
 
     What the job's strategy says of feed, points and speed is replaced; all else stays.
 
@@ -139,6 +157,40 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     if "chord" not in type(job.strategy).model_fields:
         raise JobError(f"a plan sets a chord, which the {job.strategy.kind} does not have: choose another kind")
     told = progress or (lambda _stage, _done, _total: None)
+    controller = job.machine.machine.controller
+    own = controller.interpolation
+    others = () if job.machine.interpolation else tuple(controller.other_interpolations)
+    plans: list[Plan] = []
+    tried: list[Trial] = []
+    why: TurnwrightError | None = None
+    for name in (own, *others):
+        try:
+            found = _planned(job if name == own else _asking(job, name), form, sq, told)
+        except Stopped:
+            raise
+        except TurnwrightError as error:
+            why = why or error
+            tried.append(Trial(interpolation=name, refused=str(error)))
+            continue
+        plans.append(found)
+        tried.append(Trial(interpolation=name, points=found.limits.points, minutes=found.limits.cycle_time_s / 60))
+    if why is not None and not plans:
+        raise why
+    least = min(one.limits.cycle_time_s for one in plans)
+    alike = [one for one in plans if one.limits.cycle_time_s <= least / NEAR]  # no search here is finer
+    return replace(min(alike, key=lambda one: one.limits.points), tried=tuple(tried))
+
+
+def _asking(job: Job, interpolation: str) -> Job:
+    """Return the job with its controller asked for another interpolation."""
+    table = tomllib.loads(job.to_toml())
+    table["machine"]["interpolation"] = interpolation
+    return Job.read(table)
+
+
+def _planned(job: Job, form: float, sq: float, told: StageProgress) -> Plan:
+    """Return the quickest plan that keeps the tolerances [mm], with the interpolation that the job has."""
+    stage = f"points, speed and proof, {job.machine.machine.controller.interpolation}"
     told("cusps", 0, 1)
     across, cusp = _across(job, form, sq)
     told("cusps", 1, 1)
@@ -149,11 +201,12 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
             f"cusps of {cusp * NM:.3g} nm and the program's decimals leave nothing of form_pv {form * NM:.3g} nm: "
             "allow more, or take a larger nose_radius"
         )
-    roughest = ROOM * sq * math.sqrt(1 - SQ_SHARE**2) / CHORD_SQ
+    search = _Search(job, across, ROOM * sq * math.sqrt(1 - SQ_SHARE**2) / CHORD_SQ)
     kept: Plan | None = None
+    within, beyond = 0.0, math.inf  # shares that keep the tolerances, and that do not
     for number in range(PROOFS):
-        told("points, speed and proof", number, PROOFS)
-        proved = _proved(job, across, left, roughest)
+        told(stage, number, PROOFS)
+        proved = search.proved(left)
         found = proved.shares
         if found.pv_nm > form * NM or found.sq_nm > sq * NM:
             if kept is None:
@@ -163,57 +216,141 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
                     f"points {found.chord_nm:.3g} nm, decimals {found.rounding_nm:.3g} nm, servos "
                     f"{found.tracking_nm:.3g} nm of it; allow more, or change tool or machine"
                 )
+            beyond = left
+        else:
+            if kept is not None and proved.limits.cycle_time_s > NEAR * kept.limits.cycle_time_s:
+                kept = min(kept, proved, key=lambda one: one.limits.cycle_time_s)
+                break
+            kept, within = proved, left
+        more = min((ROOM * form * NM - kept.shares.cusp_nm) / max(kept.shares.pv_nm - kept.shares.cusp_nm, 1e-3), 3.0)
+        if more < 1 / NEAR or beyond < within / NEAR:
             break
-        if kept is not None and proved.limits.cycle_time_s > NEAR * kept.limits.cycle_time_s:
-            break
-        kept = proved
-        more = min((ROOM * form * NM - found.cusp_nm) / max(found.pv_nm - found.cusp_nm, 1e-3), 3.0)
-        if more < 1 / NEAR:
-            break
-        left *= more
-    told("points, speed and proof", PROOFS, PROOFS)
+        left = min(within * more, math.sqrt(within * beyond))
+    told(stage, PROOFS, PROOFS)
     assert kept is not None  # noqa: S101 - the loop keeps a plan or raises
     return kept
 
 
-def _proved(job: Job, across: float, left: float, roughest: float) -> Plan:
-    """Return the quickest plan whose points and servos share what is left [mm], written, read back and simulated."""
-    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
-    answers = has_servos(machine)
-    varied = machine.controller.variable_speed and not answers
-    if not varied:
-        machine = replace(machine, controller=replace(machine.controller, variable_speed=False))
-    tried: list[tuple[float, float, float]] = []
-    best: tuple[Job, Spiral, Motion] | None = None
-    for split in SPLITS if answers else (1.0,):
-        chord = _plain(min(split * left, roughest))
-        filled = _filled(job, across, chord=chord)
+class _Search:
+    """What is known of a job while its points and its speed are sought.
+
+    Parameters
+    ----------
+    job
+        What is asked for.
+    across
+        The feed or the scallop. [mm]
+    roughest
+        What the points may add, for the sake of the finish. [mm]
+    """
+
+    def __init__(self, job: Job, across: float, roughest: float) -> None:
+        self.job, self.across, self.roughest = job, across, roughest
+        self.part, self.tool, machine = job.part.part, job.tool.tool, job.machine.machine
+        self.answers, self.corrected = has_servos(machine), job.program.precorrect
+        self.varies = machine.controller.variable_speed
+        self.machine = machine
+        if self.answers:
+            self.machine = replace(machine, controller=replace(machine.controller, variable_speed=False))
+        self.servos: Servos | None = None
+        # Cubics bend with the path, so that steps may be as long where it does; by chord they are longest where not.
+        self.evenly = machine.controller.interpolation == "hermite" and "arc_length" in type(job.strategy).model_fields
+        self.evenly &= not job.strategy.moves_fast_tool
+        self.spacings: list[tuple[float, float]] = []  # (chord or arc length, what the points really add) [mm]
+
+    def proved(self, left: float) -> Plan:
+        """Return the quickest plan whose points and servos share what is left [mm], proved by its own program."""
+        best: tuple[_Points, Motion, float] | None = None
+        splits = SPLITS if self.answers else (1.0,)
+        for share in sorted({min(split * left, self.roughest) for split in splits}, reverse=True):
+            points = self._points(share)
+            motion, rest = points.top, left - share
+            if self.answers:
+                self.servos = self.servos or Servos(
+                    self.part, self.tool, self.machine, feed=points.spiral.feed, corrected=self.corrected
+                )
+                motion = self.servos.constant(points.top, rest)
+            if best is not None and motion.time[-1] >= best[1].time[-1]:
+                break
+            best = points, motion, rest
+        assert best is not None  # noqa: S101 - there is at least one split
+        points, meant, rest = best
+        speed: float | SpeedProfile | None = None
+        if self.answers or not self.varies:
+            turning = check_limits(meant, self.machine).spindle_rpm
+            speed = plain(turning)
+            meant = at_speed(meant, speed / turning)
+        if self.servos is not None and self.varies:
+            found = self.servos.varied(points.path, points.servo, self.job.machine.machine, rest, meant)
+            if found is not None and found[1].time[-1] < meant.time[-1]:
+                speed, meant = found
+        motion = meant if self.servos is None else self.servos.commanded(meant)
+        filled = points.filled
+        with TemporaryDirectory(prefix="turnwright-") as folder:
+            again = read_back(filled, written(filled, {"finish": motion}, File(folder)).files[0], "finish")
+        return Plan(
+            job=_filled(filled, self.across, points.ways, speed),
+            shares=shares(
+                self.part, self.tool, points.spiral, motion, again=again, meant=meant if self.corrected else None
+            ),
+            limits=check_limits(motion, self.machine),
+            tried=(),
+        )
+
+    def _points(self, share: float) -> _Points:
+        """Return the fewest points that add no more than a share [mm], by what the controller makes of them."""
+        if self.machine.controller.interpolation == "linear" or self.job.strategy.moves_fast_tool:
+            return self._placed(plain(share))  # what a chord is
+        first = guess(self.spacings, share)
+        if not math.isfinite(first):
+            size = min(self.part.surface.feature_size, self.part.radius)
+            first = size / FEW if self.evenly else share
+        tried: dict[float, _Points] = {}
+
+        def added(spacing: float) -> float:
+            points = tried[spacing] = self._placed(plain(spacing))
+            self.spacings.append((spacing, self._added(points)))
+            return self.spacings[-1][1]
+
+        found = largest(added, share, first, self.part.radius)
+        if not found:
+            raise LimitError(
+                f"no points let the controller of {self.machine.name} keep within {share * NM:.3g} nm of the path: "
+                "allow more form_pv"
+            )
+        return tried[found]
+
+    def _added(self, points: _Points) -> float:
+        """Return how far the surface of an exact path is from that of the controller's. [mm]."""
+        radius, angle = few_lines(self.part, points.spiral.feed)
+        exact = exact_motion(points.spiral, self.part, self.tool, self.machine, angle)
+        made = track(points.top, without_servos(self.machine, corrected=self.corrected))
+        maps = [generate_polar(one, self.tool, radius=radius, angle=angle) for one in (exact, made)]
+        return apart_nm(*maps) / NM
+
+    def _placed(self, spacing: float) -> _Points:
+        """Return points at a chord, or at an arc length [mm], at the highest speed within the limits."""
+        ways = (
+            {"arc_length": write(spacing, "mm"), "max_step": WIDEST} if self.evenly else {"chord": write(spacing, "mm")}
+        )
+        filled = _filled(self.job, self.across, ways)
         servo = filled.servo(filled.passes[-1])
-        spiral = servo.spiral(part, tool)
-        motion = _within(servo, spiral, part, tool, machine, left - chord if answers else math.inf)
-        minutes = float(motion.time[-1] - motion.time[0]) / 60
-        tried.append((chord, check_limits(motion, machine).spindle_rpm, minutes))
-        if best is None or motion.time[-1] - motion.time[0] < best[2].time[-1] - best[2].time[0]:
-            best = filled, spiral, motion
-    assert best is not None  # noqa: S101 - there is at least one split
-    filled, spiral, motion = best
-    rpm = None if varied else _plain(check_limits(motion, machine).spindle_rpm)
-    if rpm is not None:
-        motion = replace(motion, time=motion.time * (check_limits(motion, machine).spindle_rpm / rpm))
-    with TemporaryDirectory(prefix="turnwright-") as folder:
-        again = read_back(filled, written(filled, {"finish": motion}, File(folder)).files[0], "finish")
-    return Plan(
-        job=_filled(filled, across, chord=filled.strategy.chord, rpm=rpm),  # type: ignore[union-attr] # it has one
-        shares=shares(part, tool, spiral, motion, again=again),
-        limits=check_limits(motion, machine),
-        tried=tuple(tried),
-    )
+        spiral = servo.spiral(self.part, self.tool)
+        path = place(spiral, self.part, self.tool)
+        top = drive(path, servo, self.machine)
+        return _Points(ways=ways, filled=filled, servo=servo, spiral=spiral, path=path, top=top)
 
 
-def _plain(value: float) -> float:
-    """Return the next lower number of four digits, as a person would write it."""
-    places = 3 - math.floor(math.log10(value))
-    return float(Decimal(math.floor(value * 10.0**places)).scaleb(-places))
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Points:
+    """Points by what sets them, placed, and in motion at the highest speed within the limits."""
+
+    ways: dict[str, str]
+    filled: Job
+    servo: Strategy
+    spiral: Spiral
+    path: Path
+    top: Motion
 
 
 def _key(job: Job) -> tuple[str, str]:
@@ -221,22 +358,20 @@ def _key(job: Job) -> tuple[str, str]:
     return ("scallop", "mm") if "scallop" in type(job.strategy).model_fields else ("feed", "mm/rev")
 
 
-def _filled(
-    job: Job, across: float, *, chord: float | None = None, points: int | None = None, rpm: float | None = None
-) -> Job:
+def _filled(job: Job, across: float, ways: Mapping[str, str | int], speed: float | SpeedProfile | None = None) -> Job:
     """Return the job with what was chosen, and nothing that it said itself of feed, points and speed."""
     table = tomllib.loads(job.to_toml())
     for one in (table["strategy"], table.get("passes", [{}])[-1]):
         for name in Choices.model_fields.keys() - {"lead_in"}:
             one.pop(name, None)
     key, unit = _key(job)
-    chosen = {
-        key: write(across, unit),
-        "chord": None if chord is None else write(chord, "mm"),
-        "points_per_rev": points,
-        "spindle_speed": None if rpm is None else write(rpm, "rpm"),
-    }
-    table["strategy"] |= {name: value for name, value in chosen.items() if value is not None}
+    chosen: dict[str, Any] = {key: write(across, unit), **ways}
+    if isinstance(speed, SpeedProfile):
+        both = zip(speed.radius.tolist(), speed.spindle_rpm.tolist(), strict=True)
+        chosen["spindle_speeds"] = [[write(radius, "mm"), write(rpm, "rpm")] for radius, rpm in both]
+    elif speed is not None:
+        chosen["spindle_speed"] = write(speed, "rpm")
+    table["strategy"] |= chosen
     return Job.read(table)
 
 
@@ -249,7 +384,7 @@ def _across(job: Job, form: float, sq: float) -> tuple[float, float]:
     if not scallop:
         across = math.sqrt(8 * tool.actual_radius * across)
     for _ in range(ROUNDS):
-        filled = _filled(job, across, chord=pv_limit) if scallop else _filled(job, across, points=FEWEST)
+        filled = _filled(job, across, {"chord": write(pv_limit, "mm")} if scallop else {"points_per_rev": FEWEST})
         spiral = filled.servo(filled.passes[-1]).spiral(part, tool)
         feed = spiral.feed
         radius, angle = lines(part, feed)
@@ -258,47 +393,12 @@ def _across(job: Job, form: float, sq: float) -> tuple[float, float]:
         pv, finish = pv_nm_of(error.z) / NM, finish_nm(error, feed) / NM
         share = max(pv / pv_limit, finish / sq_limit)
         if NEAR <= share <= 1:
-            return _plain(across), pv
+            return plain(across), pv
         # Cusps grow with the square of the feed.
         across *= ((1 + NEAR) / 2 / share) ** (1.0 if scallop else 0.5)
     name, unit = _key(job)
     raise LimitError(
-        f"no {name} keeps form_pv {form * NM:.3g} nm and sq {sq * NM:.3g} nm: at {write(_plain(across), unit)} the "
+        f"no {name} keeps form_pv {form * NM:.3g} nm and sq {sq * NM:.3g} nm: at {write(plain(across), unit)} the "
         f"exact path leaves {pv * NM:.3g} nm and {finish * NM:.3g} nm, so what it leaves is not cusps; take a smaller "
         "nose_radius"
     )
-
-
-def _within(servo: Strategy, spiral: Spiral, part: Part, tool: Tool, machine: Machine, share: float) -> Motion:
-    """Return the quickest motion that keeps the machine's limits, and whose servos keep their share [mm]."""
-    motion = drive(place(spiral, part, tool), servo, machine)
-    if math.isinf(share):
-        return motion
-    radius, angle = lines(part, COARSE * spiral.feed)
-    # Without servos a slower spindle takes the tool along the same way.
-    ideal = generate_polar(track(motion, without_servos(machine), chord=NEAR_ENOUGH), tool, radius=radius, angle=angle)
-    slow, quick = 0.0, math.inf  # speeds, as shares of the highest, that keep it and that do not
-    speed = 1.0
-    kept: Motion | None = None
-    for _ in range(2 * ROUNDS):
-        asked = replace(motion, time=motion.time / speed)
-        made = generate_polar(track(asked, machine, chord=NEAR_ENOUGH), tool, radius=radius, angle=angle)
-        ratio = apart_nm(made, ideal) / NM / share
-        if ratio <= 1:
-            slow, kept = speed, asked
-            if speed == 1 or ratio >= NEAR:
-                break
-        else:
-            quick = speed
-        # Servos err with the speed, or with its square where they look ahead: somewhere between.
-        guess = speed * (0.5 * (1 + NEAR) / ratio) ** 0.6
-        low, high = slow, min(quick, 1.0)
-        speed = guess if low < guess < high else 0.5 * (low + high)
-        if slow and high / slow < 1 / NEAR:
-            break
-    if kept is None:
-        raise LimitError(
-            f"the servos of {machine.name} err by more than {share * NM:.3g} nm at any speed: allow more form_pv, or "
-            "correct the motion beforehand (precorrect)"
-        )
-    return kept

@@ -97,7 +97,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         with TemporaryDirectory(prefix="turnwright-") as folder:
             return run(job, progress=progress, out=folder)
     watch = _Watch(progress)
-    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
     with watch.stage("access"):
         access = check_access(part, tool, sense=job.strategy.sense)
     warnings = _accepted_access(job, access)
@@ -114,7 +114,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         feed = spiral.feed
         del spiral
         with watch.stage("drive") as tell:
-            motion, meant = _commanded(job, drive(path, servo, machine), tell)
+            motion, meant = _commanded(job, drive(path, servo, machine, profile=job.strategy.profile(cut)), tell)
         warnings += _accepted_gouge(job, path)
         names = cut.names(stock)
         depth = (stock - cut.allowance) / len(names)
@@ -155,7 +155,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             f"allow {limit:.3g} nm: do not cut with it before the cause is known"
         )
     return Result(
-        job=job, part=part, tool=tool, machine=machine, actual_tool=job.actual_tool, actual_machine=job.actual_machine,
+        job=job, part=job.part.part, tool=tool, machine=machine, actual_tool=job.actual_tool, actual_machine=job.actual_machine,
         access=access, passes=tuple(passes), path=pictured, motion=shown, turns=turns, least_clearance=least,
         program=program, predictions=predictions, rounding_nm=rounding, rounding_limit_nm=limit,
         warnings=tuple(dict.fromkeys(warnings)), timings=watch.timings, peak_memory_gb=_peak_memory(),
@@ -196,7 +196,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         Called with (stage, done, total).
     """
     watch = _Watch(progress)
-    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
     with watch.stage("access"):
         access = check_access(part, tool, sense=job.strategy.sense)
     points, shortest = {}, {}
@@ -206,7 +206,8 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         with watch.stage("plan") as tell:
             spiral = servo.spiral(part, tool, progress=tell)
             place(_outermost(spiral), part, tool, along=job.strategy.along)  # raises where the surface has an end
-        speed = servo.spindle_rpm or machine.spindle_rpm
+        profile = job.strategy.profile(cut)
+        speed = servo.spindle_rpm or machine.spindle_rpm if profile is None else float(profile.spindle_rpm.max())
         times = cut.repeats(stock)
         points[cut.name] = times * spiral.angle.size
         # The points of a fast tool stand in its own table.
@@ -260,10 +261,7 @@ def predict(
         with watch.stage("track") as tell:
             real = track(motion, machine, progress=tell)
         motion = meant or motion
-    ideal = without_servos(machine)
-    if meant is not None and ideal.controller.interpolation in ("quadratic spline", "cubic spline"):
-        # A spline passes inside its points; what was meant, and what is corrected for, passes through them.
-        ideal = replace(ideal, controller=replace(ideal.controller, interpolation="hermite"))
+    ideal = without_servos(machine, corrected=meant is not None)
     if ideal.controller.interpolation != "linear":
         with watch.stage("interpolate") as tell:
             motion = track(motion, ideal, progress=tell)

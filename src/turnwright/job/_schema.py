@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
 
 import numpy as np
 import tomli_w
-from annotated_types import Ge
+from annotated_types import Ge, Le
 from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator, Strict, ValidationError, model_validator
 
 from turnwright._toml import read_toml
@@ -33,8 +33,11 @@ from turnwright.job._table import (
     sentences,
 )
 from turnwright.machine import Machine
+from turnwright.motion import require_variable
 from turnwright.part import Part
+from turnwright.pose import Pose
 from turnwright.post import dialect_of
+from turnwright.surface import Gridded
 from turnwright.tool import Tool, WavinessTable
 from turnwright.units import parse, unit
 
@@ -58,6 +61,17 @@ MOST_SAMPLES = 1e8
 """Heights in one map: beyond this a pixel is a slip of the unit."""
 
 
+def read_table_of_heights(file: File) -> Gridded:
+    """Read a correction as `correct` writes it: x and y of its columns and rows, and its heights. [mm]."""
+    try:
+        with np.load(file) as table:
+            return Gridded(x=table["x"], y=table["y"], z=table["z"])
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise JobError(
+            f"{file.name} is no correction ({error}): name a file that turnwright correct has written"
+        ) from error
+
+
 class PartTable(Table):
     """What is asked for: see `turnwright.Part`."""
 
@@ -66,17 +80,28 @@ class PartTable(Table):
     stock: Thickness = 0.0
     material: Text = ""
     name: Text = ""
+    correction: ExistingFile | None = None
 
     @cached_property
     def part(self) -> Part:
-        """The part."""
+        """The part as it was designed, by which everything is judged."""
         return Part(
             surface=self.surface.surface, radius=self.radius, stock=self.stock, material=self.material, name=self.name
         )
 
+    @cached_property
+    def added(self) -> Gridded | None:
+        """What is added to the design so that an error that repeats does not come back, see `correct`."""
+        return None if self.correction is None else read_table_of_heights(self.correction)
+
+    @cached_property
+    def aimed(self) -> Part:
+        """The part that the tool is sent to: the design with its correction."""
+        return self.part if self.added is None else replace(self.part, surface=self.part.surface + self.added)
+
     @model_validator(mode="after")
     def _can_exist(self) -> Self:
-        _ = self.part
+        _ = self.aimed
         return self
 
 
@@ -180,16 +205,25 @@ class MachineTable(MachineDeviations):
     name: Text | None = None
     file: ExistingFile | None = None
     dialect: Text | None = None
+    interpolation: Text | None = None
 
     @cached_property
     def machine(self) -> Machine:
         """The machine."""
         if (self.name is None) == (self.file is None):
             raise JobError("name and file of the machine are both given or both missing: give one of them")
-        machine = Machine.load(self.file or self.name or "")
+        loaded = Machine.load(self.file or self.name or "")
+        own = loaded.controller.interpolation
+        machine = loaded if self.interpolation is None else loaded.interpolating(self.interpolation)
         stated = self.stated if self.dialect is None else {**self.stated, "dialect": self.dialect}
         machine = replace(machine, **stated)
-        dialect_of(machine)
+        dialect, asked = dialect_of(machine), machine.controller.interpolation
+        # What a controller makes of plain points unasked is its own; any other must be asked for in the program.
+        if asked not in (own, dialect.interpolation):
+            raise JobError(
+                f"interpolation is {asked!r}, a program in the dialect {dialect.name} asks for "
+                f"{dialect.interpolation}: choose that, or {own}, which {machine.name} takes unasked"
+            )
         return machine
 
     @model_validator(mode="after")
@@ -285,6 +319,50 @@ class RoughnessTable(Table):
     form: Annotated[int | str, PlainValidator(_form)] = "plane"
 
 
+class MeasurementTable(Table):
+    """What is known of the instrument that measures the part, and what its map may be off by: see `turnwright.measure`.
+
+    A map that the instrument shows from the other side is ``mirrored`` left to right, one whose heights grow into the
+    material is ``inverted``.
+    """
+
+    pixel_size: Size | tuple[Size, Size] | None = None
+    mirrored: Annotated[bool, Strict()] = False
+    inverted: Annotated[bool, Strict()] = False
+    spikes: Literal["robust", "second difference", "none"] = "robust"
+    trim: Thickness = 0.0
+    shift: tuple[Length, Length, Length] | None = None
+    rotation: Angle | None = None
+    reach: Thickness = 5.0
+    clocking: Annotated[float, unit("rad", least=0.0)] = math.radians(5)
+    free: tuple[Literal["x", "y", "z", "rotation", "tilt_x", "tilt_y"], ...] = (
+        "x", "y", "z", "rotation", "tilt_x", "tilt_y",
+    )  # fmt: skip
+    reference: Literal["true form", "best-fit sphere", "best-fit sphere, along its normal"] = "true form"
+    causes: tuple[Text, ...] | None = None
+    fixed: tuple[Literal["piston", "tilt", "decentre", "clocking"], ...] = ()
+    waviness: Annotated[int, Strict(), Ge(1), Le(9)] = 6
+    cutoff: Size | None = None
+
+    @property
+    def pose(self) -> Pose | None:
+        """Roughly where the map lies on the part."""
+        if self.shift is None and self.rotation is None:
+            return None
+        return Pose(shift=self.shift or (0.0, 0.0, 0.0), rotation=self.rotation or 0.0)
+
+    @model_validator(mode="after")
+    def _is_known(self) -> Self:
+        from turnwright.diagnosis import CAUSES  # noqa: PLC0415 - the stage, which data does not need
+
+        for cause in self.causes or ():
+            if cause not in CAUSES:
+                raise JobError(f"causes has {cause!r}, it can have {', '.join(CAUSES)}: name one of them")
+        if not self.free or (self.causes is not None and not self.causes):
+            raise JobError("free and causes name nothing where they are empty: name at least 1, or leave them out")
+        return self
+
+
 class Tolerances(Table):
     """What the part must keep; what it does not keep becomes a warning."""
 
@@ -332,6 +410,8 @@ class Job(Table):
         What to predict, and what the tool and the machine have otherwise than planned.
     roughness, tolerances
         What is removed before roughness is computed, and what the part must keep.
+    measurement
+        What is known of the instrument that measures the part.
     program
         How the program is written.
     accept
@@ -362,6 +442,7 @@ class Job(Table):
     actual: Actual = Actual()
     roughness: RoughnessTable = RoughnessTable()
     tolerances: Tolerances = Tolerances()
+    measurement: MeasurementTable = MeasurementTable()
     program: ProgramTable = ProgramTable()
     accept: tuple[Accepted, ...] = ()
 
@@ -440,6 +521,8 @@ class Job(Table):
 
     def servo(self, cut: PassTable) -> Strategy:
         """Return the strategy of one pass."""
+        if self.strategy.profile(cut) is not None:
+            require_variable(self.machine.machine)
         return self.strategy.servo(cut, self.tool.tool, self.machine.machine)
 
     @property

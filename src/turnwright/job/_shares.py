@@ -95,6 +95,7 @@ def shares(
     motion: Motion,
     *,
     again: Motion | None = None,
+    meant: Motion | None = None,
     progress: Progress | None = None,
 ) -> Shares:
     """Return where the error of a plan comes from.
@@ -109,6 +110,9 @@ def shares(
         What was made of it, for the machine that it carries.
     again
         The motion as it was read back from the program on disk; ``motion`` itself if not given.
+    meant
+        Where the axes shall really pass, if ``motion`` is corrected for the servos: then points count by what is meant,
+        and servos by how far the real surface is from that, the decimals' part in it included.
     progress
         Called with (surfaces done, surfaces in all).
     """
@@ -117,24 +121,25 @@ def shares(
     radius, angle = lines(part, feed)
 
     def made(one: Motion, done: int) -> HeightMap:
-        told(done, 4)
+        told(done, 5)
         return generate_polar(one, tool, radius=radius, angle=angle)
 
     exact = made(exact_motion(spiral, part, tool, machine, angle), 0)
     again, ideal = again or motion, without_servos(machine)
     steady = machine.controller.interpolation == "linear"
-    straight = made(motion if steady else track(motion, ideal), 1)
-    rounded = straight if again is motion else made(again if steady else track(again, ideal), 2)
-    real = made(track(again, machine), 3) if has_servos(machine) else rounded
-    told(4, 4)
+    sent = made(motion if steady else track(motion, ideal), 1)
+    wanted = sent if meant is None else made(track(meant, without_servos(machine, corrected=True)), 2)
+    rounded = sent if again is motion else made(again if steady else track(again, ideal), 3)
+    real = made(track(again, machine), 4) if has_servos(machine) else rounded
+    told(5, 5)
     error = real.minus(part.surface)
     cusps = exact.minus(part.surface).z
     return Shares(
         cusp_nm=pv_nm_of(cusps),
         cusp_away_nm=pv_nm_of(cusps[:, radius > 2 * feed]),
-        chord_nm=apart_nm(straight, exact),
-        rounding_nm=apart_nm(rounded, straight),
-        tracking_nm=apart_nm(real, rounded),
+        chord_nm=apart_nm(wanted, exact),
+        rounding_nm=apart_nm(rounded, sent),
+        tracking_nm=apart_nm(real, rounded if meant is None else wanted),
         pv_nm=pv_nm_of(error.z),
         rms_nm=rms_nm_of(error.z),
         sq_nm=finish_nm(error, feed),
@@ -189,10 +194,16 @@ def require_servos(machine: Machine) -> None:
         )
 
 
-def without_servos(machine: Machine) -> Machine:
-    """Return the machine with axes that follow at once."""
+def without_servos(machine: Machine, *, corrected: bool = False) -> Machine:
+    """Return the machine with axes that follow at once, or, ``corrected`` for its servos, pass where they are meant to.
+
+    A spline passes inside its points; what is meant, and what is corrected for, passes through them.
+    """
     axes = {letter: replace(axis, response=None, dead_time=None) for letter, axis in machine.axes.items()}
-    return replace(machine, axes=axes)
+    controller = machine.controller
+    if corrected and controller.interpolation in ("quadratic spline", "cubic spline"):
+        controller = replace(controller, interpolation="hermite", other_interpolations={})
+    return replace(machine, axes=axes, controller=controller)
 
 
 def apart_nm(one: HeightMap, other: HeightMap) -> float:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
-from pydantic import Field, Strict
+import numpy as np
+from annotated_types import MinLen
+from pydantic import Field, Strict, model_validator
 
 from turnwright.errors import JobError
 from turnwright.job._prescriptions import AnySurface
 from turnwright.job._table import Count, Feed, Size, Speed, Table, Thickness
+from turnwright.motion import SpeedProfile
 from turnwright.strategy import (
     AdaptiveToolServo,
     FastToolServo,
@@ -34,6 +37,23 @@ if TYPE_CHECKING:
 __all__ = ["KINDS", "AnyStrategy", "Choices"]
 
 Step: TypeAlias = Annotated[float, unit("rad", above=0.0)]
+Speeds: TypeAlias = Annotated[tuple[tuple[Thickness, Speed], ...], MinLen(2)]
+"""Spindle speeds, each with the radius at which it is reached, see `SpeedProfile`."""
+
+
+def _one_speed(table: Choices | StrategyTable) -> None:
+    """Raise if a table states one speed and several, or several that make no profile."""
+    if table.spindle_speed is not None and table.spindle_speeds is not None:
+        raise JobError("spindle_speed and spindle_speeds are both given, only one can be right: remove one")
+    _profile(table)
+
+
+def _profile(table: Choices | StrategyTable) -> SpeedProfile | None:
+    """Return the speed over the radius that a table states."""
+    if table.spindle_speeds is None:
+        return None
+    radius, speed = np.array(table.spindle_speeds).reshape(-1, 2).T
+    return SpeedProfile(radius=radius, spindle_rpm=speed)
 
 
 class Choices(Table):
@@ -41,12 +61,18 @@ class Choices(Table):
 
     feed: Feed | None = None
     spindle_speed: Speed | None = None
+    spindle_speeds: Speeds | None = None
     points_per_rev: Count | None = None
     arc_length: Size | None = None
     max_step: Step | None = None
     chord: Size | None = None
     lead_in: Thickness | None = None
     scallop: Size | None = None
+
+    @model_validator(mode="after")
+    def _has_one_speed(self) -> Self:
+        _one_speed(self)
+        return self
 
 
 class StrategyTable(Table):
@@ -57,6 +83,7 @@ class StrategyTable(Table):
     inside_out: Annotated[bool, Strict()] = False
     along: Literal["z", "normal"] = "z"
     spindle_speed: Speed | None = None
+    spindle_speeds: Speeds | None = None
 
     placed_along: ClassVar[tuple[str, ...]] = ("z",)
     """Ways to place the tool under which what the strategy promises holds."""
@@ -80,6 +107,16 @@ class StrategyTable(Table):
             What it is cut with.
         """
 
+    @model_validator(mode="after")
+    def _has_one_speed(self) -> Self:
+        _one_speed(self)
+        return self
+
+    def profile(self, cut: Choices) -> SpeedProfile | None:
+        """Return the spindle speed over the radius, where a pass or else the strategy states one."""
+        own = cut.spindle_speed is not None or cut.spindle_speeds is not None
+        return _profile(cut if own else self)
+
     def chosen(self, cut: Choices) -> dict[str, Any]:
         """Return the shared keys as a strategy takes them, after the pass has had its say."""
         mine = type(self).model_fields
@@ -89,7 +126,7 @@ class StrategyTable(Table):
         own = bool(stated & set(self.ways))
         values: dict[str, Any] = {"sense": self.sense, "inside_out": self.inside_out}
         for name in Choices.model_fields:
-            if name in mine:
+            if name in mine and name != "spindle_speeds":  # which is for the motion, see `profile`
                 value = getattr(cut, name)
                 shared = None if own and name in self.ways else getattr(self, name)
                 values["spindle_rpm" if name == "spindle_speed" else name] = shared if value is None else value

@@ -74,6 +74,11 @@ class Dialect:
         return tuple(letter for letter in self.decimals if letter in axes)
 
     @property
+    def interpolation(self) -> str:
+        """What its cutting blocks ask the controller for: "hermite" by velocities, else "linear"."""
+        return "hermite" if self.velocities else "linear"
+
+    @property
     def feed_unit(self) -> int:
         """Number of the meaning of F, as the kernels count."""
         return ("seconds", "inverse minutes", "milliseconds").index(self.feed)

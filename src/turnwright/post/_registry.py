@@ -24,12 +24,18 @@ def dialect_of(machine: Machine) -> Dialect:
     Raises
     ------
     ProgramError
-        If there is no such dialect.
+        If there is no such dialect, or its programs ask for another interpolation than the controller's.
     """
     dialect = DIALECTS.get(machine.dialect)
     if dialect is None:
         raise ProgramError(
             f"machine {machine.name} speaks the dialect {machine.dialect!r}, Turnwright writes "
             f"{', '.join(sorted(DIALECTS))}: name one of these, or add a file to turnwright/post"
+        )
+    own = machine.controller.interpolation
+    if dialect.velocities and own != "hermite":
+        raise ProgramError(
+            f"programs in the dialect {dialect.name} ask for cubics by their velocities (hermite), the controller of "
+            f"{machine.name} is said to interpolate by {own}: choose another dialect, or interpolation hermite"
         )
     return dialect
