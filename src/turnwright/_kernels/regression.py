@@ -58,6 +58,24 @@ def biweight(z, wave, bound, weight):
 
 
 @jit
+def advance(z, new, bound, wave, distance, change):
+    """Take over a new mean of lines (m, n) where it is not nan, write the distance of ``z`` from it, nan where z is.
+
+    ``change`` (m,) is the sum of the squares by which the mean moved at the valid points, in bounds.
+    """
+    for row in range(z.shape[0]):
+        total = 0.0
+        for i in range(z.shape[1]):
+            moved = new[row, i] - wave[row, i]
+            if not np.isnan(moved):
+                wave[row, i] = new[row, i]
+                if not np.isnan(z[row, i]):
+                    total += moved * moved
+            distance[row, i] = abs(z[row, i] - wave[row, i])
+        change[row] = total / (bound[row] * bound[row])
+
+
+@jit
 def spline(z, stiffness, out):
     """Write the smoothing spline of every line (m, n) through what is not nan; nan where a line has too few points.
 

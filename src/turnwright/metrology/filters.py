@@ -68,8 +68,8 @@ def filter_map(
     them orders 0 and 1 are the Gaussian filter, which passes :math:`2^{-(\lambda_c/\lambda)^2}` of a wave, and order 2
     passes more of longer and less of shorter waves; all pass 0.50 at the cutoff, in every direction. ``"robust"``
     repeats that while points far from the mean surface lose their weight, by Tukey's function with a bound of 4.4478
-    times the median distance, until bound and mean surface change by less than 0.3 % of the bound. ``"spline"``, along lines only, is the
-    natural cubic smoothing spline, which passes
+    times the median distance, until bound and mean surface change by less than 0.3 % of the bound. ``"spline"``, along
+    lines only, is the natural cubic smoothing spline, which passes
     :math:`1/(1 + (\sin(\pi d/\lambda)/\sin(\pi d/\lambda_c))^4)` at the step d.
 
     Sums run over the whole map: the Gaussian is cut only where it is below the rounding of doubles, not at the
@@ -210,26 +210,30 @@ def _spline(z: Floats, cutoff: float) -> Floats:
 
 def _robust(z: Floats, valid: Bools, smooth: Callable[[Floats], Floats], wave: Floats, *, apart: bool) -> Floats:
     """Weigh and smooth again until the bounds settle: one of the map, or one of each line."""
-    from turnwright._kernels.regression import biweight  # noqa: PLC0415 - numba is costly to import
+    from turnwright._kernels.regression import advance, biweight  # noqa: PLC0415 - numba is costly to import
 
-    weight = np.empty_like(z)
+    weight, distance, change = np.empty_like(z), np.empty_like(z), np.empty(z.shape[0])
     # Points that do not count stand at nan, from where their weight falls to 0.
     known = np.where(valid, z, np.nan)
+    count = np.count_nonzero(valid)
     bound = np.maximum(BOUND * _medians(np.abs(known - wave), apart=apart), QUIET)
     for _ in range(STEPS):
 
-        def weigh(start: int, stop: int, bound: Floats = bound, wave: Floats = wave) -> None:
+        def weigh(start: int, stop: int, bound: Floats = bound) -> None:
             rows = slice(start, stop)
             biweight(known[rows], wave[rows], bound[rows], weight[rows])
 
         run_chunks(weigh, z.shape[0], LINES)
         new = smooth(weight)
-        # Where every point around is an outlier, the mean surface stays where it was.
-        new = np.where(np.isnan(new), wave, new)
-        moved = float(np.sqrt(np.mean(((new - wave)[valid] / np.broadcast_to(bound[:, None], z.shape)[valid]) ** 2)))
-        last, wave = bound, new
-        bound = np.maximum(BOUND * _medians(np.abs(known - wave), apart=apart), QUIET)
-        if moved <= SETTLED and (np.abs(bound - last) <= SETTLED * bound).all():
+
+        def move(start: int, stop: int, bound: Floats = bound, new: Floats = new) -> None:
+            rows = slice(start, stop)
+            # Where every point around is an outlier, the mean surface stays where it was.
+            advance(known[rows], new[rows], bound[rows], wave[rows], distance[rows], change[rows])
+
+        run_chunks(move, z.shape[0], LINES)
+        last, bound = bound, np.maximum(BOUND * _medians(distance, apart=apart), QUIET)
+        if change.sum() <= SETTLED**2 * count and (np.abs(bound - last) <= SETTLED * bound).all():
             return wave
     raise InputError(
         f"the robust filter has not settled within {SETTLED * 100:g} % after {STEPS} steps: take a longer cutoff, or "
