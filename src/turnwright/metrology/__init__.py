@@ -1,23 +1,50 @@
 """What a height map says: its form, and the surface parameters of what remains."""
 
+from turnwright.metrology.bearing import Bearing, bearing
+from turnwright.metrology.best_fit import BestFit, best_fit, fizeau_view
 from turnwright.metrology.clean import Despiked, Filled, despike, fill_holes, keep_disc, trim_edge
 from turnwright.metrology.filters import Bands, Nesting, filter_map, separate_bands
 from turnwright.metrology.form import Form, remove_form
+from turnwright.metrology.lenslets import Alignment, Lenslet, Lenslets, has_lenslets, lenslets
+from turnwright.metrology.profile import Profile, line_profile
 from turnwright.metrology.roughness import Roughness, roughness
+from turnwright.metrology.slope import Slopes, slope_error
+from turnwright.metrology.spectrum import AreaSpectrum, Spectrum, area_psd, line_psd
+from turnwright.metrology.zernike_fit import ZernikeFit, fit_zernike
 
 __all__ = [
+    "Alignment",
+    "AreaSpectrum",
     "Bands",
+    "Bearing",
+    "BestFit",
     "Despiked",
     "Filled",
     "Form",
+    "Lenslet",
+    "Lenslets",
     "Nesting",
+    "Profile",
     "Roughness",
+    "Slopes",
+    "Spectrum",
+    "ZernikeFit",
+    "area_psd",
+    "bearing",
+    "best_fit",
     "despike",
     "fill_holes",
     "filter_map",
+    "fit_zernike",
+    "fizeau_view",
+    "has_lenslets",
     "keep_disc",
+    "lenslets",
+    "line_profile",
+    "line_psd",
     "remove_form",
     "roughness",
     "separate_bands",
+    "slope_error",
     "trim_edge",
 ]
