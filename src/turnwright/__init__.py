@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from turnwright.access import Access, AccessFinding, check_access
     from turnwright.contact import place
+    from turnwright.diagnosis import Cause, Diagnosis, Finding, diagnose
     from turnwright.edge_fit import EdgeFit, fit_edge, read_edge_trace
     from turnwright.errors import (
         DomainError,
@@ -29,15 +30,19 @@ if TYPE_CHECKING:
     from turnwright.job import Comparison, Job, Plan, Result, Shares, compare, plan, predict, preview, run, shares
     from turnwright.machine import Axis, Controller, Convention, Machine
     from turnwright.metrology import (
+        Alignment,
         Bands,
         Despiked,
         Filled,
+        Lenslet,
+        Lenslets,
         Nesting,
         Roughness,
         despike,
         fill_holes,
         filter_map,
         keep_disc,
+        lenslets,
         remove_form,
         roughness,
         separate_bands,
@@ -96,6 +101,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "access": ("Access", "AccessFinding", "check_access"),
     "contact": ("place",),
+    "diagnosis": ("Cause", "Diagnosis", "Finding", "diagnose"),
     "edge_fit": ("EdgeFit", "fit_edge", "read_edge_trace"),
     "errors": (
         "DomainError",
@@ -115,15 +121,19 @@ _HOMES = {
     "job": ("Comparison", "Job", "Plan", "Result", "Shares", "compare", "plan", "predict", "preview", "run", "shares"),
     "machine": ("Axis", "Controller", "Convention", "Machine"),
     "metrology": (
+        "Alignment",
         "Bands",
         "Despiked",
         "Filled",
+        "Lenslet",
+        "Lenslets",
         "Nesting",
         "Roughness",
         "despike",
         "fill_holes",
         "filter_map",
         "keep_disc",
+        "lenslets",
         "remove_form",
         "roughness",
         "separate_bands",
@@ -187,14 +197,17 @@ __all__ = [
     "Access",
     "AccessFinding",
     "AdaptiveToolServo",
+    "Alignment",
     "Axis",
     "Bands",
     "Biconic",
+    "Cause",
     "Comparison",
     "Conic",
     "Controller",
     "Convention",
     "Despiked",
+    "Diagnosis",
     "DomainError",
     "EdgeFit",
     "EvenAsphere",
@@ -202,6 +215,7 @@ __all__ = [
     "FastToolFiles",
     "FastToolServo",
     "Filled",
+    "Finding",
     "Forbes",
     "FrequencyResponse",
     "GougeError",
@@ -212,6 +226,8 @@ __all__ = [
     "Job",
     "JobError",
     "LensArray",
+    "Lenslet",
+    "Lenslets",
     "LimitError",
     "Limits",
     "Machine",
@@ -261,6 +277,7 @@ __all__ = [
     "check_limits",
     "compare",
     "despike",
+    "diagnose",
     "drive",
     "fill_holes",
     "filter_map",
@@ -270,6 +287,7 @@ __all__ = [
     "generate_polar",
     "inspect_nc",
     "keep_disc",
+    "lenslets",
     "place",
     "plan",
     "precorrect",

@@ -1,0 +1,147 @@
+"""The surface left by a tool and a machine that are not the planned ones, pointwise. See diagnosis/_model.py.
+
+A state holds, for each point, the sweep at which the planned edge would touch and the one at which the real edge cuts.
+A row of the edge is (radius, low, high, rake_cos, rake_sin, dx, dy, dz), see tool.EdgeTable.
+"""
+
+import numpy as np
+
+from turnwright._kernels import jit
+from turnwright._kernels.edge import waviness
+from turnwright._kernels.trig import sincos
+
+
+@jit
+def arc(radius, d, d1, d2, s):
+    """Return (u, w, u', w', u'', w'') on an arc with the deviation d at sweep s, as `edge.arc` does."""
+    sine, cosine = sincos(s)
+    half_sine, _ = sincos(0.5 * s)
+    r = radius + d
+    return (
+        r * sine,
+        2.0 * radius * half_sine * half_sine - d * cosine,
+        d1 * sine + r * cosine,
+        r * sine - d1 * cosine,
+        d2 * sine + 2.0 * d1 * cosine - r * sine,
+        r * cosine + 2.0 * d1 * sine - d2 * cosine,
+    )
+
+
+@jit
+def places(radius, azimuth, planned, breaks, coefficients, real, more, late, touch, cut, rho, psi, x, y):
+    """Fill where the tip was (``rho``, azimuth ``psi``) when it cut each point, and where it had been to touch (x, y).
+
+    ``more`` (3, n) is what the real edge deviates beyond the planned waviness, with two derivatives by the sweep;
+    ``late`` is by how much Z stands where it should have stood before, in azimuth.
+    """
+    for i in range(radius.size):
+        d, d1, d2 = waviness(breaks, coefficients, cut[i])
+        u, w, _, _, _, _ = arc(real[0], d + more[0, i], d1 + more[1, i], d2 + more[2, i], cut[i])
+        v = real[6] + real[4] * w
+        out = radius[i] * radius[i] - v * v
+        rho[i] = (np.sqrt(out) if out > 0.0 else np.nan) - real[5] - u
+        psi[i] = azimuth[i] - (np.arcsin(v / radius[i]) if out > 0.0 else np.nan)
+        d, d1, d2 = waviness(breaks, coefficients, touch[i])
+        u, w, _, _, _, _ = arc(planned[0], d, d1, d2, touch[i])
+        along, across = rho[i] + planned[5] + u, planned[6] + planned[4] * w
+        sine, cosine = sincos(psi[i] - late)
+        x[i] = along * cosine - across * sine
+        y[i] = along * sine + across * cosine
+
+
+@jit
+def step(
+    radius, planned, breaks, coefficients, real, more, late, slide_slope, rho, psi, fx, fy, fxx, fxy, fyy, touch, cut,
+):  # fmt: skip
+    """Improve both sweeps by one step of Newton's method; return the longest step. [rad]."""
+    longest = 0.0
+    for i in range(radius.size):
+        sine, cosine = sincos(psi[i] - late)
+        fr, ft = fx[i] * cosine + fy[i] * sine, fy[i] * cosine - fx[i] * sine
+        frr = fxx[i] * cosine * cosine + 2.0 * fxy[i] * sine * cosine + fyy[i] * sine * sine
+        ftt = fxx[i] * sine * sine - 2.0 * fxy[i] * sine * cosine + fyy[i] * cosine * cosine
+        frt = (fyy[i] - fxx[i]) * sine * cosine + fxy[i] * (cosine * cosine - sine * sine)
+        d, d1, d2 = waviness(breaks, coefficients, touch[i])
+        u, w, du, dw, ddu, ddw = arc(planned[0], d, d1, d2, touch[i])
+        along, across = rho[i] + planned[5] + u, planned[6] + planned[4] * w
+        dv, ddv = planned[4] * dw, planned[4] * ddw
+        d, d1, d2 = waviness(breaks, coefficients, cut[i])
+        _, wa, dua, dwa, ddua, ddwa = arc(real[0], d + more[0, i], d1 + more[1, i], d2 + more[2, i], cut[i])
+        va, dva, ddva = real[6] + real[4] * wa, real[4] * dwa, real[4] * ddwa
+        out = np.sqrt(radius[i] * radius[i] - va * va)
+        # How the tip's place changes with the sweep of the cut.
+        d_rho = -va * dva / out - dua
+        dd_rho = -(dva * dva + va * ddva) / out - (va * dva) ** 2 / out**3 - ddua
+        d_psi = -dva / out
+        dd_psi = -ddva / out - va * dva * dva / out**3
+        # How the height of the tip does: g is its slope along rho and psi.
+        g_rho, g_psi = fr + slide_slope[i], ft * along - fr * across
+        first = fr * du + ft * dv - planned[3] * dw
+        second = g_rho * d_rho + g_psi * d_psi + real[3] * dwa
+        h_r, h_t = frr * du + frt * dv, frt * du + ftt * dv
+        h_11 = h_r * du + h_t * dv + fr * ddu + ft * ddv - planned[3] * ddw
+        h_12 = h_r * (d_rho - d_psi * across) + h_t * d_psi * along + d_psi * (ft * du - fr * dv)
+        g_rp = -frr * across + frt * along + ft
+        g_pp = frr * across * across - 2.0 * frt * across * along + ftt * along * along - fr * along - ft * across
+        h_22 = frr * d_rho * d_rho + 2.0 * g_rp * d_rho * d_psi + g_pp * d_psi * d_psi
+        h_22 += g_rho * dd_rho + g_psi * dd_psi + real[3] * ddwa
+        det = h_11 * h_22 - h_12 * h_12
+        # The planned edge touches at a maximum, the real one cuts at a minimum: the product is below 0.
+        if not det < 0.0:
+            touch[i], cut[i] = np.nan, np.nan
+            continue
+        one = (h_22 * first - h_12 * second) / det
+        other = (h_11 * second - h_12 * first) / det
+        touch[i] -= max(-0.2, min(0.2, one))
+        cut[i] -= max(-0.2, min(0.2, other))
+        longest = max(longest, abs(one), abs(other))
+    return longest
+
+
+@jit
+def heights(
+    radius, azimuth, planned, breaks, coefficients, real, more, late, slide, slide_slope, rho, psi,
+    f, fx, fy, fxx, fxy, fyy, touch, cut, out,
+):  # fmt: skip
+    """Fill ``out`` (11, n) with the height and what it changes by, the places of touch and cut having been found.
+
+    Rows: height; its slopes along x and y; its derivatives by dx, dy, dz of the tip, by the radius, by a deviation of
+    the edge where it cuts, by the azimuth (Z early); the second derivative of Z by the azimuth; and the curvature of
+    the passes against each other, which makes the cusps.
+    """
+    for i in range(radius.size):
+        sine, cosine = sincos(psi[i] - late)
+        fr, ft = fx[i] * cosine + fy[i] * sine, fy[i] * cosine - fx[i] * sine
+        frr = fxx[i] * cosine * cosine + 2.0 * fxy[i] * sine * cosine + fyy[i] * sine * sine
+        ftt = fxx[i] * sine * sine - 2.0 * fxy[i] * sine * cosine + fyy[i] * cosine * cosine
+        frt = (fyy[i] - fxx[i]) * sine * cosine + fxy[i] * (cosine * cosine - sine * sine)
+        d, d1, d2 = waviness(breaks, coefficients, touch[i])
+        u, w, du, dw, ddu, ddw = arc(planned[0], d, d1, d2, touch[i])
+        along, across = rho[i] + planned[5] + u, planned[6] + planned[4] * w
+        dv, ddv = planned[4] * dw, planned[4] * ddw
+        lowest = f[i] - planned[7] - planned[3] * w
+        d, d1, d2 = waviness(breaks, coefficients, cut[i])
+        _, wa, dua, dwa, ddua, ddwa = arc(real[0], d + more[0, i], d1 + more[1, i], d2 + more[2, i], cut[i])
+        va = real[6] + real[4] * wa
+        beside = np.sqrt(radius[i] * radius[i] - va * va)
+        g_rho, g_psi = fr + slide_slope[i], ft * along - fr * across
+        g_v = -(g_rho * va + g_psi) / beside
+        out[0, i] = lowest + real[7] + real[3] * wa + slide[i]
+        g_r = g_rho * radius[i] / beside + g_psi * va / (radius[i] * beside)
+        sine, cosine = sincos(azimuth[i])
+        out[1, i] = g_r * cosine - g_psi * sine / radius[i]
+        out[2, i] = g_r * sine + g_psi * cosine / radius[i]
+        sine, cosine = sincos(cut[i])
+        out[3, i] = -g_rho
+        out[4, i] = g_v
+        out[5, i] = 1.0
+        out[6, i] = (real[4] * g_v + real[3]) * (1.0 - cosine) - g_rho * sine
+        out[7, i] = -(real[4] * g_v + real[3]) * cosine - g_rho * sine
+        out[8, i] = g_psi
+        h_r, h_t = frr * du + frt * dv, frt * du + ftt * dv
+        h_11 = h_r * du + h_t * dv + fr * ddu + ft * ddv - planned[3] * ddw
+        turned = -h_r * across + h_t * along + ft * du - fr * dv
+        g_pp = frr * across * across - 2.0 * frt * across * along + ftt * along * along - fr * along - ft * across
+        out[9, i] = g_pp - turned * turned / h_11
+        # Along rho, of Z and of the edge upside down; a leaning edge counts as if it were upright.
+        out[10, i] = frr - h_r * h_r / h_11 + (real[3] * ddwa - real[3] * dwa * ddua / dua) / (dua * dua)
