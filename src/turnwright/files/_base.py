@@ -39,6 +39,12 @@ MOST_POINTS = 200_000_000
 DENSEST = 1032
 """Bytes that one byte of deflate can stand for."""
 
+SMALL = 1 << 28
+"""Bytes up to which anything may be packed as densely as can be: a plane packs well."""
+
+DENSE = 100
+"""Bytes that one packed byte may stand for in more than that; measured heights hardly pack at all."""
+
 DAMAGE = (
     OSError,
     EOFError,
@@ -82,10 +88,11 @@ def require_bytes(path: Path, needed: int, there: int) -> None:
 
 def inflated(path: Path, packed: int, claimed: int) -> None:
     """Raise if ``packed`` bytes of deflate cannot be as long as is claimed, or that is more than any map."""
-    if claimed > 8 * MOST_POINTS or claimed > DENSEST * packed + 64:
+    times = DENSEST if claimed <= SMALL else DENSE
+    if claimed > 8 * MOST_POINTS or claimed > times * packed + 64:
         raise MapError(
             f"{path} claims {claimed:,} bytes unpacked from {packed:,}, the limits are {8 * MOST_POINTS:,} bytes and "
-            f"{DENSEST} times as many: it is damaged, or made to do harm"
+            f"{times} times as many: it is damaged, or made to do harm"
         )
 
 

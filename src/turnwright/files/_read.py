@@ -7,8 +7,10 @@ import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from turnwright.errors import MapError
-from turnwright.files import arrays, datx, digital_surf, grid_sag, metropro, other, points, sdf, x3p, zygo_text
+from turnwright.files import _apart, arrays, datx, digital_surf, grid_sag, metropro, other, points, sdf, x3p, zygo_text
 from turnwright.files._base import DAMAGE, LARGEST_FILE
 from turnwright.files._numbers import text_of
 
@@ -59,7 +61,9 @@ def read_map(
     if unit is not None and reader is not _read_text:
         raise MapError(f"{path} is {kind}, which has units of its own: leave unit={unit!r} out")
     try:
-        found = _read_text(path, data, unit) if reader is _read_text else reader(path, data)
+        # Numbers that overflow are no heights: they end as missing points.
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = _read_text(path, data, unit) if reader is _read_text else reader(path, data)
     except MapError:
         raise
     except DAMAGE as error:
@@ -139,7 +143,7 @@ def _read_text(path: Path, data: bytes, unit: str | None = None) -> HeightMap:
 
 SIGNATURES = (
     (metropro.SIGNATURES, metropro.read, "Zygo MetroPro"),
-    (datx.SIGNATURE, datx.read, "Zygo .datx"),
+    (datx.SIGNATURE, _apart.read_datx, "Zygo .datx"),
     (digital_surf.SIGNATURES, digital_surf.read, "Digital Surf"),
     (arrays.SIGNATURE, arrays.read_bare, "NumPy .npy"),
 )

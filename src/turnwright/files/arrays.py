@@ -10,6 +10,8 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
+import struct
 import zipfile
 from typing import IO, TYPE_CHECKING, Any
 
@@ -26,6 +28,13 @@ if TYPE_CHECKING:
 __all__ = ["SIGNATURE", "packed", "read_bare", "read_named"]
 
 SIGNATURE = b"\x93NUMPY"
+HEAD = re.compile(
+    rb"\{'descr': '(?P<kind>[<>|=](?:b1|[iu][1248]|f[248]|f16|U\d{1,7}))', 'fortran_order': (?P<columns>True|False), "
+    rb"'shape': \((?P<shape>(?:\d{1,18},? ?)*)\),? ?\}\s*"
+)
+"""The head of an array, as NumPy writes it; read by its pattern, for it is a piece of Python."""
+
+LONGEST_HEAD = 1 << 16
 AXES = (("x", "y"), ("radius", "angle"))
 
 
@@ -79,21 +88,28 @@ def _member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np
 
 
 def _array(path: Path, stream: IO[bytes], size: int) -> np.ndarray[Any, Any]:
-    """Return the array of a stream of that many bytes, which hold numbers, truths or text but never objects."""
-    version = np.lib.format.read_magic(stream)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, by_columns, dtype = read(stream)
-    if dtype.kind not in "biufU":
-        raise MapError(f"{path} holds an array of {dtype}, it must hold plain real numbers: save it as float64")
+    """Return the array of a stream of that many bytes, which holds numbers, truths or text but never objects."""
+    start = stream.read(8)
+    length = struct.Struct("<H" if start[6:7] == b"\1" else "<I")
+    raw = stream.read(length.size)
+    if not start.startswith(SIGNATURE) or len(raw) < length.size:
+        raise MapError(f"{path} holds an array without the signature of NumPy: it is damaged, so save it again")
+    head = HEAD.fullmatch(stream.read(min(length.unpack(raw)[0], LONGEST_HEAD)))
+    if head is None:
+        raise MapError(
+            f"{path} holds an array that is none of plain real numbers, or its head is damaged: save it as float64"
+        )
+    dtype = np.dtype(head["kind"].decode())
+    shape = tuple(int(count) for count in head["shape"].split(b",") if count.strip())
     count = math.prod(shape)
-    if count > MOST_POINTS or min(shape, default=1) < 0:
+    if count > MOST_POINTS:
         raise MapError(
             f"{path} says that it has an array of shape {shape}, the limit is {MOST_POINTS:,} in all: crop it"
         )
     require_bytes(path, count * dtype.itemsize, size)
     raw = stream.read(count * dtype.itemsize)
     require_bytes(path, count * dtype.itemsize, len(raw))
-    return np.frombuffer(raw, dtype, count).reshape(shape, order="F" if by_columns else "C")
+    return np.frombuffer(raw, dtype, count).reshape(shape, order="F" if head["columns"] == b"True" else "C")
 
 
 def _numbers(path: Path, name: str, array: np.ndarray[Any, Any]) -> Floats:

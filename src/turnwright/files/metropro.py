@@ -7,8 +7,8 @@ The sign field is refused when it is set: two programs turn the heights over the
 
 Sources
 -------
-The layout is the one on which [Gwyddion]_, prysm and SurfaceTopography agree. Oracles: a file of prysm's test set, on which prysm,
-SurfaceTopography and Gwyddion agree, and files packed field by field.
+The layout is the one on which [Gwyddion]_, prysm and SurfaceTopography agree. Oracles: a file of prysm's test set, on
+which the three agree, and files packed field by field.
 """
 
 from __future__ import annotations

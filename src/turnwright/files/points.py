@@ -45,7 +45,7 @@ LONGEST = 2000
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 COMMA = re.compile(r"[+-]?(?:\d*,\d+|\d+)(?:[eE][+-]?\d+)?")
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
-ONLY_NUMBERS = re.compile(r"\s*[-+\d.,][-+\d.,eE\s]*")
+ONLY_NUMBERS = re.compile(r"\s*[-+\d.,][-+\d.,;eE\s]*")
 MISSING = re.compile(r"(?i)nan|no ?data|bad|n/?a|null|\*+|-{2,}|")
 MARKS = "#%!;/"
 """What a line of description may begin with."""
@@ -227,8 +227,10 @@ def _table(path: Path, body: str, layout: _Layout, columns: tuple[int, ...] | No
             body = re.sub(r"(?i)(?<!\S)(?:no data|nodata|bad|n/?a|null|\*+|-{2,})(?!\S)", "nan", body)
         else:
             part = re.escape(separator)
-            word = r"[ \"]*(?:no ?data|bad|n/?a|null|\*+|-{2,}|)[ \"]*"
+            word = r"[ \"]*(?:no ?data|bad|n/?a|null|\*+|-{2,})[ \"]*"
             body = re.sub(rf"(?im)(?:(?<={part})|^){word}(?={part}|\r?$)", "nan", body)
+            # A cell with nothing in it; a line with nothing in it is none.
+            body = re.sub(rf"(?m)(?<={part})[ \"]*(?={part}|\r?$)|^[ \"]*(?={part})", "nan", body)
         return table(path, body, separator, columns, layout.first + 1)
 
 
@@ -236,11 +238,12 @@ def _table(path: Path, body: str, layout: _Layout, columns: tuple[int, ...] | No
 def _names(above: list[str], layout: _Layout) -> list[str] | None:
     """Return the cells of the line of names above the table, if it has one."""
     for line in reversed(above):
-        if not line.strip():
+        if not line.strip() or STATED.search(line):
             continue
         plain = line.strip().lstrip(MARKS).strip()
         for separator in (layout.separator, ",", ";", "\t", None):
-            cells = _cells(plain, separator)
+            # A unit belongs to the name before it, also where white space parts the names.
+            cells = _cells(re.sub(r"\s+(?=[\[(/])", "", plain) if separator is None else plain, separator)
             if len(cells) == layout.columns and not any(NUMBER.fullmatch(cell) for cell in cells):
                 return cells
         return None

@@ -117,12 +117,17 @@ def packed(one: HeightMap) -> bytes:
     return data
 
 
+def _plain(text: str) -> str:
+    """Return a text without what XML cannot hold."""
+    return "".join(letter if letter.isprintable() or letter == "\n" else " " for letter in text)
+
+
 def _record(one: HeightMap) -> Any:
     """Return the metadata of a map where x3p keeps them; what has no place of its own goes into the comment."""
     import x3pio  # noqa: PLC0415
 
-    told = {key: one.metadata.get(key, "") for key in RECORD}
-    others = [f"{key}: {text}" for key, text in one.metadata.items() if key not in {*RECORD, "format"}]
+    told = {key: _plain(one.metadata.get(key, "")) for key in RECORD}
+    others = [_plain(f"{key}: {text}") for key, text in one.metadata.items() if key not in {*RECORD, "format"}]
     try:
         date = datetime.fromisoformat(told["date"])
     except ValueError:
@@ -138,5 +143,5 @@ def _record(one: HeightMap) -> Any:
         instrument=instrument,
         calibration_date=None,
         probing_system=record.probing_system,
-        comment=comment or one.name or None,
+        comment=comment or _plain(one.name) or None,
     )

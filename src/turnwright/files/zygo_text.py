@@ -6,7 +6,7 @@ No Data``, for every pixel. Rows go down from the top of the camera's picture.
 
 Sources
 -------
-The layout is the one that prysm writes and that public files have. Oracles: files written by prysm, and by hand from the layout.
+The layout is the one that public files have. Oracle: files written by hand from it.
 """
 
 from __future__ import annotations
