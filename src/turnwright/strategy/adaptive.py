@@ -31,6 +31,10 @@ MOST_POINTS = 300_000_000
 WIDEST_STEP = TURN / 12
 """Largest angle between two points, so that no move of C is ambiguous. [rad]"""
 
+LAST = TURN / 24
+"""After the last turn the radius comes to rest in this angle, so that the outermost tip, where the surface ends for all
+of them, is the last one of the program and not one that is between its points. [rad]"""
+
 SPOKES_PER_FEATURE = 4
 LEAST_SPOKES = 256
 RINGS_PER_FEATURE = 8
@@ -60,8 +64,17 @@ as much, since two passes make it."""
 AIM = 0.9925
 """Share of the scallop at which cusps are aimed, so that with both passes aside they are from 98 to 100.5 % of it."""
 
-REST = 3.0
-"""Steps within which a spoke that is cut comes to rest."""
+GO_ON = 8.0
+REST = 24.0
+"""Steps outside the rim within which a spoke's own steps go over to a constant one, and within which that comes to
+rest: so slowly that X is asked for next to no more jerk than inside, where the fastest spokes set it."""
+
+GO_ON_AT_ONCE = 1.0
+REST_AT_ONCE = 3.0
+"""The same where the surface does not go on so far."""
+
+LEVEL = 0.9
+"""A surface goes on where it curves up by no more than this share of what the nose does: steeper, touches may jump."""
 
 IDLE_ASIDE = 0.1
 """A pass whose cusp with the last one is outside the rim cuts nothing inside it, so that no cusp depends on it: it may
@@ -84,6 +97,13 @@ FEW = 8
 SAMPLES_PER_BLOCK = 16
 """Samples to each cubic of a program: its largest miss between them is within a hundredth of that at one of them."""
 
+LEAST_CHORD = 1e-10
+"""Heights are computed to about 1e-12 mm, rounding included, and a path has to be known far better than to the chord.
+[mm]"""
+
+GLANCES = 16
+"""Turns from which the number of points is foreseen, so that a slip of the unit is refused at once."""
+
 FINEST = 1e-9
 """A path that is not a cubic over this angle jumps. [rad]"""
 
@@ -98,7 +118,8 @@ class AdaptiveToolServo(Strategy):
     through all of them has a radius with two continuous derivatives, over the seam of each turn as anywhere. The tip
     rests on the axis for a moment and takes half a turn to its steady advance, so that passes from both sides of the
     axis stand nowhere further apart than the others. The spiral ends with the turn after which no point inside the
-    clear radius stands higher than the scallop; spokes that are there before the last one come to rest.
+    clear radius stands higher than the scallop; spokes that are there before the last one go over to a constant step,
+    and come to rest, so slowly that X is asked for little more jerk than inside.
 
     *Along a turn.* Each point is the furthest from the last for which what the controller makes of the axes keeps
     within ``chord`` of the exact height of the tip *at the radius where it then is*. The points of straight lines may
@@ -167,6 +188,11 @@ class AdaptiveToolServo(Strategy):
             value = getattr(self, name)
             if value is not None or name != "spindle_rpm":
                 positive(value, name, unit)
+        if self.chord < LEAST_CHORD:
+            raise InputError(
+                f"chord is {self.chord:g} mm, the limit is {LEAST_CHORD:g} mm, as heights are computed to 1e-12 mm: "
+                "check its unit and make it larger"
+            )
         for name, choices in (("interpolation", ("linear", "hermite")), ("x_motion", ("servo", "split", "steady"))):
             if getattr(self, name) not in choices:
                 listed = " or ".join(f'"{choice}"' for choice in choices)
@@ -330,13 +356,33 @@ class _Steps:
             _, zx, zy = part.surface.evaluate(part.radius * self.cosine, part.radius * self.sine, 1)
         slope = np.nan_to_num(zx * self.cosine + zy * self.sine, nan=0.0, posinf=0.0, neginf=0.0)
         beside = tool.actual_radius * float((slope / np.sqrt(1 + slope * slope)).min())
-        self.rim = max(part.radius, part.radius - beside + REST * self.flat / 2)
+        self.go_on, self.rest = GO_ON, REST
+        self.rim = part.radius + max(-beside, 0.0) + REST * self.flat / 2
+        if not self._goes_on(self.rim + tool.actual_radius * max(math.sin(high), -math.sin(low))):
+            self.go_on, self.rest = GO_ON_AT_ONCE, REST_AT_ONCE
+            self.rim = max(part.radius, part.radius - beside + REST_AT_ONCE * self.flat / 2)
         # The tip's height on rings, from `first` on as far as was needed so far.
         self.ring = min(feature / RINGS_PER_FEATURE, part.radius / LEAST_RINGS, tool.actual_radius / RINGS_PER_NOSE)
-        self.first, self.bend, self.lag = 0, 0.0, 0.0
+        self.first, self.inner, self.bend, self.lag = 0, 0.0, 0.0, 0.0
         self.height = np.empty((0, self.spokes))
         self.slope = np.empty((0, self.spokes))
         self.piece = np.empty((0, self.spokes), dtype=np.int64)
+
+    def _goes_on(self, outermost: float) -> bool:
+        """Say whether the surface goes on outside the rim as far as this, with one tangent for the nose."""
+        if self.ridges:
+            return False
+        surface = self.part.surface
+        rings = math.ceil((outermost - self.part.radius) * RINGS_PER_FEATURE / surface.feature_size)
+        radius = np.linspace(self.part.radius, outermost, min(max(rings, 8), 64))[:, None]
+        x, y = (radius * self.cosine).ravel(), (radius * self.sine).ravel()
+        inside = surface.inside(x, y)
+        if inside is not None and not inside.all():
+            return False
+        with np.errstate(all="ignore"):
+            *_, zxx, zxy, zyy = surface.evaluate(x, y, 2)
+            bend = (zxx + zyy) / 2 + np.hypot((zxx - zyy) / 2, zxy)
+        return bool(bend.max() < LEVEL / self.tool.actual_radius)
 
     def placed(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the tip's height, its derivative by the angle at constant radius, and by the radius. Each (n,)."""
@@ -364,7 +410,7 @@ class _Steps:
 
     def _tips(self, radius: Floats) -> tuple[Floats, Floats]:
         """Return height and slope along the spoke of a tip on every spoke. Each (m,)."""
-        low, high = int(radius.min() / self.ring), int(radius.max() / self.ring) + 2
+        low, high = int(self.inner / self.ring), int(radius.max() / self.ring) + 2
         while high >= self.first + self.height.shape[0]:
             start = self.first + self.height.shape[0]
             # Many at a time, but no further outside the rim than the tip goes: the surface may end there.
@@ -409,6 +455,8 @@ class _Steps:
         """
         shape = (self.row, *self.profile[:2])
         ways = (self.cosine, self.sine)
+        # Rings from here on are asked for until the next turn, by tips further out too.
+        self.inner = float(radius.min())
         tip, along = self._tips(radius)
         # The edge touches where it slopes as its height does along the spoke.
         slope = along / self.row[3]
@@ -477,31 +525,36 @@ class _Steps:
             new, met = self.next(radius, step)
             # Outside the rim there is no cusp to ask for, and soon no surface: steps and crests go over to going on as
             # before, so that a spoke just inside and its neighbour just outside stay side by side.
-            share = _eased(beyond)
+            share = _eased(beyond / self.go_on)
             crest = np.where(share > 0, met + share * (crest + taken - met), met)
             new = new + share * (step - new)
             parts.append(radius)
             idle.append(np.clip(beyond / IDLE_ASIDE, 0.0, 1.0))
             beyond = (crest - rim) / step
             if not steady:
-                step = new - (new - step) * _eased(beyond)
+                step = new - (new - step) * _eased(beyond / self.go_on)
             inside = np.flatnonzero(crest < rim)
             if inside.size:
                 short = total + int(inside[-1]) + 1
             total += self.spokes
             _check_count(total)
-            # One turn after the last crest inside the rim every spoke has had a pass that reaches it.
-            if total >= short + self.spokes * (1 + WIDEST_STEP / TURN) + 2:
+            # One turn after the last crest inside the rim every spoke has had a pass that reaches it; the tip comes to
+            # rest, and samples go on for the step that passes the end.
+            if total >= short + self.spokes * (1 + (LAST + WIDEST_STEP) / TURN) + 2:
                 break
             if progress is not None:
                 progress(round(500 * min(float(radius.min()) / rim, 1.0)), 1000)
             # A spoke whose crest is outside the rim comes to rest within some steps.
-            taken = step if steady else step * (1 - _eased(beyond / REST))
+            taken = step if steady else step * (1 - _eased(beyond / self.rest))
             radius = radius + taken
-        return (
-            _Curve(np.concatenate(parts), self.spokes, self.flat, np.concatenate(idle)),
-            (short / self.spokes + 1) * TURN,
-        )
+        values, done = np.concatenate(parts), short + self.spokes
+        end = done * TURN / self.spokes
+        if not steady:  # whose X goes on
+            ahead = np.arange(0.5, values.size - 1 - done, dtype=np.float64)
+            fading = 1 - _eased(ahead * (TURN / self.spokes / LAST))
+            values[done + 1 :] = values[done] + np.cumsum(np.diff(values[done:]) * fading)
+            end += LAST
+        return _Curve(values, self.spokes, self.flat, np.concatenate(idle)), end
 
     def _joint(self, radius: Floats, step: Floats, share: Floats, least: float) -> Floats:
         """Return what a first turn lacks for its radius and two derivatives to go over into the next turn's."""
@@ -537,6 +590,8 @@ def _points(
     hermite = servo.interpolation == "hermite"
     off = servo.off_path and not hermite
     slack = servo.chord * (1 - 3 / steps.miss - (1 / ROUGH if steps.ridges else 0))
+    if not hermite:
+        _check_count(_foreseen(steps, curve, end, slack * (2 if off else 1)))
     nodes, lifts = [np.zeros(1)], [np.zeros(1)]
     for low, high, per_turn in _blocks(steps, curve, end):
         # From the sample before the last node on, so that no node is there for the border's sake.
@@ -557,6 +612,18 @@ def _points(
         if progress is not None:
             progress(round(500 * (1 + min(high / end, 1.0))), 1000)
     return np.concatenate(nodes), np.concatenate(lifts) if off else None
+
+
+def _foreseen(steps: _Steps, curve: _Curve, end: float, slack: float) -> float:
+    """Return about how many points straight lines take, or fewer, from some turns of the path."""
+    per_turn = math.ceil(
+        max(LEAST_SPOKES, SPOKES_PER_FEATURE * TURN * steps.part.radius / steps.part.surface.feature_size)
+    )
+    turned = end * (np.arange(GLANCES)[:, None] + 0.5) / GLANCES + TURN / per_turn * np.arange(per_turn)
+    turned = np.minimum(turned, end)
+    z = steps.placed(steps.way * turned.ravel(), curve.at(turned.ravel())[0])[0].reshape(turned.shape)
+    bend = np.abs(np.diff(z, 2, axis=1))
+    return float(np.sqrt(bend / (8 * slack)).sum()) * end / TURN / GLANCES
 
 
 def _blocks(steps: _Steps, curve: _Curve, end: float) -> Iterator[tuple[float, float, int]]:
