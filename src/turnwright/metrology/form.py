@@ -23,7 +23,9 @@ MAX_DEGREE = 10
 def remove_form(heights: HeightMap, form: Form) -> HeightMap:
     r"""Return the map without its form, fitted by least squares over the valid points.
 
-    On a polar map every point counts with the area it stands for, :math:`r\,dr\,d\theta`.
+    On a polar map every point counts with the area it stands for, :math:`r\,dr\,d\theta`. A combination of the terms of
+    a polynomial that shows a three-millionth as much over the valid points as another, as at degree 10 over a narrow
+    slice, is not told from rounding, and stays in the map.
 
     Parameters
     ----------
