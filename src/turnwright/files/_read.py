@@ -75,7 +75,10 @@ def read_map(
         return found
     if found.calibrated:
         raise MapError(f"{path} states the size of its pixels: leave pixel_size={pixel_size} out")
-    return found.scaled(pixel_size)
+    sizes = tuple(np.ravel(pixel_size).tolist())
+    if len(sizes) > 2:
+        raise MapError(f"{path} is given {len(sizes)} pixel sizes, the limit is 2: give one, or one along x and y each")
+    return found.scaled(sizes if len(sizes) == 2 else sizes[0])
 
 
 def _contents(path: Path) -> bytes:
