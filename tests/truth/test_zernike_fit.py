@@ -45,7 +45,7 @@ def test_term_100_equals_exact_arithmetic(indexing):
     place[int(m < 0), abs(m), (n - abs(m)) // 2] = 0
     out = np.empty((1, x.size))
     recurrence = disc_sum({order: np.ones(place.shape[2]) for order in range(abs(m) + 1)}).recurrence
-    least_squares.zernike_terms(x, y, 1.0, recurrence, place, out)
+    least_squares.zernike_terms(x, y, 1.0, recurrence, place, np.ones(1), out)
     assert np.abs(out[0] - truth).max() < 1e-12
     # Its coefficient of rms 1 is that at the edge by sqrt(n + 1), times sqrt(2) unless m = 0.
     with mpmath.workdps(30):

@@ -65,11 +65,11 @@ def gram(terms, weight, values, parameters, normal, right, whole):
 
 
 @jit
-def zernike_terms(x, y, scale, recurrence, place, out):
+def zernike_terms(x, y, scale, recurrence, place, factor, out):
     """Write Zernike polynomials at points into rows of ``out`` (k, n).
 
     P_0 = 1, P_{j+1} = (A_j + B_j s) P_j - C_j P_{j-1} with s = |w|^2, w = scale (x + iy), ``recurrence`` being
-    (A, B, C)[m, j]. ``place[0 or 1, m, j]`` is the row of Re or Im w^m P_j, or -1.
+    (A, B, C)[m, j]. ``place[0 or 1, m, j]`` is the row of Re or Im w^m P_j, or -1; ``factor`` multiplies the rows.
     """
     orders, count = place.shape[1], place.shape[2]
     w = np.empty((8, BLOCK))  # w, s, w^m (real and imaginary), three polynomials by turns
@@ -93,8 +93,9 @@ def zernike_terms(x, y, scale, recurrence, place, out):
                 for part in range(2):
                     row = place[part, m, j]
                     if row >= 0:
+                        f = factor[row]
                         for p in range(n):
-                            out[row, start + p] = w[3 + part, p] * w[now, p]
+                            out[row, start + p] = f * w[3 + part, p] * w[now, p]
                 if j < last:
                     a, b, c = recurrence[0, m, j], recurrence[1, m, j], recurrence[2, m, j]
                     for p in range(n):

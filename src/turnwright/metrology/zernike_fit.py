@@ -196,12 +196,13 @@ def _fit(
     for row, (n, m) in enumerate(orders):
         place[int(m < 0), abs(m), (n - abs(m)) // 2] = row
     recurrence = disc_sum({m: np.ones(count) for m in range(place.shape[1])}).recurrence
-    factor = np.array([[_factor(n, m)] for n, m in orders])
+    factor = np.array([_factor(n, m) for n, m in orders])
+    padded = len(orders) + -len(orders) % 4  # as the sums take them, without a copy
 
     def model(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
-        terms = np.empty((len(orders), x.size))
-        least_squares.zernike_terms(x - x0, y - y0, 1 / radius, recurrence, place, terms)
-        terms *= factor
+        terms = np.empty((padded, x.size))
+        terms[len(orders) :] = 0.0
+        least_squares.zernike_terms(x - x0, y - y0, 1 / radius, recurrence, place, factor, terms)
         return terms, z
 
     names = [f"{indexing} {index}" for index in indices]
