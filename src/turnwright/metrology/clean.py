@@ -412,8 +412,8 @@ def fill_holes(heights: HeightMap, largest: float) -> Filled:
     """Fill the holes inside a map with the plate of least bending, held by all that surrounds them.
 
     That is the biharmonic surface through the two rings of points around a hole; polynomials of degree 3 come out
-    exactly where both rings are valid. What is missing and connected to the outside stays missing. Heights that nobody measured are no
-    measurement: fill only for what cannot do without.
+    exactly where both rings are valid. What is missing and connected to the outside stays missing. Heights that nobody
+    measured are no measurement: fill only for what cannot do without.
 
     Parameters
     ----------
