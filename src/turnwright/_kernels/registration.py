@@ -10,11 +10,11 @@ __all__ = ["misfit"]
 
 
 @jit
-def misfit(x, y, z, places, table, low, step, least, out):
-    """Fill ``out`` (m,) with the mean square of z minus the table, less its own best plane.
+def misfit(x, y, z, places, table, low, step, out):
+    """Fill ``out`` (2, m) with how many points lie on the table, and their mean square from it, less its best plane.
 
     A place (px, py, turn) puts the points at (px, py) + Rz(turn) (x, y). The square ``table`` starts at ``low`` in x
-    and y and is nan where there is no surface; places with fewer than ``least`` points on it come out as inf.
+    and y and is nan where there is no surface; a place with fewer than four points on it fits infinitely badly.
     """
     last = table.shape[0] - 1.0
     for k in range(places.shape[0]):
@@ -43,8 +43,9 @@ def misfit(x, y, z, places, table, low, step, least, out):
             srx += r * x[i]
             sry += r * y[i]
             srr += r * r
-        if n < least:
-            out[k] = np.inf
+        out[0, k] = n
+        if n < 4.0:
+            out[1, k] = np.inf
             continue
         # About the middle of the points that count, the plane is a mean and two slopes.
         sxx -= sx * sx / n
@@ -56,4 +57,4 @@ def misfit(x, y, z, places, table, low, step, least, out):
         det = sxx * syy - sxy * sxy
         if det > 1e-12 * sxx * syy:
             srr -= (syy * srx * srx - 2.0 * sxy * srx * sry + sxx * sry * sry) / det
-        out[k] = max(srr, 0.0) / n
+        out[1, k] = max(srr, 0.0) / n

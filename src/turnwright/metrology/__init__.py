@@ -7,6 +7,7 @@ from turnwright.metrology.filters import Bands, Nesting, filter_map, separate_ba
 from turnwright.metrology.form import Form, remove_form
 from turnwright.metrology.lenslets import Alignment, Lenslet, Lenslets, has_lenslets, lenslets
 from turnwright.metrology.profile import Profile, line_profile
+from turnwright.metrology.registration import PoseCandidate, Registration, Undetermined, register
 from turnwright.metrology.roughness import Roughness, roughness
 from turnwright.metrology.slope import Slopes, slope_error
 from turnwright.metrology.spectrum import AreaSpectrum, Spectrum, area_psd, line_psd
@@ -24,10 +25,13 @@ __all__ = [
     "Lenslet",
     "Lenslets",
     "Nesting",
+    "PoseCandidate",
     "Profile",
+    "Registration",
     "Roughness",
     "Slopes",
     "Spectrum",
+    "Undetermined",
     "ZernikeFit",
     "area_psd",
     "bearing",
@@ -42,6 +46,7 @@ __all__ = [
     "lenslets",
     "line_profile",
     "line_psd",
+    "register",
     "remove_form",
     "roughness",
     "separate_bands",

@@ -18,16 +18,38 @@ LARGEST_TABLE = 1500
 PEAKS = 12
 """How many places of the correlation are refined; with a full turn of clocking twice as many."""
 
+QUIET = 1e-6
+"""Misfit below which nothing is poor. [mm]."""
+
+WRONG = 5e-3
+"""Residual rms beyond which something else than the part may have been measured too. [mm]."""
+
 SURE = 4
 """So many are refined, however poor they are beside the best."""
 
 POOR = 4.0
 """Mean square over the best one's at which a place is not refined."""
 
+MOST_LOOKUPS = 50_000_000
+"""Points times places of a correlation; beyond it points are left out."""
+
 MOST_REPEATS = 60
 PLACES_AT_A_TIME = 64
+COVER = 0.95
+"""Share of the points that a place must explain, of those that others explain as well."""
+
 LEAST = 0.5
-"""Share of the points that must lie on the part."""
+"""Share of the points that must lie on the part, of those that can."""
+
+
+class _Tabled(NamedTuple):
+    """Levelled points (3, n), and the square table of the part that they are laid on. [mm]."""
+
+    points: Floats
+    start: Floats  # the state that levelled them
+    table: Floats
+    low: float
+    step: float
 
 
 class Lattice(NamedTuple):
@@ -106,13 +128,13 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
     points = _levelled(problem, start)
     if points is None:
         return [fit(problem, start, free, size, close=1e-9)]
-    a = 1 / size[3]
+    a = min(1 / size[3], problem.within)
     step = min(pattern.fine / 2 if np.isfinite(pattern.fine) else np.inf, a / 5)
     if axisymmetric(problem.surface, problem.within) or 3 not in free:
         clocking = 0.0
-    table, low, grain = _table(problem.surface, problem.within, step)
+    tabled = _Tabled(points, start, *_table(problem.surface, problem.within, step))
     turn_step = min(step / a * 1.5, 0.35)
-    angles = _axis(clocking, turn_step)
+    angles = _turns(clocking, turn_step)
     along = [_axis(reach, step) if k in free else np.zeros(1) for k in (0, 1)]
     cell: Floats
     if pattern.steps is not None and 0 in free and 1 in free:
@@ -125,14 +147,25 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
         x, y = np.meshgrid(*along)
         cell = np.stack([x.ravel(), y.ravel()], axis=-1)
     places = np.concatenate([np.repeat(cell, angles.size, axis=0), np.tile(angles, cell.shape[0])[:, None]], axis=1)
-    least = LEAST * points.shape[1]
-    score = _scores(points, places + np.array([start[0], start[1], 0.0]), table, low, grain, least)
+    thin = max(points.shape[1] * places.shape[0] // MOST_LOOKUPS, 1)
+    score = _scores(tabled, places + np.array([start[0], start[1], 0.0]), thin=thin)
     peaks = _peaks(places, score, 1.6 * step, 1.6 * turn_step, PEAKS * (2 if clocking > 0.5 else 1))
     fits = [one for place, _ in peaks if (one := _refined(problem, start, place, free, size)) is not None]
+    if fits and min(one.rms for one in fits) > WRONG:
+        calm = (_refined(problem, start, place, free, size, calm=True) for place, _ in peaks)
+        fits += [one for one in calm if one is not None]
     if pattern.steps is not None and fits:
-        tabled = (points, table, low, grain, start)
         fits += _repeats(problem, fits, pattern.steps, state, reach, free, size, tabled, peaks[0][1])
-    return sorted(fits, key=lambda one: one.square)
+    fits = _covering(sorted(fits, key=lambda one: one.cost))
+    near = [one for one in fits if np.abs(one.state[:2] - state[:2]).max() <= reach + step / 2]
+    return near if near and near[0].cost <= POOR * fits[0].cost + QUIET**2 else fits
+
+
+def _covering(fits: list[Fit]) -> list[Fit]:
+    """Return the fits that leave no more of the map beyond the part than others that fit as well."""
+    good = [one for one in fits if one.cost <= POOR * fits[0].cost + QUIET**2]
+    most = max((one.used for one in good), default=0)
+    return [one for one in fits if one.used >= COVER * most]
 
 
 def level(problem: Problem, state: Floats, free: list[int], size: Floats) -> Floats:
@@ -162,11 +195,16 @@ def _levelled(problem: Problem, state: Floats) -> Floats | None:
 
 
 def _axis(reach: float, step: float) -> Floats:
-    """Return places from -reach to reach no farther apart than the step; a full turn closes on itself."""
-    if reach >= np.pi:
-        return np.linspace(-np.pi, np.pi, int(np.ceil(2 * np.pi / step)), endpoint=False)
+    """Return places from -reach to reach no farther apart than the step."""
     half = int(np.ceil(reach / step))
     return np.linspace(-reach, reach, 2 * half + 1) if half else np.zeros(1)
+
+
+def _turns(clocking: float, step: float) -> Floats:
+    """Return turns from -clocking to clocking no farther apart than the step; a full turn closes on itself."""
+    if clocking < np.pi * (1 - 1e-9):
+        return _axis(clocking, step)
+    return np.linspace(-np.pi, np.pi, int(np.ceil(2 * np.pi / step)), endpoint=False)
 
 
 def _table(surface: Surface, within: float, step: float) -> tuple[Floats, float, float]:
@@ -183,19 +221,19 @@ def _table(surface: Surface, within: float, step: float) -> tuple[Floats, float,
     return table, -within, float(axis[1] - axis[0])
 
 
-def _scores(points: Floats, places: Floats, table: Floats, low: float, step: float, least: float) -> Floats:
-    """Return the misfit at each place. (m,)."""
+def _scores(tabled: _Tabled, places: Floats, *, thin: int = 1, share: float = LEAST) -> Floats:
+    """Return the misfit at each place, inf where too few points lie on the part. (m,)."""
     from turnwright._kernels.registration import misfit  # noqa: PLC0415 - numba is costly to import
 
-    x, y, z = (np.ascontiguousarray(row) for row in points)
+    x, y, z = (np.ascontiguousarray(row[::thin]) for row in tabled.points)
     places = np.ascontiguousarray(places)
-    out = np.empty(places.shape[0])
+    out = np.empty((2, places.shape[0]))
 
     def work(start: int, stop: int) -> None:
-        misfit(x, y, z, places[start:stop], table, low, step, least, out[start:stop])
+        misfit(x, y, z, places[start:stop], tabled.table, tabled.low, tabled.step, out[:, start:stop])
 
     run_chunks(work, places.shape[0], PLACES_AT_A_TIME)
-    return out
+    return np.where(out[0] >= share * out[0].max(), out[1], np.inf)
 
 
 def _peaks(places: Floats, score: Floats, apart: float, turn_apart: float, most: int) -> list[tuple[Floats, float]]:
@@ -215,15 +253,22 @@ def _peaks(places: Floats, score: Floats, apart: float, turn_apart: float, most:
     return kept
 
 
-def _refined(problem: Problem, start: Floats, place: Floats, free: list[int], size: Floats) -> Fit | None:
-    """Fit from a place of the correlation: turned and shifted as it says, levelled, then all at once."""
+def _refined(
+    problem: Problem, start: Floats, place: Floats, free: list[int], size: Floats, *, calm: bool = False
+) -> Fit | None:
+    """Fit from a place of the correlation: turned and shifted as it says, levelled, then all at once.
+
+    Calm, by Tukey's loss first: what is no part of the part, such as a flange beyond its rim, then does not pull.
+    """
     state = start.copy()
     state[:2] += place[:2]
     state[3] += place[2]
     tilts = [k for k in (2, 4, 5) if k in free]
-    state = fit(problem, state, tilts, size, steps=1).state
     pose = [k for k in free if k < 6]
-    found = fit(problem, state, pose, size, steps=15, close=1e-7)
+    state = fit(problem, state, tilts, size, steps=1).state if not calm else level(problem, state, free, size)
+    if calm:
+        state = fit(replace(problem, loss="tukey"), state, pose, size, steps=25, close=1e-7).state
+    found = fit(problem, state, pose, size, steps=25, close=1e-7)
     found = fit(problem, found.state, free, size, steps=25, close=1e-9) if len(pose) < len(free) else found
     return found if found.used > 0 else None
 
@@ -236,12 +281,12 @@ def _repeats(
     reach: float,
     free: list[int],
     size: Floats,
-    tabled: tuple[Floats, Floats, float, float, Floats],
+    tabled: _Tabled,
     lowest: float,
 ) -> list[Fit]:
     """Return fits from every repeat of the pattern within reach of the best that was found."""
-    points, table, low, grain, start = tabled
-    base = min(fits, key=lambda one: one.square)
+    start = tabled.start
+    base = min(fits, key=lambda one: one.cost)
     most = int(np.ceil((2 * reach) / np.sqrt(abs(np.linalg.det(steps))))) + 1
     i, j = np.meshgrid(np.arange(-most, most + 1), np.arange(-most, most + 1))
     at = base.state[:2] + np.stack([i.ravel(), j.ravel()], axis=-1) @ steps
@@ -249,7 +294,7 @@ def _repeats(
     places = np.concatenate([at, np.full((at.shape[0], 1), base.state[3] - start[3])], axis=1)
     if not places.size:
         return []
-    score = _scores(points, places, table, low, grain, LEAST * points.shape[1])
+    score = _scores(tabled, places, share=COVER)
     most_score = POOR * min(lowest, float(score.min()))
     order = [int(k) for k in np.argsort(score)[:MOST_REPEATS] if score[k] <= most_score]
     refined = [_refined(problem, start, places[k] - np.array([start[0], start[1], 0.0]), free, size) for k in order]

@@ -76,7 +76,8 @@ class Fit(NamedTuple):
     state: Floats
     normal: Floats  # J W Jᵀ over all unknowns
     used: int  # points
-    square: float  # mean square of the residuals that the loss still believes [mm²]
+    square: float  # mean square of the residuals, as the loss weighs them [mm²]
+    cost: float  # mean of the loss [mm²]
     scale: float  # scatter that the loss was scaled by [mm]
     steps: int
 
@@ -296,7 +297,8 @@ def _march(
                 break
         if moved <= max(close, SETTLED * np.sqrt(here.square / max(here.weight, 1e-300) / here.used)):
             break
-    return Fit(state, here.normal, here.used, here.square / max(here.weight, 1e-300), scale, taken)
+    square = here.square / max(here.weight, 1e-300)
+    return Fit(state, here.normal, here.used, square, here.cost / max(here.used, 1), scale, taken)
 
 
 def _solve(normal: Floats, right: Floats, damping: float) -> Floats:

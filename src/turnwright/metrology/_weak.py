@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright.metrology._rigid import Fit, Problem, rows, spans, weights
+from turnwright.metrology._rigid import Fit, Problem, rows, weights
 from turnwright.surface import Zernike
 
 __all__ = ["Doubt", "doubt", "held", "plausible"]
 
-NOTHING = 1e-13
-"""Eigenvalue, as a share of the largest one, at which a direction changes nothing but rounding."""
+NOTHING = 1e-12
+"""Singular value, as a share of the largest one, at which a direction changes nothing but rounding."""
 
 ENDLESS = 1e6
 """Standard deviation of a direction that nothing fixes. [mm]."""
@@ -54,27 +54,21 @@ def doubt(
         Standard deviation of a height [mm], independent from point to point over ``count`` points.
     """
     chosen = np.asarray(free, dtype=np.int64)
-    unit = size[chosen]
-    shapes = plausible(problem.within) if form > 0 else []
-    normal = np.zeros((chosen.size, chosen.size))
-    mixed = np.zeros((chosen.size, len(shapes)))
-    used = 0
-    for span in spans(problem.points.shape[1]):
-        at = rows(problem, found.state, span)
-        columns = at.columns[chosen] * unit[:, None]
-        weighted = columns * weights(at.residual, found.scale, problem.loss)[0]
-        normal += weighted @ columns.T
-        used += at.which.size
-        if shapes:
-            x, y = np.ascontiguousarray(at.at[0]), np.ascontiguousarray(at.at[1])
-            mixed += weighted @ np.stack([shape.evaluate(x, y, 0)[0] for shape in shapes], axis=-1)
-    values, vectors = np.linalg.eigh(normal)
-    fixed = values > NOTHING * max(values[-1], 1e-300)
-    safe = np.where(fixed, values, 1.0)
-    share = used / max(count, 1)
-    variance = np.where(fixed, np.minimum(noise**2 / safe * share, ENDLESS**2), ENDLESS**2)
-    moved = form * (vectors * np.where(fixed, 1 / safe, 0.0)) @ (vectors.T @ mixed)
-    return Doubt((vectors * variance) @ vectors.T, moved @ moved.T)
+    at = rows(problem, found.state, slice(0, problem.points.shape[1]))
+    root = np.sqrt(weights(at.residual, found.scale, problem.loss)[0])
+    # Singular values reach down to rounding; eigenvalues of the normal equations stop at its square root.
+    points, singular, vectors = np.linalg.svd((at.columns[chosen] * size[chosen, None] * root).T, full_matrices=False)
+    fixed = singular > NOTHING * max(singular[0], 1e-300)
+    inverse = np.where(fixed, 1 / np.where(fixed, singular, 1.0), 0.0)
+    share = at.which.size / max(count, 1)
+    std = np.where(fixed, np.minimum(noise * inverse * np.sqrt(share), ENDLESS), ENDLESS)
+    variance = (vectors.T * std**2) @ vectors
+    if form == 0:
+        return Doubt(variance, np.zeros_like(variance))
+    x, y = np.ascontiguousarray(at.at[0]), np.ascontiguousarray(at.at[1])
+    shapes = np.stack([shape.evaluate(x, y, 0)[0] for shape in plausible(problem.within)], axis=-1)
+    moved = form * (vectors.T * inverse) @ (points.T @ (root[:, None] * shapes))
+    return Doubt(variance, moved @ moved.T)
 
 
 def held(covariance: Floats, limit: float) -> tuple[Floats, list[int]]:
@@ -83,13 +77,19 @@ def held(covariance: Floats, limit: float) -> tuple[Floats, list[int]]:
     Returns
     -------
     tuple
-        Unit vectors (k, m), the worst first, and m of the k numbers: those that the directions move most.
+        Directions (k, m), those that nothing fixes first, and m of the k numbers: those that they move most. Each of
+        the former moves one of these numbers by 1, the others not at all; the rest are unit vectors.
     """
     from scipy.linalg import qr  # noqa: PLC0415 - scipy is costly to import
 
     values, vectors = np.linalg.eigh(covariance)
     weak = vectors[:, values > limit**2][:, ::-1]
-    if weak.shape[1] == 0:
-        return weak, []
-    order = qr(weak.T, pivoting=True, mode="r")[1]
-    return weak, [int(k) for k in order[: weak.shape[1]]]
+    free = int(np.count_nonzero(values > (ENDLESS / 10) ** 2))
+    numbers: list[int] = []
+    if free:
+        numbers = [int(k) for k in qr(weak[:, :free].T, pivoting=True, mode="r")[1][:free]]
+        weak[:, :free] = weak[:, :free] @ np.linalg.inv(weak[numbers, :free])
+    for k in range(free, weak.shape[1]):
+        order = np.argsort(-np.abs(weak[:, k]))
+        numbers.append(next(int(one) for one in order if one not in numbers))
+    return weak, numbers

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -26,8 +27,9 @@ from turnwright.metrology._rigid import (
     rows,
     scatter,
     state_of,
+    weights,
 )
-from turnwright.metrology._weak import Doubt, doubt, held, plausible
+from turnwright.metrology._weak import ENDLESS, Doubt, doubt, held, plausible
 from turnwright.pose import Pose
 from turnwright.surface import Surface
 
@@ -49,11 +51,14 @@ LIMIT = 0.1
 FORM_ERROR = 1e-3
 """What the form of a part may be off if the caller says nothing. [mm]."""
 
+FULL = 0.999
+"""Share of the points that a pose must explain to be preferred, of those that one that fits as well explains."""
+
 NEARLY = 1.44
 """Ratio of mean squares up to which another pose fits nearly as well; it stands for a fifth more rms."""
 
-EVEN = 1.02
-"""Ratio of mean squares up to which two poses fit equally well."""
+EVEN = 10.0
+"""Difference in chi-square up to which two poses fit equally well; noise alone gives more once in 650 times."""
 
 QUIETEST = 1e-6
 """Noise and form together are never taken to be less than this where poses are compared. [mm]."""
@@ -221,22 +226,26 @@ class Registration:
         )
         said = [first, *(one.words for one in self.undetermined)]
         if self.held:
-            said.append(f"{_listed(self.held)} were left where the start has them, so they are no result of the fit.")
+            said.append(f"Left where the start has it, and no result of the fit: {', '.join(self.held)}.")
         near = [other for other in self.candidates if not other.symmetric]
         if near:
             first = ", ".join(f"{one:.4g}" for one in near[0].pose.shift)
             turn = np.rad2deg(near[0].pose.rotation)
+            count = "Another pose fits" if len(near) == 1 else f"{len(near)} other poses fit"
             said.append(
-                f"{len(near)} other poses fit nearly as well, the next with shift ({first}) mm and rotation "
-                f"{turn:.4g} deg at {near[0].rms_nm:.4g} nm rms: measure the edge of the part or a fiducial, or give "
-                "a start and a reach below half of the pattern's pitch."
+                f"{count} nearly as well, the best with shift ({first}) mm and rotation {turn:.4g} deg at "
+                f"{near[0].rms_nm:.4g} nm rms: measure the edge of the part or a fiducial, and give a start and a "
+                "reach that leave one of them."
             )
-        equal = [other for other in self.candidates if other.symmetric]
-        if equal:
-            turned = ", ".join(f"{np.rad2deg(one.pose.rotation - self.pose.rotation):.4g} deg" for one in equal)
+        turned = sorted(
+            float((np.rad2deg(one.pose.rotation - self.pose.rotation) + 180.001) % 360 - 180.001)
+            for one in self.candidates
+            if one.symmetric
+        )
+        if turned:
             said.append(
-                f"The part is symmetric: {len(equal)} other poses are equivalent, turned by {turned}; which one it is "
-                "only a mark on the part can tell."
+                f"The part is symmetric: turned by {', '.join(f'{one:.4g}' for one in turned)} deg the pose is "
+                "equivalent, and only a mark on the part can tell which one it is."
             )
         return tuple(said)
 
@@ -309,7 +318,8 @@ def register(
         Standard deviation of a height; by default the scatter of the residual. [nm]
     form_error
         Height at the rim by which each low form (Zernike degrees 2 to 4) may be off. Poses that such a form passes for
-        are not trusted further than that. By default 1 um, or 0 where ``terms`` say what the form may be. [mm]
+        are not trusted further than that. By default 1 um, or the rms of what the
+        pose leaves if that is more; 0 where ``terms`` say what the form may be. [mm]
     weak
         What to do with directions in which the rim may be off by more than 0.1 mm: leave as many numbers where the
         start has them ("hold"), fit them all the same and say so ("fit"), or "raise". Where the start contradicts the
@@ -336,14 +346,17 @@ def register(
     if weak not in ("hold", "fit", "raise"):
         raise InputError(f'weak is {weak!r}, it can be "hold", "fit" or "raise": choose one of them')
     few, some = (task.problem.only(_sample(task.problem.points.shape[1], count)) for count in (FEW, SOME))
-    found = [one for one in search(few, task.start, task.free, task.size, reach, clocking) if _enough(one, few)]
+    found = [one for one in search(few, task.start, task.free, task.size, reach, clocking) if _enough(one)]
     if not found:
         raise InputError(
-            f"fewer than half of the map's {task.which.size} heights come to lie within {task.problem.within:g} mm of "
-            "the part's axis, from the start that was given: check units and start, or give a larger reach"
+            f"of the map's {task.which.size} heights fewer than {len(task.free) + 2} come to lie within "
+            f"{task.problem.within:g} mm of the part's axis from this start: check units and start, or give a larger "
+            "reach"
         )
     best = fit(some, found[0].state, task.free, task.size, close=1e-10)
-    kept, fixed, directions = _decide(task, some, best, weak)
+    if form_error is None and not terms:
+        task = task._replace(form=max(task.form, best.rms))
+    kept, fixed, directions = _decide(task, some, few, best, weak)
     fits = _distinct(task, few, found, kept, fixed)
     chosen, candidates = _candidates(task, some, fits, kept)
     final = fit(task.problem, chosen.state, kept, task.size)
@@ -445,18 +458,20 @@ def _sample(count: int, most: int) -> Ints:
     return (edges[:-1] + np.random.default_rng(0).random(most) * np.diff(edges)).astype(np.int64)
 
 
-def _enough(one: Fit, problem: Problem) -> bool:
-    """Say whether most of the points lie on the part."""
-    return bool(one.used >= max(problem.points.shape[1] / 2, one.state.size + 1))
+def _enough(one: Fit) -> bool:
+    """Say whether more points lie on the part than there are unknowns."""
+    return one.used > one.state.size + 1
 
 
 def _noise(task: _Task, one: Fit) -> float:
     """Return the standard deviation of a height. [mm]."""
-    return max(one.rms, FINEST) if task.noise is None else task.noise
+    if task.noise is not None:
+        return task.noise
+    return max(one.rms if task.problem.loss == "linear" else one.scale, FINEST)
 
 
 def _decide(
-    task: _Task, some: Problem, best: Fit, weak: str
+    task: _Task, some: Problem, few: Problem, best: Fit, weak: str
 ) -> tuple[list[int], list[int], list[tuple[Floats, float, str]]]:
     """Return the numbers to fit, those to hold, and the directions that are not fixed (6 numbers, std, cause)."""
     pose = [k for k in task.free if k < 6]
@@ -467,28 +482,29 @@ def _decide(
     vectors, pivots = held(parts.total, LIMIT)
     directions: list[tuple[Floats, float, str]] = []
     for vector in vectors.T:
-        by_noise, by_form = (float(vector @ one @ vector) for one in parts)
+        by_noise, by_form = (float(vector @ one @ vector) / float(vector @ vector) for one in parts)
         std = np.sqrt(by_noise + by_form)
-        cause = "surface" if std > 1e3 else "form" if by_form > by_noise else "noise"
+        cause = "surface" if std > ENDLESS / 10 else "form" if by_form > by_noise else "noise"
         full = np.zeros(6)
-        full[pose] = vector * task.size[pose] * (1 if vector[np.argmax(np.abs(vector))] > 0 else -1)
-        directions.append((full, std if cause != "surface" else np.inf, cause))
+        full[pose] = vector / np.linalg.norm(vector) * task.size[pose] * np.sign(vector[np.argmax(np.abs(vector))])
+        directions.append((full, np.inf if cause == "surface" else std, cause))
     if directions and weak == "raise":
         raise InputError(
             " ".join(_words(task, *one) for one in directions)[:-1]
             + f", the limit is {LIMIT:g} mm: leave numbers out of free, give terms or a smaller form_error, or measure "
             "a fiducial"
         )
-    fixed = [pose[k] for k in pivots] if weak == "hold" else []
-    while fixed:
-        kept = [k for k in task.free if k not in fixed]
-        state = best.state.copy()
-        state[fixed] = task.start[fixed]
-        there = fit(some, state, kept, task.size, close=1e-9)
-        if there.used >= best.used / 2 and there.square <= best.square + 9 * max(task.form, noise) ** 2:
-            return kept, fixed, directions
-        # The start contradicts the surface: what the surface fixes best among the held numbers is fitted.
-        fixed = fixed[:-1] if 3 not in fixed else [k for k in fixed if k != 3]
+    # What nothing fixes cannot be fitted; the rest is held unless the start contradicts the surface.
+    wanted = [pose[k] for k, one in zip(pivots, directions, strict=True) if weak == "hold" or one[2] == "surface"]
+    believed = best.cost + 9 * max(task.form, noise) ** 2
+    for count_held in range(len(wanted), 0, -1):
+        for fixed in combinations(wanted, count_held):
+            kept = [k for k in task.free if k not in fixed]
+            state = best.state.copy()
+            state[list(fixed)] = task.start[list(fixed)]
+            there = fit(few, state, kept, task.size, close=1e-9)
+            if there.used >= best.used / some.points.shape[1] * few.points.shape[1] / 2 and there.cost <= believed:
+                return kept, list(fixed), directions
     return task.free, [], directions
 
 
@@ -498,7 +514,7 @@ def _words(task: _Task, direction: Floats, std: float, cause: str) -> str:
     named = [
         f"{NAMES[k]} {direction[k]:+.4g} mm" if k < 3 else f"{NAMES[k]} {1e3 * direction[k]:+.4g} mrad"
         for k in np.argsort(-share)
-        if share[k] > 0.02
+        if share[k] > 0.003
     ]
     together = " with ".join(named)
     if cause == "surface":
@@ -507,68 +523,95 @@ def _words(task: _Task, direction: Floats, std: float, cause: str) -> str:
     return f"The surface hardly fixes the direction {together}: {why} {1e3 * std:.3g} um of it at the rim."
 
 
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
-
-
 def _distinct(task: _Task, few: Problem, found: list[Fit], kept: list[int], fixed: list[int]) -> list[Fit]:
     """Return the fits that differ from better ones, held numbers held."""
     distinct: list[Fit] = []
-    best = found[0].square
-    pose = np.arange(6)
+    best = found[0].cost
     for one in found:
-        if one.square > 9 * best + 9 * task.form**2 + QUIETEST**2:
+        if one.cost > 9 * best + 9 * task.form**2 + QUIETEST**2:
             continue
         moved = one
         if fixed:
             state = one.state.copy()
             state[fixed] = task.start[fixed]
             moved = fit(few, state, kept, task.size, close=1e-9)
-            if not _enough(moved, few):
+            if not _enough(moved):
                 continue
-        if all(_apart(task, moved.state, other.state, pose) > 0.02 for other in distinct):
+        if all(_apart(task, moved.state, other.state) > 0.02 for other in distinct):
             distinct.append(moved)
-    return sorted(distinct, key=lambda one: one.square)[:MOST_CANDIDATES]
+    return sorted(distinct, key=lambda one: one.cost)[:MOST_CANDIDATES]
 
 
-def _apart(task: _Task, one: Floats, other: Floats, pose: Ints) -> float:
+def _apart(task: _Task, one: Floats, other: Floats) -> float:
     """Return by how much two poses move the rim apart. [mm]."""
-    gap = one[pose] - other[pose]
-    gap[3:] = (gap[3:] + np.pi) % (2 * np.pi) - np.pi
-    return float(np.abs(gap / task.size[pose]).max())
+    return float(np.abs(_gap(one, other)[:6] / task.size[:6]).max())
 
 
 def _candidates(task: _Task, some: Problem, fits: list[Fit], kept: list[int]) -> tuple[Fit, list[tuple[Fit, float]]]:
     """Return the fit to believe, and the others that fit nearly as well with their ratios of mean squares."""
     if len(fits) == 1:
         return fits[0], []
-    fine = [fit(some, one.state, kept, task.size, close=1e-9) for one in fits]
-    quiet = (task.noise or QUIETEST) ** 2
-    left = np.array([_without_form(task, some, one, kept) + quiet for one in fine])
-    ratio = left / left.min()
-    even = np.flatnonzero(ratio <= EVEN)
-    pose = np.arange(6)
-    near = even[np.argmin([_apart(task, fine[k].state, task.start, pose) for k in even])]
-    others = [(fine[k], float(ratio[k] / ratio[near])) for k in np.argsort(ratio) if k != near and ratio[k] <= NEARLY]
+    fine: list[Fit] = []
+    for one in sorted((fit(some, one.state, kept, task.size, close=1e-9) for one in fits), key=lambda one: one.cost):
+        if not any(_one_valley(some, one, other) for other in fine):
+            fine.append(one)
+    left = np.array([_without_form(task, some, one, kept, fine[0].scale) for one in fine])
+    least = int(np.argmin(left))
+    noise = max(left[least], FINEST**2) if task.noise is None else task.noise**2
+    even = np.flatnonzero((left - left[least]) * fine[least].used <= EVEN * noise)
+    most = max(fine[k].used for k in even)
+    even = np.array([k for k in even if fine[k].used >= FULL * most])
+    near = even[np.argmin([_apart(task, fine[k].state, task.start) for k in even])]
+    ratio = (left + QUIETEST**2) / (left[near] + QUIETEST**2)
+    # A pose no farther than its own uncertainty is not another one.
+    unsure = doubt(
+        some, fine[near], kept, task.size, noise=_noise(task, fine[near]), count=some.points.shape[1], form=task.form
+    )
+    sure = np.linalg.inv(unsure.total + FINEST**2 * np.eye(len(kept)))
+    others = []
+    for k in np.argsort(ratio):
+        gap = (_gap(fine[k].state, fine[near].state) / task.size)[kept]
+        if k != near and ratio[k] <= NEARLY and gap @ sure @ gap > 9 * len(kept):
+            others.append((fine[k], float(ratio[k])))
     return fine[near], others
 
 
-def _without_form(task: _Task, some: Problem, one: Fit, kept: list[int]) -> float:
-    """Return the mean square that is left when plausible forms and small moves are taken off. [mm²]."""
+def _one_valley(some: Problem, one: Fit, other: Fit) -> bool:
+    """Say whether two fits stopped in one valley: half-way between them it is no higher than at the higher one."""
+    middle = other.state + _gap(one.state, other.state) / 2
+    scale = max(one.scale, other.scale)
+    heights = []
+    for state in (middle, one.state, other.state):
+        there = residuals(some, state)
+        there = there[np.isfinite(there)]
+        if there.size < one.used / 2:
+            return False
+        heights.append(float(np.mean(weights(there, scale, some.loss)[1])))
+    return heights[0] <= max(heights[1:]) * 1.001 + FINEST**2
+
+
+def _gap(one: Floats, other: Floats) -> Floats:
+    """Return the difference of two states, turned the short way round."""
+    gap = one - other
+    gap[3:6] = (gap[3:6] + np.pi) % (2 * np.pi) - np.pi
+    return gap
+
+
+def _without_form(task: _Task, some: Problem, one: Fit, kept: list[int], scale: float) -> float:
+    """Return the mean loss that is left when plausible forms and small moves are taken off. [mm²]."""
     found = rows(some, one.state, slice(0, some.points.shape[1]))
-    columns = found.columns[kept] * task.size[kept, None]
-    if task.form == 0:
-        return one.square
-    x, y = np.ascontiguousarray(found.at[0]), np.ascontiguousarray(found.at[1])
-    shapes = np.stack([shape.evaluate(x, y, 0)[0] for shape in plausible(some.within)])
-    both = np.concatenate([columns, shapes])
+    both = found.columns[kept] * task.size[kept, None]
+    if task.form > 0:
+        x, y = np.ascontiguousarray(found.at[0]), np.ascontiguousarray(found.at[1])
+        shapes = np.stack([shape.evaluate(x, y, 0)[0] for shape in plausible(some.within)])
+        both = np.concatenate([both, shapes])
     penalty = np.zeros(both.shape[0])
-    penalty[len(kept) :] = QUIETEST**2 / task.form**2
-    normal = both @ both.T
+    penalty[len(kept) :] = QUIETEST**2 / task.form**2 if task.form > 0 else 0.0
+    weighted = both * weights(found.residual, scale, some.loss)[0]
+    normal = weighted @ both.T
     normal[np.diag_indices_from(normal)] += penalty + 1e-12 * np.diag(normal)
-    step = np.linalg.solve(normal, both @ found.residual)
-    left = found.residual - step @ both
-    return float(np.mean(left * left))
+    left = found.residual - np.linalg.solve(normal, weighted @ found.residual) @ both
+    return float(np.mean(weights(left, scale, some.loss)[1]))
 
 
 def _symmetric(task: _Task, one: Floats, other: Floats) -> bool:
