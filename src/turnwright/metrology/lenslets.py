@@ -82,7 +82,7 @@ PER_BLOCK = 8
 REGISTERED = 100_000
 """Points that are enough to register an array, which is then levelled on its base."""
 
-LEVELLING = 100_000
+LEVELLING = 300_000
 """Points of the base that are enough to level it."""
 
 FLAT = 1e-9
@@ -248,7 +248,7 @@ class Lenslets(Sequence[Lenslet]):
     base_points
         Points of the base, those more than ``outer`` lens radii away from every lenslet.
     base_sq_nm, base_pv_nm
-        Of the base minus its design at up to 100,000 of its points, spikes left out; nan without a base.
+        Of the base minus its design at up to 300,000 of its points, spikes left out; nan without a base.
     """
 
     items: tuple[Lenslet, ...]
@@ -335,7 +335,7 @@ class Lenslets(Sequence[Lenslet]):
         return "\n".join(lines)
 
     def csv(self) -> str:
-        """Return one row for each lenslet, values in the units of the heading, nothing where nothing was found."""
+        """Return one row for each lenslet, in the units of the heading; empty cells where nothing was found."""
         heading = (
             "lens,design_x_mm,design_y_mm,centre_x_mm,centre_y_mm,centre_std_x_mm,centre_std_y_mm,dislocation_x_mm,"
             "dislocation_y_mm,irregular_x_mm,irregular_y_mm,height_mm,height_std_mm,radius_mm,radius_error_mm,"
@@ -348,7 +348,7 @@ class Lenslets(Sequence[Lenslet]):
                 one.radius, one.radius_error, one.radius_std, *one.tilt, one.sq_nm, one.pv_nm, one.scatter_nm,
             )  # fmt: skip
             cells = [str(one.number), *("" if np.isnan(value) else f"{value:.9g}" for value in values)]
-            cells += [str(one.points), str(one.outliers), f"{one.coverage:.4f}", '"' + one.finding + '"']
+            cells += [str(one.points), str(one.outliers), f"{one.coverage:.4f}", one.finding.replace(",", ";")]
             lines.append(",".join(cells))
         return "\n".join(lines) + "\n"
 
