@@ -1,11 +1,12 @@
 """What a height map says: its form, and the surface parameters of what remains."""
 
+from turnwright.metrology.alignment import Alignment
 from turnwright.metrology.bearing import Bearing, bearing
 from turnwright.metrology.best_fit import BestFit, best_fit, fizeau_view
 from turnwright.metrology.clean import Despiked, Filled, despike, fill_holes, keep_disc, trim_edge
 from turnwright.metrology.filters import Bands, Nesting, filter_map, separate_bands
 from turnwright.metrology.form import Form, remove_form
-from turnwright.metrology.lenslets import Alignment, Lenslet, Lenslets, has_lenslets, lenslets
+from turnwright.metrology.lenslets import Lenslet, Lenslets, has_lenslets, lenslets
 from turnwright.metrology.profile import Profile, line_profile
 from turnwright.metrology.registration import PoseCandidate, Registration, Undetermined, register
 from turnwright.metrology.roughness import Roughness, roughness
