@@ -32,7 +32,16 @@ from turnwright.contact import place
 from turnwright.generation import generate, generate_polar
 from turnwright.heightmap import HeightMap
 from turnwright.machine import Axis, Machine
-from turnwright.metrology import despike, filter_map
+from turnwright.metrology import (
+    area_psd,
+    best_fit,
+    despike,
+    filter_map,
+    fit_zernike,
+    fizeau_view,
+    remove_form,
+    roughness,
+)
 from turnwright.motion import check_limits, drive
 from turnwright.part import Part
 from turnwright.path import Motion, Spiral
@@ -358,6 +367,34 @@ def bench_metrology(table, scale):
             table.note(f"{name}: {seconds(median(ours))}, asked for is {limit:g} s.")
 
 
+def bench_analysis(table, scale):
+    """Form, Zernike terms, spectrum and texture of a round map with missing points."""
+    n = int(2000 * np.sqrt(scale))
+    rng = np.random.default_rng(1)
+    x = np.linspace(-10, 10, n)
+    z = 5e-3 * (x**2 + x[:, None] ** 2) + rng.normal(0, 5e-6, (n, n)) + 2e-5 * np.sin(TURN * x / 0.5)
+    z[(rng.random(z.shape) < 1e-3) | (np.hypot(x, x[:, None]) > 9.9)] = np.nan
+    part = HeightMap(x=x, y=x, z=z)
+    error = best_fit(part, "sphere").residual
+    works = {
+        "remove_form, degree 10": lambda: remove_form(part, 10),
+        "best_fit, sphere": lambda: best_fit(part, "sphere"),
+        "fizeau_view": lambda: fizeau_view(part),
+        "fit_zernike, 37 terms": lambda: fit_zernike(error, terms=37, indexing="fringe"),
+        "area_psd": lambda: area_psd(error, missing="mask").radial(),
+        "roughness": lambda: roughness(error, form=10),
+    }
+    whole = rng.normal(size=(n, n))
+    for name, work in works.items():
+        ours, floor = timed(work, lambda: fft.irfft2(fft.rfft2(whole, workers=cores()), workers=cores()), times=3)
+        table.add(
+            what=f"{name}, {n} x {n} points, {plural(cores())}",
+            ours=ours, yardstick="`scipy.fft.rfft2` there and back", theirs=floor,
+        )  # fmt: skip
+        if name == "remove_form, degree 10" and scale == 1:
+            table.note(f"{name}: {seconds(median(ours))}, asked for is 0.3 s.")
+
+
 def bench_doors(table, scale):
     command = str(Path(sys.executable).with_name("turnwright"))
 
@@ -432,7 +469,7 @@ def main():
         f"{np.__version__}, numba {version('numba')}, Turnwright {version('turnwright')}; other work kept "
         f"{os.getloadavg()[0]:.1f} cores busy."
     )
-    programs = (bench_program_files, bench_planning, bench_tracking, bench_metrology)
+    programs = (bench_program_files, bench_planning, bench_tracking, bench_metrology, bench_analysis)
     for bench in (bench_place, bench_polar, bench_patch, *programs, bench_doors, bench_thesis):
         bench(table, scale)
     if scale == 1:
