@@ -315,11 +315,15 @@ def lenslets(
     free = free_parameters(design, inner, radius=radius or form == "sphere", tilt=tilt)
     heights.require_calibrated()
     valid_points(heights, 1, "a fit of lenslets")
+    doubt = ""
     if pose is None:
         from turnwright.metrology.registration import register  # noqa: PLC0415 - costly to import
 
         # Displaced lenslets are no reason to turn the rest, so they pull less the farther off they are.
-        pose = register(_thinned(heights, REGISTERED), part, loss="huber").pose
+        registration = register(_thinned(heights, REGISTERED), part, loss="huber")
+        pose = registration.pose
+        if others := len(registration.candidates):
+            doubt = f"; {others} other poses fit nearly as well, so which lenslet is which is not certain: give a pose"
     pose = design.outer.inverse.after(pose)
     points = place_points(heights, pose, design)
     starts = np.zeros((design.centres.shape[0], 6))
@@ -362,7 +366,7 @@ def lenslets(
     return Lenslets(
         items=items,
         form=form,
-        frame=frame,
+        frame=frame + doubt,
         pose=design.outer.after(pose),
         alignment=alignment,
         base_points=base.size,
