@@ -33,6 +33,7 @@ LINE = Profile(distance=X, z=Z[0], x=X, y=X)
     ("ask", "words"),
     [
         (lambda: fit_zernike(MAP, terms=0, indexing="noll"), "0 Zernike terms are asked for, the least is 1"),
+        (lambda: fit_zernike(MAP, terms=10**12, indexing="noll"), "Zernike terms are asked for, the limit is 1000"),
         (lambda: fit_zernike(MAP, terms=[4, 4], indexing="noll"), "named twice"),
         (lambda: fit_zernike(MAP, terms=[37, 49], indexing="fringe"), "both the polynomial"),
         (lambda: fit_zernike(MAP, terms=3, indexing="zemax"), "known are fringe, noll and ansi"),

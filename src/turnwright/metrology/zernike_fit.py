@@ -24,6 +24,7 @@ __all__ = ["ZernikeFit", "fit_zernike"]
 
 NM = 1e6
 MAX_STEPS = 10
+MAX_TERMS = 1000
 
 SETTLED = 1e-13
 """Change of the coefficients, relative to the largest, that is rounding."""
@@ -132,6 +133,8 @@ def fit_zernike(
     (0.0005, 0.0005)
     """
     first = FIRST.get(indexing, 0)
+    if isinstance(terms, int) and terms > MAX_TERMS:
+        raise InputError(f"{terms} Zernike terms are asked for, the limit is {MAX_TERMS}: ask for fewer")
     indices = tuple(range(first, first + terms)) if isinstance(terms, int) else tuple(terms)
     if not indices:
         raise InputError("0 Zernike terms are asked for, the least is 1: name some, or say how many")
