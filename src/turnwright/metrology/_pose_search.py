@@ -18,6 +18,9 @@ LARGEST_TABLE = 1500
 PEAKS = 12
 """How many places of the correlation are refined; with a full turn of clocking twice as many."""
 
+FOLDS = (2, 3, 4, 5, 6, 8, 12)
+"""Symmetries about the axis that parts have."""
+
 QUIET = 1e-6
 """Misfit below which nothing is poor. [mm]."""
 
@@ -150,15 +153,40 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
     thin = max(points.shape[1] * places.shape[0] // MOST_LOOKUPS, 1)
     score = _scores(tabled, places + np.array([start[0], start[1], 0.0]), thin=thin)
     peaks = _peaks(places, score, 1.6 * step, 1.6 * turn_step, PEAKS * (2 if clocking > 0.5 else 1))
+    peaks.append((np.zeros(3), np.inf))  # the start itself
     fits = [one for place, _ in peaks if (one := _refined(problem, start, place, free, size)) is not None]
     if fits and min(one.rms for one in fits) > WRONG:
         calm = (_refined(problem, start, place, free, size, calm=True) for place, _ in peaks)
         fits += [one for one in calm if one is not None]
     if pattern.steps is not None and fits:
         fits += _repeats(problem, fits, pattern.steps, state, reach, free, size, tabled, peaks[0][1])
+    if fits:
+        fits += _twins(problem, min(fits, key=lambda one: one.cost), state, free, size, clocking)
     fits = _covering(sorted(fits, key=lambda one: one.cost))
     near = [one for one in fits if np.abs(one.state[:2] - state[:2]).max() <= reach + step / 2]
     return near if near and near[0].cost <= POOR * fits[0].cost + QUIET**2 else fits
+
+
+def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Floats, clocking: float) -> list[Fit]:
+    """Return fits where a symmetry of the part has them.
+
+    A turn about the part's axis turns the place of the pivot and adds to the rotation, which is the last of the angles.
+    """
+    found: list[Fit] = []
+    if clocking > 0:
+        turns_tried = {round(2 * np.pi * k / n, 12) for n in FOLDS for k in range(1, n)}
+        for turn in sorted(turns_tried):
+            twin = best.state.copy()
+            c, s = np.cos(turn), np.sin(turn)
+            twin[:2] = c * twin[0] - s * twin[1], s * twin[0] + c * twin[1]
+            twin[3] = state[3] + (twin[3] + turn - state[3] + np.pi) % (2 * np.pi) - np.pi
+            if abs(twin[3] - state[3]) > clocking:
+                continue
+            left = residuals(problem, twin)
+            left = left[np.isfinite(left)]
+            if left.size > LEAST * best.used and np.median(left * left) < POOR * best.cost + QUIET**2:
+                found.append(fit(problem, twin, free, size, steps=25, close=1e-9))
+    return found
 
 
 def _covering(fits: list[Fit]) -> list[Fit]:
@@ -175,8 +203,10 @@ def level(problem: Problem, state: Floats, free: list[int], size: Floats) -> Flo
     if not tilts:
         return state
     calm = replace(problem, terms=(), normal=False, loss="huber")
-    if 2 in free:
-        state[2] -= float(np.nanmedian(residuals(calm, state[:6])))
+    left = residuals(calm, state[:6])
+    left = left[np.isfinite(left)]
+    if 2 in free and left.size:
+        state[2] -= float(np.median(left))
     found = fit(calm, state[:6], tilts, size, steps=12, close=1e-6)
     state[:6] = found.state
     return state
@@ -233,7 +263,9 @@ def _scores(tabled: _Tabled, places: Floats, *, thin: int = 1, share: float = LE
         misfit(x, y, z, places[start:stop], tabled.table, tabled.low, tabled.step, out[:, start:stop])
 
     run_chunks(work, places.shape[0], PLACES_AT_A_TIME)
-    return np.where(out[0] >= share * out[0].max(), out[1], np.inf)
+    most = max(out[0].max(), 1.0)
+    # A flat valley is the same everywhere: there the more of the map lies on the part, the better.
+    return np.where(out[0] >= share * most, out[1] * (most / np.maximum(out[0], 1)) ** 2, np.inf)
 
 
 def _peaks(places: Floats, score: Floats, apart: float, turn_apart: float, most: int) -> list[tuple[Floats, float]]:
@@ -269,7 +301,10 @@ def _refined(
     if calm:
         state = fit(replace(problem, loss="tukey"), state, pose, size, steps=25, close=1e-7).state
     found = fit(problem, state, pose, size, steps=25, close=1e-7)
-    found = fit(problem, found.state, free, size, steps=25, close=1e-9) if len(pose) < len(free) else found
+    if len(pose) < len(free):
+        # Where a term and a turn pass for each other the pose alone goes half-way to a twin.
+        both = [fit(problem, one, free, size, steps=25, close=1e-9) for one in (found.state, state)]
+        found = min(both, key=lambda one: one.cost)
     return found if found.used > 0 else None
 
 

@@ -271,7 +271,7 @@ def _march(
     chosen = np.asarray(free, dtype=np.int64)
     here = _sums(problem, state, scale)
     damping, taken = 0.0, 0
-    while taken < steps and here.used > 0:
+    while taken < steps and here.used > 0 and chosen.size:
         taken += 1
         unit = size[chosen]
         normal = here.normal[np.ix_(chosen, chosen)] * np.outer(unit, unit)

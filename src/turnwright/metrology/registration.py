@@ -63,10 +63,16 @@ EVEN = 10.0
 QUIETEST = 1e-6
 """Noise and form together are never taken to be less than this where poses are compared. [mm]."""
 
+FAINTEST = 1e-7
+"""Noise is never taken to be less than this where uncertainties are stated. [mm]."""
+
 SAME = 1e-7
 """Height by which a part may differ from itself moved and still be called symmetric. [mm]."""
 
 MOST_CANDIDATES = 50
+TAILED = 3.0
+"""Residual rms over the scatter of most points beyond which a few of them rule."""
+
 STRAY = 6.0
 """Residual over scatter beyond which a point is flagged under a robust loss."""
 
@@ -161,7 +167,8 @@ class Registration:
     undetermined
         Directions of the pose that the surface does not fix.
     held
-        Numbers that were left where ``start`` has them because of those directions.
+        Numbers that were left where ``start`` has them because of those directions. Every other number, and its
+        uncertainty, is for these as they are.
     start
         The pose that the search started from, and that ``held`` numbers have.
     outliers
@@ -225,6 +232,12 @@ class Registration:
             f"frame to the part's; {self.count} points fit to {self.rms_nm:.4g} nm rms along the {along}."
         )
         said = [first, *(one.words for one in self.undetermined)]
+        most = scatter(self.residual.z[~self.outliers]) * NM
+        if self.rms_nm > TAILED * most and self.rms_nm > 1:
+            said.append(
+                f"Most points scatter by {most:.3g} nm only: spikes, displaced lenslets or something beside the part "
+                'pull at the pose, so clean the map, mask it, reduce within, or take loss="huber".'
+            )
         if self.held:
             said.append(f"Left where the start has it, and no result of the fit: {', '.join(self.held)}.")
         near = [other for other in self.candidates if not other.symmetric]
@@ -318,8 +331,8 @@ def register(
         Standard deviation of a height; by default the scatter of the residual. [nm]
     form_error
         Height at the rim by which each low form (Zernike degrees 2 to 4) may be off. Poses that such a form passes for
-        are not trusted further than that. By default 1 um, or the rms of what the
-        pose leaves if that is more; 0 where ``terms`` say what the form may be. [mm]
+        are not trusted further than that. By default 1 um, or the scatter
+        of what the pose leaves if that is more; give 0 where ``terms`` are all that the form may be. [mm]
     weak
         What to do with directions in which the rim may be off by more than 0.1 mm: leave as many numbers where the
         start has them ("hold"), fit them all the same and say so ("fit"), or "raise". Where the start contradicts the
@@ -354,10 +367,10 @@ def register(
             "reach"
         )
     best = fit(some, found[0].state, task.free, task.size, close=1e-10)
-    if form_error is None and not terms:
-        task = task._replace(form=max(task.form, best.rms))
+    if form_error is None:
+        task = task._replace(form=max(task.form, scatter(residuals(some, best.state))))
     kept, fixed, directions = _decide(task, some, few, best, weak)
-    fits = _distinct(task, few, found, kept, fixed)
+    fits = _distinct(task, few, some, found, kept, fixed)
     chosen, candidates = _candidates(task, some, fits, kept)
     final = fit(task.problem, chosen.state, kept, task.size)
     return _answer(task, heights, final, some, kept, fixed, directions, candidates)
@@ -390,7 +403,7 @@ def _task(
             raise InputError(f"terms hold {term!r}, which is not a surface: give surfaces whose amplitude is sought")
     radius = part.radius if within is None else positive(within, "within, the radius that counts,", "mm")
     noise = None if noise_nm is None else positive(noise_nm, "noise", "nm") / NM
-    form = (0.0 if terms else FORM_ERROR) if form_error is None else between(form_error, "form_error", 0, np.inf, "mm")
+    form = FORM_ERROR if form_error is None else between(form_error, "form_error", 0, np.inf, "mm")
     valid = valid_points(heights, len(free) + len(terms) + 1, "a registration")
     if mask is not None:
         chosen = np.asarray(mask)
@@ -467,7 +480,7 @@ def _noise(task: _Task, one: Fit) -> float:
     """Return the standard deviation of a height. [mm]."""
     if task.noise is not None:
         return task.noise
-    return max(one.rms if task.problem.loss == "linear" else one.scale, FINEST)
+    return max(one.rms if task.problem.loss == "linear" else one.scale, FAINTEST)
 
 
 def _decide(
@@ -496,7 +509,7 @@ def _decide(
         )
     # What nothing fixes cannot be fitted; the rest is held unless the start contradicts the surface.
     wanted = [pose[k] for k, one in zip(pivots, directions, strict=True) if weak == "hold" or one[2] == "surface"]
-    believed = best.cost + 9 * max(task.form, noise) ** 2
+    believed = 2 * best.cost + 9 * max(min(task.form, FORM_ERROR), noise if task.noise else 0) ** 2
     for count_held in range(len(wanted), 0, -1):
         for fixed in combinations(wanted, count_held):
             kept = [k for k in task.free if k not in fixed]
@@ -523,7 +536,9 @@ def _words(task: _Task, direction: Floats, std: float, cause: str) -> str:
     return f"The surface hardly fixes the direction {together}: {why} {1e3 * std:.3g} um of it at the rim."
 
 
-def _distinct(task: _Task, few: Problem, found: list[Fit], kept: list[int], fixed: list[int]) -> list[Fit]:
+def _distinct(
+    task: _Task, few: Problem, some: Problem, found: list[Fit], kept: list[int], fixed: list[int]
+) -> list[Fit]:
     """Return the fits that differ from better ones, held numbers held."""
     distinct: list[Fit] = []
     best = found[0].cost
@@ -539,6 +554,14 @@ def _distinct(task: _Task, few: Problem, found: list[Fit], kept: list[int], fixe
                 continue
         if all(_apart(task, moved.state, other.state) > 0.02 for other in distinct):
             distinct.append(moved)
+    pose = [k for k in kept if k < 6]
+    if len(pose) < len(kept):
+        # A quadric with a form that passes for its turn: half-way between the two solutions is that of the pose alone.
+        for one in distinct[:2]:
+            alone = one.state.copy()
+            alone[6:] = 0
+            middle = fit(some, alone, pose, task.size, close=1e-9).state
+            distinct.append(fit(some, 2 * middle - one.state, kept, task.size, close=1e-9))
     return sorted(distinct, key=lambda one: one.cost)[:MOST_CANDIDATES]
 
 

@@ -1,0 +1,63 @@
+"""What registration refuses."""
+
+import numpy as np
+import pytest
+
+from turnwright import HeightMap, InputError, Part, Plane, Pose, Sphere, register
+
+PART = Part(surface=Sphere(radius=20.0), radius=5.0)
+AXIS = np.linspace(-3, 3, 13)
+X, Y = np.meshgrid(AXIS, AXIS)
+MAP = HeightMap(x=AXIS, y=AXIS, z=PART.surface.sag(X, Y))
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"free": ("x", "tip")}, r"free holds \['tip'\], known are x, y, z, rotation, tilt_x, tilt_y"),
+        ({"free": ()}, "free holds nothing"),
+        ({"distance": "radial"}, 'distance is \'radial\', it can be "vertical" or "normal"'),
+        ({"loss": "l1"}, 'loss is \'l1\', it can be "linear", "huber" or "tukey"'),
+        ({"weak": "no"}, "weak is 'no'"),
+        ({"reach": -1.0}, "reach of the search is -1 mm"),
+        ({"clocking": 7.0}, "clocking of the search is 7 rad"),
+        ({"within": 0.0}, "within, the radius that counts, is 0 mm"),
+        ({"noise_nm": 0.0}, "noise is 0 nm"),
+        ({"form_error": -1.0}, "form_error is -1 mm"),
+        ({"terms": [3.0]}, "terms hold 3.0, which is not a surface"),
+        ({"terms": [Plane()]}, "the term Plane has the height 0 mm over the part"),
+        ({"mask": np.ones(3, dtype=bool)}, r"the mask has the shape \(3,\) of bool, the map \(13, 13\)"),
+        ({"mask": np.zeros((13, 13), dtype=bool)}, "the mask leaves 0 heights for 6 unknowns"),
+        ({"start": Pose(shift=(50, 0, 0)), "reach": 0.0}, "heights fewer than 8 come to lie within 5 mm of the part"),
+    ],
+)
+def test_a_wrong_request_is_named(options, match):
+    with pytest.raises(InputError, match=match):
+        register(MAP, PART, **options)
+
+
+def test_a_map_without_heights_or_lengths_is_refused():
+    with pytest.raises(InputError, match="has 0 valid heights, a registration needs 7"):
+        register(HeightMap(x=AXIS, y=AXIS, z=np.full((13, 13), np.nan)), PART)
+    with pytest.raises(InputError, match="says nothing of the size of its pixels"):
+        register(HeightMap(x=AXIS, y=AXIS, z=MAP.z, calibrated=False), PART)
+
+
+def test_held_numbers_stay_where_the_start_has_them_and_are_named():
+    start = Pose(shift=(0.1, -0.2, 0.0), rotation=0.3)
+    found = register(MAP, PART, start=start)
+    assert found.held == ("x", "y", "rotation")
+    assert found.pose.rotation == 0.3
+    assert found.names == ("z", "tilt_x", "tilt_y")
+    np.testing.assert_allclose(found.pose.apply(*found.pivot)[:2], start.apply(*found.pivot)[:2], atol=1e-12)
+    assert any(
+        one == "Left where the start has it, and no result of the fit: x, y, rotation." for one in found.sentences
+    )
+
+
+def test_only_what_is_free_moves():
+    found = register(MAP, PART, free=("z",))
+    assert found.names == ("z",)
+    assert found.pose.rotation == 0
+    assert found.pose.tilt == (0, 0)
+    assert found.pose.shift == pytest.approx((0, 0, 0), abs=1e-12)
