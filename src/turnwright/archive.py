@@ -40,17 +40,27 @@ import numpy as np
 
 from turnwright import __version__
 from turnwright.errors import InputError
+from turnwright.files import write_map
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from os import PathLike
 
     from turnwright._arrays import Floats
-    from turnwright.job import Comparison, Prediction, Result
+    from turnwright.diagnosis import Diagnosis
+    from turnwright.job import Comparison, Correction, Measured, Prediction, Result
     from turnwright.path import Motion
 
-__all__ = ["read_maps", "write_archive", "write_comparison", "write_maps"]
+__all__ = [
+    "read_maps",
+    "write_archive",
+    "write_comparison",
+    "write_correction",
+    "write_diagnosis",
+    "write_maps",
+    "write_measured",
+]
 
 AXES = ("x", "y", "radius", "angle")
 
@@ -110,8 +120,6 @@ def write_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
     folder = Path(folder)
     (folder / "job.toml").write_text(found.job.to_toml(), encoding="utf-8")
     numbers = {
-        "schema": 1,
-        "turnwright": __version__,
         "scallop": found.scallop,
         "chord": found.chord,
         "candidates": [
@@ -129,8 +137,109 @@ def write_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
             for one in found.candidates
         ],
     }
-    text = json.dumps(_plain(numbers), indent=2, allow_nan=False)
-    (folder / "comparison.json").write_text(text + "\n", encoding="utf-8")
+    _write_json(folder / "comparison.json", numbers)
+
+
+def write_measured(measured: Measured, folder: str | PathLike[str]) -> None:
+    """Write ``measured.json``, ``error.npz`` (cut minus design over the part) and ``lenslets.csv``, if there are any.
+
+    Parameters
+    ----------
+    measured
+        How far a part is off.
+    folder
+        Where to; it exists.
+    """
+    folder = Path(folder)
+    write_map(measured.error, folder / "error.npz")
+    if measured.lenslets is not None:
+        (folder / "lenslets.csv").write_text(measured.lenslets.csv(), encoding="utf-8")
+    _write_json(folder / "measured.json", {"part": measured.job.part.part.name, **_measured_numbers(measured)})
+
+
+def _measured_numbers(measured: Measured) -> dict[str, object]:
+    """Return what is said of a measured part in numbers."""
+    found, terms = measured.registration, measured.zernike
+    return {
+        "name": measured.heights.name,
+        "form_pv_nm": measured.form_pv_nm,
+        "form_rms_nm": measured.form_rms_nm,
+        "spikes": measured.spikes,
+        "registration": {
+            "pose": found.pose,
+            "pivot": found.pivot,
+            "std": found.std,
+            "held": found.held,
+            "count": found.count,
+            "rms_nm": found.rms_nm,
+            "candidates": found.candidates,
+            "sentences": found.sentences,
+        },
+        "zernike": None
+        if terms is None
+        else {
+            "indexing": terms.indexing,
+            "radius": terms.radius,
+            "indices": terms.indices,
+            "coefficients": terms.coefficients.tolist(),
+            "uncertainty": terms.uncertainty.tolist(),
+        },
+        "roughness": measured.roughness,
+    }
+
+
+def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, folder: str | PathLike[str]) -> None:
+    """Write ``diagnosis.json`` and, for each map, what is left of it as ``left-1.npz`` and so on.
+
+    Parameters
+    ----------
+    measured, found
+        What was measured, and why it is off.
+    folder
+        Where to; it exists.
+    """
+    folder = Path(folder)
+    for number, left in enumerate(found.residuals, 1):
+        write_map(left, folder / f"left-{number}.npz")
+    _write_json(folder / "diagnosis.json", _diagnosis_numbers(measured, found))
+
+
+def _diagnosis_numbers(measured: Sequence[Measured], found: Diagnosis) -> dict[str, object]:
+    """Return what is said of the causes in numbers."""
+    return {
+        "measured": [_measured_numbers(one) for one in measured],
+        "findings": list(found),
+        "names": found.names,
+        "correlation": found.correlation.tolist(),
+        "measured_rms_nm": found.measured_rms_nm,
+        "explained_rms_nm": found.explained_rms_nm,
+        "unexplained_rms_nm": found.unexplained_rms_nm,
+        "noise_nm": found.noise_nm,
+    }
+
+
+def write_correction(
+    measured: Sequence[Measured], found: Diagnosis, better: Correction, folder: str | PathLike[str]
+) -> None:
+    """Write ``correction.json`` and ``predicted.npz``, beside the job that `turnwright.correct` has written.
+
+    Parameters
+    ----------
+    measured, found, better
+        What was measured, why it is off, and what was made of it.
+    folder
+        Where to; it exists.
+    """
+    folder = Path(folder)
+    write_map(better.simulated if better.predicted is None else better.predicted, folder / "predicted.npz")
+    numbers = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
+    _write_json(folder / "correction.json", {"cutoff": better.cutoff, **numbers, **_diagnosis_numbers(measured, found)})
+
+
+def _write_json(file: Path, numbers: Mapping[str, object]) -> None:
+    """Write numbers with the version that they are of."""
+    whole = {"schema": 1, "turnwright": __version__, **numbers}
+    file.write_text(json.dumps(_plain(whole), indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -> list[dict[str, Any]]:

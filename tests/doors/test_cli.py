@@ -14,7 +14,7 @@ import pytest
 from job_files import written
 
 import turnwright as tw
-from turnwright import _commands
+from turnwright._commands import _shared
 from turnwright._stop import Stop
 from turnwright.archive import read_maps
 from turnwright.cli import main
@@ -277,7 +277,7 @@ def test_a_folder_that_cannot_be_is_refused_first(kind, done, tmp_path, monkeypa
 
 def test_bars_are_drawn_on_a_terminal(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with _commands._progress(Stop()) as progress:
+    with _shared.progress_of(Stop()) as progress:
         progress("place", 0, 10)
         progress("place", 10, 10)
     assert "place" in capsys.readouterr().err

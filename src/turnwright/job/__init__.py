@@ -1,6 +1,9 @@
 """The recipe: a job is data only, and `run` is the one place that knows the order of the stages."""
 
+from turnwright.job._artefacts import Artefact, artefact
 from turnwright.job._compare import Candidate, Comparison, compare
+from turnwright.job._correct import Correction, correct
+from turnwright.job._measure import Measured, explain, measure
 from turnwright.job._plan import Plan, Trial, plan
 from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.job._run import StageProgress, predict, preview, run
@@ -8,9 +11,12 @@ from turnwright.job._schema import Job
 from turnwright.job._shares import Shares, shares
 
 __all__ = [
+    "Artefact",
     "Candidate",
     "Comparison",
+    "Correction",
     "Job",
+    "Measured",
     "Pass",
     "Plan",
     "Prediction",
@@ -19,7 +25,11 @@ __all__ = [
     "Shares",
     "StageProgress",
     "Trial",
+    "artefact",
     "compare",
+    "correct",
+    "explain",
+    "measure",
     "plan",
     "predict",
     "preview",

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Plan", "Trial", "plan"]
 
+TURN = 2 * math.pi
 NM = 1e6
 CUSP_SQ = math.sqrt(4 / 45)
 """Sq of round cusps over their height."""
@@ -246,7 +247,7 @@ class _Search:
 
     def __init__(self, job: Job, across: float, roughest: float) -> None:
         self.job, self.across, self.roughest = job, across, roughest
-        self.part, self.tool, machine = job.part.part, job.tool.tool, job.machine.machine
+        self.part, self.tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
         self.answers, self.corrected = has_servos(machine), job.program.precorrect
         self.varies = machine.controller.variable_speed
         self.machine = machine
@@ -277,7 +278,7 @@ class _Search:
         points, meant, rest = best
         speed: float | SpeedProfile | None = None
         if self.answers or not self.varies:
-            turning = check_limits(meant, self.machine).spindle_rpm
+            turning = check_limits(meant, self.machine).peak_speed["C"] * (60 / TURN)  # not the mean with both ends
             speed = plain(turning)
             meant = at_speed(meant, speed / turning)
         if self.servos is not None and self.varies:
@@ -377,7 +378,7 @@ def _filled(job: Job, across: float, ways: Mapping[str, str | int], speed: float
 
 def _across(job: Job, form: float, sq: float) -> tuple[float, float]:
     """Return the largest feed or scallop whose cusps keep their share of both tolerances, and their height [mm]."""
-    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
     pv_limit, sq_limit = CUSP_SHARE * ROOM * form, SQ_SHARE * ROOM * sq
     scallop = _key(job)[0] == "scallop"
     across = min(pv_limit, sq_limit / CUSP_SQ)

@@ -155,8 +155,9 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             f"allow {limit:.3g} nm: do not cut with it before the cause is known"
         )
     return Result(
-        job=job, part=job.part.part, tool=tool, machine=machine, actual_tool=job.actual_tool, actual_machine=job.actual_machine,
-        access=access, passes=tuple(passes), path=pictured, motion=shown, turns=turns, least_clearance=least,
+        job=job, part=job.part.part, tool=tool, machine=machine,
+        actual_tool=job.actual_tool, actual_machine=job.actual_machine, access=access,
+        passes=tuple(passes), path=pictured, motion=shown, turns=turns, least_clearance=least,
         program=program, predictions=predictions, rounding_nm=rounding, rounding_limit_nm=limit,
         warnings=tuple(dict.fromkeys(warnings)), timings=watch.timings, peak_memory_gb=_peak_memory(),
     )  # fmt: skip

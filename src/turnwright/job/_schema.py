@@ -17,6 +17,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator, St
 from turnwright._toml import read_toml
 from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, UnitError
+from turnwright.files import read_map
 from turnwright.job._prescriptions import FAMILIES, AnySurface
 from turnwright.job._strategies import KINDS, AnyStrategy, Choices
 from turnwright.job._table import (
@@ -61,15 +62,14 @@ MOST_SAMPLES = 1e8
 """Heights in one map: beyond this a pixel is a slip of the unit."""
 
 
-def read_table_of_heights(file: File) -> Gridded:
-    """Read a correction as `correct` writes it: x and y of its columns and rows, and its heights. [mm]."""
-    try:
-        with np.load(file) as table:
-            return Gridded(x=table["x"], y=table["y"], z=table["z"])
-    except (OSError, ValueError, KeyError, EOFError) as error:
+def _correction(file: File) -> Gridded:
+    """Return a correction as `correct` writes it."""
+    heights = read_map(file)
+    if heights.x is None or heights.y is None or heights.scattered or np.isnan(heights.z).any():
         raise JobError(
-            f"{file.name} is no correction ({error}): name a file that turnwright correct has written"
-        ) from error
+            f"{file.name} is no whole grid of heights over x and y: name what turnwright correct has written"
+        )
+    return Gridded(x=heights.x, y=heights.y, z=heights.z)
 
 
 class PartTable(Table):
@@ -92,7 +92,7 @@ class PartTable(Table):
     @cached_property
     def added(self) -> Gridded | None:
         """What is added to the design so that an error that repeats does not come back, see `correct`."""
-        return None if self.correction is None else read_table_of_heights(self.correction)
+        return None if self.correction is None else _correction(self.correction)
 
     @cached_property
     def aimed(self) -> Part:
@@ -341,7 +341,8 @@ class MeasurementTable(Table):
     reference: Literal["true form", "best-fit sphere", "best-fit sphere, along its normal"] = "true form"
     causes: tuple[Text, ...] | None = None
     fixed: tuple[Literal["piston", "tilt", "decentre", "clocking"], ...] = ()
-    waviness: Annotated[int, Strict(), Ge(1), Le(9)] = 6
+    waviness: tuple[Annotated[int, Strict(), Ge(1), Le(9)], ...] = (3, 4, 5, 6)
+    worth: Thickness = 1e-7
     cutoff: Size | None = None
 
     @property

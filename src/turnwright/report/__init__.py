@@ -11,6 +11,7 @@ import numpy as np
 
 from turnwright.path import Motion
 from turnwright.report._comparison import write_comparison
+from turnwright.report._measured import write_correction, write_diagnosis, write_measured
 from turnwright.report._page import page_file, set_page, version_of_page
 
 if TYPE_CHECKING:
@@ -25,7 +26,14 @@ if TYPE_CHECKING:
     from turnwright.report._figures import Picture
     from turnwright.tool import Tool
 
-__all__ = ["write_backplot", "write_comparison", "write_report"]
+__all__ = [
+    "write_backplot",
+    "write_comparison",
+    "write_correction",
+    "write_diagnosis",
+    "write_measured",
+    "write_report",
+]
 
 NM = 1e6
 TURN = 2 * math.pi

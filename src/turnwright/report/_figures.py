@@ -38,6 +38,8 @@ __all__ = [
     "contact",
     "error_map",
     "minutes_and_errors",
+    "over_radius",
+    "places_map",
     "profile",
     "rings",
     "sag_map",
@@ -426,6 +428,55 @@ def error_map(heights: HeightMap) -> Picture:
         _bar(canvas, axes, drawn, "cut minus design [nm]", extend="both" if beyond else "neither")
     low, high = (float(end(heights.z)) * NM if sizes.size else 0.0 for end in (np.nanmin, np.nanmax))
     return Picture(canvas.svg, f"Map of cut minus design, from {low:.4g} to {high:.4g} nm.")
+
+
+def places_map(heights: HeightMap, radius: float) -> Picture:
+    """Draw scattered errors over the part, the mean of those in each pixel, colours centred at zero."""
+    x, y = heights.points()
+    z = heights.z * NM
+    used = np.isfinite(z) & (np.hypot(x, y) <= radius * (1 + 1e-9))
+    x, y, z = x[used], y[used], z[used]
+    # Pixels no finer than the points.
+    side = int(np.clip(np.sqrt(max(z.size, 1)) * 0.8, 16, PIXELS))
+    column, row = (np.minimum(((at / radius + 1) / 2 * side).astype(np.int64), side - 1) for at in (x, y))
+    count = np.bincount(row * side + column, minlength=side * side)
+    sums = np.bincount(row * side + column, weights=z, minlength=side * side)
+    image = np.where(count > 0, sums / np.maximum(count, 1), np.nan).reshape(side, side)
+    shown = np.abs(image[np.isfinite(image)])
+    limit = (float(np.percentile(shown, SPAN)) if shown.size else 0.0) or 1e-3
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        drawn = _plan(axes, image, radius, cmap=ERRORS, vmin=-limit, vmax=limit)
+        _bar(canvas, axes, drawn, "[nm]", extend="both" if shown.size and shown.max() > limit * 1.001 else "neither")
+    low, high, rms = (float(z.min()), float(z.max()), float(np.sqrt(np.mean(z**2)))) if z.size else (0.0, 0.0, 0.0)
+    return Picture(canvas.svg, f"From {low:.4g} to {high:.4g} nm, {rms:.3g} nm rms.")
+
+
+def over_radius(heights: HeightMap, radius: float) -> Picture:
+    """Draw errors over the distance from the axis: their mean around it, and between which 90 of 100 lie."""
+    x, y = heights.points()
+    r, z = np.hypot(x, y), heights.z * NM
+    used = np.isfinite(z) & (r <= radius)
+    r, z = r[used], z[used]
+    bins = int(np.clip(z.size / 200, 8, 120))
+    number = np.minimum((r / radius * bins).astype(np.int64), bins - 1)
+    order = np.argsort(number, kind="stable")
+    groups = np.split(z[order], np.searchsorted(number[order], np.arange(1, bins)))
+    filled = [k for k, group in enumerate(groups) if group.size]
+    middle = (np.array(filled) + 0.5) / bins * radius
+    mean, low, high = (
+        np.array([function(groups[k]) for k in filled])
+        for function in (np.mean, lambda group: np.percentile(group, 5), lambda group: np.percentile(group, 95))
+    )
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        axes.fill_between(middle, low, high, facecolor=SERIES[0], edgecolor="none", alpha=0.3)
+        axes.plot(middle, mean, color=SERIES[0])
+        axes.axhline(0, color=LINE, linewidth=0.8)
+        axes.set(xlabel="distance from the axis [mm]", ylabel="cut minus design [nm]")
+        axes.grid(visible=True)
+        axes.margins(x=0)
+    return Picture(canvas.svg, "Mean over each turn, and the band that holds 90 of 100 heights.")
 
 
 def rings(heights: HeightMap) -> Picture:

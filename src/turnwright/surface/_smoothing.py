@@ -75,17 +75,17 @@ def smooth_table(x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float
     odd = (column + row) % 2 == 1
     halves = [_binned(x[chosen], y[chosen], z[chosen], cell, reach) for chosen in (odd, ~odd)]
     best: tuple[float, float] | None = None
-    none = np.concatenate([half.weight * half.z**2 for half in halves])
+    scale = 1.4826 * float(np.median(np.abs(z - np.median(z))))
     for longer in LONGER:
         if cutoff * longer > 2 * reach:
             break
-        missed = np.concatenate(
+        better = np.concatenate(
             [
-                other.weight * (_at(_smoothed(one, cutoff * longer, reach), other) - other.z) ** 2
+                other.weight
+                * (_loss(other.z, scale) - _loss(other.z - _at(_smoothed(one, cutoff * longer, reach), other), scale))
                 for one, other in (halves, halves[::-1])
             ]
         )
-        better = none - missed
         gain = float(better.sum())
         if gain > WORTH * float(better.std()) * math.sqrt(better.size) and (best is None or gain > best[0]):
             best = gain, cutoff * longer
@@ -93,6 +93,12 @@ def smooth_table(x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float
         flat = np.linspace(-reach, reach, 6)
         return Smooth(Gridded(x=flat, y=flat, z=np.zeros((6, 6))), None)
     return Smooth(_smoothed(_binned(x, y, z, cell, reach), best[1], reach), best[1])
+
+
+def _loss(off: Floats, scale: float) -> Floats:
+    """Return squares that grow only linearly beyond two scales: what stands at the axis must not outvote the part."""
+    size = np.abs(off)
+    return np.where(size < 2 * scale, size**2, 4 * scale * (size - scale))
 
 
 def _binned(x: Floats, y: Floats, z: Floats, cell: float, reach: float) -> _Points:

@@ -1,89 +1,23 @@
-"""The commands, thin: each reads what was asked for, calls the job, and says what came out."""
+"""The commands of a part that is to be cut."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import sys
-import tempfile
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turnwright import __version__
-from turnwright._stop import Stop
+from turnwright._commands._shared import Door, Folder, Force, JobFile, app, new_folder, progress_of, require_new, warn
 from turnwright.errors import InputError, JobError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from turnwright.job import Job, Prediction, StageProgress
     from turnwright.path import Motion
 
-__all__ = ["Door", "app"]
-
-app = typer.Typer(
-    name="turnwright",
-    help="From an optical prescription to a proven program for a diamond-turning lathe.",
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-
-JobFile = Annotated[Path, typer.Argument(metavar="JOB.toml", help="The job file.", show_default=False)]
-Folder = Annotated[Path, typer.Option(help="Folder for the results; it is made when all is done.", show_default=False)]
-Force = Annotated[
-    bool, typer.Option("--force", help="If the folder is there already, keep it under another name and go on.")
-]
-
-
-class Door:
-    """What a command and the one who called it tell each other.
-
-    Parameters
-    ----------
-    stop
-        Whether somebody wants an end.
-    kept
-        The folder that is complete and in its place.
-    unsaid
-        Why the standard output did not take what was said; the work goes on without.
-    """
-
-    def __init__(self, stop: Stop) -> None:
-        self.stop = stop
-        self.kept: Path | None = None
-        self.unsaid: OSError | None = None
-
-    def say(self, text: str) -> None:
-        """Say a sentence where results are said."""
-        if self.unsaid is None:
-            try:
-                typer.echo(text)
-            except OSError as error:
-                self.unsaid = error
-                with suppress(OSError, ValueError):  # what is left in the buffer must not fail again at the end
-                    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def tell(text: str) -> None:
-    """Say beside the results; nobody needs to listen."""
-    with suppress(OSError):
-        typer.echo(text, err=True)
-
-
-@app.callback(invoke_without_command=True)
-def _root(
-    context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Say which version this is, and stop.")] = False,
-) -> None:
-    if version:
-        typer.echo(f"turnwright {__version__}")
-        raise typer.Exit
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
-        raise typer.Exit(2)
+__all__: list[str] = []
 
 
 @app.command()
@@ -95,10 +29,10 @@ def run(
 ) -> None:
     """Check, plan, place, drive, write the program, read it back, predict the surface it leaves, and report."""
     door: Door = context.obj
-    with _new_folder(out, door, force=force) as folder:
+    with new_folder(out, door, force=force) as folder:
         from turnwright import job as recipe  # noqa: PLC0415 - costly
 
-        with _progress(door.stop) as progress:
+        with progress_of(door.stop) as progress:
             result = recipe.run(recipe.Job.load(job), progress=progress, out=folder)
             progress("report", 0, 1)
             from turnwright import archive, report  # noqa: PLC0415 - matplotlib, only for a run that came so far
@@ -117,7 +51,7 @@ def run(
         f"one (its decimals allow {result.rounding_limit_nm:.2f} nm)"
     )
     door.say(f"time and memory: {sum(result.timings.values()):.1f} s, {result.peak_memory_gb:.2f} GB")
-    _warn(result.warnings)
+    warn(result.warnings)
     door.say(f"report: {out / 'report.html'}")
 
 
@@ -127,7 +61,7 @@ def check(context: typer.Context, job: JobFile) -> None:
     door: Door = context.obj
     from turnwright.job import Job, preview  # noqa: PLC0415
 
-    with _progress(door.stop) as progress:
+    with progress_of(door.stop) as progress:
         plan = preview(Job.load(job), progress=progress)
     for finding in plan.access.findings:
         door.say(f"{'ok' if finding.ok else 'NO'}: {finding.sentence}")
@@ -147,11 +81,8 @@ def plan(
     door: Door = context.obj
     from turnwright.job import Job, plan  # noqa: PLC0415
 
-    if out.exists():
-        raise InputError(f"{str(out)!r} is there already: name another file")
-    if not out.absolute().parent.is_dir():
-        raise InputError(f"the folder of {str(out)!r} does not exist: make it, or name another file")
-    with _progress(door.stop) as progress:
+    require_new(out)
+    with progress_of(door.stop) as progress:
         chosen = plan(Job.load(job), progress=progress)
     chosen.job.dump(out)
     for one in chosen.tried if len(chosen.tried) > 1 else ():
@@ -177,10 +108,10 @@ def compare(
 ) -> None:
     """Plan the finishing pass by every strategy that the machine can do, and put what each leaves side by side."""
     door: Door = context.obj
-    with _new_folder(out, door, force=force) as folder:
+    with new_folder(out, door, force=force) as folder:
         from turnwright.job import Job, compare  # noqa: PLC0415
 
-        with _progress(door.stop) as progress:
+        with progress_of(door.stop) as progress:
             found = compare(Job.load(job), progress=progress)
             progress("report", 0, 1)
             from turnwright.archive import write_comparison as write_table  # noqa: PLC0415
@@ -220,9 +151,9 @@ def backplot(
     from turnwright.motion import check_limits  # noqa: PLC0415
 
     with ExitStack() as stack:
-        folder = None if out is None else stack.enter_context(_new_folder(out, door, force=force))
+        folder = None if out is None else stack.enter_context(new_folder(out, door, force=force))
         recipe = Job.load(job)
-        with _progress(door.stop) as progress:
+        with progress_of(door.stop) as progress:
             motion = _read(program, recipe, cut, progress)
             limits = check_limits(motion, recipe.machine.machine)
             predictions = predict(recipe, motion, tracking=track or None, progress=progress)
@@ -240,7 +171,7 @@ def backplot(
         f"{limits.nearest} is nearest to its limit"
     )
     _say_predictions(door, predictions)
-    _warn(limits.findings)
+    warn(limits.findings)
     if out is not None:
         door.say(f"maps: {out / 'maps'}")
         door.say(f"report: {out / 'report.html'}")
@@ -278,87 +209,3 @@ def _say_predictions(door: Door, predictions: Sequence[Prediction]) -> None:
                 else ""
             )
         )
-
-
-def _warn(sentences: Sequence[str]) -> None:
-    for sentence in sentences:
-        tell(f"warning: {sentence}")
-
-
-@contextmanager
-def _progress(stop: Stop) -> Iterator[StageProgress]:
-    """Yield what is told of each stage: bars with the time left on a terminal, a quiet line per stage elsewhere."""
-    if not sys.stderr.isatty():
-        told: set[str] = set()
-
-        def line(stage: str, done: int, total: int) -> None:
-            stop.check()
-            if done >= total and stage not in told:
-                told.add(stage)
-                tell(stage)
-
-        yield line
-        return
-    from rich.console import Console  # noqa: PLC0415
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: PLC0415
-
-    columns = (TextColumn("{task.description:24}"), BarColumn(), TimeRemainingColumn(elapsed_when_finished=True))
-    with Progress(*columns, console=Console(stderr=True)) as bars:
-        tasks = {}
-
-        def bar(stage: str, done: int, total: int) -> None:
-            stop.check()
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)
-
-        yield bar
-
-
-@contextmanager
-def _new_folder(out: Path, door: Door, *, force: bool) -> Iterator[Path]:
-    """Yield a folder beside ``out`` that becomes ``out`` when all is well, and vanishes otherwise."""
-    out = Path(os.path.realpath(out))  # a link stays, what it points to is made
-    if out.is_symlink():
-        raise InputError(f"{str(out)!r} is a link that points to itself: name another folder")
-    if out.is_mount():
-        raise InputError(f"{str(out)!r} is where a disk is mounted, which cannot be replaced: name a folder in it")
-    door.stop.deaf = True  # until what is made here is sure to be cleaned up
-    made = [folder for folder in out.parents if not folder.exists()]  # deepest first
-    out.parent.mkdir(parents=True, exist_ok=True)
-    taken = out.exists() and not (out.is_dir() and not any(out.iterdir()))
-    if taken and not force:
-        raise InputError(
-            f"{str(out)!r} is there already and not empty: name another folder, or add --force to keep it too"
-        )
-    folder = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    try:
-        door.stop.deaf = False
-        door.stop.check()
-        yield folder
-        mask = os.umask(0)
-        os.umask(mask)
-        folder.chmod(0o777 & ~mask)
-        door.stop.check()
-        door.stop.deaf = True  # from here on it is done
-        if taken:
-            number = 1
-            while (kept := out.with_name(f"{out.name}.old-{number}")).exists():
-                number += 1
-            out.rename(kept)
-        elif out.exists():
-            out.rmdir()
-        folder.rename(out)
-        door.kept = out
-    except BaseException as error:
-        # Whoever reads the message knows the folder that was asked for.
-        here, asked = str(folder), str(out)
-        error.args = tuple(one.replace(here, asked) if isinstance(one, str) else one for one in error.args)
-        if isinstance(error, OSError) and isinstance(error.filename, str | os.PathLike):
-            error.filename = os.fspath(error.filename).replace(here, asked)
-        door.stop.deaf = True  # a second interrupt must not stop the cleaning
-        shutil.rmtree(folder, ignore_errors=True)
-        for parent in made:
-            with suppress(OSError):  # somebody else put something in it meanwhile
-                parent.rmdir()
-        raise

@@ -1,0 +1,177 @@
+"""The commands of a part that was measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from turnwright._commands._shared import Door, Folder, Force, JobFile, app, new_folder, progress_of, require_new, warn
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from turnwright.diagnosis import Diagnosis
+    from turnwright.job import Measured, StageProgress
+
+__all__: list[str] = []
+
+Maps = Annotated[
+    list[Path],
+    typer.Argument(metavar="MAP...", help="What the instrument wrote, in any of its formats.", show_default=False),
+]
+MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="What the instrument wrote.", show_default=False)]
+JobOption = Annotated[Path, typer.Option("--job", help="The job that cut the part.", show_default=False)]
+Jobs = Annotated[
+    list[Path],
+    typer.Option(
+        "--job", help="The job that cut the part; for several maps one for all, or one for each.", show_default=False
+    ),
+]
+
+
+@app.command()
+def artefact(
+    context: typer.Context,
+    job: JobFile,
+    kind: Annotated[str, typer.Option(metavar="KIND", help='"tilted flat" or "concave sphere".', show_default=False)],
+    out: Annotated[Path, typer.Option(metavar="JOB.toml", help="The job of the artefact.", show_default=False)],
+    radius: Annotated[
+        str | None, typer.Option(help='Clear radius such as "5 mm"; that of the part if not given.')
+    ] = None,
+    slope: Annotated[
+        str | None,
+        typer.Option(help='Tilt, or slope at the rim, such as "3 deg"; what the part asks of the nose if not given.'),
+    ] = None,
+) -> None:
+    """Write the job of an artefact that is cut as the part will be, to find out tool and machine beforehand."""
+    door: Door = context.obj
+    from turnwright.job import Job, artefact  # noqa: PLC0415
+    from turnwright.units import parse  # noqa: PLC0415
+
+    require_new(out)
+    with progress_of(door.stop) as progress:
+        made = artefact(
+            Job.load(job),
+            kind,  # type: ignore[arg-type] # any other is refused in words
+            radius=None if radius is None else parse(radius, "mm"),
+            slope=None if slope is None else parse(slope, "rad"),
+            progress=progress,
+        )
+    made.dump(out)
+    door.say(f"{made.part.part.name}: radius {made.part.radius:g} mm, {made.strategy.spindle_speed:.4g} rpm")
+    door.say(f"job: {out}")
+
+
+@app.command()
+def measure(context: typer.Context, file: MapFile, job: JobOption, out: Folder, force: Force = False) -> None:
+    """Register a measured map to its part and say how far the part is off."""
+    door: Door = context.obj
+    with new_folder(out, door, force=force) as folder, progress_of(door.stop) as progress:
+        measured = _measured([file], [job], progress)[0]
+        progress("report", 0, 1)
+        from turnwright.archive import write_measured as write_numbers  # noqa: PLC0415
+        from turnwright.report import write_measured  # noqa: PLC0415
+
+        write_numbers(measured, folder)
+        write_measured(measured, folder)
+        progress("report", 1, 1)
+    _say_measured(door, [measured])
+    door.say(f"report: {out / 'report.html'}")
+
+
+@app.command()
+def diagnose(context: typer.Context, files: Maps, job: Jobs, out: Folder, force: Force = False) -> None:
+    """Say why measured parts are off: tool, machine or mount, each with its uncertainty."""
+    door: Door = context.obj
+    with new_folder(out, door, force=force) as folder, progress_of(door.stop) as progress:
+        from turnwright.job import explain  # noqa: PLC0415
+
+        measured = _measured(files, job, progress)
+        found = explain(measured, progress=progress)
+        progress("report", 0, 1)
+        from turnwright.archive import write_diagnosis as write_numbers  # noqa: PLC0415
+        from turnwright.report import write_diagnosis  # noqa: PLC0415
+
+        write_numbers(measured, found, folder)
+        write_diagnosis(measured, found, folder)
+        progress("report", 1, 1)
+    _say_measured(door, measured)
+    _say_causes(door, found)
+    door.say(f"report: {out / 'report.html'}")
+
+
+@app.command()
+def correct(
+    context: typer.Context,
+    files: Maps,
+    job: Jobs,
+    out: Folder,
+    of: Annotated[
+        Path | None,
+        typer.Option("--of", metavar="JOB.toml", help="The job to correct, if it is not the one that was measured."),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Write the job that takes what was found into account, and predict what it leaves."""
+    door: Door = context.obj
+    with new_folder(out, door, force=force) as folder, progress_of(door.stop) as progress:
+        from turnwright.job import Job, correct, explain  # noqa: PLC0415
+
+        measured = _measured(files, job, progress)
+        found = explain(measured, progress=progress)
+        if of is None:
+            better = correct(measured[0].job, found, measured[0], out=folder, progress=progress)
+        else:
+            better = correct(Job.load(of), found, out=folder, progress=progress)
+        progress("report", 0, 1)
+        from turnwright.archive import write_correction as write_numbers  # noqa: PLC0415
+        from turnwright.report import write_correction  # noqa: PLC0415
+
+        write_numbers(measured, found, better, folder)
+        write_correction(measured, found, better, folder)
+        progress("report", 1, 1)
+    _say_measured(door, measured)
+    _say_causes(door, found)
+    for name, (pv, rms) in better.numbers_nm.items():
+        door.say(f"{name}: PV {pv:.4g} nm, rms {rms:.4g} nm")
+    door.say(f"job: {out / 'job.toml'}")
+    door.say(f"report: {out / 'report.html'}")
+
+
+def _measured(files: Sequence[Path], jobs: Sequence[Path], progress: StageProgress) -> list[Measured]:
+    """Read every map and register it to its part."""
+    from turnwright.files import read_map  # noqa: PLC0415
+    from turnwright.job import Job, measure  # noqa: PLC0415
+
+    if len(jobs) not in (1, len(files)):
+        raise InputError(
+            f"{len(files)} maps and {len(jobs)} jobs are given, there must be 1 job for all, or one for each map in "
+            "their order: state --job as often"
+        )
+    recipes = [Job.load(job) for job in jobs]
+    return [
+        measure(recipe, read_map(file), progress=progress)
+        for file, recipe in zip(files, recipes * (len(files) // len(recipes)), strict=True)
+    ]
+
+
+def _say_measured(door: Door, measured: Sequence[Measured]) -> None:
+    for one in measured:
+        door.say(
+            f"{one.heights.name or one.job.part.part.name}: form error PV {one.form_pv_nm:.4g} nm, rms "
+            f"{one.form_rms_nm:.4g} nm; {one.spikes} spikes taken out"
+        )
+        warn(one.registration.sentences[1:])
+
+
+def _say_causes(door: Door, found: Diagnosis) -> None:
+    for one in found:
+        if one.called_for:
+            door.say(f"{one.verdict}: {one.why}")
+    door.say(
+        f"off by {found.measured_rms_nm:.4g} nm rms, of it explained {found.explained_rms_nm:.4g} nm, left "
+        f"{found.unexplained_rms_nm:.4g} nm"
+    )

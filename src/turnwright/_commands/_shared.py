@@ -1,0 +1,177 @@
+"""What all commands share: the door, its options, progress, and folders that appear when all is done."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from turnwright import __version__
+from turnwright._stop import Stop
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from turnwright.job import StageProgress
+
+__all__ = ["Door", "Folder", "Force", "JobFile", "app", "new_folder", "progress_of", "require_new", "tell", "warn"]
+
+app = typer.Typer(
+    name="turnwright",
+    help="From an optical prescription to a proven program for a diamond-turning lathe.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+JobFile = Annotated[Path, typer.Argument(metavar="JOB.toml", help="The job file.", show_default=False)]
+Folder = Annotated[Path, typer.Option(help="Folder for the results; it is made when all is done.", show_default=False)]
+Force = Annotated[
+    bool, typer.Option("--force", help="If the folder is there already, keep it under another name and go on.")
+]
+
+
+class Door:
+    """What a command and the one who called it tell each other.
+
+    Parameters
+    ----------
+    stop
+        Whether somebody wants an end.
+    kept
+        The folder that is complete and in its place.
+    unsaid
+        Why the standard output did not take what was said; the work goes on without.
+    """
+
+    def __init__(self, stop: Stop) -> None:
+        self.stop = stop
+        self.kept: Path | None = None
+        self.unsaid: OSError | None = None
+
+    def say(self, text: str) -> None:
+        """Say a sentence where results are said."""
+        if self.unsaid is None:
+            try:
+                typer.echo(text)
+            except OSError as error:
+                self.unsaid = error
+                with suppress(OSError, ValueError):  # what is left in the buffer must not fail again at the end
+                    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def tell(text: str) -> None:
+    """Say beside the results; nobody needs to listen."""
+    with suppress(OSError):
+        typer.echo(text, err=True)
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Say which version this is, and stop.")] = False,
+) -> None:
+    if version:
+        typer.echo(f"turnwright {__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit(2)
+
+
+def warn(sentences: Sequence[str]) -> None:
+    for sentence in sentences:
+        tell(f"warning: {sentence}")
+
+
+def require_new(file: Path) -> None:
+    """Raise unless a file can be written under a name that is not taken."""
+    if file.exists():
+        raise InputError(f"{str(file)!r} is there already: name another file")
+    if not file.absolute().parent.is_dir():
+        raise InputError(f"the folder of {str(file)!r} does not exist: make it, or name another file")
+
+
+@contextmanager
+def progress_of(stop: Stop) -> Iterator[StageProgress]:
+    """Yield what is told of each stage: bars with the time left on a terminal, a quiet line per stage elsewhere."""
+    if not sys.stderr.isatty():
+        told: set[str] = set()
+
+        def line(stage: str, done: int, total: int) -> None:
+            stop.check()
+            if done >= total and stage not in told:
+                told.add(stage)
+                tell(stage)
+
+        yield line
+        return
+    from rich.console import Console  # noqa: PLC0415
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: PLC0415
+
+    columns = (TextColumn("{task.description:24}"), BarColumn(), TimeRemainingColumn(elapsed_when_finished=True))
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        tasks = {}
+
+        def bar(stage: str, done: int, total: int) -> None:
+            stop.check()
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield bar
+
+
+@contextmanager
+def new_folder(out: Path, door: Door, *, force: bool) -> Iterator[Path]:
+    """Yield a folder beside ``out`` that becomes ``out`` when all is well, and vanishes otherwise."""
+    out = Path(os.path.realpath(out))  # a link stays, what it points to is made
+    if out.is_symlink():
+        raise InputError(f"{str(out)!r} is a link that points to itself: name another folder")
+    if out.is_mount():
+        raise InputError(f"{str(out)!r} is where a disk is mounted, which cannot be replaced: name a folder in it")
+    door.stop.deaf = True  # until what is made here is sure to be cleaned up
+    made = [folder for folder in out.parents if not folder.exists()]  # deepest first
+    out.parent.mkdir(parents=True, exist_ok=True)
+    taken = out.exists() and not (out.is_dir() and not any(out.iterdir()))
+    if taken and not force:
+        raise InputError(
+            f"{str(out)!r} is there already and not empty: name another folder, or add --force to keep it too"
+        )
+    folder = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    try:
+        door.stop.deaf = False
+        door.stop.check()
+        yield folder
+        mask = os.umask(0)
+        os.umask(mask)
+        folder.chmod(0o777 & ~mask)
+        door.stop.check()
+        door.stop.deaf = True  # from here on it is done
+        if taken:
+            number = 1
+            while (kept := out.with_name(f"{out.name}.old-{number}")).exists():
+                number += 1
+            out.rename(kept)
+        elif out.exists():
+            out.rmdir()
+        folder.rename(out)
+        door.kept = out
+    except BaseException as error:
+        # Whoever reads the message knows the folder that was asked for.
+        here, asked = str(folder), str(out)
+        error.args = tuple(one.replace(here, asked) if isinstance(one, str) else one for one in error.args)
+        if isinstance(error, OSError) and isinstance(error.filename, str | os.PathLike):
+            error.filename = os.fspath(error.filename).replace(here, asked)
+        door.stop.deaf = True  # a second interrupt must not stop the cleaning
+        shutil.rmtree(folder, ignore_errors=True)
+        for parent in made:
+            with suppress(OSError):  # somebody else put something in it meanwhile
+                parent.rmdir()
+        raise

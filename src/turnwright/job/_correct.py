@@ -1,0 +1,263 @@
+"""From what is wrong to a job that comes out right: the same pipeline with better inputs."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import tomli_w
+
+from turnwright._whole import write_whole
+from turnwright.contact import place
+from turnwright.files import write_map
+from turnwright.generation import generate_points
+from turnwright.heightmap import HeightMap
+from turnwright.job._schema import Job
+from turnwright.job._shares import pv_nm_of, rms_nm_of
+from turnwright.motion import drive
+from turnwright.surface import Gridded, Sum
+from turnwright.tool import WavinessTable
+from turnwright.units import write
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from turnwright._arrays import Floats, Ints
+    from turnwright.diagnosis import Diagnosis
+    from turnwright.job._measure import Measured
+    from turnwright.job._run import StageProgress
+    from turnwright.machine import Machine
+    from turnwright.part import Part
+    from turnwright.tool import Tool
+
+__all__ = ["Correction", "correct"]
+
+FEEDS = 40
+"""Least cutoff of a correction in feeds: cusps have the wavelength of one."""
+
+ACROSS = 30
+"""Cutoffs on the diameter, unless the job states one."""
+
+SHOWN = 40_000
+"""Points at which the corrected part is predicted."""
+
+PLANNED = frozenset({"offset x", "offset y", "offset z", "radius error", "waviness", "squareness", "straightness"})
+"""Causes that planning with the real tool and machine takes care of."""
+
+MOUNT = frozenset({"astigmatism", "trefoil"})
+"""Causes that are not in the cut."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Correction:
+    """A better job, and what it should leave.
+
+    Parameters
+    ----------
+    job
+        With the tool and the machine as they were found, aiming at the part without what repeats besides.
+    file
+        Where it is written; the files that it names stand beside it.
+    cutoff
+        Wavelength from which the part itself is corrected, or ``None`` if nothing but noise is left there. [mm]
+    measured
+        Cut minus design as it was measured, at some points; ``None`` if the part itself was not. [mm]
+    predicted
+        The same after the correction, if all that was found repeats: what the corrected job leaves by simulation, and
+        what of the measurement no correction reaches, its noise among it. [mm]
+    simulated
+        Cut minus design of the corrected job by simulation, if the causes are as found. [mm]
+    """
+
+    job: Job
+    file: File
+    cutoff: float | None
+    measured: HeightMap | None
+    predicted: HeightMap | None
+    simulated: HeightMap
+
+    @property
+    def numbers_nm(self) -> dict[str, tuple[float, float]]:
+        """Peak to valley and root mean square of each map that there is. [nm]."""
+        maps = {"measured": self.measured, "predicted": self.predicted, "simulated": self.simulated}
+        return {name: (pv_nm_of(one.z), rms_nm_of(one.z)) for name, one in maps.items() if one is not None}
+
+
+def correct(
+    job: Job,
+    found: Diagnosis,
+    measured: Measured | None = None,
+    *,
+    out: str | PathLike[str],
+    progress: StageProgress | None = None,
+) -> Correction:
+    """Write the job that takes what was found into account, and predict what it leaves.
+
+    Tool and machine become what they were found to be, as far as that is worth correcting. What is left of the measured
+    part, if it repeats from one half of the points to the other, is taken off the surface that is aimed at; the design
+    stays what everything is judged by. What a mount does to the part while it is measured or held is not corrected.
+
+    Parameters
+    ----------
+    job
+        To be corrected: that of the measured part, or of another that is cut with this tool on this machine.
+    found
+        Why measured parts were off, see `explain`.
+    measured
+        The part that the job has cut, if it was among them and was the first; without it only tool and machine are
+        corrected.
+    out
+        Folder that exists, for ``job.toml`` and the files that it names.
+    progress
+        Called with (stage, done, total).
+
+    Raises
+    ------
+    InputError
+        If the job was not planned with the tool and machine of the measured parts.
+    """
+    told = progress or (lambda _stage, _done, _total: None)
+    out = File(out)
+    part = job.part.aimed
+    table = tomllib.loads(job.to_toml())
+    _put_tool(table["tool"], found.tool, job.tool.tool, out)
+    _put_machine(table["machine"], found.machine, job.machine.machine, out)
+    table.pop("actual", None)  # the correction is its prediction now
+    cutoff, left = None, None
+    told("correct the part", 0, 1)
+    if measured is not None:
+        left = _left(found)
+        cutoff = _put_correction(table["part"], job, part, left, out)
+    told("correct the part", 1, 1)
+    better = Job.read(table, folder=out)
+    file = out / "job.toml"
+    write_whole(file, tomli_w.dumps(_beside(table, out)))
+    told("simulate", 0, 1)
+    x, y = _places(job.part.part, left)
+    simulated = _simulated(better, x, y)
+    told("simulate", 1, 1)
+    if measured is None or left is None:
+        return Correction(job=better, file=file, cutoff=cutoff, measured=None, predicted=None, simulated=simulated)
+    step = -(-left.z.size // SHOWN)
+    predicted = replace(simulated, z=simulated.z + left.z[::step], name="predicted error")
+    every = measured.error
+    step = -(-every.z.size // SHOWN)
+    x, y = every.points()
+    before = HeightMap(x=x[::step], y=y[::step], z=every.z[::step], name="measured error")
+    return Correction(job=better, file=file, cutoff=cutoff, measured=before, predicted=predicted, simulated=simulated)
+
+
+def _left(found: Diagnosis) -> HeightMap:
+    """Return what of the first map neither tool nor machine takes care of, but which repeats. [mm]."""
+    residual = found.residual
+    also = [
+        finding.name
+        for finding in found
+        if finding.verdict == "correct" and finding.cause not in PLANNED and finding.cause not in MOUNT
+    ]
+    z, x, y = residual.z, *residual.points()
+    if also:
+        # The marks are known at some of the points.
+        marks = [found.signatures[0][name] for name in also]
+        at = _among(marks[0], residual)
+        z, x, y = z[at] + sum(mark.z for mark in marks), x[at], y[at]
+    known = ~np.isnan(z)
+    return HeightMap(x=x[known], y=y[known], z=z[known], name="left to correct")
+
+
+def _among(few: HeightMap, many: HeightMap) -> Ints:
+    """Return which of many points the few are: every so-manieth."""
+    return np.arange(0, many.z.size, -(-many.z.size // few.z.size))
+
+
+def _put_tool(table: dict[str, Any], tool: Tool, planned: Tool, out: File) -> None:
+    """State the tool as it was found."""
+    if tool == planned:
+        return
+    table["radius_error"] = write(tool.radius_error, "mm")
+    table["offset"] = [write(one, "mm") for one in tool.offset]
+    if isinstance(tool.waviness, WavinessTable) and tool.waviness is not planned.waviness:
+        table.pop("waviness", None)
+        table["waviness_file"] = str(
+            _columns(out / "waviness.csv", "sweep [rad],deviation [mm]", tool.waviness.sweep, tool.waviness.deviation)
+        )
+
+
+def _put_machine(table: dict[str, Any], machine: Machine, planned: Machine, out: File) -> None:
+    """State the machine as it was found."""
+    if machine.squareness != planned.squareness:
+        table["squareness"] = write(machine.squareness, "rad")
+    if machine.straightness is not None and machine.straightness is not planned.straightness:
+        table["straightness_file"] = str(_columns(out / "straightness.csv", "x [mm],error [mm]", *machine.straightness))
+
+
+def _columns(file: File, head: str, one: Floats, other: Floats) -> File:
+    """Write two columns with every digit."""
+    rows = (f"{a!r},{b!r}" for a, b in zip(one.tolist(), other.tolist(), strict=True))
+    write_whole(file, "\n".join([head, *rows]) + "\n")
+    return file
+
+
+def _put_correction(table: dict[str, Any], job: Job, part: Part, left: HeightMap, out: File) -> float | None:
+    """Aim at the part without what repeats; return the wavelength from which it is corrected, or ``None``."""
+    strategy, last = job.strategy, job.passes[-1]
+
+    def stated(name: str) -> float:
+        return getattr(last, name, None) or getattr(strategy, name, None) or 0.0
+
+    diameter = 2 * part.radius
+    cutoff = job.measurement.cutoff or min(max(FEEDS * stated("feed"), diameter / ACROSS), part.radius)
+    tool = job.tool.tool
+    half = np.pi / 2 if tool.included is None else tool.included / 2
+    beyond = stated("lead_in") + stated("overrun") + tool.actual_radius * float(np.sin(half))
+    aim = part.corrected(left, cutoff=cutoff, beyond=beyond)
+    if aim is part:
+        return None
+    assert isinstance(aim.surface, Sum)  # noqa: S101 - a corrected part is one
+    new = aim.surface.terms[-1]
+    assert isinstance(new, Gridded)  # noqa: S101
+    z = new.z
+    before = job.part.added
+    if before is not None:
+        x, y = np.meshgrid(new.x, new.y)
+        z = z + before.evaluate(x, y, 0)[0]
+    file = out / "correction.npz"
+    write_map(HeightMap(x=new.x, y=new.y, z=z, name="correction"), file)
+    table["correction"] = str(file)
+    return cutoff
+
+
+def _beside(table: dict[str, Any], out: File) -> dict[str, Any]:
+    """Return the table with the files that stand beside it under their own names, so that the folder can move."""
+    if isinstance(table, dict):
+        return {key: _beside(value, out) for key, value in table.items()}
+    if isinstance(table, list):
+        return [_beside(value, out) for value in table]
+    if isinstance(table, str) and table.startswith(f"{out}/"):
+        return File(table).name
+    return table
+
+
+def _places(part: Part, left: HeightMap | None) -> tuple[Floats, Floats]:
+    """Return where the corrected part is predicted: some of the measured points, or evenly over the part."""
+    if left is not None:
+        step = -(-left.z.size // SHOWN)
+        x, y = left.points()
+        return x[::step], y[::step]
+    # Sunflower seeds: as many to every area.
+    count = np.arange(SHOWN) + 0.5
+    radius, angle = part.radius * np.sqrt(count / SHOWN), np.pi * (1 + np.sqrt(5)) * count
+    return radius * np.cos(angle), radius * np.sin(angle)
+
+
+def _simulated(job: Job, x: Floats, y: Floats) -> HeightMap:
+    """Return what the finishing pass leaves, cut minus design."""
+    tool, machine = job.tool.tool, job.machine.machine
+    servo = job.servo(job.passes[-1])
+    path = place(servo.spiral(job.part.aimed, tool), job.part.aimed, tool, along=job.strategy.along)
+    motion = drive(path, servo, machine, profile=job.strategy.profile(job.passes[-1]))
+    z = generate_points(motion, tool, x=x, y=y, machine=machine)
+    return HeightMap(x=x, y=y, z=z - job.part.part.surface.sag(x, y), name="simulated error")

@@ -1,0 +1,339 @@
+"""The pages after a measurement: how far the part is off, why, and what the corrected job should leave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from turnwright.report._page import page_file, set_page, version_of_page
+
+if TYPE_CHECKING:
+    from os import PathLike
+    from pathlib import Path as File
+
+    from turnwright.diagnosis import Diagnosis, Finding
+    from turnwright.job import Correction, Measured
+    from turnwright.report._figures import Picture
+
+__all__ = ["write_correction", "write_diagnosis", "write_measured"]
+
+NM = 1e6
+
+MOST_LENSLETS = 200
+"""Rows of the table of lenslets; the CSV file beside the page has them all."""
+
+MARKS = 6
+"""Causes whose marks are drawn."""
+
+FORETOLD = (
+    "The prediction is what the corrected job leaves by simulation plus what of this measurement no correction "
+    "reaches, the noise of the instrument among it. It holds if all that was found repeats."
+)
+
+BOTH = (
+    "With only the fewest causes at work that explain the maps, each number lies in the second column; with all causes "
+    "that were looked for, in the third, in 95 of 100 cases."
+)
+
+
+class _Number(NamedTuple):
+    """One of the numbers that matter."""
+
+    label: str
+    value: str
+    unit: str
+    note: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Section:
+    """A heading with what belongs to it."""
+
+    title: str
+    text: Sequence[str] = ()
+    pictures: Sequence[tuple[str, Picture]] = ()
+    columns: Sequence[str] = ()
+    rows: Sequence[Sequence[str]] = ()
+    numeric: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Sheet:
+    """What a page says, ready to be set."""
+
+    title: str
+    kind: str
+    grade: str
+    word: str
+    why: str
+    numbers: Sequence[_Number]
+    notes: Sequence[str]
+    sections: Sequence[_Section]
+    job: str
+    version: str
+
+
+def _number(label: str, value: float, note: str) -> _Number:
+    return _Number(label, f"{value:.4g}", "nm", note)
+
+
+def write_measured(measured: Measured, path: str | PathLike[str]) -> File:
+    """Write the page of a measured part: how far it is off.
+
+    Parameters
+    ----------
+    measured
+        From `turnwright.measure`.
+    path
+        Where to; in a folder that exists the page is called ``report.html``.
+    """
+    path = page_file(path)
+    rough = measured.roughness
+    sheet = _Sheet(
+        title=measured.job.part.part.name or "Part",
+        kind="Measured",
+        **_judged(measured),
+        numbers=[
+            _number(
+                "Form error PV", measured.form_pv_nm, f"rms {measured.form_rms_nm:.4g} nm, within the clear radius"
+            ),
+            _number(
+                "Residual", measured.registration.rms_nm, f"rms of {measured.registration.count} registered heights"
+            ),
+            _number("Texture Sq", rough.sq_nm, "of what the Zernike terms leave")
+            if rough
+            else _Number("Spikes", str(measured.spikes), "", "taken out"),
+        ],
+        notes=_open_questions(measured),
+        sections=[*_form(measured), *_lens_section(measured), _placed(measured)],
+        job=measured.job.to_toml(),
+        version=version_of_page(),
+    )
+    return set_page("sheet.html.j2", sheet, path)
+
+
+def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | PathLike[str]) -> File:
+    """Write the page of a diagnosis: why parts are off.
+
+    Parameters
+    ----------
+    measured
+        What the diagnosis rests on.
+    found
+        From `turnwright.explain`.
+    path
+        Where to; in a folder that exists the page is called ``report.html``.
+    """
+    path = page_file(path)
+    worth = [one for one in found if one.verdict == "correct"]
+    sheet = _Sheet(
+        title=" and ".join(dict.fromkeys(one.job.part.part.name or "part" for one in measured)),
+        kind="Diagnosis",
+        grade="warn" if worth else "good",
+        word=f"{len(worth)} to correct" if worth else "Nothing to correct",
+        why=", ".join(one.name for one in worth) or "No cause is worth correcting.",
+        numbers=[
+            _number("Off the design", found.measured_rms_nm, "rms beyond a change of pose"),
+            _number("Explained", found.explained_rms_nm, "rms of what the causes make of it"),
+            _number("Left", found.unexplained_rms_nm, f"rms, noise {max(found.noise_nm):.3g} nm from point to point"),
+        ],
+        notes=[note for one in measured for note in _open_questions(one)],
+        sections=[_causes(found), _marks(measured, found)],
+        job=measured[0].job.to_toml(),
+        version=version_of_page(),
+    )  # fmt: skip
+    return set_page("sheet.html.j2", sheet, path)
+
+
+def write_correction(
+    measured: Sequence[Measured], found: Diagnosis, better: Correction, path: str | PathLike[str]
+) -> File:
+    """Write the page of a correction: what was changed, and what should be left.
+
+    Parameters
+    ----------
+    measured, found
+        What the correction rests on.
+    better
+        From `turnwright.correct`.
+    path
+        Where to; in a folder that exists the page is called ``report.html``.
+    """
+    from turnwright.report import _figures as draw  # noqa: PLC0415 - matplotlib is costly to import
+
+    path = page_file(path)
+    told = better.numbers_nm
+    radius = better.job.part.part.radius
+    names = {"measured": "as measured", "predicted": "predicted after the correction", "simulated": "simulated alone"}
+    before = {"measured": better.measured, "predicted": better.predicted, "simulated": better.simulated}
+    what = [
+        "The tool is planned as it was found." if better.job.tool != measured[0].job.tool else "",
+        "The machine is planned as it was found." if better.job.machine != measured[0].job.machine else "",
+        f"The part is aimed at without what repeats over wavelengths above {better.cutoff:.3g} mm."
+        if better.cutoff
+        else "The part is aimed at as it was: nothing that repeats is left of it.",
+    ]
+    sheet = _Sheet(
+        title=better.job.part.part.name or "Part",
+        kind="Correction",
+        grade="good",
+        word="Corrected job",
+        why=" ".join(one for one in what if one),
+        numbers=[
+            _number(names[name].capitalize(), rms, f"rms; PV {pv:.4g} nm") for name, (pv, rms) in told.items()
+        ],
+        notes=[note for one in measured for note in _open_questions(one)],
+        sections=[
+            _Section(
+                title="Before and after",
+                text=[FORETOLD],
+                pictures=[
+                    (names[name], draw.places_map(one, radius)) for name, one in before.items() if one is not None
+                ],
+            ),
+            _causes(found),
+        ],
+        job=better.job.to_toml(),
+        version=version_of_page(),
+    )  # fmt: skip
+    return set_page("sheet.html.j2", sheet, path)
+
+
+def _judged(measured: Measured) -> dict[str, str]:
+    """Return grade, word and reason: whether the form keeps its tolerance."""
+    allowed = measured.job.tolerances.form_pv
+    if allowed is None:
+        return {"grade": "good", "word": "Measured", "why": "The job states no tolerances.form_pv to judge by."}
+    told = f"PV {measured.form_pv_nm:.4g} nm of {allowed * NM:.4g} nm allowed."
+    if measured.form_pv_nm <= allowed * NM:
+        return {"grade": "good", "word": "Keeps its form", "why": told}
+    return {"grade": "bad", "word": "Form is off", "why": told}
+
+
+def _open_questions(measured: Measured) -> list[str]:
+    """Return what the registration could not settle; its first sentence says where the map lies."""
+    return list(measured.registration.sentences[1:])
+
+
+def _form(measured: Measured) -> list[_Section]:
+    """Return the pictures of the error, and its terms."""
+    from turnwright.report import _figures as draw  # noqa: PLC0415
+
+    radius = measured.job.part.part.radius
+    pictures = [("over the part", draw.places_map(measured.error, radius))]
+    pictures.append(("around the axis", draw.over_radius(measured.error, radius)))
+    sections = [_Section(title="Cut minus design", pictures=pictures)]
+    terms = measured.zernike
+    if terms is not None:
+        order = np.argsort(-np.abs(terms.coefficients))[:16]
+        rows = [
+            (f"Z{terms.indices[k]}", f"{terms.coefficients[k] * NM:+.4g}", f"{terms.uncertainty[k] * NM:.2g}")
+            for k in order
+        ]
+        sections.append(
+            _Section(
+                title="Form in fringe Zernike terms",
+                text=["The largest of 37 terms over the clear radius, in the frame of the part."],
+                columns=("term", "coefficient [nm]", "uncertainty [nm]"),
+                rows=rows,
+                numeric=frozenset({1, 2}),
+            )
+        )
+    return sections
+
+
+def _lens_section(measured: Measured) -> list[_Section]:
+    """Return the lenslets, if there are any."""
+    found = measured.lenslets
+    if found is None:
+        return []
+    from turnwright.report import _lenslets as draw  # noqa: PLC0415
+
+    lines = found.csv().splitlines()
+    head, rows = lines[0].split(","), [line.split(",") for line in lines[1:]]
+    return [
+        _Section(
+            title="Lenslets",
+            text=[found.frame],
+            pictures=[("dislocation", draw.dislocation_map(found))],
+            columns=head,
+            rows=rows[:MOST_LENSLETS],
+            numeric=frozenset(range(1, len(head))),
+        )
+    ]
+
+
+def _placed(measured: Measured) -> _Section:
+    """Return where the map lies on the part."""
+    found = measured.registration
+    values = dict(zip(("x", "y", "z"), found.pose.shift, strict=True))
+    values |= {"rotation": found.pose.rotation, "tilt_x": found.pose.tilt[0], "tilt_y": found.pose.tilt[1]}
+    rows = []
+    for name, value in values.items():
+        length = name in ("x", "y", "z")
+        std = found.std.get(name)
+        unit = "mm" if length else "mrad"
+        scale = 1.0 if length else 1e3
+        rows.append(
+            (name, f"{value * scale:.9g}", unit, "held" if name in found.held or std is None else f"{std * scale:.2g}")
+        )
+    return _Section(
+        title="Where the map lies",
+        text=[found.sentences[0], f"{measured.spikes} heights stood out of their neighbours and were taken out."],
+        columns=("of the pose", "value", "unit", "standard deviation of the fitted number"),
+        rows=rows,
+        numeric=frozenset({1, 3}),
+    )
+
+
+def _causes(found: Diagnosis) -> _Section:
+    """Return the table of causes."""
+    return _Section(
+        title="Causes",
+        text=[BOTH],
+        columns=("cause", "fewest causes", "all causes", "rms [nm]", "verdict", "why"),
+        rows=[
+            (
+                one.name,
+                _between(one, one.simplest_interval) if one.called_for else "none",
+                _between(one, one.interval),
+                f"{one.rms_nm:.3g}",
+                one.verdict,
+                one.why,
+            )
+            for one in found
+        ],
+        numeric=frozenset({3}),
+    )
+
+
+def _between(finding: Finding, interval: tuple[float, float]) -> str:
+    """Return an interval as people read it."""
+    unit, factor = (
+        ("µm", 1e3) if finding.unit.startswith("mm") else ("µrad", 1e6) if finding.unit == "rad" else ("", 1.0)
+    )
+    rest = finding.unit.removeprefix("mm") if finding.unit.startswith("mm") else "" if unit else finding.unit
+    low, high = (one * factor for one in interval)
+    if not np.isfinite([low, high]).all():
+        return "open"
+    return f"{low:.4g} to {high:.4g} {unit}{rest}".strip()
+
+
+def _marks(measured: Sequence[Measured], found: Diagnosis) -> _Section:
+    """Return the marks of the causes that matter most, and what is left."""
+    from turnwright.report import _figures as draw  # noqa: PLC0415
+
+    called = [one for one in found if one.called_for][:MARKS]
+    pictures = [
+        (f"{one.name}, {sample.job.part.part.name or 'part'}", draw.places_map(marks[one.name], sample.job.part.radius))
+        for sample, marks in zip(measured, found.signatures, strict=True)
+        for one in called
+    ]
+    pictures += [
+        (f"left unexplained, {sample.job.part.part.name or 'part'}", draw.places_map(left, sample.job.part.radius))
+        for sample, left in zip(measured, found.residuals, strict=True)
+    ]
+    return _Section(title="What each cause leaves", pictures=pictures)
