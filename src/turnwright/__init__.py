@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from turnwright.access import Access, AccessFinding, check_access
     from turnwright.contact import place
-    from turnwright.diagnosis import Cause, Diagnosis, Finding, diagnose
+    from turnwright.diagnosis import (
+        Cause,
+        CentreDefect,
+        Diagnosis,
+        Finding,
+        Move,
+        centre_defect,
+        diagnose,
+        handbook_offset,
+        moves,
+    )
     from turnwright.edge_fit import EdgeFit, fit_edge, read_edge_trace
     from turnwright.errors import (
         DomainError,
@@ -119,7 +129,17 @@ if TYPE_CHECKING:
 _HOMES = {
     "access": ("Access", "AccessFinding", "check_access"),
     "contact": ("place",),
-    "diagnosis": ("Cause", "Diagnosis", "Finding", "diagnose"),
+    "diagnosis": (
+        "Cause",
+        "CentreDefect",
+        "Diagnosis",
+        "Finding",
+        "Move",
+        "centre_defect",
+        "diagnose",
+        "handbook_offset",
+        "moves",
+    ),
     "edge_fit": ("EdgeFit", "fit_edge", "read_edge_trace"),
     "errors": (
         "DomainError",
@@ -241,6 +261,7 @@ __all__ = [
     "BestFit",
     "Biconic",
     "Cause",
+    "CentreDefect",
     "Comparison",
     "Conic",
     "Controller",
@@ -272,6 +293,7 @@ __all__ = [
     "Machine",
     "MapError",
     "Motion",
+    "Move",
     "Nesting",
     "Part",
     "Path",
@@ -319,6 +341,7 @@ __all__ = [
     "area_psd",
     "bearing",
     "best_fit",
+    "centre_defect",
     "check_access",
     "check_limits",
     "compare",
@@ -333,11 +356,13 @@ __all__ = [
     "generate",
     "generate_points",
     "generate_polar",
+    "handbook_offset",
     "inspect_nc",
     "keep_disc",
     "lenslets",
     "line_profile",
     "line_psd",
+    "moves",
     "place",
     "plan",
     "precorrect",

@@ -4,5 +4,19 @@ from turnwright.diagnosis._causes import CAUSES, DEFAULT, Cause
 from turnwright.diagnosis._diagnose import diagnose
 from turnwright.diagnosis._findings import Diagnosis, Finding
 from turnwright.diagnosis._fit import FREE
+from turnwright.diagnosis._setup import CentreDefect, Move, centre_defect, handbook_offset, moves
 
-__all__ = ["CAUSES", "DEFAULT", "FREE", "Cause", "Diagnosis", "Finding", "diagnose"]
+__all__ = [
+    "CAUSES",
+    "DEFAULT",
+    "FREE",
+    "Cause",
+    "CentreDefect",
+    "Diagnosis",
+    "Finding",
+    "Move",
+    "centre_defect",
+    "diagnose",
+    "handbook_offset",
+    "moves",
+]

@@ -167,21 +167,21 @@ class Columns:
             stiff=one("servo amplitude"),
         )
 
-    def added(self, cutting: Cutting) -> dict[str, Floats]:
-        """Return the marks that add in proportion, by cause. Each (k, n)."""
+    def added(self, x: Floats, y: Floats, cutting: Callable[[], Cutting]) -> dict[str, Floats]:
+        """Return the marks that add in proportion, by cause; ``cutting`` is asked only if needed. Each (k, n)."""
         marks: dict[str, Floats] = {}
         for cause in self.causes:
             if isinstance(cause, Cause):
-                mark = np.asarray(cause.signature(cutting), dtype=np.float64)
-                if mark.shape != cutting.x.shape or not np.isfinite(mark[np.isfinite(cutting.z)]).all():
+                cut = cutting()
+                mark = np.asarray(cause.signature(cut), dtype=np.float64)
+                if mark.shape != x.shape or not np.isfinite(mark[np.isfinite(cut.z)]).all():
                     raise InputError(
                         f"the signature of the cause {cause.name!r} has the shape {mark.shape} or is not finite, it "
-                        f"needs a finite height for each of {cutting.x.size} points: correct it"
+                        f"needs a finite height for each of {x.size} points: correct it"
                     )
                 marks[cause.name] = mark[None]
             elif cause in HARMONIC:
-                n = HARMONIC[cause]
-                wave = ((cutting.x + 1j * cutting.y) / self.reach[1]) ** n
+                wave = ((x + 1j * y) / self.reach[1]) ** HARMONIC[cause]
                 marks[cause] = np.stack([wave.real, wave.imag])
         return marks
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen, positive
+from turnwright._arrays import Bools, Floats, frozen, positive
 from turnwright.diagnosis._causes import CAUSES, DEFAULT, Cause, Column, Columns
 from turnwright.diagnosis._findings import Diagnosis, Finding, Said, around, judge
 from turnwright.diagnosis._fit import (
@@ -24,7 +24,6 @@ from turnwright.diagnosis._fit import (
     Reduced,
     Sight,
     choose,
-    left_by,
     on_sphere,
     sphere_of,
 )  # fmt: skip
@@ -46,6 +45,9 @@ CENTRE = 0.05
 
 ROUNDS = 4
 """How often causes are chosen anew, at most."""
+
+TOLD = 0.1
+"""Standard uncertainty in plausible units from which one map alone does not tell a number."""
 
 ROUGH = 0.1
 """Noise as a share of the residual, before anything is known."""
@@ -138,8 +140,7 @@ def diagnose(
         causes=tuple(causes), basis=basis, knots=np.linspace(0, farthest, straightness), reach=(reach, radius)
     )
     for sight in sights:
-        x, y, _ = sight.moved()
-        sight.added = columns.added(sight.swept.heights(x, y, sight.sweeps, Deviations()))
+        _mark(sight, columns)
     many = len(columns.all)
     fit = Fit(
         sights=sights, columns=columns, values=np.zeros((len(maps), many)), sense=sense,
@@ -151,19 +152,23 @@ def diagnose(
         count = int(np.count_nonzero(sights[k].good))
         fit.scale[k] = max(ROUGH * float(np.linalg.norm(residual)) * CANNOT / np.sqrt(count), FLOOR)
     whole: list[Place] = [(k, None) for k in usable]
-    fit.solve(whole, plausible=True, steps=2)
+    fit.solve(whole, steps=2)
     fit.reduce(measure=True)
-    fit.solve(whole, plausible=True, steps=2)
+    fit.solve(whole, steps=2)
     kept: list[int] = []
     apart: list[int] = []
-    for _ in range(ROUNDS):
+    for rounds in range(ROUNDS):
         reduced = fit.reduce(measure=True)
         choice = _choose(fit, reduced, usable, apart)
+        if rounds >= ROUNDS // 2:  # in doubt, one more rather than to and fro
+            choice = choice._replace(kept=sorted({*choice.kept, *kept}))
         moving = _moving(fit, reduced, choice.kept, apart)
         if choice.kept == kept and moving == apart:
             break
         kept, apart = choice.kept, moving
-        fit.solve(_places(fit, kept, apart), plausible=False)
+        fit.solve(_places(fit, kept, apart))
+    else:
+        reduced = fit.reduce(measure=True)
     return _report(fit, reduced, choice, usable, apart, maps, thin, parts, tool, machine, worth_nm)
 
 
@@ -248,12 +253,7 @@ def _sight(
     heights: HeightMap, part: Part, tool: Tool, free: tuple[str, ...], reference: str, sense: int, feed: float
 ) -> Sight:
     """Return one map as the fit sees it."""
-    x, y = heights.points()
-    valid = np.isfinite(heights.z) & (np.hypot(x, y) <= part.radius)
-    inside = part.surface.inside(np.ascontiguousarray(x), np.ascontiguousarray(y))
-    if inside is not None:
-        valid &= inside
-    where, x, y, z = valid, x[valid], y[valid], heights.z[valid]
+    where, x, y, z = _valid(heights, part)
     swept = Swept(surface=part.surface, tool=tool, sense=sense, rim=part.radius)
     sphere, pose, opened = None, np.zeros(9), free
     if reference != "true form" and x.size > 4:
@@ -263,7 +263,8 @@ def _sight(
         opened = (*dict.fromkeys((*free, "piston", "sphere")),)
     sight = Sight(
         x=x, y=y, z=z, swept=swept, sweeps=swept.start(x, y), added={}, good=np.ones(x.size, dtype=np.bool_),
-        free=opened, reference=reference, sphere=sphere, normal=reference.endswith("normal"), where=where,
+        free=opened, reference=reference, sphere=sphere, where=where,
+        stands=np.zeros(x.size) if reference.endswith("normal") else None,
         cusp=feed * feed / 24, pose=pose, begun=pose.copy(),
     )  # fmt: skip
     at = swept.heights(x, y, sight.sweeps, Deviations())
@@ -272,8 +273,24 @@ def _sight(
     return sight
 
 
+def _mark(sight: Sight, columns: Columns) -> None:
+    """Find the marks that add in proportion."""
+    x, y, _ = sight.moved()
+    sight.added = columns.added(x, y, lambda: sight.swept.heights(x, y, sight.sweeps, Deviations()))
+
+
+def _valid(heights: HeightMap, part: Part) -> tuple[Bools, Floats, Floats, Floats]:
+    """Return which heights are valid and on the part, and those points. The shape of the map, and each (n,) [mm]."""
+    x, y = heights.points()
+    where = np.isfinite(heights.z) & (np.hypot(x, y) <= part.radius)
+    inside = part.surface.inside(np.ascontiguousarray(x), np.ascontiguousarray(y))
+    if inside is not None:
+        where &= inside
+    return where, x[where], y[where], heights.z[where]
+
+
 def _sphere_height(sphere: Floats, x: Floats, y: Floats) -> Floats:
-    return on_sphere(sphere, x, y, np.zeros_like(x), normal=False)[2]
+    return on_sphere(sphere, x, y, np.zeros_like(x), None)[2]
 
 
 def _seen(raw: Reduced, fit: Fit, k: int) -> bool:
@@ -318,7 +335,7 @@ def _moving(fit: Fit, reduced: Reduced, kept: Sequence[int], apart: Sequence[int
 
     def left(apart: Sequence[int]) -> tuple[float, int]:
         places = _places(fit, kept, apart)
-        return left_by(reduced.marks(places), reduced.target), len(places)
+        return reduced.least(places).left, len(places)
 
     moving = [k for k in apart if k in kept]
     while True:
@@ -326,11 +343,15 @@ def _moving(fit: Fit, reduced: Reduced, kept: Sequence[int], apart: Sequence[int
         best: tuple[float, list[int]] | None = None
         for cause in dict.fromkeys(fit.names[k].cause for k in kept if k not in moving):
             own = [k for k in kept if fit.names[k].cause == cause]
+            places = _places(fit, kept, [*moving, *own])
+            std = np.sqrt(np.diag(reduced.least(places).covariance))
+            if max(one for one, (k, _) in zip(std, places, strict=True) if k in own) > TOLD:
+                continue  # not every map says what it is
             loose, more = left([*moving, *own])
             dof = max(reduced.effective - more, 1.0)
             f_ratio = (shared - loose) / (more - few) / max(loose / dof, 1.0)
             p_value = float(fdtrc(more - few, dof, max(f_ratio, 0.0)))
-            if p_value < LEVEL / 10 and (best is None or f_ratio > best[0]):
+            if p_value < LEVEL / 50 and (best is None or f_ratio > best[0]):
                 best = f_ratio, own
         if best is None:
             return sorted(moving)
@@ -353,12 +374,12 @@ class _Estimates(NamedTuple):
         return float(stdtrit(self.dof, 1 - MISSED / 2) * self.std[k])
 
 
-def _estimates(fit: Fit, reduced: Reduced, places: list[Place], *, plausible: bool) -> _Estimates:
+def _estimates(fit: Fit, reduced: Reduced, places: list[Place]) -> _Estimates:
     """Return what the fit says of the numbers in it."""
     from scipy.special import fdtrc  # noqa: PLC0415 - costly to import
 
     many = len(fit.names)
-    found, covariance = reduced.least(places, plausible=plausible)
+    found, covariance, _ = reduced.least(places)
     std = np.sqrt(np.diag(covariance))
     dof = max(reduced.effective - len(places), 1.0)
     values, widest = np.zeros_like(fit.values), np.full(many, np.inf)
@@ -407,8 +428,8 @@ def _report(
     thin: Sequence[HeightMap], parts: Sequence[Part], tool: Tool, machine: Machine, worth_nm: float,
 ) -> Diagnosis:  # fmt: skip
     """Return all that the fit says, in words and numbers."""
-    whole = _estimates(fit, reduced, _places(fit, usable, apart), plausible=True)
-    fewest = _estimates(fit, reduced, _places(fit, choice.kept, apart), plausible=False)
+    whole = _estimates(fit, reduced, _places(fit, usable, apart))
+    fewest = _estimates(fit, reduced, _places(fit, choice.kept, apart))
     rms, pv, by_cause, made = _sizes(fit, reduced, fit.values)
     findings = []
     for k, column in enumerate(fit.names):
@@ -451,7 +472,9 @@ def _report(
         findings=tuple(findings[k] for k in order),
         names=tuple(fit.names[k].name for k in usable),
         correlation=frozen(whole.correlation[np.ix_(usable, usable)], "correlation", ndim=2),
-        residuals=tuple(_residual(fit, m, one, part) for m, (one, part) in enumerate(zip(maps, parts, strict=True))),
+        residuals=tuple(
+            _residual(fit, m, one, few, part) for m, (one, few, part) in enumerate(zip(maps, thin, parts, strict=True))
+        ),
         poses=tuple(_pose(sight) for sight in fit.sights),
         measured_rms_nm=measured, explained_rms_nm=explained, unexplained_rms_nm=unexplained,
         noise_nm=tuple((fit.scale / np.sqrt(fit.together) * NM).tolist()), together=tuple(fit.together.tolist()),
@@ -475,21 +498,41 @@ def _on(heights: HeightMap, mark: Floats, sight: Sight) -> HeightMap:
     return replace(heights, z=z)
 
 
-def _residual(fit: Fit, m: int, heights: HeightMap, part: Part) -> HeightMap:
+def _residual(fit: Fit, m: int, heights: HeightMap, thinned: HeightMap, part: Part) -> HeightMap:
     """Return what no cause explains, over a whole map."""
     own = fit.sights[m]
-    sight = own
-    if heights.z.shape != own.where.shape:
-        swept = own.swept
-        sight = _sight(heights, part, swept.tool, own.free, own.reference, swept.sense, 0.0)
-        sight.pose, sight.cusp = own.pose, own.cusp
-        x, y, _ = sight.moved()
-        sight.added = fit.columns.added(swept.heights(x, y, sight.sweeps, Deviations()))
+    sight = own if heights is thinned else _whole(own, thinned, heights, part, fit.columns)
     residual, _ = sight.cut(fit.columns.deviations(fit.values[m]))
     for cause, mark in sight.added.items():
         residual = residual - fit.values[m][[column.cause == cause for column in fit.names]] @ mark
     residual[~sight.good] = np.nan
     return replace(_on(heights, residual, sight), name=f"{heights.name} residual".strip())
+
+
+def _axes(heights: HeightMap) -> tuple[Floats, Floats]:
+    """Return rows and columns of a grid."""
+    rows, columns = (heights.angle, heights.radius) if heights.polar else (heights.y, heights.x)
+    assert rows is not None  # noqa: S101 - a grid has both
+    assert columns is not None  # noqa: S101
+    return rows, columns
+
+
+def _whole(thin: Sight, thinned: HeightMap, heights: HeightMap, part: Part, columns: Columns) -> Sight:
+    """Return a map with all its points, where it was thinned for the fit: what held there holds around it."""
+    where, x, y, z = _valid(heights, part)
+    sight = replace(thin, x=x, y=y, z=z, where=where, sweeps=thin.swept.guess(x, y), added={}, good=np.isfinite(z))
+    if not heights.scattered:
+        held = np.zeros(thin.where.shape, dtype=np.bool_)
+        held[thin.where] = thin.good
+        near = [
+            np.rint(np.interp(full, few, np.arange(few.size))).astype(np.int64)
+            for full, few in zip(_axes(heights), _axes(thinned), strict=True)
+        ]
+        sight.good = held[np.ix_(*near)][where]
+    if thin.stands is not None:
+        sight.stands = z
+    _mark(sight, columns)
+    return sight
 
 
 def _corrected(findings: Sequence[Finding], fit: Fit, tool: Tool, machine: Machine) -> tuple[Tool, Machine]:

@@ -32,18 +32,25 @@ COLLINEAR = 1e-7
 FLOOR = 1e-8
 """The model is no truer than this. [mm]"""
 
-LEVEL = 0.01
+HANGS = 1.5
+"""From so many points that count as one on it is no chance of the sample."""
+
+LEVEL = 0.05
 """Chance of calling for a cause that is not there."""
 
 LOOSE = np.array([0.1, 0.1, 1.0, 0.1, 0.01, 0.01, 0.01, 0.01, 1e-3])
 """How far a registered map may still be off its place, one standard deviation: shift x, y, z [mm], rotation and tilts
 [rad], slopes [1] and curvature [1/mm] of a sphere. It holds those in place that the surface does not determine."""
 
-CELLS = ((48, 1), (8, 8), (16, 16), (1, 64))
+SQUARES = ((4, 4), (8, 8), (16, 16))
+CELLS = ((48, 1), (1, 64), *SQUARES)
 """Rings and sectors over which residuals are averaged to see how far they hang together."""
 
 MISSED = 0.05
 """Chance that an interval misses the true value."""
+
+NUDGE = (1e-6, 1e-6, 1e-7)
+"""Slopes and curvature by which a sphere is changed to see what that does."""
 
 STEPS = 12
 """Gauss-Newton steps at most."""
@@ -71,7 +78,7 @@ class Sight:
     reference: str
     where: Bools  # which points of the map these are
     sphere: Floats | None
-    normal: bool
+    stands: Floats | None  # departure along the normal that the points should have, as far as the fit knows it [mm]
     cusp: float  # mean height of the cusps per curvature between the passes [mm²]
     pose: Floats  # shift x, y, z, rotation, tilts [mm, rad]; and (p, q, k) beyond those of the design's sphere
     begun: Floats  # where the pose began
@@ -80,7 +87,7 @@ class Sight:
         """Return the points in the frame of the part, as far as the fit knows it."""
         x, y, z = self.x, self.y, self.z
         if self.sphere is not None:
-            x, y, z = on_sphere(self.sphere + self.pose[6:], x, y, z, normal=self.normal)
+            x, y, z = on_sphere(self.sphere + self.pose[6:], x, y, z, self.stands)
         shift, rotation, tilt = self.pose[:3], self.pose[3], self.pose[4:6]
         return Pose(shift=tuple(shift), rotation=float(rotation), tilt=tuple(tilt)).apply(x, y, z)
 
@@ -88,7 +95,10 @@ class Sight:
         """Return what is measured beyond the height that the deviations leave, and how the points were cut."""
         x, y, z = self.moved()
         cutting = self.swept.heights(x, y, self.sweeps, deviations)
-        return z - cutting.z - self.cusp * cutting.between, cutting
+        residual = z - cutting.z - self.cusp * cutting.between
+        if self.stands is not None:
+            self.stands = self.z - np.nan_to_num(residual) / np.sqrt(1 + cutting.zx**2 + cutting.zy**2)
+        return residual, cutting
 
     def nuisances(self, cutting: Cutting) -> tuple[Floats, list[int]]:
         """Return the derivative of the residual by each free number of the pose (n, j), and which they are."""
@@ -100,9 +110,13 @@ class Sight:
         names = {"piston": (2,), "tilt": (4, 5), "decentre": (0, 1), "clocking": (3,)}
         numbers = [number for name in FREE if name in self.free for number in names[name]]
         if self.sphere is not None and "sphere" in self.free:
-            root, height = sphere_at(self.sphere + self.pose[6:], self.x, self.y)
-            rows |= {6: self.x / root, 7: self.y / root}
-            rows[8] = (self.x**2 + self.y**2 + height**2) / (2 * root)
+            shape = self.sphere + self.pose[6:]
+            off = self.z if self.stands is None else self.stands  # no noise in the marks
+            for k in range(3):
+                step = NUDGE[k] * np.eye(3)[k]
+                ends = [on_sphere(shape + side * step, self.x, self.y, off, self.stands) for side in (1, -1)]
+                by_x, by_y, by_z = ((high - low) / (2 * NUDGE[k]) for high, low in zip(*ends, strict=True))
+                rows[6 + k] = by_z - zx * by_x - zy * by_y
             numbers += [6, 7, 8]
         return np.stack([rows[number] for number in numbers], axis=1) if numbers else np.zeros((x.size, 0)), numbers
 
@@ -116,15 +130,19 @@ def sphere_at(shape: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return root, 2 * squares / (1 + root)
 
 
-def on_sphere(shape: Floats, x: Floats, y: Floats, off: Floats, *, normal: bool) -> tuple[Floats, Floats, Floats]:
-    """Return the points that stand ``off`` a sphere, along z or along its normal."""
+def on_sphere(shape: Floats, x: Floats, y: Floats, off: Floats, stands: Floats | None) -> tuple[Floats, Floats, Floats]:
+    """Return the points that stand ``off`` a sphere: along z, or along its normal if it is said where they should.
+
+    Along the normal a point moves aside with its height. It is moved by what it should have, and the rest, mostly
+    noise, is taken along z: noise that moved points aside would be found again in the marks.
+    """
     p, q, k = shape
     root, height = sphere_at(shape, x, y)
-    if not normal:
+    if stands is None:
         return x, y, height + off
     zx, zy = (k * x + p) / root, (k * y + q) / root
-    along = off / np.sqrt(1 + zx * zx + zy * zy)
-    return x - along * zx, y - along * zy, height + along
+    lean = np.sqrt(1 + zx * zx + zy * zy)
+    return x - stands / lean * zx, y - stands / lean * zy, height + stands / lean + (off - stands) * lean
 
 
 def sphere_of(x: Floats, y: Floats, z: Floats) -> Floats:
@@ -167,6 +185,23 @@ Place: TypeAlias = tuple[int, int | None]
 """Which number, of which map or (None) of all."""
 
 
+class Least(NamedTuple):
+    """Numbers by least squares, each held near 0 as if it had been measured to be 0 within its plausible size."""
+
+    values: Floats  # in plausible units
+    covariance: Floats
+    left: float  # squares of what is left, and of the values
+
+
+def least(marks: Floats, target: Floats) -> Least:
+    """Return the numbers that explain a target, in units of the noise, by marks of plausible size."""
+    u, s, vt = np.linalg.svd(marks, full_matrices=False)
+    s[s < COLLINEAR * s.max(initial=0.0)] = 0.0
+    values = (vt.T * (s / (s * s + 1))) @ (u.T @ target)
+    off = target - marks @ values
+    return Least(values, (vt.T / (s * s + 1)) @ vt, float(off @ off + values @ values))
+
+
 class Reduced(NamedTuple):
     """All maps in few rows, freed of their poses and in units of their noise."""
 
@@ -193,19 +228,9 @@ class Reduced(NamedTuple):
         """The residual that there would be with all numbers at 0."""
         return np.concatenate([block[:, -1] for block in self.blocks])
 
-    def least(self, places: Sequence[Place], *, plausible: bool) -> tuple[Floats, Floats]:
-        """Return some numbers in plausible units and their covariance; ``plausible`` takes them to be of that size."""
-        marks, right = self.marks(places), self.target
-        size = np.ones(len(places)) if plausible else np.sqrt((marks**2).sum(axis=0))
-        size[size == 0] = 1.0
-        u, s, vt = np.linalg.svd(marks / size, full_matrices=False)
-        s[s < COLLINEAR * s.max(initial=0.0)] = 0.0
-        held = 1.0 if plausible else 0.0
-        with np.errstate(divide="ignore"):
-            gain = np.where(s > 0, s / (s * s + held), 0.0)
-            spread = np.where((s > 0) | plausible, 1 / (s * s + held), 0.0)
-        covariance = (vt.T * spread) @ vt / np.outer(size, size)
-        return (vt.T * gain) @ (u.T @ right) / size, covariance
+    def least(self, places: Sequence[Place]) -> Least:
+        """Return some numbers by least squares."""
+        return least(self.marks(places), self.target)
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -244,6 +269,8 @@ class Fit:
         held[:, : len(numbers)] = np.eye(len(numbers))
         held[:, -1] = (sight.pose - sight.begun)[numbers] / loose
         rows = np.column_stack([nuisances * loose, marks * typical, residual])
+        if sight.stands is not None:  # the instrument's noise is along the normal
+            rows /= np.sqrt(1 + cutting.zx**2 + cutting.zy**2)[:, None]
         return Look(rows, held, sight.good.copy(), numbers)
 
     def reduce(self, *, measure: bool) -> Reduced:
@@ -279,12 +306,12 @@ class Fit:
             np.sqrt(sum(np.sum((root[:, :-1] @ own) ** 2) for root, own in zip(reduced.blocks, step, strict=True)))
         )
 
-    def solve(self, places: Sequence[Place], *, plausible: bool, steps: int = STEPS) -> None:
+    def solve(self, places: Sequence[Place], *, steps: int = STEPS) -> None:
         """Find some of the numbers, and set all others to 0."""
         last = np.inf
         for _ in range(steps):
             reduced = self.reduce(measure=False)
-            found, _ = reduced.least(places, plausible=plausible)
+            found = reduced.least(places).values
             values = np.zeros_like(self.values)
             for (k, m), value in zip(places, found, strict=True):
                 values[slice(None) if m is None else m, k] = value * reduced.typical[k]
@@ -335,7 +362,7 @@ def _noise(rows: Floats, x: Floats, y: Floats, poses: int) -> tuple[float, float
     variance = max(float(residual @ residual) / free, FLOOR**2)
     radius, angle = np.hypot(x, y), np.arctan2(y, x)
     order = np.argsort(np.argsort(radius)) / radius.size  # rings of equal numbers of points
-    together = 1.0
+    over: dict[tuple[int, int], float] = {}
     for rings, sectors in CELLS:
         cell = np.minimum((order * rings).astype(np.int64), rings - 1) * sectors
         cell += np.minimum(((angle / (2 * np.pi) + 0.5) * sectors).astype(np.int64), sectors - 1)
@@ -346,7 +373,14 @@ def _noise(rows: Floats, x: Floats, y: Floats, poses: int) -> tuple[float, float
         taken = sum(float(((np.bincount(cell, one, rings * sectors) * weight) ** 2).sum()) for one in fitted.T)
         left = np.count_nonzero(filled) - taken
         if left > 4:
-            together = max(together, float(sums @ sums) / left / variance)
+            over[rings, sectors] = float(sums @ sums) / left / variance
+    together = max(1.0, *over.values()) if over else 1.0
+    if together > HANGS:
+        # Cells that are not far larger than what hangs together see too little of it, by a share as their outline is
+        # to their area: twice as long sides miss half as much.
+        for large, small in itertools.pairwise(SQUARES):
+            if large in over and small in over:
+                together = max(together, 2 * over[large] - over[small])
     together = min(together, residual.size / 4)
     return float(np.sqrt(variance * together)), together
 
@@ -357,14 +391,6 @@ class Choice(NamedTuple):
     kept: list[int]
     rivals: dict[str, list[str]]  # by cause that was kept, those that could stand for it
     spread: dict[int, tuple[float, float]]  # by number that was kept, the ends of its interval less its value
-
-
-def left_by(marks: Floats, target: Floats) -> float:
-    """Return the squares that some marks leave."""
-    size = np.sqrt((marks**2).sum(axis=0))
-    size[size == 0] = 1.0
-    left = target - marks / size @ np.linalg.lstsq(marks / size, target, rcond=COLLINEAR)[0]
-    return float(left @ left)
 
 
 def _subsets(names: Sequence[Column], usable: Sequence[int]) -> Iterator[tuple[int, ...]]:
@@ -395,7 +421,7 @@ def choose(reduced: Reduced, names: Sequence[Column], usable: Sequence[int]) -> 
         sum((block[:, every].T @ block[:, every] for block in reduced.blocks), np.zeros((len(every), len(every))))
     )
     place = {k: i for i, k in enumerate(usable)}
-    full = left_by(rows[:, :-1], rows[:, -1])
+    full = least(rows[:, :-1], rows[:, -1]).left
     dof = max(reduced.effective - len(usable), 1.0)
     unit = max(full / dof, 1.0)
     passed: list[tuple[float, tuple[int, ...]]] = []
@@ -403,7 +429,7 @@ def choose(reduced: Reduced, names: Sequence[Column], usable: Sequence[int]) -> 
         if passed and len(subset) > len(passed[0][1]) + 1:
             break
         more = len(usable) - len(subset)
-        excess = left_by(rows[:, [place[k] for k in subset]], rows[:, -1]) - full
+        excess = least(rows[:, [place[k] for k in subset]], rows[:, -1]).left - full
         if more == 0 or excess <= more * unit * fdtri(more, dof, 1 - LEVEL):
             passed.append((excess, subset))
     size = len(passed[0][1])
@@ -419,13 +445,11 @@ def choose(reduced: Reduced, names: Sequence[Column], usable: Sequence[int]) -> 
     at: dict[int, float] = {}
     ends: dict[int, list[float]] = {k: [] for k in best}
     for subset in (best, *(other for _, other in passed)):
-        marks = rows[:, [place[k] for k in subset]]
-        inverse = np.linalg.pinv(marks / (norm := np.linalg.norm(marks, axis=0)), rcond=COLLINEAR) / norm[:, None]
-        for k, value, row in zip(subset, inverse @ rows[:, -1], inverse, strict=True):
+        values, covariance, _ = least(rows[:, [place[k] for k in subset]], rows[:, -1])
+        for k, value, std in zip(subset, values.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True):
             if k in ends:
-                at.setdefault(k, float(value))
-                half = wide * float(np.linalg.norm(row))
-                ends[k] += [float(value) - half - at[k], float(value) + half - at[k]]
+                at.setdefault(k, value)
+                ends[k] += [value - wide * std - at[k], value + wide * std - at[k]]
     typical = reduced.typical
     spread = {k: (min(both) * float(typical[k]), max(both) * float(typical[k])) for k, both in ends.items()}
     return Choice(list(best), rivals, spread)

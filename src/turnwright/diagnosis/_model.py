@@ -201,18 +201,27 @@ class Swept:
     sense: int
     rim: float
 
-    def start(self, x: Floats, y: Floats) -> Sweeps:
-        """Return the sweeps at which the planned tool cuts some points, nan where it cannot or comes to the axis."""
+    def guess(self, x: Floats, y: Floats) -> Sweeps:
+        """Return the sweeps of a tangent in the plane through the axis, nan where there is none."""
         from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
 
         edge = self.tool.table(self.sense)
-        radius = np.hypot(x, y)
-        with np.errstate(all="ignore"):
-            cosine, sine = x / radius, y / radius
-            _, zx, zy = self.surface.evaluate(x, y, 1)
         sweep = np.zeros(x.size)
-        kernel.tangent_sweep(*edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep)
-        sweeps = Sweeps(sweep, sweep.copy())
+
+        def work(start: int, stop: int) -> None:
+            some = slice(start, stop)
+            with np.errstate(all="ignore"):
+                radius = np.hypot(x[some], y[some])
+                cosine, sine = x[some] / radius, y[some] / radius
+                _, zx, zy = self.surface.evaluate(x[some], y[some], 1)
+            kernel.tangent_sweep(*edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep[some])
+
+        run_chunks(work, x.size, CHUNK)
+        return Sweeps(sweep, sweep.copy())
+
+    def start(self, x: Floats, y: Floats) -> Sweeps:
+        """Return the sweeps at which the planned tool cuts some points, nan where it cannot or comes to the axis."""
+        sweeps = self.guess(x, y)
         at = self.heights(x, y, sweeps, Deviations())
         with np.errstate(invalid="ignore"):
             found = np.flatnonzero(np.isfinite(at.z) & (at.tip_radius > 0))

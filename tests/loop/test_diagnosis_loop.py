@@ -1,0 +1,258 @@
+"""Errors put into the tool and the machine are found in the surface that the simulator makes of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+import turnwright as tw
+from turnwright.diagnosis._model import Deviations, Powers, Sweeps, Swept
+
+MACHINE = tw.Machine.load("generic")
+TOOL = tw.Tool(nose_radius=1.5, included=np.deg2rad(120), clearance=np.deg2rad(15))
+SPHERE = tw.Part(surface=tw.Sphere(radius=10.0), radius=5.0)
+FLAT = tw.Part(surface=tw.Plane(slope=(np.tan(np.deg2rad(3)), 0.0)), radius=5.0)
+FEED = 0.005
+
+
+def cut(part, tool=TOOL, machine=MACHINE, planned=TOOL, per_turn=24, size=61, feed=FEED):
+    """Measured map of a part that was planned with one tool and cut with another."""
+    servo = tw.SlowToolServo(feed=feed, points_per_rev=per_turn, spindle_rpm=60)
+    motion = tw.drive(tw.place(servo.spiral(part, planned), part, planned), servo, MACHINE)
+    x = np.linspace(-4.96, 4.96, size)
+    made = tw.generate(motion, tool, x=x, y=x, machine=machine)
+    return replace(made, z=np.where(np.hypot(*made.points()) < 4.96, made.z, np.nan))
+
+
+def noisy(heights, seed, noise=2e-5):
+    return replace(heights, z=heights.z + np.random.default_rng(seed).normal(0, noise, heights.z.shape))
+
+
+def along_normal(heights):
+    """What an interferometer shows: distance from the sphere of best fit, along its normal, at its own points."""
+    x, y = heights.points()
+    there = np.isfinite(heights.z)
+    points = np.stack([x[there], y[there], heights.z[there]], axis=1)
+
+    def off(sphere):
+        return np.linalg.norm(points - sphere[:3], axis=1) - sphere[3]
+
+    sphere = least_squares(off, [0.01, 0.01, 10.0, 10.0], xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    radius = np.linalg.norm(points - sphere[:3], axis=1)
+    foot = sphere[:3] + (points - sphere[:3]) * (sphere[3] / radius)[:, None]
+    return tw.HeightMap(x=foot[:, 0], y=foot[:, 1], z=sphere[3] - radius)
+
+
+@pytest.fixture(scope="module")
+def ogive():
+    return cut(SPHERE, replace(TOOL, offset=(0.005, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize("reference", ["true form", "best-fit sphere", "best-fit sphere, along its normal"])
+def test_an_offset_is_found_on_a_sphere(ogive, reference):
+    """5 um within 10 nm where the map is clean, within 50 nm with 20 nm noise."""
+    views = {"true form": ogive, "best-fit sphere": tw.remove_form(ogive, "sphere")}
+    seen = views.get(reference) or along_normal(ogive)
+    for heights, within in ((seen, 1e-8), *((noisy(seen, seed), 5e-5) for seed in range(3))):
+        found = tw.diagnose(heights, SPHERE, TOOL, MACHINE, reference=reference, feed=FEED)
+        (first,) = (finding for finding in found if finding.called_for)
+        assert first.name == "offset x"
+        assert first.simplest == pytest.approx(0.005, abs=max(within, 1e-7))
+        assert first.simplest_interval[0] < 0.005 < first.simplest_interval[1]
+        assert first.verdict == "correct"
+        assert found.tool.offset == pytest.approx((0.005, 0, 0), abs=5e-5)
+        (move,) = tw.moves(found)
+        assert move.axis == "X"
+        assert move.by == pytest.approx(-0.005, abs=5e-5)
+        # A sphere has no azimuth, and a departure from one no radius.
+        assert not found["offset y"].determined
+        assert not found["servo lag"].determined
+        if reference != "true form":
+            assert not found["radius error"].determined
+            assert found["radius error"].standard_uncertainty == np.inf
+
+
+def test_the_rule_of_the_handbook_is_for_small_angles(ogive):
+    """Right for a fit of least PV on a flat sphere; a third too much for least squares at 30 degrees."""
+    # The ogive |r| d / R less the parabola of least PV, by a fine search over parabolas through both ends.
+    r = np.linspace(0, 1, 20001)
+    bows = np.linspace(0.5, 1.5, 401)
+    pv = min(np.ptp(r - bow * r * r) for bow in bows) * 0.005 / 100.0
+    assert tw.handbook_offset(pv, 100.0, 2.0) == pytest.approx(0.005, rel=1e-4)
+    seen = np.ptp(tw.remove_form(ogive, "sphere").z[np.isfinite(ogive.z)])
+    assert tw.handbook_offset(seen, 10.0, 10.0) == pytest.approx(0.0067, abs=2e-4)
+
+
+def model_maps(parts, size=41):
+    """Maker of maps of parts cut with any errors, by the model that the simulator has borne out."""
+    x = np.linspace(-4.95, 4.95, size)
+    u, v = np.meshgrid(x, x)
+    on = (np.hypot(u, v) < 4.95) & (np.hypot(u, v) > 0.11)
+    swept = [Swept(surface=part.surface, tool=TOOL, sense=1, rim=5.0) for part in parts]
+    starts = [one.start(u[on], v[on]) for one in swept]
+
+    def made(errors, rng, noise):
+        maps = []
+        for one, start in zip(swept, starts, strict=True):
+            z = np.full(u.shape, np.nan)
+            z[on] = one.heights(u[on], v[on], Sweeps(*(part.copy() for part in start)), errors).z
+            maps.append(tw.HeightMap(x=x, y=x, z=z + rng.normal(0, noise, z.shape)))
+        return maps
+
+    return made
+
+
+@pytest.mark.parametrize("powers", [(3, 4, 5), (1, 2, 3)])
+def test_intervals_hold_what_they_say(powers):
+    """Offset, radius error, squareness and waviness together: in their intervals in at least 93 of 100 trials."""
+    parts = [FLAT, SPHERE]
+    made = model_maps(parts)
+    names = ["offset x", "offset y", "radius error", "squareness", *(f"waviness c{k}" for k in powers)]
+    hits, widths = np.zeros(len(names)), np.zeros((100, len(names)))
+    for trial in range(100):
+        rng = np.random.default_rng(trial)
+        truth = [*rng.uniform(-0.005, 0.005, 3), rng.uniform(-5e-5, 5e-5), *rng.uniform(-1e-3, 1e-3, 3)]
+        errors = Deviations(
+            offset=(truth[0], truth[1], 0.0), radius=truth[2], squareness=truth[3], basis=Powers(powers=powers),
+            waviness=np.array(truth[4:]),
+        )  # fmt: skip
+        found = tw.diagnose(made(errors, rng, 2e-5), parts, TOOL, MACHINE, waviness=powers)
+        for k, (name, value) in enumerate(zip(names, truth, strict=True)):
+            low, high = found[name].interval
+            hits[k] += low <= value <= high
+            widths[trial, k] = high - low
+        assert found.unexplained_rms_nm == pytest.approx(20, rel=0.07)
+    assert (hits >= 93).all(), dict(zip(names, hits, strict=True))
+    if powers == (3, 4, 5):  # and they say something
+        usual = np.median(widths, axis=0)
+        assert (usual[:4] < [6e-4, 6e-4, 8e-3, 3e-6]).all(), dict(zip(names, usual, strict=True))
+
+
+def test_neighbours_that_err_together_widen_the_intervals():
+    """Noise that hangs together over a twentieth of the part; as if it did not, half of the intervals would miss."""
+    made = model_maps([SPHERE])
+    x = np.linspace(-4.95, 4.95, 41)
+    blur = np.exp(-0.5 * ((x[:, None] - x) / 0.25) ** 2)
+    hits, naive = 0, 0
+    for trial in range(60):
+        rng = np.random.default_rng(trial)
+        (heights,) = made(Deviations(offset=(0.001, 0.0, 0.0)), rng, 0.0)
+        rough = blur @ rng.normal(0, 1, (41, 41)) @ blur.T
+        heights = replace(heights, z=heights.z + 2e-5 * rough / rough.std())
+        found = tw.diagnose(heights, SPHERE, TOOL, MACHINE, causes=("offset x", "astigmatism"))
+        low, high = found["offset x"].interval
+        hits += low <= 0.001 <= high
+        half = (high - low) / 2 / np.sqrt(found.together[0])
+        naive += abs(found["offset x"].value - 0.001) <= half
+    assert hits >= 54
+    assert naive < 42
+
+
+@pytest.mark.parametrize("rake", [0.0, -15.0])
+def test_a_toroid_is_corrected_in_one_step(rake):
+    """Everything at once on a part that is not round; cut again with what was found, it is as if nothing was wrong."""
+    planned = replace(TOOL, rake=np.deg2rad(rake))
+    part = tw.Part(surface=tw.Toroid(radius_x=12.0, radius_y=16.0), radius=5.0)
+    real = replace(planned, offset=(0.003, -0.004, 0.0), radius_error=0.002, waviness=(0.0, 0.0, 2e-3, -1e-3))
+    machine = replace(MACHINE, squareness=-2e-5)
+    per_turn = {"per_turn": 720, "size": 41, "feed": 0.004}
+    first = noisy(cut(part, real, machine, planned, **per_turn), 1, 5e-6)
+    found = tw.diagnose(first, part, planned, MACHINE, feed=0.004)
+    assert found.measured_rms_nm > 50
+    assert found.unexplained_rms_nm < 6.5
+    assert {finding.name for finding in found if finding.verdict == "correct"} >= {"offset x", "offset y"}
+    servo = tw.SlowToolServo(feed=0.004, points_per_rev=720, spindle_rpm=60)
+    motion = tw.drive(tw.place(servo.spiral(part, found.tool), part, found.tool), servo, found.machine)
+    again = tw.generate(motion, real, x=first.x, y=first.y, machine=machine)
+    again = replace(again, z=np.where(np.isfinite(first.z) & (np.hypot(*again.points()) > 0.1), again.z, np.nan))
+    left = tw.diagnose(again, part, found.tool, found.machine, feed=0.004)
+    # Beyond a change of pose; cusps of 0.5 nm rms are among it.
+    assert left.measured_rms_nm < 1.2
+
+
+def test_what_does_not_repeat_is_said_to():
+    """The offset shifts between two maps, the squareness stays."""
+    made = model_maps([FLAT])
+    rng = np.random.default_rng(4)
+    maps = []
+    for shift in (0.002, 0.005):
+        maps += made(Deviations(offset=(shift, 0.001, 0.0), squareness=4e-5), rng, 2e-5)
+    found = tw.diagnose(maps, FLAT, TOOL, MACHINE, causes=("offset x", "offset y", "squareness"))
+    moved = found["offset x"]
+    assert moved.repeatable is False
+    assert moved.verdict == "do not correct"
+    assert moved.each == pytest.approx((0.002, 0.005), abs=2e-4)
+    assert "differs" in moved.why
+    assert found["squareness"].repeatable is True
+    assert found["squareness"].value == pytest.approx(4e-5, abs=1e-6)
+    assert found["squareness"].verdict == "correct"
+
+
+def test_a_lag_needs_a_fiducial():
+    """On a part that is not round the lag of Z looks like a clocking, and is told from it if that is known."""
+    part = tw.Part(surface=tw.XYPolynomial(terms={(2, 0): 0.03, (0, 2): 0.04, (3, 0): 0.001}), radius=5.0)
+    (heights,) = model_maps([part])(Deviations(late=2e-4), np.random.default_rng(5), 2e-5)
+    asked = {"causes": ("servo lag", "offset x"), "waviness": (3,)}
+    hidden = tw.diagnose(heights, part, TOOL, MACHINE, **asked)["servo lag"]
+    assert not hidden.determined
+    assert "fiducial" in hidden.why
+    seen = tw.diagnose(heights, part, TOOL, MACHINE, free=("piston", "tilt", "decentre"), **asked)["servo lag"]
+    assert seen.determined
+    assert seen.interval[0] < 2e-4 < seen.interval[1]
+    assert seen.simplest_interval[0] < 2e-4 < seen.simplest_interval[1]
+    assert seen.standard_uncertainty < 1e-5
+
+
+def test_a_piston_hides_the_offset_along_z():
+    (heights,) = model_maps([SPHERE])(Deviations(offset=(0.0, 0.0, 0.003)), np.random.default_rng(6), 2e-5)
+    assert not tw.diagnose(heights, SPHERE, TOOL, MACHINE, causes=("offset z",))["offset z"].determined
+    seen = tw.diagnose(heights, SPHERE, TOOL, MACHINE, causes=("offset z",), free=("tilt", "decentre"))
+    assert seen["offset z"].simplest == pytest.approx(0.003, abs=1e-5)
+    assert tw.moves(seen)[0].axis == "Z"
+
+
+def test_a_bent_mount_and_a_cause_of_ones_own():
+    (heights,) = model_maps([SPHERE])(Deviations(), np.random.default_rng(7), 2e-5)
+    x, y = heights.points()
+    bent = replace(heights, z=heights.z + 3e-4 * (x * x - y * y) / 25 + 1e-4 * np.cos(x))
+    ripple = tw.Cause(name="ripple", signature=lambda cutting: np.cos(cutting.x), typical=1e-3)
+    found = tw.diagnose(bent, SPHERE, TOOL, MACHINE, causes=("astigmatism", ripple))
+    assert found["astigmatism cos"].simplest == pytest.approx(3e-4, rel=0.02)
+    assert found["astigmatism cos"].verdict == "do not correct"
+    assert found["ripple"].simplest == pytest.approx(1e-4, rel=0.05)
+    assert found["ripple"].interval[0] < 1e-4 < found["ripple"].interval[1]
+    assert np.nanstd(found.residual.z) * 1e6 == pytest.approx(20, rel=0.05)
+
+
+def test_a_pose_beside_the_right_one_is_found_with_the_causes():
+    """Registered to within 20 um and 0.2 mrad: the rest does not pass for an error of the tool."""
+    part = tw.Part(surface=tw.Toroid(radius_x=12.0, radius_y=16.0), radius=5.0)
+    (heights,) = model_maps([part])(Deviations(offset=(0.002, 0.003, 0.0)), np.random.default_rng(8), 5e-6)
+    off = tw.Pose(shift=(0.02, -0.015, 0.001), rotation=3e-4, tilt=(2e-4, -1e-4))
+    found = tw.diagnose(heights.moved(off), part, TOOL, MACHINE, causes=("offset x", "offset y"))
+    assert found["offset x"].interval[0] < 0.002 < found["offset x"].interval[1]
+    assert found["offset y"].interval[0] < 0.003 < found["offset y"].interval[1]
+    assert found.unexplained_rms_nm == pytest.approx(5, rel=0.05)
+
+
+@pytest.mark.parametrize(("dy", "shape"), [(0.02, "cone"), (-0.02, "cylinder")])
+def test_the_core_at_the_centre_is_as_wide_as_the_tip_is_off(dy, shape):
+    """The simulator leaves the core open, |dy| wide; a cone or a cylinder is put there."""
+    servo = tw.SlowToolServo(feed=0.002, points_per_rev=180, spindle_rpm=60)
+    motion = tw.drive(tw.place(servo.spiral(SPHERE, TOOL), SPHERE, TOOL), servo, MACHINE)
+    x = np.linspace(-0.1, 0.1, 201)
+    made = tw.generate(motion, replace(TOOL, offset=(0.0, dy, 0.0)), x=x, y=x)
+    r = np.hypot(*made.points())
+    assert np.isnan(made.z[r < 0.0195]).all()
+    assert np.isfinite(made.z[(r > 0.0205) & (r < 0.1)]).all()
+    cone = 0.002 * (1 - r / 0.02)
+    core = np.where(np.isnan(made.z), SPHERE.surface.sag(*made.points()) + (cone if dy > 0 else 0.002), made.z)
+    found = tw.centre_defect(replace(made, z=core), SPHERE, within=0.08)
+    assert found.shape == shape
+    assert found.radius == pytest.approx(0.02, abs=0.001)
+    assert found.offset_y == pytest.approx(dy, abs=0.001)
+    assert found.height == pytest.approx(0.002, rel=0.1)
+    assert ("lower" if dy > 0 else "raise") in found.sentence
+    whole = replace(made, z=SPHERE.surface.sag(*made.points()))
+    assert tw.centre_defect(noisy(whole, 1, 1e-6), SPHERE, within=0.08) is None
