@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright.metrology._rigid import Fit, Problem, rows, weights
-from turnwright.surface import Zernike
+from turnwright.metrology._rigid import Fit, Problem, Rows, rows, weights
+from turnwright.surface import Surface, Zernike
 
 __all__ = ["Doubt", "doubt", "held", "plausible"]
 
@@ -18,6 +18,12 @@ NOTHING = 1e-12
 
 ENDLESS = 1e6
 """Standard deviation of a direction that nothing fixes. [mm]."""
+
+CELLS = 8
+"""Cells of the map, each way, within which residuals may hang together."""
+
+CLEAR = 2.0
+"""Variance over that of independent residuals from which they do; chance alone stays below."""
 
 FORMS = range(3, 15)
 """ANSI numbers of the forms that a pose may be mistaken for: degrees 2, 3 and 4."""
@@ -41,7 +47,15 @@ def plausible(radius: float) -> list[Zernike]:
 
 
 def doubt(
-    problem: Problem, found: Fit, free: Sequence[int], size: Floats, *, noise: float, count: int, form: float
+    problem: Problem,
+    found: Fit,
+    free: Sequence[int],
+    size: Floats,
+    *,
+    noise: float,
+    count: int,
+    form: float,
+    white: bool,
 ) -> Doubt:
     r"""Return how uncertain the free numbers are.
 
@@ -52,6 +66,9 @@ def doubt(
     ----------
     noise
         Standard deviation of a height [mm], independent from point to point over ``count`` points.
+    white
+        Whether it is known to be independent. Otherwise residuals that hang together, as those of a displaced lenslet
+        do, widen the answer: their pulls are added up over cells of the part before they are squared.
     """
     chosen = np.asarray(free, dtype=np.int64)
     at = rows(problem, found.state, slice(0, problem.points.shape[1]))
@@ -63,12 +80,38 @@ def doubt(
     share = at.which.size / max(count, 1)
     std = np.where(fixed, np.minimum(noise * inverse * np.sqrt(share), ENDLESS), ENDLESS)
     variance = (vectors.T * std**2) @ vectors
+    if not white and fixed.all():
+        variance = _widened(problem.surface, variance, share, at, singular, vectors, points * root[:, None])
     if form == 0:
         return Doubt(variance, np.zeros_like(variance))
     x, y = np.ascontiguousarray(at.at[0]), np.ascontiguousarray(at.at[1])
     shapes = np.stack([shape.evaluate(x, y, 0)[0] for shape in plausible(problem.within)], axis=-1)
     moved = form * (vectors.T * inverse) @ (points.T @ (root[:, None] * shapes))
     return Doubt(variance, moved @ moved.T)
+
+
+def _widened(
+    surface: Surface, variance: Floats, share: float, at: Rows, singular: Floats, vectors: Floats, pulls: Floats
+) -> Floats:
+    """Return the covariance with the excess of residuals that hang together over those that do not."""
+    low, high = at.at[:2].min(axis=1, keepdims=True), at.at[:2].max(axis=1, keepdims=True)
+    i, j = np.minimum((CELLS * (at.at[:2] - low) / np.maximum(high - low, 1e-300)).astype(np.int64), CELLS - 1)
+    cell = i * CELLS + j
+    piece = surface.piece(np.ascontiguousarray(at.at[0]), np.ascontiguousarray(at.at[1]))
+    if piece is not None:  # a lenslet hangs together; what lies between them goes by cells
+        _, number, size = np.unique(piece, return_inverse=True, return_counts=True)
+        cell = np.where(size[number] < cell.size / CELLS, CELLS**2 + number, cell)
+    pull = pulls * at.residual[:, None]
+    sums = np.stack([np.bincount(cell, weights=column) for column in pull.T])
+    scatter = float((pull * pull).sum()) / singular.size
+    if scatter == 0:
+        return variance
+    # In the frame of the singular vectors independent residuals have the same scatter along all of them.
+    ratio, axes = np.linalg.eigh(sums @ sums.T / scatter)
+    excess = np.where(ratio > CLEAR, ratio - 1, 0.0) / share
+    stretch = (vectors.T / singular) @ axes
+    white = float(np.trace(variance)) / float(np.sum(1 / singular**2))
+    return np.asarray(variance + (stretch * (white * excess)) @ stretch.T)
 
 
 def held(covariance: Floats, limit: float) -> tuple[Floats, list[int]]:

@@ -146,8 +146,9 @@ class Registration:
     pivot
         The point of the map, in its own frame, that the map was turned about: the middle of its valid points. [mm]
     covariance
-        Of the fitted numbers from noise alone: from the scatter of the residual, or from the noise that was stated;
-        noise is taken as independent from point to point. (k, k) [mm, rad]
+        Of the fitted numbers from noise alone. Stated noise is independent from point to point; without, it is the
+        scatter of the residual, and residuals that hang together within a lenslet, or an eighth of the map, count as
+        they do. (k, k) [mm, rad]
     form_covariance
         Of the same from errors of form of the size ``form_error``. (k, k) [mm, rad]
     form_error
@@ -490,7 +491,9 @@ def _decide(
     pose = [k for k in task.free if k < 6]
     count = int(task.which.size * best.used / some.points.shape[1])
     noise = _noise(task, best)
-    unsure = doubt(some, best, task.free, task.size, noise=noise, count=count, form=task.form)
+    unsure = doubt(
+        some, best, task.free, task.size, noise=noise, count=count, form=task.form, white=task.noise is not None
+    )
     parts = Doubt(*(one[: len(pose), : len(pose)] for one in unsure))
     vectors, pivots = held(parts.total, LIMIT)
     directions: list[tuple[Floats, float, str]] = []
@@ -588,7 +591,14 @@ def _candidates(task: _Task, some: Problem, fits: list[Fit], kept: list[int]) ->
     ratio = (left + QUIETEST**2) / (left[near] + QUIETEST**2)
     # A pose no farther than its own uncertainty is not another one.
     unsure = doubt(
-        some, fine[near], kept, task.size, noise=_noise(task, fine[near]), count=some.points.shape[1], form=task.form
+        some,
+        fine[near],
+        kept,
+        task.size,
+        noise=_noise(task, fine[near]),
+        count=some.points.shape[1],
+        form=task.form,
+        white=True,
     )
     sure = np.linalg.inv(unsure.total + FINEST**2 * np.eye(len(kept)))
     others = []
@@ -676,7 +686,16 @@ def _answer(
         outliers.ravel()[task.which[stray]] = True
         good &= ~stray
     rms = float(np.sqrt(np.mean(left[good] ** 2))) if good.any() else 0.0
-    unsure = doubt(some, final, kept, task.size, noise=_noise(task, final), count=final.used, form=task.form)
+    unsure = doubt(
+        some,
+        final,
+        kept,
+        task.size,
+        noise=_noise(task, final),
+        count=final.used,
+        form=task.form,
+        white=task.noise is not None,
+    )
     unit = task.size[kept]
     noise, form = (one * np.outer(unit, unit) for one in unsure)
     size = len(names)
