@@ -1,0 +1,1 @@
+"""What cutting does: how thick the chip is, which forces act, and whether the cut stays ductile."""

@@ -1,0 +1,471 @@
+"""The material: what it takes to cut it, and how thick a chip it bears without fracture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from turnwright import units
+from turnwright._arrays import Floats, between, frozen, positive
+from turnwright._toml import read_toml
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = ["CriticalThickness", "CuttingCoefficient", "Lobes", "Material"]
+
+MOST_LOBES = 24
+"""Lobes beyond what the symmetry of a crystal gives."""
+
+STEEPEST = np.deg2rad(80)
+"""Rake beyond which nothing is measured. [rad]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lobes:
+    """How a crystal's property varies around the part: 1 + amplitude cos(count (angle - maximum)).
+
+    Parameters
+    ----------
+    count
+        Maxima in a turn: 3 on the (111) plane of germanium, 4 on (001).
+    amplitude
+        Half of the swing, as a share of the mean.
+    maximum
+        Azimuth of the part at which one maximum stands; it depends on how the crystal is mounted. [rad]
+
+    Raises
+    ------
+    InputError
+        If the count is no whole number from 1 to 24, or the amplitude is not below 1.
+    """
+
+    count: int
+    amplitude: float
+    maximum: float = 0.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.count, bool) or not isinstance(self.count, int) or not 1 <= self.count <= MOST_LOBES:
+            raise InputError(f"lobes count is {self.count!r}, the limits are 1 to {MOST_LOBES}: give a whole number")
+        between(self.amplitude, "lobes amplitude", 0.0, 0.99, "of the mean")
+        if not np.isfinite(self.maximum):
+            raise InputError(f"lobes maximum is {self.maximum}, it must be finite: give an angle")
+
+    def factor(self, angle: ArrayLike) -> Floats:
+        """Return the factor to the mean at some azimuths of the part. Any shape [1]."""
+        turned = self.count * (np.asarray(angle, dtype=np.float64) - self.maximum)
+        return np.asarray(1.0 + self.amplitude * np.cos(turned))
+
+
+Curve = tuple[Floats, Floats]
+"""Ascending positions and the factors there, straight in between and held beyond. ((n,), (n,))"""
+
+
+def _curve(curve: tuple[ArrayLike, ArrayLike], name: str) -> Curve:
+    """Return a curve of factors whose arrays fit."""
+    if len(curve) != 2:
+        raise InputError(f"{name} has {len(curve)} parts, it needs 2: give positions and factors")
+    at, factor = frozen(curve[0], f"{name} positions"), frozen(curve[1], f"{name} factors")
+    if at.size < 2 or at.shape != factor.shape or not (np.diff(at) > 0).all() or not (factor > 0).all():
+        raise InputError(
+            f"{name} has {at.size} positions and {factor.size} factors, it needs as many of one as of the other, at "
+            "least 2, positions ascending and factors above 0: sort and complete it"
+        )
+    return at, factor
+
+
+def _uncertainty(value: float | None, name: str, unit: str) -> None:
+    if value is not None and not (np.isfinite(value) and value >= 0):
+        raise InputError(f"the uncertainty of {name} is {value:g} {unit}, it must be finite and at least 0: correct it")
+
+
+def _around(rake: Curve | None, lobes: Lobes | None, at_rake: ArrayLike, at_angle: ArrayLike) -> Floats:
+    """Return the factor of the rake times that of the direction."""
+    by_rake = np.ones(()) if rake is None else np.interp(np.asarray(at_rake, dtype=np.float64), *rake)
+    by_angle = np.ones(()) if lobes is None else lobes.factor(at_angle)
+    return np.asarray(by_rake * by_angle)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CuttingCoefficient:
+    r"""Force on the edge per area of the uncut chip.
+
+    .. math:: K(t, \gamma, \psi) = K_0 \, (t / t_0)^{-m} \, f_t(t) \, f_\gamma(\gamma) \, f_\psi(\psi)
+
+    Parameters
+    ----------
+    value
+        The coefficient K₀, where every factor is 1. [N/mm²]
+    uncertainty
+        Its standard uncertainty; ``None`` where nobody states one. [N/mm²]
+    exponent
+        Power m with which it falls as the chip grows, the size effect; 0 for none.
+    reference_thickness
+        Chip thickness t₀ at which the power is 1; needed with an exponent. [mm]
+    thickness
+        Factor by chip thickness, straight over the logarithm of it and held beyond. ((n,) [mm], (n,))
+    rake
+        Factor by rake. ((n,) [rad], (n,))
+    lobes
+        Factor by the azimuth of the part, for a crystal.
+
+    Raises
+    ------
+    InputError
+        If a value is not positive, an uncertainty is below zero, or a table is wrong.
+
+    Examples
+    --------
+    >>> falling = CuttingCoefficient(value=2000.0, exponent=0.5, reference_thickness=1e-4)
+    >>> falling.at([1e-4, 4e-4]).tolist()
+    [2000.0, 1000.0]
+    """
+
+    value: float
+    uncertainty: float | None = None
+    exponent: float = 0.0
+    reference_thickness: float | None = None
+    thickness: Curve | None = None
+    rake: Curve | None = None
+    lobes: Lobes | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "value", positive(self.value, "a cutting coefficient", "N/mm^2"))
+        _uncertainty(self.uncertainty, "a cutting coefficient", "N/mm^2")
+        between(self.exponent, "the exponent of a cutting coefficient", -2.0, 2.0, "(a power)")
+        if self.reference_thickness is not None:
+            positive(self.reference_thickness, "reference_thickness", "mm")
+        elif self.exponent:
+            raise InputError("a cutting coefficient has an exponent and no reference_thickness: give it in mm")
+        for name in ("thickness", "rake"):
+            curve = getattr(self, name)
+            if curve is not None:
+                object.__setattr__(self, name, _curve(curve, f"the {name} of a cutting coefficient"))
+        if self.thickness is not None and not self.thickness[0][0] > 0:
+            raise InputError("the thickness of a cutting coefficient begins at 0 mm or below: begin above 0 mm")
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is the same for every chip thickness."""
+        return self.exponent == 0.0 and self.thickness is None
+
+    def at(self, thickness: ArrayLike, *, rake: ArrayLike = 0.0, angle: ArrayLike = 0.0) -> Floats:
+        """Return the coefficient.
+
+        Parameters
+        ----------
+        thickness
+            Of the uncut chip; at 0 and below it counts as 1e-9 mm. Any shape [mm]
+        rake
+            Effective rake. Broadcast [rad]
+        angle
+            Azimuth of the part. Broadcast [rad]
+        """
+        value = self.value * _around(self.rake, self.lobes, rake, angle)
+        chip = np.maximum(np.asarray(thickness, dtype=np.float64), 1e-9)
+        if self.exponent and self.reference_thickness is not None:
+            value = value * (chip / self.reference_thickness) ** -self.exponent
+        if self.thickness is not None:
+            value = value * np.interp(np.log(chip), np.log(self.thickness[0]), self.thickness[1])
+        return np.asarray(value * np.ones(chip.shape))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CriticalThickness:
+    """Thickness of the uncut chip beyond which the material fractures.
+
+    Parameters
+    ----------
+    value
+        Where every factor is 1. [mm]
+    uncertainty
+        Its standard uncertainty; ``None`` where nobody states one. [mm]
+    rake
+        Factor by rake. ((n,) [rad], (n,))
+    lobes
+        Factor by the azimuth of the part, for a crystal.
+
+    Raises
+    ------
+    InputError
+        If the value is not positive, the uncertainty is below zero, or a table is wrong.
+    """
+
+    value: float
+    uncertainty: float | None = None
+    rake: Curve | None = None
+    lobes: Lobes | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "value", positive(self.value, "a critical thickness", "mm"))
+        _uncertainty(self.uncertainty, "a critical thickness", "mm")
+        if self.rake is not None:
+            object.__setattr__(self, "rake", _curve(self.rake, "the rake of a critical thickness"))
+
+    def at(self, *, rake: ArrayLike = 0.0, angle: ArrayLike = 0.0) -> Floats:
+        """Return the critical thickness at some effective rakes and azimuths of the part. Broadcast [mm]."""
+        shape = np.broadcast(np.asarray(rake), np.asarray(angle)).shape
+        return np.asarray(self.value * _around(self.rake, self.lobes, rake, angle) * np.ones(shape))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Material:
+    """What is cut: the force it takes, and the chip it bears.
+
+    Parameters
+    ----------
+    name
+        What the material is called.
+    cutting
+        Coefficient Kc of the force along the cutting direction; ``None`` where nobody states one.
+    thrust
+        Coefficient Kt of the force normal to the edge, in the rake plane.
+    critical
+        Thickest chip without fracture; ``None`` for a material that cuts ductile however thick the chip.
+    brittle_plateau
+        Whether the force per width of edge stays what it is at the critical thickness where the chip is thicker.
+    fracture_ratio
+        How deep a crack runs below the edge, per thickness of the chip that started it.
+    sources
+        Where each fact comes from, by field ("cutting.value"); anything assumed says so.
+    notes
+        What a user should know before relying on it.
+
+    Raises
+    ------
+    InputError
+        If the material has no name, or only one of its coefficients.
+
+    Examples
+    --------
+    >>> glass = Material.load("irg26")
+    >>> cutting, thrust = glass.coefficients(300e-6)
+    >>> float(cutting), float(thrust)
+    (1489.0, 816.0)
+    >>> glass.sources["cutting.value"]
+    'Troutman 2016, orthogonal cutting of IRG 26 in the ductile regime: 1489 +- 62 N/mm2'
+    """
+
+    name: str
+    cutting: CuttingCoefficient | None = None
+    thrust: CuttingCoefficient | None = None
+    critical: CriticalThickness | None = None
+    brittle_plateau: bool = False
+    fracture_ratio: float | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+    notes: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
+        if not self.name:
+            raise InputError("a material has no name: give it one")
+        if (self.cutting is None) != (self.thrust is None):
+            raise InputError(f"material {self.name!r} has one cutting coefficient of two: give cutting and thrust")
+        if self.fracture_ratio is not None:
+            positive(self.fracture_ratio, "fracture_ratio", "mm per mm of chip")
+        if self.brittle_plateau and self.critical is None:
+            raise InputError(f"material {self.name!r} has a brittle_plateau and no critical thickness: give that too")
+
+    @classmethod
+    def known(cls) -> tuple[str, ...]:
+        """Return the names of the materials that come with Turnwright."""
+        folder = resources.files("turnwright") / "materials"
+        return tuple(sorted(Path(one.name).stem for one in folder.iterdir() if one.name.endswith(".toml")))
+
+    @classmethod
+    def load(cls, name: str | Path) -> Material:
+        """Return a material that comes with Turnwright, or one described in a file of the same form.
+
+        Parameters
+        ----------
+        name
+            One of `known`, or the path of a ``.toml`` file.
+
+        Raises
+        ------
+        InputError
+            If there is no such material, or its file is wrong; the message names the key.
+        """
+        known = cls.known()
+        if name in known:
+            data = (resources.files("turnwright") / "materials" / f"{name}.toml").read_bytes()
+        else:
+            try:
+                data = Path(name).read_bytes()
+            except (OSError, ValueError) as error:
+                why = getattr(error, "strerror", None) or "it is no name of a file"
+                raise InputError(
+                    f"material {str(name)!r} is not one of {', '.join(known)} and cannot be read as a file ({why}): "
+                    "name one of these, or give the path of a .toml file"
+                ) from error
+        table = read_toml(data, f"material file {str(name)!r}")
+        try:
+            return _from_table(table)
+        except InputError as error:
+            raise InputError(f"material file {str(name)!r}: {error}") from error
+
+    def coefficients(
+        self, thickness: ArrayLike, *, rake: ArrayLike = 0.0, angle: ArrayLike = 0.0
+    ) -> tuple[Floats, Floats]:
+        """Return the coefficients Kc and Kt, with the plateau beyond the critical thickness where there is one.
+
+        Parameters
+        ----------
+        thickness
+            Of the uncut chip. Any shape [mm]
+        rake, angle
+            Effective rake and azimuth of the part. Broadcast [rad]
+
+        Returns
+        -------
+        cutting, thrust
+            Each of the broadcast shape [N/mm²]
+
+        Raises
+        ------
+        InputError
+            If nobody states them for this material.
+        """
+        if self.cutting is None or self.thrust is None:
+            raise InputError(
+                f"material {self.name!r} has no cutting coefficients, forces need 2: give cutting and thrust in a "
+                "file of your own"
+            )
+        chip = np.asarray(thickness, dtype=np.float64)
+        share = np.ones(())
+        if self.brittle_plateau and self.critical is not None:
+            limit = self.critical.at(rake=rake, angle=angle)
+            share = limit / np.maximum(chip, limit)
+            chip = np.minimum(chip, limit)
+        cutting, thrust = (
+            np.asarray(one.at(chip, rake=rake, angle=angle) * share) for one in (self.cutting, self.thrust)
+        )
+        return cutting, thrust
+
+
+def _number(table: Mapping[str, Any], key: str, where: str) -> float:
+    value = table[key]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{where}.{key} is {value!r}, its unit is in its name: give a plain number")
+    return float(value)
+
+
+def _quantity(table: Mapping[str, Any], key: str, unit: str, where: str) -> float:
+    try:
+        return units.parse(table[key], unit)
+    except InputError as error:
+        raise InputError(f"{where}.{key}: {error}") from error
+
+
+def _table(table: Mapping[str, Any], key: str) -> dict[str, Any]:
+    value = table[key]
+    if not isinstance(value, dict):
+        raise InputError(f"{key} is {value!r}, it must be a table: write [{key}]")
+    return value
+
+
+def _check_keys(table: Mapping[str, Any], known: set[str], where: str) -> None:
+    for key in table:
+        if key not in known:
+            raise InputError(
+                f"{key!r} in {where} is not known, the keys are {', '.join(sorted(known))}: correct or drop it"
+            )
+
+
+def _dependence(table: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return what both kinds of properties share: rake and lobes."""
+    given: dict[str, Any] = {}
+    if "rake" in table:
+        rake = _table(table, "rake")
+        _check_keys(rake, {"at_deg", "factor"}, f"{where}.rake")
+        at = frozen(rake.get("at_deg", []), f"{where}.rake.at_deg")
+        given["rake"] = (np.deg2rad(at), rake.get("factor", []))
+        if at.size and np.abs(given["rake"][0]).max() > STEEPEST:
+            raise InputError(f"{where}.rake.at_deg reaches {np.abs(at).max():g} deg, the limit is 80 deg: correct it")
+    if "lobes" in table:
+        lobes = _table(table, "lobes")
+        _check_keys(lobes, {"count", "amplitude", "maximum"}, f"{where}.lobes")
+        for key in ("count", "amplitude"):
+            if key not in lobes:
+                raise InputError(f"{where}.lobes.{key} is missing: add it")
+        maximum = _quantity(lobes, "maximum", "rad", f"{where}.lobes") if "maximum" in lobes else 0.0
+        amplitude = _number(lobes, "amplitude", f"{where}.lobes")
+        given["lobes"] = Lobes(count=lobes["count"], amplitude=amplitude, maximum=maximum)
+    return given
+
+
+def _coefficient(table: Mapping[str, Any], where: str) -> CuttingCoefficient:
+    known = {"n_per_mm2", "uncertainty_n_per_mm2", "exponent", "reference_thickness", "thickness", "rake", "lobes"}
+    _check_keys(table, known, where)
+    if "n_per_mm2" not in table:
+        raise InputError(f"{where}.n_per_mm2 is missing: add the coefficient")
+    given = _dependence(table, where)
+    given["value"] = _number(table, "n_per_mm2", where)
+    if "uncertainty_n_per_mm2" in table:
+        given["uncertainty"] = _number(table, "uncertainty_n_per_mm2", where)
+    if "exponent" in table:
+        given["exponent"] = _number(table, "exponent", where)
+    if "reference_thickness" in table:
+        given["reference_thickness"] = _quantity(table, "reference_thickness", "mm", where)
+    if "thickness" in table:
+        chip = _table(table, "thickness")
+        _check_keys(chip, {"at_nm", "factor"}, f"{where}.thickness")
+        at = frozen(chip.get("at_nm", []), f"{where}.thickness.at_nm")
+        given["thickness"] = (at * 1e-6, chip.get("factor", []))
+    return CuttingCoefficient(**given)
+
+
+def _critical(table: Mapping[str, Any], where: str) -> CriticalThickness:
+    _check_keys(table, {"value", "uncertainty", "rake", "lobes"}, where)
+    if "value" not in table:
+        raise InputError(f"{where}.value is missing: add the thickness, such as '600 nm'")
+    given = _dependence(table, where)
+    for key in ("value", "uncertainty"):
+        if key in table:
+            given[key] = _quantity(table, key, "mm", where)
+    return CriticalThickness(**given)
+
+
+def _from_table(table: Mapping[str, Any]) -> Material:
+    """Build a material from its tables."""
+    plain = {"name", "brittle_plateau", "fracture_ratio", "notes"}
+    _check_keys(table, {*plain, "cutting", "thrust", "critical", "sources"}, "the file")
+    given: dict[str, Any] = {}
+    for key in ("name", "notes"):
+        value = table.get(key, "")
+        if not isinstance(value, str):
+            raise InputError(f"{key} is {value!r}, it must be a text: put it in quotes")
+        given[key] = value
+    plateau = table.get("brittle_plateau", False)
+    if not isinstance(plateau, bool):
+        raise InputError(f"brittle_plateau is {plateau!r}, it must be true or false: change it")
+    given["brittle_plateau"] = plateau
+    if "fracture_ratio" in table:
+        given["fracture_ratio"] = _number(table, "fracture_ratio", "the file")
+    for key in ("cutting", "thrust"):
+        if key in table:
+            given[key] = _coefficient(_table(table, key), key)
+    if "critical" in table:
+        given["critical"] = _critical(_table(table, "critical"), "critical")
+    sources = _flat(_table(table, "sources")) if "sources" in table else {}
+    return Material(**given, sources=sources)
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """Return a nested table of texts with dotted keys."""
+    flat: dict[str, str] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            flat.update(_flat(value, f"{prefix}{key}."))
+        elif isinstance(value, str):
+            flat[f"{prefix}{key}"] = value
+        else:
+            raise InputError(f"sources.{prefix}{key} is {value!r}, it must be a text: put it in quotes")
+    return flat
