@@ -46,6 +46,9 @@ CENTRE = 0.05
 ROUNDS = 4
 """How often causes are chosen anew, at most."""
 
+REJECTIONS = 8
+"""How often points that stand out are looked for, at most."""
+
 TOLD = 0.1
 """Standard uncertainty in plausible units from which one map alone does not tell a number."""
 
@@ -153,6 +156,10 @@ def diagnose(
         fit.scale[k] = max(ROUGH * float(np.linalg.norm(residual)) * CANNOT / np.sqrt(count), FLOOR)
     whole: list[Place] = [(k, None) for k in usable]
     fit.solve(whole, steps=2)
+    for _ in range(REJECTIONS):
+        if not fit.reject():
+            break
+        fit.solve(whole, steps=1)
     fit.reduce(measure=True)
     fit.solve(whole, steps=2)
     kept: list[int] = []
@@ -263,7 +270,7 @@ def _sight(
         opened = (*dict.fromkeys((*free, "piston", "sphere")),)
     sight = Sight(
         x=x, y=y, z=z, swept=swept, sweeps=swept.start(x, y), added={}, good=np.ones(x.size, dtype=np.bool_),
-        free=opened, reference=reference, sphere=sphere, where=where,
+        apart=np.zeros(x.size, dtype=np.bool_), free=opened, reference=reference, sphere=sphere, where=where,
         stands=np.zeros(x.size) if reference.endswith("normal") else None,
         cusp=feed * feed / 24, pose=pose, begun=pose.copy(),
     )  # fmt: skip
@@ -478,6 +485,7 @@ def _report(
         poses=tuple(_pose(sight) for sight in fit.sights),
         measured_rms_nm=measured, explained_rms_nm=explained, unexplained_rms_nm=unexplained,
         noise_nm=tuple((fit.scale / np.sqrt(fit.together) * NM).tolist()), together=tuple(fit.together.tolist()),
+        left_out=tuple(int(np.count_nonzero(sight.apart)) for sight in fit.sights),
         signatures=tuple(
             MappingProxyType({column.name: _on(one, mark[:, k], sight) for k, column in enumerate(fit.names)})
             for one, mark, sight in zip(thin, made, fit.sights, strict=True)
@@ -505,7 +513,7 @@ def _residual(fit: Fit, m: int, heights: HeightMap, thinned: HeightMap, part: Pa
     residual, _ = sight.cut(fit.columns.deviations(fit.values[m]))
     for cause, mark in sight.added.items():
         residual = residual - fit.values[m][[column.cause == cause for column in fit.names]] @ mark
-    residual[~sight.good] = np.nan
+    residual[~(sight.good | sight.apart)] = np.nan
     return replace(_on(heights, residual, sight), name=f"{heights.name} residual".strip())
 
 
@@ -520,10 +528,20 @@ def _axes(heights: HeightMap) -> tuple[Floats, Floats]:
 def _whole(thin: Sight, thinned: HeightMap, heights: HeightMap, part: Part, columns: Columns) -> Sight:
     """Return a map with all its points, where it was thinned for the fit: what held there holds around it."""
     where, x, y, z = _valid(heights, part)
-    sight = replace(thin, x=x, y=y, z=z, where=where, sweeps=thin.swept.guess(x, y), added={}, good=np.isfinite(z))
+    sight = replace(
+        thin,
+        x=x,
+        y=y,
+        z=z,
+        where=where,
+        sweeps=thin.swept.guess(x, y),
+        added={},
+        good=np.isfinite(z),
+        apart=np.zeros(z.size, dtype=np.bool_),
+    )
     if not heights.scattered:
         held = np.zeros(thin.where.shape, dtype=np.bool_)
-        held[thin.where] = thin.good
+        held[thin.where] = thin.good | thin.apart
         near = [
             np.rint(np.interp(full, few, np.arange(few.size))).astype(np.int64)
             for full, few in zip(_axes(heights), _axes(thinned), strict=True)

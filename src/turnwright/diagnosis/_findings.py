@@ -121,6 +121,8 @@ class Diagnosis(Sequence[Finding]):
         Departure from the design beyond a change of pose; of what the causes make of it; and of what is left.
     noise_nm, together
         Of each map: what is left scatters by the one from point to point, and this many points count as one.
+    left_out
+        Points of each map that stand out of the rest by so much that the fit leaves them out.
     signatures
         The mark of every finding in each map, as large as found. [mm]
     tool, machine
@@ -137,6 +139,7 @@ class Diagnosis(Sequence[Finding]):
     unexplained_rms_nm: float
     noise_nm: tuple[float, ...]
     together: tuple[float, ...]
+    left_out: tuple[int, ...]
     signatures: tuple[Mapping[str, HeightMap], ...]
     tool: Tool
     machine: Machine

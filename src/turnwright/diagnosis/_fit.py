@@ -32,6 +32,10 @@ COLLINEAR = 1e-7
 FLOOR = 1e-8
 """The model is no truer than this. [mm]"""
 
+OUTSIDE = 6.0
+"""Points this many standard deviations off, as the median sees it, are left out: beside a seam of the design a chord of
+the program or a pixel of the instrument makes micrometres."""
+
 HANGS = 1.5
 """From so many points that count as one on it is no chance of the sample."""
 
@@ -74,6 +78,7 @@ class Sight:
     sweeps: Sweeps
     added: dict[str, Floats]
     good: Bools
+    apart: Bools  # points that stand out of the rest by so much that the fit leaves them
     free: tuple[str, ...]
     reference: str
     where: Bools  # which points of the map these are
@@ -102,7 +107,10 @@ class Sight:
 
     def nuisances(self, cutting: Cutting) -> tuple[Floats, list[int]]:
         """Return the derivative of the residual by each free number of the pose (n, j), and which they are."""
-        x, y, z, zx, zy = cutting.x, cutting.y, cutting.z, cutting.zx, cutting.zy
+        x, y = cutting.x, cutting.y
+        # Slopes of the design: those of the errors would let a pose that the design does not determine follow them.
+        with np.errstate(all="ignore"):
+            z, zx, zy = self.swept.surface.evaluate(x, y, 1)
         rows = {
             0: -zx, 1: -zy, 2: np.ones_like(x), 3: y * zx - x * zy,
             4: y + zy * z, 5: -x - zx * z,
@@ -294,6 +302,20 @@ class Fit:
             out.poses.append(pose)
             count += rows.shape[0] / self.together[k] - len(pose)
         return out._replace(effective=count)
+
+    def reject(self) -> bool:
+        """Leave out points whose residual stands out of the rest; say whether there were new ones."""
+        typical = np.array([column.typical for column in self.names])
+        new = False
+        for k, sight in enumerate(self.sights):
+            look = self._look(k, typical)
+            residual = look.points[:, -1]
+            off = np.abs(residual - np.median(residual))
+            out = off > max(OUTSIDE * 1.4826 * float(np.median(off)), OUTSIDE * FLOOR)
+            sight.apart[np.flatnonzero(look.good)[out]] = True
+            sight.good &= ~sight.apart
+            new |= bool(out.any())
+        return new
 
     def move(self, reduced: Reduced, values: Floats) -> float:
         """Take new numbers (maps, k), and the poses that go with them; return how far that led, in noise."""
