@@ -271,3 +271,21 @@ def test_spikes_do_not_pull():
     assert clean.left_out == (0,)
     assert found["offset x"].simplest == pytest.approx(clean["offset x"].simplest, abs=2e-6)
     assert np.nanmin(found.residual.z[hit]) > 9e-4
+
+
+def test_what_is_not_called_for_is_taken_off_neither():
+    """Oracle: the injected noise itself, less the plane that the pose takes."""
+    side = np.linspace(-5, 5, 81)
+    x, y = np.meshgrid(side, side)
+    z = np.where(np.hypot(x, y) < 5, 2e-5 * np.random.default_rng(4).normal(size=x.shape), np.nan)
+    part = tw.Part(surface=tw.Plane(slope=(0.0, 0.0)), radius=5.0)
+    tool, machine = tw.Tool(nose_radius=1.0, included=np.deg2rad(100)), tw.Machine.load("generic")
+    found = tw.diagnose(tw.HeightMap(x=side, y=side, z=z), part, tool, machine)
+    assert not [one.name for one in found if one.called_for]
+    assert found.explained_rms_nm == 0
+    assert (found.tool.offset, found.tool.radius_error, found.tool.waviness) == ((0, 0, 0), 0, tool.waviness)
+    assert found.machine.squareness == 0
+    seen = ~np.isnan(found.residual.z)
+    plane = np.stack([np.ones(seen.sum()), x[seen], y[seen]], axis=1)
+    flat = z[seen] - plane @ np.linalg.lstsq(plane, z[seen])[0]
+    np.testing.assert_allclose(found.residual.z[seen], flat, atol=1e-9)

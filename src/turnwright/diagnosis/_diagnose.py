@@ -162,13 +162,13 @@ def diagnose(
         fit.solve(whole, steps=1)
     fit.reduce(measure=True)
     fit.solve(whole, steps=2)
-    kept: list[int] = []
+    kept: list[int] | None = None  # all of them so far
     apart: list[int] = []
     for rounds in range(ROUNDS):
         reduced = fit.reduce(measure=True)
         choice = _choose(fit, reduced, usable, apart)
         if rounds >= ROUNDS // 2:  # in doubt, one more rather than to and fro
-            choice = choice._replace(kept=sorted({*choice.kept, *kept}))
+            choice = choice._replace(kept=sorted({*choice.kept, *(kept or ())}))
         moving = _moving(fit, reduced, choice.kept, apart)
         if choice.kept == kept and moving == apart:
             break
