@@ -1,0 +1,586 @@
+r"""From measured forces to the coefficients of a material and the chip it bears, each with its interval.
+
+Everything is one regression. In the ductile range the forces are in proportion to the area A of the uncut chip, beyond
+the critical thickness they leave that line,
+
+.. math:: F = d(t) + \begin{cases} K A & h \le h_c \\ (q_0 + q_1 h)\,A/h & h > h_c \end{cases}
+
+with the drift d of the amplifier, a polynomial that the samples in air tell, in the same fit, so that its uncertainty
+is in that of K. The critical thickness :math:`h_c` is the split at which both parts leave the least to explain. Since a
+jump is found more sharply than the noise would let a mean be, its interval is not that of a normal distribution: it is
+made of all splits that the likelihood ratio does not reject,
+
+.. math:: \frac{S(h_c) - S(\hat h_c)}{\eta^2} \le -2 \ln\!\big(1 - \sqrt{p}\big)
+
+(7.35 for p = 95 %), with the long-run variance η² of the noise on the side that would then be on the wrong part
+[Hansen2000]_. What lies within that interval takes no part in the fit of K. Correlation in time is counted in all of
+it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats, between, frozen, positive, same_length
+from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike
+
+__all__ = ["Cuts", "Estimate", "LearnedMaterial", "learn_material", "measured_cuts"]
+
+COMPONENTS = 2
+"""Cutting force and thrust."""
+
+CERTAIN = 0.01
+"""A transition is told of if chance would make one as clear in less than this share of experiments."""
+
+FEWEST = 4
+"""Rows that a part of the forces must have on either side of the transition."""
+
+HIGHEST_DRIFT = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cuts:
+    """Forces and the chips that they belong to: a row for each steady cut, or for each short stretch of a record.
+
+    Parameters
+    ----------
+    thickness
+        Thickest place of the uncut chip; 0 where the tool is in air. (n,) [mm]
+    width
+        Of the uncut chip. (n,) [mm]
+    cutting, thrust
+        Mean forces. Each (n,) [N]
+    area
+        Of the uncut chip across the cutting direction; thickness times width, as in orthogonal cutting, if not given.
+        (n,) [mm²]
+    thrust_area
+        What the thrust coefficient multiplies: for a round nose the area as it is seen along the measured direction.
+        As ``area`` if not given. (n,) [mm²]
+    uncertainty
+        Standard uncertainties of cutting force and thrust; ``None`` where the scatter of the rows is to tell. (n, 2)
+        [N]
+    time
+        Of each row, where the rows are stretches of one record. (n,) [s]
+    spread
+        Half the range of thicknesses within each row. (n,) [mm]
+
+    Raises
+    ------
+    InputError
+        If the arrays differ in length, or a thickness or width is below zero.
+    """
+
+    thickness: Floats
+    width: Floats
+    cutting: Floats
+    thrust: Floats
+    area: Floats | None = None
+    thrust_area: Floats | None = None
+    uncertainty: Floats | None = None
+    time: Floats | None = None
+    spread: Floats | None = None
+
+    def __post_init__(self) -> None:
+        names = ["thickness", "width", "cutting", "thrust"]
+        names += [one for one in ("area", "thrust_area", "time", "spread") if getattr(self, one) is not None]
+        for name in names:
+            object.__setattr__(self, name, frozen(getattr(self, name), f"{name} of the cuts"))
+        same = [(name, getattr(self, name)) for name in names]
+        if self.uncertainty is not None:
+            object.__setattr__(self, "uncertainty", frozen(self.uncertainty, "uncertainty of the cuts", ndim=2))
+            same.append(("uncertainty", self.uncertainty))
+            if self.uncertainty.shape[1] != COMPONENTS or not (self.uncertainty > 0).all():
+                raise InputError(
+                    "the uncertainties of the cuts are not 2 positive numbers for each: give one for the cutting "
+                    "force and one for the thrust, or none at all"
+                )
+        same_length(same)
+        if self.thickness.size and min(self.thickness.min(), self.width.min()) < 0:
+            raise InputError(
+                f"the cuts have a thickness or width of {min(self.thickness.min(), self.width.min()):g} mm, the "
+                "limit is 0 mm: correct it"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """A number that was learned, and the interval that holds the truth with the stated confidence.
+
+    Parameters
+    ----------
+    value
+        The best estimate. [N/mm² or mm]
+    low, high
+        The interval. [N/mm² or mm]
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LearnedMaterial:
+    """What forces tell of a material.
+
+    Parameters
+    ----------
+    cutting, thrust
+        Coefficients Kc and Kt of the ductile range. [N/mm²]
+    uncertainty
+        Their standard uncertainties. (2) [N/mm²]
+    critical
+        Critical thickness; ``None`` where the forces show no transition. [mm]
+    confidence
+        Of the intervals.
+    ductile, brittle
+        Rows that are ductile, and brittle, beyond doubt.
+    thickest
+        Thickest chip of all rows. [mm]
+    remaining
+        Force beyond the transition as a share of what the ductile line has there, for cutting force and thrust;
+        ``None`` without a transition. (2)
+    chance
+        At most this share of experiments without a transition would show one as clear.
+    sentences
+        What a person should know before relying on it.
+    """
+
+    cutting: Estimate
+    thrust: Estimate
+    uncertainty: tuple[float, float]
+    critical: Estimate | None
+    confidence: float
+    ductile: int
+    brittle: int
+    thickest: float
+    remaining: tuple[float, float] | None
+    chance: float
+    sentences: tuple[str, ...]
+
+
+def measured_cuts(
+    record: ForceRecord,
+    cuts: ArrayLike,
+    *,
+    cutting: str,
+    thrust: str,
+    thickness: Callable[[Floats], Floats],
+    width: float,
+    block: float,
+    guard: float,
+) -> Cuts:
+    """Average a record over short stretches, in the cuts and in air.
+
+    Parameters
+    ----------
+    record
+        Forces, the dynamometer's own share taken out; the drift may stay in, see `learn_material`.
+    cuts
+        First sample of each cut and first one after it, see `engagements`. (m, 2)
+    cutting, thrust
+        Which channel is which, with a minus where it points the other way.
+    thickness
+        Gives the chip thickness at some times. (k,) [s] to (k,) [mm]
+    width
+        Of the chip. [mm]
+    block
+        Length of a stretch; the transition is found to about this. [s]
+    guard
+        What is left out on either side of each entry and exit. [s]
+
+    Raises
+    ------
+    InputError
+        If no stretch fits in a cut.
+    """
+    step = max(1, round(positive(block, "block", "s") * record.rate_hz))
+    margin = max(0, round(between(guard, "guard", 0.0, np.inf, "s") * record.rate_hz))
+    pairs = np.asarray(cuts, dtype=np.int64).reshape(-1, 2)
+    air = in_air(record.samples, pairs, guard=margin)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], air, [False])).astype(np.int8))).reshape(-1, 2)
+    engaged = np.column_stack((pairs[:, 0] + margin, pairs[:, 1] - margin))
+    starts, is_cut = [], []
+    for spans, cutting_there in ((engaged, True), (edges, False)):
+        for first, last in spans:
+            count = (last - first) // step
+            if count > 0:
+                starts.append(first + step * np.arange(count))
+                is_cut.append(np.full(count, cutting_there))
+    if not any(flags.any() for flags in is_cut):
+        raise InputError(
+            f"no stretch of {block:g} s fits in a cut with {guard:g} s left out at entry and exit: shorten them"
+        )
+    start, flag = np.concatenate(starts), np.concatenate(is_cut)
+    order = np.argsort(start)
+    start, flag = start[order], flag[order]
+
+    def means(channel: str) -> Floats:
+        total = np.concatenate(([0.0], np.cumsum(record.channel(channel))))
+        return np.asarray((total[start + step] - total[start]) / step)
+
+    begin, end = start / record.rate_hz, (start + step - 1) / record.rate_hz
+    ends = np.array([np.where(flag, thickness(at), 0.0) for at in (begin, end)])
+    return Cuts(
+        thickness=ends.mean(axis=0),
+        width=np.where(flag, width, 0.0),
+        cutting=means(cutting),
+        thrust=means(thrust),
+        time=(begin + end) / 2,
+        spread=np.abs(ends[1] - ends[0]) / 2,
+    )
+
+
+def learn_material(
+    cuts: Cuts,
+    *,
+    drift: int | None = None,
+    edge_force: bool = False,
+    calibration: tuple[float, float] = (0.0, 0.0),
+    thickness_uncertainty: float = 0.0,
+    confidence: float = 0.95,
+) -> LearnedMaterial:
+    """Learn the coefficients and the critical thickness of a material.
+
+    Parameters
+    ----------
+    cuts
+        Forces and chips.
+    drift
+        Degree of the polynomial in time that the forces in air follow; ``None`` for forces without drift.
+    edge_force
+        Whether a force in proportion to the width alone, of the rubbing edge, is taken out of the coefficients.
+    calibration
+        Standard uncertainties, as shares, that are common to all cutting forces and to all thrusts: of the dynamometer
+        (see `Dynamometer.relative_uncertainty`), the width, the thickness.
+    thickness_uncertainty
+        Standard uncertainty that is common to all thicknesses, such as that of where the cut began. [mm]
+    confidence
+        Of all intervals.
+
+    Raises
+    ------
+    InputError
+        If there are too few cuts to tell.
+
+    Sources
+    -------
+    [Hansen2000]_ for the transition; the force model of [Troutman2016]_. Oracles: forces made from known coefficients,
+    in a hundred random experiments; Student's t of a regression.
+    """
+    between(confidence, "confidence", 0.5, 0.999, "")
+    rows = _Rows(cuts, drift, edge=edge_force)
+    split = _transition(rows, confidence)
+    ductile = rows.engaged.copy()
+    if split is not None:
+        ductile &= rows.upper <= split.low
+    parts = [rows.slope(component, ductile | ~rows.engaged, confidence) for component in range(COMPONENTS)]
+    from scipy.stats import norm  # noqa: PLC0415 - costly to import
+
+    wide = float(norm.ppf(0.5 + confidence / 2))
+    estimates, standard = [], []
+    for (value, sigma, half), share in zip(parts, calibration, strict=True):
+        common = between(share, "calibration", 0.0, 1.0, "") * abs(value)
+        reach = float(np.hypot(half, wide * common))
+        estimates.append(Estimate(value=value, low=value - reach, high=value + reach))
+        standard.append(float(np.hypot(sigma, common)))
+    critical = None
+    if split is not None:
+        more = wide * between(thickness_uncertainty, "thickness_uncertainty", 0.0, np.inf, "mm")
+        critical = Estimate(value=split.value, low=max(split.low - more, 0.0), high=split.high + more)
+    brittle = 0 if split is None else int(np.count_nonzero(rows.lower >= split.high))
+    sentences = list(_sentences(rows, split, estimates, confidence))
+    return LearnedMaterial(
+        cutting=estimates[0],
+        thrust=estimates[1],
+        uncertainty=(standard[0], standard[1]),
+        critical=critical,
+        confidence=confidence,
+        ductile=int(np.count_nonzero(ductile)),
+        brittle=brittle,
+        thickest=float(cuts.thickness.max()),
+        remaining=None if split is None else split.remaining,
+        chance=1.0 if split is None else split.chance,
+        sentences=tuple(sentences),
+    )
+
+
+class _Rows:
+    """The rows as a regression takes them: forces, columns, and what is common to all parts."""
+
+    def __init__(self, cuts: Cuts, drift: int | None, *, edge: bool) -> None:
+        self.thickness = cuts.thickness
+        self.engaged: Bools = cuts.thickness > 0
+        spread = np.zeros_like(cuts.thickness) if cuts.spread is None else cuts.spread
+        self.lower, self.upper = cuts.thickness - spread, cuts.thickness + spread
+        area = cuts.thickness * cuts.width if cuts.area is None else cuts.area
+        self.areas = (area, area if cuts.thrust_area is None else cuts.thrust_area)
+        self.forces = (cuts.cutting, cuts.thrust)
+        self.in_time = cuts.time is not None
+        self.order = np.argsort(cuts.time, kind="stable") if cuts.time is not None else np.arange(area.size)
+        n = cuts.thickness.size
+        columns = np.zeros((n, 0))
+        if drift is not None:
+            if cuts.time is None:
+                raise InputError("cuts without times have a drift to be found: give their times, or no drift")
+            if isinstance(drift, bool) or not isinstance(drift, int) or not 0 <= drift <= HIGHEST_DRIFT:
+                raise InputError(f"the degree of the drift is {drift!r}, the limits are 0 to 6: give a whole number")
+            if np.count_nonzero(~self.engaged) <= drift + 1:
+                raise InputError(
+                    f"{np.count_nonzero(~self.engaged)} rows are in air, a drift of degree {drift} needs more than "
+                    f"{drift + 1}: record air beside the cuts"
+                )
+            span = np.ptp(cuts.time) or 1.0
+            columns = np.polynomial.legendre.legvander(2 * (cuts.time - cuts.time.min()) / span - 1, drift)
+        self.nuisance = columns
+        self.edge = edge
+        self.stated = cuts.uncertainty is not None
+        weight = 1 / cuts.uncertainty if cuts.uncertainty is not None else np.ones((n, COMPONENTS))
+        self.weights = (weight[:, 0], weight[:, 1])
+        if np.count_nonzero(self.engaged) < FEWEST:
+            raise InputError(
+                f"{np.count_nonzero(self.engaged)} rows are cuts, at least {FEWEST} are needed: measure more"
+            )
+
+    def ductile_columns(self, component: int) -> Floats:
+        """Return what multiplies the coefficient, and the edge's own force if it has one. (n, 1 or 2)."""
+        area = self.areas[component]
+        if not self.edge:
+            return area[:, None]
+        return np.column_stack((area, self._per_thickness(component)))
+
+    def brittle_columns(self, component: int) -> Floats:
+        """Return a constant force per width, and one that grows with the thickness. (n, 2)."""
+        return np.column_stack((self._per_thickness(component), self.areas[component]))
+
+    def _per_thickness(self, component: int) -> Floats:
+        return np.divide(self.areas[component], self.thickness, out=np.zeros_like(self.thickness), where=self.engaged)
+
+    def tau(self, residual: Floats, rows: Bools) -> float:
+        """Return how many rows in time say as much as one."""
+        if not self.in_time:
+            return 1.0
+        inside = self.order[rows[self.order]]
+        return correlation_time(residual[inside]) if inside.size > 16 else 1.0
+
+    def slope(self, component: int, rows: Bools, confidence: float) -> tuple[float, float, float]:
+        """Return the coefficient, its standard uncertainty and half its interval, from some rows."""
+        from scipy.stats import t  # noqa: PLC0415 - costly to import
+
+        weight = self.weights[component][rows]
+        table = np.column_stack((self.ductile_columns(component), self.nuisance))[rows] * weight[:, None]
+        force = self.forces[component][rows] * weight
+        size = np.linalg.norm(table, axis=0)
+        if table.shape[0] <= table.shape[1] or not (size > 0).all():
+            raise InputError(
+                f"{table.shape[0]} rows are ductile beyond doubt, the coefficient needs more than {table.shape[1]}: "
+                "measure more thin chips"
+            )
+        table = table / size
+        if np.linalg.cond(table) > 1e8:
+            raise InputError(
+                "the ductile cuts do not tell the coefficient from edge force and drift: vary thickness, or drop these"
+            )
+        answer = np.linalg.lstsq(table, force, rcond=None)[0]
+        full = np.zeros(rows.size)
+        full[rows] = left = force - table @ answer
+        tau = max(self.tau(full, rows & self.engaged), self.tau(full, rows & ~self.engaged))
+        free = max(table.shape[0] / tau - table.shape[1], 1.0)
+        inverse = np.linalg.inv(table.T @ table)
+        if self.in_time and table.shape[0] > 50:  # noise in the cut and in air differ, so each row brings its own
+            leverage = np.einsum("ij,jk,ik->i", table, inverse, table)
+            own = (left / (1 - np.minimum(leverage, 0.9))) ** 2
+            cover = tau * inverse @ (table.T @ (own[:, None] * table)) @ inverse
+        else:
+            scale = float(left @ left) / free * tau
+            # Stated uncertainties are not made smaller by a lucky fit.
+            cover = (max(scale, 1.0) if self.stated else scale) * inverse
+        sigma = float(np.sqrt(cover[0, 0])) / size[0]
+        return float(answer[0] / size[0]), sigma, float(t.ppf(0.5 + confidence / 2, free)) * sigma
+
+
+@dataclass(frozen=True, slots=True)
+class _Split:
+    """A transition: where, within which limits, and what is left of the forces."""
+
+    value: float
+    low: float
+    high: float
+    remaining: tuple[float, float]
+    chance: float
+
+
+def _transition(rows: _Rows, confidence: float) -> _Split | None:
+    """Find the thickness at which the forces leave the ductile line, and all those that could be it."""
+    engaged = np.flatnonzero(rows.engaged)
+    order = engaged[np.argsort(rows.thickness[engaged], kind="stable")]
+    ascending = rows.thickness[order]
+    # Number of rows on the thin side; rows of one thickness stay together.
+    after = np.flatnonzero(np.diff(ascending) > 0) + 1
+    after = after[(after >= FEWEST) & (after <= ascending.size - FEWEST)]
+    if not after.size:
+        return None
+    sums = [_left(rows, component, order, after) for component in range(COMPONENTS)]
+    n = rows.thickness.size
+    free = max(n - rows.nuisance.shape[1] - 3, 1)
+    scale = [max(float(many.min()) / free, np.finfo(np.float64).tiny) for many, _ in sums]
+    fits = _sides(rows, order, after, int(np.argmin(sum(many / s for (many, _), s in zip(sums, scale, strict=True)))))
+    # The two components weigh as the noise of the ductile side tells.
+    weight = 1 / np.diag(fits[0])
+    joint = np.asarray(sum(w * many for w, (many, _) in zip(weight, sums, strict=True)))
+    best = int(np.argmin(joint))
+    thin, thick, gone = _sides(rows, order, after, best)
+    eta = [float((weight * gone) @ side @ (weight * gone) / (weight @ gone**2)) for side in (thin, thick)]
+    limit = -2 * np.log(1 - np.sqrt(confidence))
+    # A split below the best one would make ductile what is brittle, and is judged by the noise of the brittle side.
+    allowed = (joint - joint[best]) <= limit * np.where(np.arange(joint.size) < best, eta[1], eta[0])
+    inside = after[allowed]
+    low, high = ascending[inside.min() - 1], ascending[inside.max()]
+    spread = rows.upper - rows.thickness
+    one = float(sum(w * whole for w, (_, whole) in zip(weight, sums, strict=True)))
+    chance = _chance(one - float(joint[best]), max(eta), n, free)
+    at = 0.5 * (ascending[after[best] - 1] + ascending[after[best]])
+    remaining = tuple(_remaining(rows, component, order, int(after[best]), float(at)) for component in (0, 1))
+    if chance > CERTAIN or remaining[0] >= 1:
+        return None
+    return _Split(
+        value=float(at),
+        low=max(float(low - spread[order[inside.min() - 1]]), 0.0),
+        high=float(high + spread[order[inside.max()]]),
+        remaining=(remaining[0], remaining[1]),
+        chance=chance,
+    )
+
+
+def _chance(gain: float, eta: float, rows: int, free: int) -> float:
+    """Return an upper limit of the probability that chance gains as much by a split somewhere.
+
+    Each of at most ``rows`` independent splits gains as an F of 2 by 2 columns does; their chances add up at most.
+    """
+    from scipy.stats import f  # noqa: PLC0415 - costly to import
+
+    return float(min(1.0, rows * f.sf(gain / eta / (2 * COMPONENTS), 2 * COMPONENTS, free)))
+
+
+def _design(rows: _Rows, component: int, order: np.ndarray) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return nuisance, ductile and brittle columns and the forces, engaged rows in order, scaled alike."""
+    every = np.concatenate((order, np.flatnonzero(~rows.engaged)))
+    weight = rows.weights[component][every][:, None]
+    tables = [rows.nuisance, rows.ductile_columns(component), rows.brittle_columns(component)]
+    scaled = [one[every] * weight for one in tables]
+    scaled = [one / np.maximum(np.linalg.norm(one, axis=0), np.finfo(np.float64).tiny) for one in scaled]
+    return scaled[0], scaled[1], scaled[2], rows.forces[component][every] * weight[:, 0]
+
+
+def _left(rows: _Rows, component: int, order: np.ndarray, after: np.ndarray) -> tuple[Floats, float]:
+    """Return the squares left by each split, (k,), and by no split at all, from sums that are added up once."""
+    steady, ductile, brittle, force = _design(rows, component, order)
+    count, d, b, s = order.size, ductile.shape[1], brittle.shape[1], steady.shape[1]
+    size = s + d + b
+    table = np.zeros((after.size, size, size))
+    right = np.zeros((after.size, size))
+
+    def upto(one: Floats, other: Floats) -> Floats:
+        products = one[:count, :, None] * other[:count, None, :]
+        return np.concatenate((np.zeros((1, *products.shape[1:])), np.cumsum(products, axis=0)))
+
+    table[:, :s, :s] = steady.T @ steady
+    right[:, :s] = steady.T @ force
+    column = force[:, None]
+    for place, part, thin in ((slice(s, s + d), ductile, True), (slice(s + d, size), brittle, False)):
+        for other, where in ((part, place), (steady, slice(0, s)), (column, None)):
+            sums = upto(part, other)
+            share = sums[after] if thin else sums[-1] - sums[after]
+            if where is None:
+                right[:, place] = share[:, :, 0]
+            else:
+                table[:, place, where] = share
+                table[:, where, place] = share.transpose(0, 2, 1)
+    # Both columns of the brittle side are one where all its chips are as thick; a touch of the diagonal decides.
+    table += 1e-11 * np.trace(table, axis1=1, axis2=2)[:, None, None] / size * np.eye(size)
+    answer = np.linalg.solve(table, right[:, :, None])[:, :, 0]
+    total = float(force @ force)
+    many = np.maximum(total - np.einsum("ij,ij->i", answer, right), 1e-14 * total)
+    whole = np.column_stack((steady, ductile))
+    rest = force - whole @ np.linalg.lstsq(whole, force, rcond=None)[0]
+    return many, float(rest @ rest)
+
+
+def _sides(rows: _Rows, order: np.ndarray, after: np.ndarray, best: int) -> tuple[Floats, Floats, Floats]:
+    """Return the long-run covariances of the thin and the thick side at a split, and the jump there. (2, 2), (2,)."""
+    cut = int(after[best])
+    residuals, jumps = [], []
+    for component in range(COMPONENTS):
+        steady, ductile, brittle, force = _design(rows, component, order)
+        thin = np.arange(force.size) < cut
+        thick = ~thin & (np.arange(force.size) < order.size)
+        table = np.column_stack((steady, ductile * thin[:, None], brittle * thick[:, None]))
+        answer = np.linalg.lstsq(table, force, rcond=1e-10)[0]
+        residual = np.zeros(force.size)
+        residual[np.concatenate((order, np.flatnonzero(~rows.engaged)))] = force - table @ answer
+        residuals.append(residual)
+        s, d = steady.shape[1], ductile.shape[1]
+        jumps.append(float(ductile[cut] @ answer[s : s + d] - brittle[cut] @ answer[s + d :]))
+    left = np.array(residuals)
+    covers = []
+    for which in (order[:cut], order[cut:]):
+        rows_in = np.zeros(rows.thickness.size, dtype=np.bool_)
+        rows_in[which] = True
+        tau = max(rows.tau(one, rows_in) for one in left)
+        free = max(which.size - 1, 1)
+        covers.append(tau * left[:, which] @ left[:, which].T / free)
+    # Few rows on a side say little of its noise: then the larger of the two stands for both.
+    fewest = min(cut, order.size - cut)
+    if fewest < 2 * FEWEST:
+        larger = max(covers, key=np.trace)
+        covers = [larger, larger]
+    floor = 1e-18 * np.array([one @ one / one.size for one in rows.forces])
+    thin_cover, thick_cover = (one + np.diag(floor + np.finfo(np.float64).tiny) for one in covers)
+    return np.asarray(thin_cover), np.asarray(thick_cover), np.array(jumps)
+
+
+def _remaining(rows: _Rows, component: int, order: np.ndarray, cut: int, at: float) -> float:
+    """Return the force just beyond a split over what the ductile line has there."""
+    steady = rows.nuisance
+    thin, thick = (np.zeros(rows.thickness.size, dtype=np.bool_) for _ in range(2))
+    thin[order[:cut]], thick[order[cut:]] = True, True
+    ductile, brittle = rows.ductile_columns(component), rows.brittle_columns(component)
+    table = np.column_stack((steady, ductile * thin[:, None], brittle * thick[:, None]))
+    weight = rows.weights[component]
+    size = np.maximum(np.linalg.norm(table * weight[:, None], axis=0), np.finfo(np.float64).tiny)
+    answer = np.linalg.lstsq(table * weight[:, None] / size, rows.forces[component] * weight, rcond=1e-10)[0] / size
+    s, d = steady.shape[1], ductile.shape[1]
+    line = answer[s] * at + (answer[s + 1] if rows.edge else 0.0)
+    beyond = answer[s + d] + answer[s + d + 1] * at
+    return float(beyond / line) if line else np.inf
+
+
+def _sentences(rows: _Rows, split: _Split | None, estimates: list[Estimate], confidence: float) -> list[str]:
+    """Say what a person should know before relying on what was learned."""
+    said = []
+    for name, one in zip(("cutting", "thrust"), estimates, strict=True):
+        said.append(
+            f"the {name} coefficient is {one.value:.5g} N/mm^2, {confidence:.0%} interval {one.low:.5g} to "
+            f"{one.high:.5g} N/mm^2"
+        )
+    thickest = float(rows.thickness.max()) * 1e6
+    if split is None:
+        said.append(
+            f"the forces show no transition up to the thickest chip of {thickest:.4g} nm: the critical thickness is "
+            "beyond, or the cuts are too few or too noisy to tell"
+        )
+    else:
+        said.append(
+            f"the critical thickness is {split.value * 1e6:.4g} nm; beyond it {split.remaining[0]:.0%} of the cutting "
+            f"force and {split.remaining[1]:.0%} of the thrust remain"
+        )
+    return said
