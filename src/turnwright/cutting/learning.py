@@ -72,6 +72,8 @@ class Cuts:
         Of each row, where the rows are stretches of one record. (n,) [s]
     spread
         Half the range of thicknesses within each row. (n,) [mm]
+    record
+        Number of the record that each row is of; each has a drift of its own. All are of one if not given. (n,)
 
     Raises
     ------
@@ -88,10 +90,11 @@ class Cuts:
     uncertainty: Floats | None = None
     time: Floats | None = None
     spread: Floats | None = None
+    record: Floats | None = None
 
     def __post_init__(self) -> None:
         names = ["thickness", "width", "cutting", "thrust"]
-        names += [one for one in ("area", "thrust_area", "time", "spread") if getattr(self, one) is not None]
+        names += [one for one in ("area", "thrust_area", "time", "spread", "record") if getattr(self, one) is not None]
         for name in names:
             object.__setattr__(self, name, frozen(getattr(self, name), f"{name} of the cuts"))
         same = [(name, getattr(self, name)) for name in names]
@@ -326,22 +329,10 @@ class _Rows:
         self.areas = (area, area if cuts.thrust_area is None else cuts.thrust_area)
         self.forces = (cuts.cutting, cuts.thrust)
         self.in_time = cuts.time is not None
-        self.order = np.argsort(cuts.time, kind="stable") if cuts.time is not None else np.arange(area.size)
         n = cuts.thickness.size
-        columns = np.zeros((n, 0))
-        if drift is not None:
-            if cuts.time is None:
-                raise InputError("cuts without times have a drift to be found: give their times, or no drift")
-            if isinstance(drift, bool) or not isinstance(drift, int) or not 0 <= drift <= HIGHEST_DRIFT:
-                raise InputError(f"the degree of the drift is {drift!r}, the limits are 0 to 6: give a whole number")
-            if np.count_nonzero(~self.engaged) <= drift + 1:
-                raise InputError(
-                    f"{np.count_nonzero(~self.engaged)} rows are in air, a drift of degree {drift} needs more than "
-                    f"{drift + 1}: record air beside the cuts"
-                )
-            span = np.ptp(cuts.time) or 1.0
-            columns = np.polynomial.legendre.legvander(2 * (cuts.time - cuts.time.min()) / span - 1, drift)
-        self.nuisance = columns
+        record = np.zeros(n) if cuts.record is None else cuts.record
+        self.order = np.arange(n) if cuts.time is None else np.lexsort((cuts.time, record))
+        self.nuisance = np.zeros((n, 0)) if drift is None else _drifts(cuts.time, record, ~self.engaged, drift)
         self.edge = edge
         self.stated = cuts.uncertainty is not None
         weight = 1 / cuts.uncertainty if cuts.uncertainty is not None else np.ones((n, COMPONENTS))
@@ -406,6 +397,25 @@ class _Rows:
             cover = (max(scale, 1.0) if self.stated else scale) * inverse
         sigma = float(np.sqrt(cover[0, 0])) / size[0]
         return float(answer[0] / size[0]), sigma, float(t.ppf(0.5 + confidence / 2, free)) * sigma
+
+
+def _drifts(time: Floats | None, record: Floats, air: Bools, degree: int) -> Floats:
+    """Return the columns of a drift of each record. (n, records times (degree + 1))."""
+    if time is None:
+        raise InputError("cuts without times have a drift to be found: give their times, or no drift")
+    if isinstance(degree, bool) or not isinstance(degree, int) or not 0 <= degree <= HIGHEST_DRIFT:
+        raise InputError(f"the degree of the drift is {degree!r}, the limits are 0 to 6: give a whole number")
+    columns = []
+    for one in np.unique(record):
+        inside = record == one
+        if np.count_nonzero(air & inside) <= degree + 1:
+            raise InputError(
+                f"{np.count_nonzero(air & inside)} rows of a record are in air, a drift of degree {degree} needs more "
+                f"than {degree + 1}: record air beside the cuts"
+            )
+        first, span = time[inside].min(), np.ptp(time[inside]) or 1.0
+        columns.append(np.polynomial.legendre.legvander(2 * (time - first) / span - 1, degree) * inside[:, None])
+    return np.asarray(np.hstack(columns), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,107 @@
+"""The commands of what is cut: which materials are known, what is known of one, and what forces tell of a new one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from turnwright._commands._shared import Door, app, progress_of, require_new
+
+if TYPE_CHECKING:
+    from turnwright.material import CriticalThickness, CuttingCoefficient
+
+__all__: list[str] = []
+
+materials = typer.Typer(help="The materials that are cut.")
+app.add_typer(materials, name="material")
+
+Name = Annotated[
+    str, typer.Argument(metavar="NAME", help="One of those listed, or a .toml file of your own.", show_default=False)
+]
+Data = Annotated[
+    Path,
+    typer.Argument(
+        metavar="DATA", help="A .toml file of the experiment, or a .csv of averaged cuts.", show_default=False
+    ),
+]
+Out = Annotated[Path, typer.Option(metavar="FILE", help="The material's file, .toml.", show_default=False)]
+
+
+@materials.command("list")
+def list_all(context: typer.Context) -> None:
+    """Name the materials that come with Turnwright."""
+    door: Door = context.obj
+    from turnwright.material import Material  # noqa: PLC0415
+
+    for name in Material.known():
+        one = Material.load(name)
+        bears = "ductile at any thickness" if one.critical is None else f"ductile to {one.critical.value * 1e6:.4g} nm"
+        forces = (
+            "no coefficients"
+            if one.cutting is None or one.thrust is None
+            else f"Kc {one.cutting.value:.5g}, Kt {one.thrust.value:.5g} N/mm^2"
+        )
+        door.say(f"{name}: {one.name}; {forces}; {bears}")
+
+
+@materials.command()
+def show(context: typer.Context, name: Name) -> None:
+    """Say what is known of a material, and from where."""
+    door: Door = context.obj
+    from turnwright.material import Material  # noqa: PLC0415
+
+    one = Material.load(name)
+    door.say(one.name)
+    for what, coefficient in (("cutting coefficient", one.cutting), ("thrust coefficient", one.thrust)):
+        door.say(f"{what}: {'not known' if coefficient is None else _coefficient(coefficient)}")
+    door.say(f"critical thickness: {'none, it is ductile' if one.critical is None else _critical(one.critical)}")
+    if one.notes:
+        door.say(f"note: {one.notes}")
+    for key, source in one.sources.items():
+        door.say(f"source of {key}: {source}")
+
+
+@materials.command()
+def fit(context: typer.Context, data: Data, out: Out) -> None:
+    """Learn a material from measured forces, and write it as a file."""
+    door: Door = context.obj
+    require_new(out)
+    import tomli_w  # noqa: PLC0415
+
+    from turnwright.cutting.experiment import learn_from_file  # noqa: PLC0415
+
+    with progress_of(door.stop) as progress:
+        progress("learn", 0, 1)
+        found = learn_from_file(data)
+        text = tomli_w.dumps(found.table())
+        progress("learn", 1, 1)
+    out.write_text(text, encoding="utf-8")
+    for sentence in found.learned.sentences:
+        door.say(sentence)
+    door.say(f"material: {out}")
+
+
+def _more(one: CuttingCoefficient | CriticalThickness) -> str:
+    """Return what a property depends on, in words."""
+    kinds = [
+        word
+        for word, given in (
+            ("chip thickness", not getattr(one, "constant", True)),
+            ("rake", one.rake is not None),
+            ("direction of the crystal", one.lobes is not None),
+        )
+        if given
+    ]
+    return f"; varies with {', '.join(kinds)}" if kinds else ""
+
+
+def _coefficient(one: CuttingCoefficient) -> str:
+    sure = "" if one.uncertainty is None else f" +- {one.uncertainty:.3g}"
+    return f"{one.value:.5g}{sure} N/mm^2{_more(one)}"
+
+
+def _critical(one: CriticalThickness) -> str:
+    sure = "" if one.uncertainty is None else f" +- {one.uncertainty * 1e6:.3g}"
+    return f"{one.value * 1e6:.4g}{sure} nm{_more(one)}"
