@@ -13,7 +13,7 @@ import numpy as np
 from turnwright._arrays import frozen, same_length
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, ROTARY, Axis
-from turnwright.path import Motion, Path, block_points
+from turnwright.path import STRAIGHT, TURNED, Motion, Path, block_points
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -42,6 +42,36 @@ MOST_PIECES = 1000
 
 POWERS = {"speed": 1, "acceleration": 2, "jerk": 3}
 """How each quantity grows with the spindle speed."""
+
+SOFTLY = 0.1
+"""Either stage of speeding up takes at least this long. [s]"""
+
+SHORT = 1 / 40
+"""But of a short motion only this share."""
+
+LONGER = 1.25
+"""By how much a stage of speeding up that asks too much, or strays, is made longer."""
+
+SLOWER = 0.8
+"""By how much a motion too short for that is slowed down."""
+
+LEAST_PACE = 1e-4
+"""Share of its speed below which it is of no use to slow a motion down further."""
+
+HALVINGS = 60
+"""Halvings that find a time to rounding."""
+
+ROUNDS = 5
+"""How often a higher speed is tried where the ends had set it."""
+
+MOSTLY = 0.75
+"""Share of a motion that has its whole speed, at a speed that the ends do not set."""
+
+FEWEST = 4
+"""Points that show a jerk."""
+
+FINER = 8
+"""Blocks while speeding up are not shorter than the shortest of the motion over this."""
 
 
 class Servo(Protocol):
@@ -193,6 +223,13 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     :math:`\dot q = \omega\, dq/d\theta`, with the derivative of the machine's errors along X in that of Z. Where
     straightness, a table with straight lines in between, has a corner, that is the slope of the line beyond.
 
+    Its program begins and ends at rest, so the motion does too: along the path itself, all axes together come to half
+    of their speed, and from there to the whole of it, and to rest in the same way. Blocks are divided there so that the
+    cubics in time stay within 0.1 nm of those that a steady spindle makes between the points of the path; none is
+    shorter than the machine may have them, and accelerations and jerks keep the limits, or what the motion asks for
+    elsewhere where that is more. A path too short for that is gone along more slowly. Beside a fast tool, whose lathe
+    has blocks of its own, the motion is steady to its ends.
+
     Parameters
     ----------
     path
@@ -207,7 +244,8 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     Raises
     ------
     LimitError
-        If the machine lacks an axis that is needed, turns slower than what is asked, or cannot vary its speed.
+        If the machine lacks an axis that is needed, turns slower than what is asked, or cannot vary its speed, or if
+        the path has so few points that no motion in velocities comes to speed and to rest on it.
 
     Sources
     -------
@@ -243,8 +281,14 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
         )
     else:
         omega = rpm * TURN / 60
-    velocity = None if rates is None else {letter: path.sense * omega * rate for letter, rate in rates.items()}
-    return Motion(time=_clock(turned, omega), axes=axes, machine=machine, velocity=velocity)
+    time = _clock(turned, omega)
+    if rates is None:
+        return Motion(time=time, axes=axes, machine=machine)
+    velocity = {letter: path.sense * omega * rate for letter, rate in rates.items()}
+    course = _Course(time, axes, velocity)
+    if not FAST.keys() & axes.keys():
+        course = _from_rest_to_rest(course, machine, stated=profile is not None or rpm is not None)
+    return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity)
 
 
 def check_limits(motion: Motion, machine: Machine) -> Limits:
@@ -387,6 +431,255 @@ def _highest(time: Floats, turned: Floats, axes: Mapping[str, Floats], machine: 
             if highest > 0:
                 allowed.append(band / highest)
     return float(min(allowed))
+
+
+class _Course(NamedTuple):
+    """Positions and velocities of the axes in time."""
+
+    time: Floats
+    axes: Mapping[str, Floats]
+    velocity: Mapping[str, Floats]
+
+    def backwards(self) -> _Course:
+        """Return the same course from its end to its beginning."""
+        return _Course(
+            self.time[-1] - self.time[::-1],
+            {letter: values[::-1] for letter, values in self.axes.items()},
+            {letter: -values[::-1] for letter, values in self.velocity.items()},
+        )
+
+    def quicker(self, factor: float) -> _Course:
+        """Return the same course at so many times its speed."""
+        return _Course(
+            self.time / factor, self.axes, {letter: factor * values for letter, values in self.velocity.items()}
+        )
+
+    def some(self, at: slice) -> _Course:
+        """Return some of its points."""
+        return _Course(
+            self.time[at],
+            {letter: values[at] for letter, values in self.axes.items()},
+            {letter: values[at] for letter, values in self.velocity.items()},
+        )
+
+    def then(self, other: _Course) -> _Course:
+        """Return this course, and from its last point on another that begins there."""
+        return _Course(
+            np.concatenate([self.time, self.time[-1] + (other.time[1:] - other.time[0])]),
+            {letter: np.concatenate([values, other.axes[letter][1:]]) for letter, values in self.axes.items()},
+            {letter: np.concatenate([values, other.velocity[letter][1:]]) for letter, values in self.velocity.items()},
+        )
+
+
+def _from_rest_to_rest(course: _Course, machine: Machine, *, stated: bool) -> _Course:
+    """Return a course that comes to its speed and to rest along the same path.
+
+    If nobody stated the speed it is quicker where only the ends had kept it from that.
+    """
+    made, inner = _with_ends(course, machine, stated=stated)
+    if stated:
+        return made
+    more = _room(course, inner, machine)
+    for _ in range(ROUNDS):
+        if more < 1 + SLACK:
+            break
+        quicker = course.quicker(more)
+        tried, its = _with_ends(quicker, machine, stated=False)
+        kept = quicker.time[its.stop - 1] - quicker.time[its.start] > MOSTLY * quicker.time[-1]
+        if kept and tried.time[-1] < made.time[-1] and _room(tried, slice(None), machine) > 1 - SLACK / 3:
+            course, made = quicker, tried
+            more = _room(course, its, machine)
+        else:
+            more = math.sqrt(more)
+    return made
+
+
+def _room(course: _Course, at: slice, machine: Machine) -> float:
+    """Return how much quicker some points of a course may follow each other so that they just keep every limit."""
+    own = course.some(at)
+    if own.time.size < FEWEST:
+        return 1.0
+    return _highest(own.time, np.abs(own.axes["C"] - own.axes["C"][0]), own.axes, machine)
+
+
+def _with_ends(course: _Course, machine: Machine, *, stated: bool) -> tuple[_Course, slice]:
+    """Return a course from rest to rest, and which points of the one given it keeps."""
+    points = course.time.size
+    pace = 1.0
+    while pace > LEAST_PACE:
+        slowed = course if pace == 1 else course.quicker(pace)
+        asked = _Asking.of(slowed, machine, stated=stated)
+        begin = _speeding_up(slowed, asked)
+        end = None if begin is None else _speeding_up(slowed.backwards(), asked)
+        if begin is not None and end is not None and begin[0] + end[0] < points:
+            inner = slice(begin[0], points - end[0])
+            return begin[1].then(slowed.some(inner)).then(end[1].backwards()), inner
+        pace *= SLOWER
+    turned = abs(float(course.axes["C"][-1] - course.axes["C"][0]))
+    raise LimitError(
+        f"the path has {points} points in {turned:.3g} rad, too few to come to speed and to rest along it on "
+        f"{machine.name}: give it more turns or more points per turn"
+    )
+
+
+class _Asking(NamedTuple):
+    """What a motion that speeds up may ask of a machine."""
+
+    block: float  # the shortest one that is divided into [s]
+    shortest: float  # the shortest one at all [s]
+    most: Mapping[str, Mapping[str, float]]  # acceleration and jerk by letter
+
+    @classmethod
+    def of(cls, course: _Course, machine: Machine, *, stated: bool) -> _Asking:
+        """Return what the limits allow; at a stated speed what the course itself asks for where that is more."""
+        own, least = float(np.diff(course.time).min()), 1 / machine.block_rate_hz
+        # Two blocks at the machine's rate, so that they are not what binds; those of the cut if these are shorter.
+        block = max(least, min(own, max(own / FINER, 2 * least)))
+        most = {}
+        for letter, position in course.axes.items():
+            axis, top = machine.axes[letter], _peaks(course.time, position)[0] if stated else {}
+            most[letter] = {
+                kind: max(limit, top.get(kind, 0.0)) * (1 + SLACK / 2)
+                for kind in ("acceleration", "jerk")
+                if (limit := getattr(axis, kind)) is not None
+            }
+        return cls(block, (min(own, least) if stated else least) * (1 - SLACK / 2), most)
+
+    def exceeded(self, course: _Course) -> bool:
+        """Say whether a course asks for more."""
+        if float(np.diff(course.time).min()) < self.shortest:
+            return True
+        for letter, most in self.most.items():
+            top = _peaks(course.time, course.axes[letter])[0]
+            if any(top[kind] > limit for kind, limit in most.items()):
+                return True
+        return False
+
+
+def _speeding_up(course: _Course, asked: _Asking) -> tuple[int, _Course] | None:
+    """Return the number of the point from which a course has its speed, and how it comes there from rest.
+
+    ``None`` if half of the course is not enough for that.
+    """
+    length = float(course.time[-1] - course.time[0])
+    stages = [min(SOFTLY, SHORT * length)] * 2
+    # Where blocks are as short as they may be they cannot be divided until C is down to half of its speed: up to there
+    # it may speed up much faster than from there on.
+    while stages[0] / 4 + stages[1] * 3 / 4 <= length / 2:
+        last, made, astray = _divided(course, stages, asked.block)
+        border = int(np.searchsorted(made.time, stages[0]))
+        beyond = made.then(course.some(slice(last, last + 4)))
+        both = [astray[:border], astray[max(border - 1, 0) :]]
+        parts = [beyond.some(slice(border + 3)), beyond.some(slice(max(border - 3, 0), None))]
+        # What strays falls with one over the length of a stage at least, and with its square at most.
+        over = [max(1.0, math.sqrt(off.max(initial=0.0))) for off in both]
+        over = [
+            max(by, LONGER) if by > 1 or asked.exceeded(part) else 1.0 for by, part in zip(over, parts, strict=True)
+        ]
+        if max(over) == 1:
+            return last, made
+        stages = [stage * by for stage, by in zip(stages, over, strict=True)]
+    return None
+
+
+def _divided(course: _Course, stages: list[float], least: float) -> tuple[int, _Course, Floats]:
+    """Return a course that comes to its speed in two stages, its blocks divided as far as its path asks for.
+
+    Returns
+    -------
+    int
+        Number of the first point that has its whole speed.
+    _Course
+        From rest to that point.
+    ndarray
+        By how much its blocks stray from the path in spite of that, as a share of what they may. (n - 1,)
+    """
+    full = stages[0] / 4 + stages[1] * 3 / 4
+    last = int(np.searchsorted(course.time, course.time[0] + full))
+    told = course.time[: last + 1] - course.time[0]
+    ends = _when(stages, told)
+    most = np.maximum(np.floor(np.diff(ends) / least * (1 + 1e-9)), 1).astype(np.int64)
+    parts = np.ones(last, dtype=np.int64)
+    while True:
+        number = np.repeat(np.arange(last), parts)
+        share = (np.arange(number.size) - (np.cumsum(parts) - parts)[number]) / parts[number]
+        time = np.append(ends[number] + share * np.diff(ends)[number], ends[-1])
+        phase, pace = _eased(stages, time)
+        first = np.append(share == 0, True)
+        phase[first] = told
+        pace[0] = 0.0
+        made = _Course(time, *_along(course, np.append(number, last - 1), phase, pace))
+        off = _astray(course, made, number, phase, pace)
+        worst = np.maximum.reduceat(off, np.flatnonzero(share == 0))
+        finer = (worst > 1) & (parts < most)
+        if not finer.any():
+            return last, made, off
+        # Cubics miss by the fourth power of their length.
+        wanted = np.maximum(np.ceil(parts * worst**0.25), parts + 1).astype(np.int64)
+        parts = np.where(finer, np.minimum(wanted, most), parts)
+
+
+def _along(
+    course: _Course, block: Ints, phase: Floats, pace: float | Floats
+) -> tuple[dict[str, Floats], dict[str, Floats]]:
+    """Return positions and velocities on the cubics of a course, where it goes through them at some pace. Each (n,)."""
+    start, span = course.time[block] - course.time[0], course.time[block + 1] - course.time[block]
+    u = (phase - start) / span
+    axes, velocity = {}, {}
+    for letter, position in course.axes.items():
+        speed = course.velocity[letter]
+        rise, a = position[block + 1] - position[block], span * speed[block]
+        c = a + span * speed[block + 1] - 2 * rise
+        b = rise - a - c
+        axes[letter] = np.where(u == 1, position[block + 1], position[block] + u * (a + u * (b + u * c)))
+        velocity[letter] = pace * (a + u * (2 * b + u * 3 * c)) / span
+    return axes, velocity
+
+
+def _astray(course: _Course, made: _Course, block: Ints, phase: Floats, pace: Floats) -> Floats:
+    """Return how far each block of what was made strays from the path, as a share of what it may. (n - 1,)."""
+    span = np.diff(made.time)
+
+    def between(values: Floats, rates: Floats, u: float) -> Floats:
+        rise, a = np.diff(values), span * rates[:-1]
+        c = a + span * rates[1:] - 2 * rise
+        out: Floats = values[:-1] + u * (a + u * (rise - a - c + u * c))
+        return out
+
+    off = np.zeros(span.size)
+    for u in (0.25, 0.5, 0.75):
+        exact, _ = _along(course, block, between(phase, pace, u), 1.0)
+        for letter, position in made.axes.items():
+            miss = np.abs(between(position, made.velocity[letter], u) - exact[letter])
+            off = np.maximum(off, miss / (TURNED if letter in ROTARY else STRAIGHT))
+    return off
+
+
+def _eased(stages: list[float], time: Floats) -> tuple[Floats, Floats]:
+    """Return how far a motion from rest is, in time at full speed [s], and at which share of its speed. Each (n,).
+
+    The share goes to a half in the first stage and to one in the second, each with its acceleration rising as evenly
+    from nothing as it falls back to it.
+    """
+    phase, pace = np.maximum(time - sum(stages), 0.0), np.zeros(time.size)
+    start = 0.0
+    for k, stage in enumerate(stages):
+        s = np.clip((time - start) / stage, 0.0, 1.0)
+        late = s > 0.5
+        pace += np.where(late, 1 - 2 * (1 - s) ** 2, 2 * s**2) / 2
+        phase += stage / 2 * (np.where(late, s - 0.5 + (1 - s) ** 3 * 2 / 3, s**3 * 2 / 3) + k * s)
+        start += stage
+    return phase, pace
+
+
+def _when(stages: list[float], phase: Floats) -> Floats:
+    """Return when a motion from rest is as far as some time at full speed. (n,) [s]."""
+    low, high = np.zeros(phase.size), phase + sum(stages)
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        over = _eased(stages, middle)[0] > phase
+        low, high = np.where(over, low, middle), np.where(over, middle, high)
+    return np.where(phase > 0, (low + high) / 2, 0.0)
 
 
 def _frequency(time: Floats, angle: Floats, position: Floats) -> tuple[float, int]:

@@ -143,10 +143,14 @@ def test_the_quickest_interpolation_that_the_controller_offers_is_taken(tmp_path
     program = tmp_path / "out" / "part.nc"
     assert "PVT" in program.read_text()
     again = tw.read_nc(program, planned.machine.machine)
+    # The plan knew how the program comes to speed and to rest.
+    assert again.time.size == points[1]
     share = float(re.search(r"points (\S+) nm, decimals", said)[1])
-    # Away from both ends, which a program of velocities passes from rest and to rest.
-    start, end = np.quantile(again.time, (0.05, 0.95))
-    time = np.linspace(start, end, 4001)
+    # As closely at both ends, from rest and to rest, as elsewhere.
+    first, last = again.time[[0, -1]]
+    time = np.unique(
+        np.concatenate([np.linspace(first, last, 4001), first + np.linspace(0, 2, 999), last - np.linspace(0, 2, 999)])
+    )
     made = {one: CubicHermiteSpline(again.time, again.axes[one], again.velocity[one])(time) for one in "CXZ"}
     spiral = tw.path.Spiral(angle=made["C"], radius=made["X"])
     exact = tw.place(spiral, planned.part.part, planned.tool.tool)

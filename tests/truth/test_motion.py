@@ -142,7 +142,10 @@ def test_velocities_are_the_derivatives_of_what_is_commanded(sense):
     smooth = np.ones(made.time.size, dtype=bool)
     for corner in bent[0]:
         smooth &= np.abs(made.axes["X"] - corner) > 0.01
-    smooth[:50] = smooth[-50:] = False
+    # A spline in time is as good as its blocks are even: where C comes to speed see test_rest.py.
+    steady = np.isclose(np.abs(made.velocity["C"]), TURN, rtol=1e-12)
+    smooth &= np.convolve(steady, np.ones(101), "same") == 101
+    assert smooth.sum() > 0.85 * path.angle.size
     for letter, velocity in made.velocity.items():
         oracle = CubicSpline(made.time, made.axes[letter])(made.time, 1)
         assert np.abs(velocity - oracle)[smooth].max() < 1e-8

@@ -281,6 +281,9 @@ class _Search:
             turning = check_limits(meant, self.machine).peak_speed["C"] * (60 / TURN)  # not the mean with both ends
             speed = plain(turning)
             meant = at_speed(meant, speed / turning)
+            if meant.velocity is not None:  # at a lower speed it comes there and to rest in less time
+                stated = _filled(self.job, self.across, points.ways, speed)
+                meant = drive(points.path, stated.servo(stated.passes[-1]), self.machine)
         if self.servos is not None and self.varies:
             found = self.servos.varied(points.path, points.servo, self.job.machine.machine, rest, meant)
             if found is not None and found[1].time[-1] < meant.time[-1]:

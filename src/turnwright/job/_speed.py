@@ -198,8 +198,10 @@ class Servos:
         top = drive(path, servo, machine)
         wanted = self._surface(top, self.ideal)
         rings = _Rings(path)
-        most = rings.least(np.abs(np.diff(top.axes["C"]) / np.diff(top.time)))
-        speed = np.minimum(most, rings.least(np.abs(np.diff(steady.axes["C"]) / np.diff(steady.time))))
+        # Without velocities it is not brought to rest, which is no speed to keep.
+        even = drive(replace(path, z_rate=None), servo, machine)
+        most = rings.least(np.abs(np.diff(even.axes["C"]) / np.diff(even.time)))
+        speed = np.minimum(most, np.abs(np.diff(steady.axes["C"]) / np.diff(steady.time)).max())
         meant, profile = steady, None
         best: tuple[SpeedProfile, Motion] | None = None
         for _ in range(ROUNDS):
@@ -250,11 +252,12 @@ class _Rings:
         ends = np.concatenate(([0], size - 1 - at[::-1] if inward else at, [size - 1]))
         pieces = [slice(first, last + 1) for first, last in pairwise(ends.tolist())]
         self.pieces = pieces[::-1] if inward else pieces
+        self.turned = np.abs(path.angle - path.angle[0])
         contact = np.hypot(path.contact_x, path.contact_y)
         self.reach = [(contact[piece].min(), contact[piece].max()) for piece in self.pieces]
 
     def least(self, speed: Floats) -> Floats:
-        """Return the least spindle speed in each ring, of those in every block."""
+        """Return the least spindle speed in each ring, of those in every block of the path."""
         return np.array([speed[max(piece.start - 1, 0) : piece.stop].min() for piece in self.pieces])
 
     def worst(self, radius: Floats, off: Floats, feed: float) -> Floats:
@@ -266,8 +269,11 @@ class _Rings:
     def asked(self, motion: Motion, machine: Machine) -> Floats:
         """Return the largest share of a limit that is used in each ring."""
         asked = np.zeros(len(self.pieces))
+        # A motion that comes to speed and to rest has more points than its path.
+        turned = np.abs(motion.axes["C"] - motion.axes["C"][0])
         for ring, piece in enumerate(self.pieces):
-            here = slice(max(piece.start - SEEN, 0), piece.stop + SEEN)
+            first, last = np.searchsorted(turned, self.turned[[piece.start, piece.stop - 1]])
+            here = slice(max(int(first) - SEEN, 0), int(last) + 1 + SEEN)
             axes = {letter: values[here] for letter, values in motion.axes.items()}
             own = replace(motion, time=motion.time[here], axes=axes, velocity=None, stated_blocks=None)
             asked[ring] = max(check_limits(own, machine).utilisation.values())
