@@ -308,8 +308,8 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
             break
         air = after
     shape = max(1, least // block)
-    cut = _without_short(~air, shape)
-    cut = ~_without_short(~cut, shape)
+    # Gaps are closed first: a weak cut falls below the limit here and there.
+    cut = _without_short(~_without_short(air, shape), shape)
     found = _runs(cut)
     if not found.size or np.count_nonzero(~cut) < 8:
         state = "is always in air" if not found.size else "is never in air"
@@ -317,7 +317,7 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
             f"by channel {channel} of the force record {record.name!r} the tool {state}: record air before and after "
             "the cut, check the sign of the channel, or choose another value of shortest"
         )
-    sharp = [(_edge(force, first * block, 2 * block), _edge(force, last * block, 2 * block)) for first, last in found]
+    sharp = [(_edge(force, first * block, 4 * block), _edge(force, last * block, 4 * block)) for first, last in found]
     return np.array([pair for pair in sharp if pair[1] - pair[0] >= least // 2], dtype=np.int64).reshape(-1, 2)
 
 
