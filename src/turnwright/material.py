@@ -174,7 +174,7 @@ class CuttingCoefficient:
             value = value * (chip / self.reference_thickness) ** -self.exponent
         if self.thickness is not None:
             value = value * np.interp(np.log(chip), np.log(self.thickness[0]), self.thickness[1])
-        return np.asarray(value * np.ones(chip.shape))
+        return np.asarray(value * np.ones(np.broadcast(chip, np.asarray(rake), np.asarray(angle)).shape))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
