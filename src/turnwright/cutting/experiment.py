@@ -20,7 +20,7 @@ from turnwright._toml import read_toml
 from turnwright.cutting.dynamometer import Dynamometer, TapTest
 from turnwright.cutting.learning import Cuts, LearnedMaterial, learn_material, measured_cuts
 from turnwright.cutting.records import NEWTONS, read_forces
-from turnwright.cutting.signals import ForceRecord, engagements, low_pass
+from turnwright.cutting.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -258,7 +258,7 @@ def _recorded(
 ) -> tuple[Cuts, int, tuple[float, float]]:
     """Return the rows of all records, the degree of their drift, and what is common to all forces."""
     sensor, bandwidth, noise = _sensor(dynamometer, how, folder)
-    parts = []
+    parts, steady = [], np.zeros(len(how.channels))
     for one in cuts:
         record = how.read(folder / one.text("file"))
         width = one.quantity("width", "mm")
@@ -280,6 +280,8 @@ def _recorded(
             )
         )
         one.done()
+        air = in_air(record.samples, found)
+        steady += remove_drift(record, air, degree=how.drift).force[~air].mean(axis=0)
     rows = Cuts(
         **{
             key: np.concatenate([getattr(part, key) for part in parts])
@@ -289,11 +291,7 @@ def _recorded(
     )
     calibration = (common, common)
     if sensor is not None:
-        engaged = rows.thickness > 0
-        steady = np.zeros(3)
-        for channel, force in ((how.cutting, rows.cutting), (how.thrust, rows.thrust)):
-            steady[how.channels.index(channel.removeprefix("-"))] = float(np.mean(force[engaged]))
-        share = sensor.relative_uncertainty(np.where(steady == 0, 1e-9, steady))
+        share = sensor.relative_uncertainty(steady)
         both = [
             float(np.hypot(share[how.channels.index(channel.removeprefix("-"))], common))
             for channel in (how.cutting, how.thrust)

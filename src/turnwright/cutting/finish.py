@@ -141,7 +141,7 @@ class MinimumChip:
         """
         positive(edge_radius, "edge_radius", "mm")
         between(np.rad2deg(friction_angle), "friction_angle", 0, 85, "deg")
-        return cls(thickness=edge_radius * (1 - np.cos(np.pi / 4 - friction_angle / 2)), recovery=recovery)
+        return cls(thickness=float(edge_radius * (1 - np.cos(np.pi / 4 - friction_angle / 2))), recovery=recovery)
 
 
 def cusp_height(feed: float, nose_radius: float, minimum_chip: float = 0.0) -> float:

@@ -172,7 +172,8 @@ def correlation_time(values: ArrayLike) -> float:
 
     Sources
     -------
-    [Sokal1997]_ Eqs 3.14 to 3.16. Oracle: (1 + a)/(1 - a) of a first-order autoregression.
+    [Sokal1997]_ section 3; [Wolff2004]_ for what the mean takes. Oracle: (1 + a)/(1 - a) of a first-order
+    autoregression.
     """
     series = frozen(values, "values")
     n = series.size
@@ -186,7 +187,9 @@ def correlation_time(values: ArrayLike) -> float:
         return 1.0
     tau = 2 * np.cumsum(auto / auto[0]) - 1
     enough = np.flatnonzero(np.arange(n) >= WINDOW * tau)
-    return float(max(1.0, tau[enough[0]] if enough.size else tau.max()))
+    window = int(enough[0]) if enough.size else int(np.argmax(tau))
+    # The mean that was taken out holds a share of what hangs together.
+    return float(max(1.0, tau[window] * (1 + (2 * window + 1) / n)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

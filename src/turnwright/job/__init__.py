@@ -9,12 +9,14 @@ from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.job._run import StageProgress, predict, preview, run
 from turnwright.job._schema import Job
 from turnwright.job._shares import Shares, shares
+from turnwright.job._terms import Finish, finish
 
 __all__ = [
     "Artefact",
     "Candidate",
     "Comparison",
     "Correction",
+    "Finish",
     "Job",
     "Measured",
     "Pass",
@@ -29,6 +31,7 @@ __all__ = [
     "compare",
     "correct",
     "explain",
+    "finish",
     "measure",
     "plan",
     "predict",
