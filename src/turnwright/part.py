@@ -13,8 +13,10 @@ from turnwright.surface import Surface
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
+    from turnwright.surface._smoothing import Smooth
+    from turnwright.surface.gridded import Gridded
 
-__all__ = ["Part"]
+__all__ = ["Part", "correction_of"]
 
 FEWEST = 100
 """Heights below which an error is not told from its noise."""
@@ -90,26 +92,31 @@ class Part:
         >>> bool(abs(part.corrected(bowl, cutoff=0.5, beyond=1.0).surface.sag(2.0, 0.0) + 4e-5) < 1e-8)
         True
         """
-        from turnwright.surface._smoothing import smooth_table  # noqa: PLC0415 - scipy is costly to import
-
-        error.require_calibrated()
-        if not 2 * self.radius / FINEST <= cutoff <= self.radius:
-            raise InputError(
-                f"cutoff is {cutoff:g} mm, the limits on this part are {2 * self.radius / FINEST:g} to {self.radius:g} "
-                "mm: give a wavelength well above the feed"
-            )
-        x, y = error.points()
-        used = ~np.isnan(error.z) & (np.hypot(x, y) <= self.radius)
-        if np.count_nonzero(used) < FEWEST:
-            raise InputError(
-                f"the measured error has {np.count_nonzero(used)} heights within the clear radius {self.radius:g} mm, "
-                f"a correction needs {FEWEST}: register the map to the part first, or measure more of it"
-            )
-        smooth = smooth_table(
-            x[used],
-            y[used],
-            -error.z[used],
-            cutoff=cutoff,
-            reach=self.radius + positive(beyond, "beyond", "mm") + cutoff,
-        )
+        smooth = correction_of(self, error, cutoff=cutoff, beyond=beyond)
         return self if smooth.cutoff is None else replace(self, surface=self.surface + smooth.table)
+
+
+def correction_of(
+    part: Part, error: HeightMap, *, cutoff: float, beyond: float, before: Gridded | None = None
+) -> Smooth:
+    """Return what to add to a part so that an error that repeats does not come back, and the cutoff that was chosen.
+
+    See `Part.corrected`; with ``before``, what was added already when the error was measured, the table holds both.
+    """
+    from turnwright.surface._smoothing import smooth_table  # noqa: PLC0415 - scipy is costly to import
+
+    error.require_calibrated()
+    if not 2 * part.radius / FINEST <= cutoff <= part.radius:
+        raise InputError(
+            f"cutoff is {cutoff:g} mm, the limits on this part are {2 * part.radius / FINEST:g} to {part.radius:g} "
+            "mm: give a wavelength well above the feed"
+        )
+    x, y = error.points()
+    used = ~np.isnan(error.z) & (np.hypot(x, y) <= part.radius)
+    if np.count_nonzero(used) < FEWEST:
+        raise InputError(
+            f"the measured error has {np.count_nonzero(used)} heights within the clear radius {part.radius:g} mm, "
+            f"a correction needs {FEWEST}: register the map to the part first, or measure more of it"
+        )
+    reach = part.radius + positive(beyond, "beyond", "mm") + cutoff
+    return smooth_table(x[used], y[used], -error.z[used], cutoff=cutoff, reach=reach, before=before)

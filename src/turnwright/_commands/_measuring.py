@@ -123,7 +123,7 @@ def correct(
         measured = _measured(files, job, progress)
         found = explain(measured, progress=progress)
         if of is None:
-            better = correct(measured[0].job, found, measured[0], out=folder, progress=progress)
+            better = correct(measured[0].job, found, measured, out=folder, progress=progress)
         else:
             better = correct(Job.load(of), found, out=folder, progress=progress)
         progress("report", 0, 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Any
@@ -11,14 +12,13 @@ import numpy as np
 import tomli_w
 
 from turnwright._whole import write_whole
-from turnwright.contact import place
 from turnwright.files import write_map
-from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
+from turnwright.job._finish import finished
+from turnwright.job._measure import Measured, cutoff_of, same_part
 from turnwright.job._schema import Job
 from turnwright.job._shares import pv_nm_of, rms_nm_of
-from turnwright.motion import drive
-from turnwright.surface import Gridded, Sum
+from turnwright.part import correction_of
 from turnwright.tool import WavinessTable
 from turnwright.units import write
 
@@ -27,19 +27,12 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats, Ints
     from turnwright.diagnosis import Diagnosis
-    from turnwright.job._measure import Measured
     from turnwright.job._run import StageProgress
     from turnwright.machine import Machine
     from turnwright.part import Part
     from turnwright.tool import Tool
 
 __all__ = ["Correction", "correct"]
-
-FEEDS = 40
-"""Least cutoff of a correction in feeds: cusps have the wavelength of one."""
-
-ACROSS = 30
-"""Cutoffs on the diameter, unless the job states one."""
 
 SHOWN = 40_000
 """Points at which the corrected part is predicted."""
@@ -89,7 +82,7 @@ class Correction:
 def correct(
     job: Job,
     found: Diagnosis,
-    measured: Measured | None = None,
+    measured: Measured | Sequence[Measured] | None = None,
     *,
     out: str | PathLike[str],
     progress: StageProgress | None = None,
@@ -107,8 +100,8 @@ def correct(
     found
         Why measured parts were off, see `explain`.
     measured
-        The part that the job has cut, if it was among them and was the first; without it only tool and machine are
-        corrected.
+        What was explained, if the part that the job has cut was among it and was the first; the part as earlier jobs
+        have cut it counts with it. Without it only tool and machine are corrected.
     out
         Folder that exists, for ``job.toml`` and the files that it names.
     progress
@@ -121,15 +114,16 @@ def correct(
     """
     told = progress or (lambda _stage, _done, _total: None)
     out = File(out)
-    part = job.part.aimed
+    part = job.part.part
     table = tomllib.loads(job.to_toml())
     _put_tool(table["tool"], found.tool, job.tool.tool, out)
     _put_machine(table["machine"], found.machine, job.machine.machine, out)
     table.pop("actual", None)  # the correction is its prediction now
     cutoff, left = None, None
     told("correct the part", 0, 1)
-    if measured is not None:
-        left = _left(found)
+    every = [measured] if isinstance(measured, Measured) else list(measured or ())
+    if every:
+        left = _left(found, [same_part(one.job, job) for one in every])
         cutoff = _put_correction(table["part"], job, part, left, out)
     told("correct the part", 1, 1)
     better = Job.read(table, folder=out)
@@ -139,33 +133,44 @@ def correct(
     x, y = _places(job.part.part, left)
     simulated = _simulated(better, x, y)
     told("simulate", 1, 1)
-    if measured is None or left is None:
+    if left is None:
         return Correction(job=better, file=file, cutoff=cutoff, measured=None, predicted=None, simulated=simulated)
-    step = -(-left.z.size // SHOWN)
-    predicted = replace(simulated, z=simulated.z + left.z[::step], name="predicted error")
-    every = measured.error
-    step = -(-every.z.size // SHOWN)
-    x, y = every.points()
-    before = HeightMap(x=x[::step], y=y[::step], z=every.z[::step], name="measured error")
+    # What is left was measured beside what was added already, which the simulation of the new aim has in it.
+    again = 0.0 if job.part.added is None else job.part.added.evaluate(x, y, 0)[0]
+    predicted = replace(simulated, z=simulated.z + left.z[:: _step(left)] - again, name="predicted error")
+    error = every[0].error
+    step = _step(error)
+    x, y = error.points()
+    before = HeightMap(x=x[::step], y=y[::step], z=error.z[::step], name="measured error")
     return Correction(job=better, file=file, cutoff=cutoff, measured=before, predicted=predicted, simulated=simulated)
 
 
-def _left(found: Diagnosis) -> HeightMap:
-    """Return what of the first map neither tool nor machine takes care of, but which repeats. [mm]."""
-    residual = found.residual
+def _left(found: Diagnosis, own: Sequence[bool]) -> HeightMap:
+    """Return what neither tool nor machine takes care of, but repeats, in those maps that are of the part. [mm]."""
     also = [
         finding.name
         for finding in found
         if finding.verdict == "correct" and finding.cause not in PLANNED and finding.cause not in MOUNT
     ]
-    z, x, y = residual.z, *residual.points()
-    if also:
-        # The marks are known at some of the points.
-        marks = [found.signatures[0][name] for name in also]
-        at = _among(marks[0], residual)
-        z, x, y = z[at] + sum(mark.z for mark in marks), x[at], y[at]
-    known = ~np.isnan(z)
-    return HeightMap(x=x[known], y=y[known], z=z[known], name="left to correct")
+    points = []
+    for residual, signatures, counts in zip(found.residuals, found.signatures, own, strict=True):
+        if not counts:
+            continue
+        z, x, y = residual.z, *residual.points()
+        if also:
+            # The marks are known at some of the points.
+            marks = [signatures[name] for name in also]
+            at = _among(marks[0], residual)
+            z, x, y = z[at] + sum(mark.z for mark in marks), x[at], y[at]
+        known = ~np.isnan(z)
+        points.append((x[known], y[known], z[known]))
+    x, y, z = (np.concatenate(one) for one in zip(*points, strict=True))
+    return HeightMap(x=x, y=y, z=z, name="left to correct")
+
+
+def _step(many: HeightMap) -> int:
+    """Return which so-manieth of many points are shown."""
+    return -(-many.z.size // SHOWN)
 
 
 def _among(few: HeightMap, many: HeightMap) -> Ints:
@@ -175,10 +180,9 @@ def _among(few: HeightMap, many: HeightMap) -> Ints:
 
 def _put_tool(table: dict[str, Any], tool: Tool, planned: Tool, out: File) -> None:
     """State the tool as it was found."""
-    if tool == planned:
-        return
-    table["radius_error"] = write(tool.radius_error, "mm")
-    table["offset"] = [write(one, "mm") for one in tool.offset]
+    if (tool.radius_error, tool.offset) != (planned.radius_error, planned.offset):
+        table["radius_error"] = write(tool.radius_error, "mm")
+        table["offset"] = [write(one, "mm") for one in tool.offset]
     if isinstance(tool.waviness, WavinessTable) and tool.waviness is not planned.waviness:
         table.pop("waviness", None)
         table["waviness_file"] = str(
@@ -202,32 +206,24 @@ def _columns(file: File, head: str, one: Floats, other: Floats) -> File:
 
 
 def _put_correction(table: dict[str, Any], job: Job, part: Part, left: HeightMap, out: File) -> float | None:
-    """Aim at the part without what repeats; return the wavelength from which it is corrected, or ``None``."""
+    """Aim at the part without what repeats; return the wavelength from which it is corrected now, or ``None``."""
     strategy, last = job.strategy, job.passes[-1]
 
     def stated(name: str) -> float:
         return getattr(last, name, None) or getattr(strategy, name, None) or 0.0
 
-    diameter = 2 * part.radius
-    cutoff = job.measurement.cutoff or min(max(FEEDS * stated("feed"), diameter / ACROSS), part.radius)
+    cutoff = cutoff_of(job)
     tool = job.tool.tool
     half = np.pi / 2 if tool.included is None else tool.included / 2
     beyond = stated("lead_in") + stated("overrun") + tool.actual_radius * float(np.sin(half))
-    aim = part.corrected(left, cutoff=cutoff, beyond=beyond)
-    if aim is part:
+    smooth = correction_of(part, left, cutoff=cutoff, beyond=beyond, before=job.part.added)
+    if smooth.cutoff is None:
         return None
-    assert isinstance(aim.surface, Sum)  # noqa: S101 - a corrected part is one
-    new = aim.surface.terms[-1]
-    assert isinstance(new, Gridded)  # noqa: S101
-    z = new.z
-    before = job.part.added
-    if before is not None:
-        x, y = np.meshgrid(new.x, new.y)
-        z = z + before.evaluate(x, y, 0)[0]
+    new = smooth.table
     file = out / "correction.npz"
-    write_map(HeightMap(x=new.x, y=new.y, z=z, name="correction"), file)
+    write_map(HeightMap(x=new.x, y=new.y, z=new.z, name="correction"), file)
     table["correction"] = str(file)
-    return cutoff
+    return smooth.cutoff
 
 
 def _beside(table: dict[str, Any], out: File) -> dict[str, Any]:
@@ -244,9 +240,8 @@ def _beside(table: dict[str, Any], out: File) -> dict[str, Any]:
 def _places(part: Part, left: HeightMap | None) -> tuple[Floats, Floats]:
     """Return where the corrected part is predicted: some of the measured points, or evenly over the part."""
     if left is not None:
-        step = -(-left.z.size // SHOWN)
         x, y = left.points()
-        return x[::step], y[::step]
+        return x[:: _step(left)], y[:: _step(left)]
     # Sunflower seeds: as many to every area.
     count = np.arange(SHOWN) + 0.5
     radius, angle = part.radius * np.sqrt(count / SHOWN), np.pi * (1 + np.sqrt(5)) * count
@@ -255,9 +250,5 @@ def _places(part: Part, left: HeightMap | None) -> tuple[Floats, Floats]:
 
 def _simulated(job: Job, x: Floats, y: Floats) -> HeightMap:
     """Return what the finishing pass leaves, cut minus design."""
-    tool, machine = job.tool.tool, job.machine.machine
-    servo = job.servo(job.passes[-1])
-    path = place(servo.spiral(job.part.aimed, tool), job.part.aimed, tool, along=job.strategy.along)
-    motion = drive(path, servo, machine, profile=job.strategy.profile(job.passes[-1]))
-    z = generate_points(motion, tool, x=x, y=y, machine=machine)
+    z = finished(job, job, x, y)
     return HeightMap(x=x, y=y, z=z - job.part.part.surface.sag(x, y), name="simulated error")

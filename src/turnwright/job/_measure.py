@@ -11,6 +11,7 @@ import numpy as np
 from turnwright.diagnosis import DEFAULT, FREE, Diagnosis, diagnose
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
+from turnwright.job._finish import finished
 from turnwright.job._shares import pv_nm_of, rms_nm_of
 from turnwright.metrology import (
     Lenslets,
@@ -26,17 +27,34 @@ from turnwright.metrology import (
     roughness,
     trim_edge,
 )
+from turnwright.surface._smoothing import beside_form, smooth_table
 
 if TYPE_CHECKING:
+    from turnwright._arrays import Floats, Ints
     from turnwright.job._run import StageProgress
     from turnwright.job._schema import Job
 
-__all__ = ["Measured", "explain", "measure"]
+__all__ = ["Measured", "cutoff_of", "explain", "measure", "same_part"]
 
 FIRST = 100_000
 """Points by which a map is found on the part before its spikes are known."""
 
 NM = 1e6
+
+CELLS = 60_000
+"""Cells of a map whose mean errors are explained."""
+
+FINE = 5
+"""Cells on the feature size of a surface at least, so 40 on a wave: its mean over one is less than 0.1 % off."""
+
+FEEDS = 40
+"""Least cutoff of a correction in feeds: cusps have the wavelength of one."""
+
+ACROSS = 30
+"""Cutoffs on the diameter, unless the job states one."""
+
+FORM_ROUNDS = 2
+"""How often causes and a form that none explains are found in turn."""
 
 TERMS = 37
 """Fringe Zernike terms that the form is told in."""
@@ -151,17 +169,22 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
 def explain(measured: Measured | Sequence[Measured], *, progress: StageProgress | None = None) -> Diagnosis:
     """Say why measured parts are off. See `turnwright.diagnose`.
 
+    Errors are averaged over small cells first, so every height of a map counts. A part that was cut by an earlier job,
+    before a correction, counts as well: by simulation its errors are turned into those that the first of the jobs would
+    have left.
+
     Parameters
     ----------
     measured
-        Of the part, or of artefacts, all cut with one tool on one machine: what they share is found together.
+        Of the part, or of artefacts, all cut with one tool on one machine: what they share is found together. The first
+        of them says what was planned.
     progress
         Called with (stage, done, total).
 
     Raises
     ------
     InputError
-        If the jobs were planned with different tools or machines.
+        If jobs of different parts were planned with different tools or machines.
     """
     told = progress or (lambda _stage, _done, _total: None)
     every = [measured] if isinstance(measured, Measured) else list(measured)
@@ -169,28 +192,121 @@ def explain(measured: Measured | Sequence[Measured], *, progress: StageProgress 
         raise InputError("0 measured parts are given, a diagnosis needs at least 1: measure one")
     first = every[0].job
     for one in every[1:]:
-        if one.job.tool != first.tool or one.job.machine != first.machine:
+        if not same_part(one.job, first) and (one.job.tool != first.tool or one.job.machine != first.machine):
             raise InputError(
                 f"{one.job.part.name!r} and {first.part.name!r} were planned with different tools or machines, one "
                 "diagnosis takes 1 of each: diagnose them apart"
             )
-    told("diagnose", 0, 1)
+    told("diagnose", 0, 2)
     asked = first.measurement
-    found = diagnose(
-        [one.placed for one in every],
-        [one.job.part.part for one in every],
-        first.tool.tool,
-        first.machine.machine,
-        causes=asked.causes or DEFAULT,
-        reference=asked.reference,
-        free=[one for one in FREE if one not in asked.fixed],
-        waviness=asked.waviness,
-        sense=first.strategy.sense,
-        feed=_feed(first),
-        worth_nm=asked.worth * NM,
-    )
-    told("diagnose", 1, 1)
+    maps = [_gathered(one, first) for one in every]
+
+    def judged(maps: Sequence[HeightMap]) -> Diagnosis:
+        return diagnose(
+            maps,
+            [one.job.part.part for one in every],
+            first.tool.tool,
+            first.machine.machine,
+            causes=asked.causes or DEFAULT,
+            reference=asked.reference,
+            free=[one for one in FREE if one not in asked.fixed],
+            waviness=asked.waviness,
+            sense=first.strategy.sense,
+            feed=_feed(first),
+            worth_nm=asked.worth * NM,
+            points=2 * CELLS,
+        )
+
+    found = judged(maps)
+    told("diagnose", 1, 2)
+    forms = _forms(found, every)
+    if forms is not None:
+        # Causes that were bent to resemble the form are judged anew without it.
+        again = judged([replace(one, z=one.z - form) for one, form in zip(maps, forms, strict=True)])
+        left = [replace(one, z=one.z + form) for one, form in zip(again.residuals, forms, strict=True)]
+        rms = rms_nm_of(np.concatenate([one.z for one in left]))
+        found = replace(again, residuals=tuple(left), measured_rms_nm=found.measured_rms_nm, unexplained_rms_nm=rms)
+    told("diagnose", 2, 2)
     return found
+
+
+def _forms(found: Diagnosis, every: Sequence[Measured]) -> list[Floats] | None:
+    """Return the smooth form of each map that no cause explains, ``None`` if there is none beside causes. [mm].
+
+    Causes and form are found in turn: the form by smoothing what the causes leave, the causes by what no smooth form
+    has. A cause that has nothing of the kind stays as it was found.
+    """
+    called = [finding.name for finding in found if finding.called_for]
+    if not called:
+        return None
+    points, marks = [], []
+    for residual, signatures in zip(found.residuals, found.signatures, strict=True):
+        points.append((*residual.points(), residual.z))
+        marks.append(np.stack([signatures[name].z for name in called]))
+    share: Floats = np.ones(len(called))
+    forms: list[Floats] | None = None
+    for _ in range(FORM_ROUNDS):
+        product, target = np.zeros((len(called), len(called))), np.zeros(len(called))
+        forms, seen = [], False
+        for one, noise, (x, y, z), own in zip(every, found.noise_nm, points, marks, strict=True):
+            known = ~np.isnan(z + own.sum(axis=0))
+            left = z + (1 - share) @ own
+            cutoff, reach = cutoff_of(one.job), one.job.part.part.radius
+            smooth = smooth_table(x[known], y[known], left[known], cutoff=cutoff, reach=reach + cutoff)
+            forms.append(smooth.table.sag(x, y))
+            seen |= smooth.cutoff is not None
+            products = beside_form(
+                x[known], y[known], (z + own.sum(axis=0))[known], own[:, known], cutoff=smooth.cutoff or 2 * reach
+            )
+            product += products[0] * (NM / noise) ** 2
+            target += products[1] * (NM / noise) ** 2
+        if not seen:
+            return None
+        # Held at what was found as if it were known within its own size.
+        share = np.asarray(np.linalg.solve(product + np.eye(share.size), target + 1.0), dtype=np.float64)
+    return forms
+
+
+def cutoff_of(job: Job) -> float:
+    """Return the shortest wavelength in which the part itself is corrected: well above its cusps. [mm]."""
+    diameter = 2 * job.part.part.radius
+    return job.measurement.cutoff or min(max(FEEDS * _feed(job), diameter / ACROSS), diameter / 2)
+
+
+def same_part(one: Job, other: Job) -> bool:
+    """Say whether two jobs cut the same design in the same way, whatever they take into account."""
+    design, other_design = (job.part.model_copy(update={"correction": None}) for job in (one, other))
+    return design == other_design and one.strategy == other.strategy and one.passes[-1:] == other.passes[-1:]
+
+
+def _gathered(measured: Measured, job: Job) -> HeightMap:
+    """Return a part's errors averaged over small cells, on the design, as if the job had cut it. Scattered. [mm]."""
+    part = measured.job.part.part
+    x, y = measured.error.points()
+    error = measured.error.z
+    if measured.job != job and same_part(measured.job, job):
+        after, before = (finished(one, job, x, y) for one in (job, measured.job))
+        error = error + after - before
+    inside = np.hypot(x, y) <= part.radius
+    x, y, error = x[inside], y[inside], error[inside]
+    cell = min(part.radius * np.sqrt(np.pi / CELLS), part.surface.feature_size / FINE)
+    number = _cells(x, y, cell)
+    if part.surface.in_pieces:
+        # A mean across a seam is that of neither side.
+        piece = np.asarray(part.surface.piece(x, y))
+        piece = piece - piece.min(initial=0)
+        number = number * (int(piece.max(initial=0)) + 1) + piece
+    which, at = np.unique(number, return_inverse=True)
+    count = np.bincount(at, minlength=which.size)
+    few = slice(None, None, -(-which.size // (2 * CELLS)) or 1)
+    x, y, error = ((np.bincount(at, weights=one, minlength=which.size) / count)[few] for one in (x, y, error))
+    return HeightMap(x=x, y=y, z=part.surface.sag(x, y) + error, name=measured.heights.name)
+
+
+def _cells(x: Floats, y: Floats, cell: float) -> Ints:
+    """Return the number of the square cell that each point lies in. (n,)."""
+    column, row = (np.floor((at - at.min(initial=0.0)) / cell).astype(np.int64) for at in (x, y))
+    return np.asarray(row * (int(column.max(initial=0)) + 1) + column)
 
 
 def _feed(job: Job) -> float:

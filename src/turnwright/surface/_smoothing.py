@@ -26,16 +26,19 @@ from turnwright.surface.gridded import Gridded
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["Smooth", "smooth_table"]
+__all__ = ["Smooth", "beside_form", "smooth_table"]
 
 PER_CUTOFF = 5
 """Steps of the grid in the wavelength of the cutoff."""
 
-LONGER = (1.0, 2.0, 4.0, 8.0)
-"""Longer cutoffs that are tried too."""
+COARSE = 4
+"""The same while cutoffs are tried."""
+
+LONGEST = 9
+"""Longer cutoffs that are tried too, each longer by the square root of 2."""
 
 WORTH = 2.0
-"""Standard errors by which a correction must do better than none in the half of the points that it has not seen."""
+"""Standard errors by which a shorter cutoff must foretell the half of the points that it has not seen better."""
 
 
 class Smooth(NamedTuple):
@@ -54,11 +57,14 @@ class _Points(NamedTuple):
     weight: Floats
 
 
-def smooth_table(x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float) -> Smooth:
+def smooth_table(
+    x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float, before: Gridded | None = None
+) -> Smooth:
     """Return what the points share over wavelengths above a cutoff, on a square grid about the origin.
 
-    One half of the points is smoothed and compared with the other. The cutoff that foretells that best is taken, among
-    the one asked for and longer ones; if none foretells it better than zero does, nothing but noise is there.
+    One half of the points is smoothed and compared with the other. From the longest cutoff to the one asked for, the
+    next is taken if it foretells that better than the last, and the first if it does better than zero; if none does,
+    nothing but noise is there.
 
     Parameters
     ----------
@@ -68,31 +74,79 @@ def smooth_table(x: Floats, y: Floats, z: Floats, *, cutoff: float, reach: float
         Shortest wavelength that keeps half of its height. [mm]
     reach
         Half-width of the grid. [mm]
+    before
+        What the heights stand beside already. The cutoff is chosen for both together, and the table holds both: so two
+        maps of which each shows no more than noise count together, and what the first time was left of a wave is not.
     """
+    beside = np.zeros(z.size) if before is None else before.evaluate(x, y, 0)[0]
     # Cells, not points, are split: neighbours share the cell's noise only.
     cell = cutoff / PER_CUTOFF / 2
     column, row = (np.floor((at + reach) / cell).astype(np.int64) for at in (x, y))
     odd = (column + row) % 2 == 1
-    halves = [_binned(x[chosen], y[chosen], z[chosen], cell, reach) for chosen in (odd, ~odd)]
-    best: tuple[float, float] | None = None
-    scale = 1.4826 * float(np.median(np.abs(z - np.median(z))))
-    for longer in LONGER:
-        if cutoff * longer > 2 * reach:
-            break
-        better = np.concatenate(
+    whole = z + beside
+    halves = [_binned(x[chosen], y[chosen], whole[chosen], cell, reach) for chosen in (odd, ~odd)]
+    best: float | None = None
+    scale = 1.4826 * float(np.median(np.abs(whole - np.median(whole))))
+    inner = min(reach, float(max(np.abs(x).max(), np.abs(y).max())) + cutoff)
+    last = np.concatenate([other.weight * _loss(other.z, scale) for other in halves[::-1]])
+    for length in cutoff * math.sqrt(2) ** np.arange(LONGEST, -1, -1):
+        if length > 2 * reach:
+            continue
+        off = np.concatenate(
             [
-                other.weight
-                * (_loss(other.z, scale) - _loss(other.z - _at(_smoothed(one, cutoff * longer, reach), other), scale))
+                other.weight * _loss(other.z - _at(_smoothed(one, length, inner, COARSE), other), scale)
                 for one, other in (halves, halves[::-1])
             ]
         )
-        gain = float(better.sum())
-        if gain > WORTH * float(better.std()) * math.sqrt(better.size) and (best is None or gain > best[0]):
-            best = gain, cutoff * longer
+        better = last - off
+        if better.sum() > WORTH * better.std() * math.sqrt(better.size):
+            best, last = float(length), off
     if best is None:
         flat = np.linspace(-reach, reach, 6)
         return Smooth(Gridded(x=flat, y=flat, z=np.zeros((6, 6))), None)
-    return Smooth(_smoothed(_binned(x, y, z, cell, reach), best[1], reach), best[1])
+    table = _smoothed(_binned(x, y, z, cell, reach), best, reach)
+    return Smooth(table if before is None else _both(table, before), best)
+
+
+def _both(table: Gridded, before: Gridded) -> Gridded:
+    """Return the sum of two tables over the reach of the first, as fine as the finer of them."""
+    step = min(float(np.diff(one.x).min()) for one in (table, before))
+    low, high = float(table.x[0]), float(table.x[-1])
+    axis = np.linspace(low, high, math.ceil((high - low) / step - 1e-9) + 1)
+    x, y = np.meshgrid(axis, axis)
+    known = before.evaluate(np.clip(x, before.x[0], before.x[-1]), np.clip(y, before.y[0], before.y[-1]), 0)[0]
+    return Gridded(x=axis, y=axis, z=table.evaluate(x, y, 0)[0] + known)
+
+
+def beside_form(x: Floats, y: Floats, z: Floats, marks: Floats, *, cutoff: float) -> tuple[Floats, Floats]:
+    r"""Return the product of marks (k, k), and that of marks and heights (k,), where a smooth form hides nothing.
+
+    What a plate of the cutoff takes for form is taken off heights and marks alike, so that marks of known shape are
+    told from a smooth form of unknown shape by what they have and it cannot: kinks, steps and the tip at the axis.
+
+    Parameters
+    ----------
+    x, y, z
+        Points. Each (n,) [mm]
+    marks
+        (k, n)
+    cutoff
+        Of the form. [mm]
+
+    Sources
+    -------
+    [Speckman1988]_: so the marks are not biased by the form to first order.
+    """
+    reach = float(max(np.abs(x).max(), np.abs(y).max())) + cutoff
+    rows = np.concatenate([marks, z[None]])
+    points = _Points(x, y, z, np.ones(x.size))
+    off = np.stack(
+        [
+            row - plate.evaluate(x, y, 0)[0]
+            for row, plate in zip(rows, _plates(points, rows, cutoff, reach), strict=True)
+        ]
+    )
+    return off[:-1] @ off[:-1].T, off[:-1] @ off[-1]
 
 
 def _loss(off: Floats, scale: float) -> Floats:
@@ -113,13 +167,18 @@ def _binned(x: Floats, y: Floats, z: Floats, cell: float, reach: float) -> _Poin
     return _Points(at_x, at_y, height, weight)
 
 
-def _smoothed(points: _Points, cutoff: float, reach: float) -> Gridded:
+def _smoothed(points: _Points, cutoff: float, reach: float, fine: int = PER_CUTOFF) -> Gridded:
     """Return the spline of least squares and bending, as a table of its heights at its knots."""
+    return _plates(points, points.z[None], cutoff, reach, fine)[0]
+
+
+def _plates(points: _Points, heights: Floats, cutoff: float, reach: float, fine: int = PER_CUTOFF) -> list[Gridded]:
+    """Return such a spline for each of several rows of heights over the same points. (k, n) in."""
     from scipy.interpolate import BSpline  # noqa: PLC0415 - scipy is costly to import
     from scipy.linalg import solveh_banded  # noqa: PLC0415
     from scipy.sparse import kron  # noqa: PLC0415
 
-    steps = max(math.ceil(2 * reach * PER_CUTOFF / cutoff), 6)
+    steps = max(math.ceil(2 * reach * fine / cutoff), 6)
     knots = reach * np.linspace(-1, 1, steps + 1)
     step = knots[1] - knots[0]
     padded = np.concatenate([knots[0] + step * np.arange(-3, 0), knots, knots[-1] + step * np.arange(1, 4)])
@@ -137,9 +196,9 @@ def _smoothed(points: _Points, cutoff: float, reach: float) -> Gridded:
     lower = normal.row >= normal.col
     np.add.at(band, (normal.row[lower] - normal.col[lower], normal.col[lower]), normal.data[lower])
     band[0] += 1e-13 * band[0].max()
-    found = solveh_banded(band, weighted.T @ points.z, lower=True, overwrite_ab=True).reshape(size, size)
+    found = solveh_banded(band, weighted.T @ heights.T, lower=True, overwrite_ab=True).T.reshape(-1, size, size)
     at_knots = BSpline.design_matrix(knots, padded, 3)
-    return Gridded(x=knots, y=knots, z=np.asarray(at_knots @ found @ at_knots.T))
+    return [Gridded(x=knots, y=knots, z=np.asarray(at_knots @ one @ at_knots.T)) for one in found]
 
 
 def _at(table: Gridded, points: _Points) -> Floats:
