@@ -78,8 +78,8 @@ class Experiment:
         ):
             if not one.value > 0:
                 raise InputError(
-                    f"the {key} coefficient comes out as {one.value:.4g} N/mm^2, it must be above 0: turn the sign "
-                    "of that channel round"
+                    f"the {key} coefficient comes out as {one.value:.4g} N/mm^2, it must be above 0: check the signs "
+                    "of both channels"
                 )
             table[key] = {"n_per_mm2": _rounded(one.value), "uncertainty_n_per_mm2": _rounded(sigma)}
             sources[key] = {

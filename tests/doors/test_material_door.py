@@ -1,0 +1,245 @@
+"""Materials at the command line: list, show, and fit from records of every format; what is wrong is one sentence."""
+
+import tomllib
+
+import h5py
+import numpy as np
+import pytest
+
+from turnwright.cli import main
+from turnwright.cutting.records import read_forces
+from turnwright.errors import InputError
+from turnwright.material import Material
+
+RATE = 5000.0
+AVERAGES = "thickness [nm],width [mm],cutting [mN],thrust [mN]\n"
+
+
+def averages(count=12):
+    """Forces of IRG 26 without noise to speak of, brittle beyond 600 nm."""
+    random = np.random.default_rng(1)
+    lines = []
+    for chip in np.linspace(50, 1200, count):
+        of = min(chip, 600.0 * 0.7) if chip > 600 else chip
+        lines.append(
+            f"{chip:.3f},0.2,{1489 * of * 1e-6 * 0.2 * 1e3 + 0.05 * random.normal():.5f},"
+            f"{816 * of * 1e-6 * 0.2 * 1e3 + 0.05 * random.normal():.5f}"
+        )
+    return AVERAGES + "\n".join(lines) + "\n"
+
+
+def forces():
+    """An interrupted ramp of 50 nm to 1.2 um, 3 channels. (n, 3) [N]."""
+    random = np.random.default_rng(2)
+    time = np.arange(int(1.4 * RATE)) / RATE
+    on = (time > 0.1) & (time < 1.3) & ((time - 0.1) % 0.1 < 0.08)
+    chip = 50e-6 + 1150e-6 * (time - 0.1) / 1.18
+    of = np.where(chip > 600e-6, 0.7 * 600e-6, chip) * on * 0.2
+    force = np.column_stack((0.1 * of, 1489 * of, -816 * of)) + 2e-3 * random.normal(size=(time.size, 3))
+    return time, force + 0.05 * time[:, None]
+
+
+def write_csv(path, time, force):
+    table = np.column_stack((time, force * 1e3))
+    np.savetxt(path, table, delimiter=";", fmt="%.6f", header="time [s];Fx [mN];Fy [mN];Fz [mN]", comments="")
+
+
+def write_hdf5(path, _time, force):
+    with h5py.File(path, "w") as file:
+        file.attrs["rate_hz"] = RATE
+        for name, column in zip(("Fx", "Fy", "Fz"), force.T, strict=True):
+            file.create_dataset(f"cut/{name}", data=column).attrs["unit"] = "N"
+
+
+def write_tdms(path, _time, force):
+    from nptdms import ChannelObject, TdmsWriter
+
+    said = {"wf_increment": 1 / RATE, "unit_string": "N"}
+    with TdmsWriter(path) as file:
+        file.write_segment(
+            [ChannelObject("cut", name, column, said) for name, column in zip(("Fx", "Fy", "Fz"), force.T, strict=True)]
+        )
+
+
+WRITERS = {"forces.csv": write_csv, "forces.h5": write_hdf5, "forces.tdms": write_tdms}
+
+EXPERIMENT = """
+name = "our glass"
+source = "cuts of 2 March, tool 17"
+[record]
+cutting = "Fy"
+thrust = "-Fz"
+drift = 1
+shortest = "15 ms"
+block = "2 ms"
+guard = "1 ms"
+[[cuts]]
+file = "{file}"
+width = "0.2 mm"
+ramp = ["50 nm", "1200 nm"]
+"""
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_record_comes_back_from_every_format(tmp_path, name):
+    time, force = forces()
+    WRITERS[name](tmp_path / name, time, force)
+    found = read_forces(tmp_path / name, channels=["Fz", "Fx"])
+    assert found.rate_hz == pytest.approx(RATE, rel=1e-9)
+    assert found.channels == ("Fz", "Fx")
+    assert np.abs(found.force - force[:, [2, 0]]).max() < 1e-9 if name != "forces.csv" else 1e-8
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_fit_writes_a_material_that_loads(tmp_path, capsys, name):
+    WRITERS[name](tmp_path / name, *forces())
+    (tmp_path / "experiment.toml").write_text(EXPERIMENT.format(file=name))
+    out = tmp_path / "glass.toml"
+    assert main(["material", "fit", str(tmp_path / "experiment.toml"), "--out", str(out)]) == 0
+    assert "the critical thickness is" in capsys.readouterr().out
+    glass = Material.load(out)
+    assert glass.name == "our glass"
+    assert glass.cutting.value == pytest.approx(1489, rel=0.01)
+    assert glass.thrust.value == pytest.approx(816, rel=0.01)
+    assert glass.critical.value == pytest.approx(600e-6, rel=0.03)
+    assert glass.sources["cutting.value"].startswith("cuts of 2 March, tool 17: 95% interval ")
+    assert main(["material", "show", str(out)]) == 0
+    assert "cutting coefficient: 14" in capsys.readouterr().out
+
+
+def test_fit_takes_a_table_of_averaged_cuts(tmp_path, capsys):
+    (tmp_path / "cuts.csv").write_text(averages())
+    out = tmp_path / "glass.toml"
+    assert main(["material", "fit", str(tmp_path / "cuts.csv"), "--out", str(out)]) == 0
+    table = tomllib.loads(out.read_text())
+    assert table["cutting"]["n_per_mm2"] == pytest.approx(1489, rel=2e-3)
+    assert Material.load(out).critical.value == pytest.approx(600e-6, rel=0.1)  # the steps are 105 nm
+    assert str(out) in capsys.readouterr().out
+
+
+def test_list_names_every_material(capsys):
+    assert main(["material", "list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in lines] == list(Material.known())
+    assert any("Kc 1489, Kt 816 N/mm^2; ductile to 600 nm" in line for line in lines)
+
+
+def test_show_says_where_each_number_is_from(capsys):
+    assert main(["material", "show", "irg26"]) == 0
+    said = capsys.readouterr().out
+    assert "1489 +- 62 N/mm^2" in said
+    assert "source of cutting.value: Troutman 2016" in said
+
+
+# What is changed in the experiment's file, and what the sentence must say.
+WRONG = {
+    "no width": (('width = "0.2 mm"\n', ""), "cuts number 1 lacks width"),
+    "a width of angle": (('"0.2 mm"', '"0.2 deg"'), "'0.2 deg' is an angle, it must be a length"),
+    "no thickness": (('ramp = ["50 nm", "1200 nm"]\n', ""), "no thickness: give one of thickness, ramp, steps"),
+    "an unknown key": (("drift = 1", "drift = 1\ndrfit = 2"), "'drfit' in record is not known"),
+    "no such channel": (('"Fy"', '"Fq"'), "has no channel 'Fq', it has"),
+    "too high a drift": (("drift = 1", "drift = 9"), "degree of the drift is 9, the limits are 0 to 6"),
+    "no file": (('file = "forces.csv"', 'file = "none.csv"'), "cannot be read (No such file or directory)"),
+    "the wrong sign": (('"-Fz"', '"Fz"'), "thrust coefficient comes out as -8"),
+    "the cutting force turned round": (('"Fy"', '"-Fy"'), "check the signs of both channels"),
+    "steps that are not those of the record": (
+        ('ramp = ["50 nm", "1200 nm"]', 'steps = ["1 um"]'),
+        "has 1 steps, and 12 cuts are found",
+    ),
+    "a long block": (('block = "2 ms"', 'block = "2 s"'), "no stretch of 2 s fits in a cut"),
+    "no TOML": (("[record]", "[record"), "is not TOML"),
+    "nothing that was cut": (("[[cuts]]", "[[passes]]"), "'passes' in the experiment is not known"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_experiment_is_one_sentence(tmp_path, capsys, case):
+    (before, after), sentence = WRONG[case]
+    write_csv(tmp_path / "forces.csv", *forces())
+    text = EXPERIMENT.format(file="forces.csv")
+    assert before in text
+    (tmp_path / "experiment.toml").write_text(text.replace(before, after))
+    out = tmp_path / "glass.toml"
+    assert main(["material", "fit", str(tmp_path / "experiment.toml"), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert len([line for line in said.splitlines() if line.startswith("turnwright:")]) == 1
+    assert not out.exists()
+
+
+TABLES = {
+    "nothing": ("", "has a column ''"),
+    "a name without a unit": (averages().replace("width [mm]", "width"), "has a column 'width'"),
+    "a unit of another kind": (averages().replace("[nm]", "[N]"), "thickness in 'N', the units are"),
+    "a column too few": (averages().replace(",thrust [mN]", ""), "lacks thrust"),
+    "words": (averages() + "one,two,three,four\n", "is not a table of numbers"),
+    "nan": (averages() + "nan,0.2,1,1\n", "values that are not finite"),
+    "three cuts": (averages(3), "3 rows are cuts, at least 4 are needed"),
+    "a thickness below 0": (averages() + "-5,0.2,1,1\n", "thickness or width of -5e-06 mm"),
+}
+
+
+@pytest.mark.parametrize("case", TABLES)
+def test_a_wrong_table_is_one_sentence(tmp_path, capsys, case):
+    text, sentence = TABLES[case]
+    (tmp_path / "cuts.csv").write_text(text)
+    assert main(["material", "fit", str(tmp_path / "cuts.csv"), "--out", str(tmp_path / "glass.toml")]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "glass.toml").exists()
+
+
+def test_a_material_is_not_written_over(tmp_path, capsys):
+    (tmp_path / "cuts.csv").write_text(averages())
+    (tmp_path / "glass.toml").write_text("mine")
+    assert main(["material", "fit", str(tmp_path / "cuts.csv"), "--out", str(tmp_path / "glass.toml")]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert (tmp_path / "glass.toml").read_text() == "mine"
+
+
+RECORDS = {
+    "no unit": ("time [s],Fx\n0,1\n1,2\n2,3\n", "does not say what 'Fx' is in"),
+    "volts": ("time [s],Fx [V]\n0,1\n1,2\n2,3\n", "is in 'V', forces are in"),
+    "no rate": ("Fx [N],Fy [N]\n0,1\n1,2\n2,3\n", "says neither the rate nor the times"),
+    "a missing sample": ("time [s],Fx [N]\n0,1\n1,2\n3,3\n4,1\n", "are not even, off by up to"),
+    "no names": ("0,1\n1,2\n2,3\n", "that is no line of names"),
+    "two of a name": ("t,F,F\n0,1,1\n1,2,2\n", "that is no line of names: name each column apart"),
+    "a short line": ("time [s],Fx [N]\n0,1\n1\n2,3\n", "is not a table of numbers"),
+    "nothing": ("", "has 0 lines"),
+    "not finite": ("time [s],Fx [N]\n0,1\n1,inf\n2,3\n", "holds 1 values that are not finite"),
+}
+
+
+@pytest.mark.parametrize("case", RECORDS)
+def test_a_wrong_record_is_one_sentence(tmp_path, case):
+    text, sentence = RECORDS[case]
+    (tmp_path / "r.csv").write_text(text)
+    with pytest.raises(InputError, match=r"^[^\n]+$") as caught:
+        read_forces(tmp_path / "r.csv")
+    assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["forces.h5", "forces.tdms"])
+def test_a_damaged_record_is_one_sentence_or_reads(tmp_path, name):
+    """Bytes changed and the end cut off at many places: never a traceback."""
+    time, force = forces()
+    WRITERS[name](tmp_path / "good", time[:200], force[:200])
+    data = (tmp_path / "good").read_bytes()
+    random = np.random.default_rng(0)
+    said = []
+    for trial in range(4 if name == "forces.h5" else 60):  # HDF5 takes a process each
+        bad = bytearray(data[: random.integers(8, len(data))] if trial % 2 else data)
+        for place in random.integers(8, max(len(bad) // 4, 9), 3):
+            bad[place] ^= 1 << random.integers(8)
+        (tmp_path / "bad").write_bytes(bad)
+        try:
+            read_forces(tmp_path / "bad", unit="N", rate_hz=1.0)
+        except InputError as error:
+            said.append(str(error))
+    assert said
+    assert not any("\n" in one for one in said)
+
+
+def test_what_is_no_record_at_all_is_said(tmp_path):
+    (tmp_path / "r.bin").write_bytes(bytes(range(128, 256)))
+    with pytest.raises(InputError, match="is neither CSV text, HDF5 nor TDMS"):
+        read_forces(tmp_path / "r.bin")

@@ -1,0 +1,146 @@
+"""What learning from forces and the terms of the finish refuse, in one sentence."""
+
+import numpy as np
+import pytest
+
+import turnwright as tw
+from turnwright.cutting.dynamometer import Dynamometer, TapTest
+from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
+from turnwright.cutting.fracture import ri80
+from turnwright.cutting.learning import Cuts, learn_material, measured_cuts
+from turnwright.cutting.signals import (
+    ForceRecord,
+    average_force,
+    correlation_time,
+    engagements,
+    low_pass,
+    remove_drift,
+)
+from turnwright.errors import InputError
+
+
+def record(n=1000, channels=("a",)):
+    return ForceRecord(force=np.ones((n, len(channels))), rate_hz=1000.0, channels=channels)
+
+
+def tap(direction=(1, 0, 0), n=256, ends=0.0):
+    hammer = np.zeros(n)
+    hammer[20] = 10.0
+    response = np.outer(hammer, direction) + ends * (-1.0) ** np.arange(n)[:, None]
+    return TapTest(hammer=hammer, direction=direction, response=response, rate_hz=10_000.0)
+
+
+def taps(turns=2):
+    return [tap(direction) for direction in np.eye(3) for _ in range(turns)]
+
+
+def sensor(n=64):
+    response = np.tile(np.eye(3, dtype=complex), (n, 1, 1))
+    return Dynamometer(
+        frequency_hz=10.0 * np.arange(n), response=response, static_gain=np.eye(3), gain_uncertainty=np.zeros((3, 3))
+    )
+
+
+def cuts(n=10, **more):
+    chip = np.linspace(1e-4, 3e-4, n)
+    return Cuts(**{"thickness": chip, "width": np.ones(n), "cutting": 1500 * chip, "thrust": 800 * chip, **more})
+
+
+def motion(**more):
+    angle = np.linspace(0, 60, 601)
+    axes = {"C": angle, "X": 1 - angle / 1000, "Z": 0 * angle}
+    return tw.Motion(time=angle, axes=axes, machine=tw.Machine.load("generic"), **more)
+
+
+TOOL = {"nose_radius": 0.5, "clearance": np.deg2rad(10), "included": np.deg2rad(60)}
+STILL = {letter: np.zeros(601) for letter in "CXZ"}
+ON = {"chip": MinimumChip(thickness=1e-5), "radius": [0.9], "angle": [0.0]}
+
+# ruff: noqa: E501 - a table
+WRONG = {
+    "names of columns": (lambda: ForceRecord(force=[[1, 2]], rate_hz=1, channels=("a",)), "has 2 columns and the channels a"),
+    "one sample": (lambda: record(1), "has 1 samples, it needs at least 2"),
+    "no rate": (lambda: ForceRecord(force=[[1], [2]], rate_hz=0, channels=("a",)), "rate_hz is 0 Hz"),
+    "another channel": (lambda: record().channel("b"), "has no channel 'b', it has a"),
+    "cut-off": (lambda: low_pass(record(), 500.0, 2), "cutoff_hz is 500 Hz, the limits are 0 and 500 Hz"),
+    "order": (lambda: low_pass(record(), 100.0, 0), "order of a low-pass is 0, the limits are 1 to 10"),
+    "order that is no number": (lambda: low_pass(record(), 100.0, "4"), "order of a low-pass is '4'"),
+    "one value": (lambda: correlation_time([1.0]), "1 values have no correlation"),
+    "short average": (lambda: average_force(record(), 5, 9), "samples 5 to 9 are not a stretch of at least 8"),
+    "nothing cut": (lambda: engagements(record(), "a", shortest=0.05), "the tool is always in air"),
+    "shortest": (lambda: engagements(record(), "a", shortest=0.001), "shortest is 0.001 s, that is 1 of 1000"),
+    "air of another length": (lambda: remove_drift(record(), [True], degree=1), "air has the shape (1,)"),
+    "no air": (lambda: remove_drift(record(), np.zeros(1000, bool), degree=None), "0 samples are in air"),
+    "little air": (lambda: remove_drift(record(), np.arange(1000) < 2, degree=1), "2 samples are in air, a drift of"),
+    "a tap of no direction": (lambda: tap((0, 0, 0)), "direction of a tap is [0.0, 0.0, 0.0]"),
+    "a tap that rings on": (lambda: tap(ends=2.0), "still rings with"),
+    "a short tap": (lambda: tap(n=40), "a tap test has 40 samples"),
+    "five taps": (lambda: Dynamometer.from_taps(taps()[:5]), "5 taps were given, at least 6 are needed"),
+    "taps in a plane": (lambda: Dynamometer.from_taps([*taps()[:4], tap(), tap()]), "do not push in 3 directions"),
+    "taps of two lengths": (lambda: Dynamometer.from_taps([*taps()[:5], tap((0, 0, 1), 512)]), "differ in rate or length"),
+    "a low spring": (lambda: Dynamometer.from_taps(taps(), flat_hz=100), "frequencies lie up to 100 Hz"),
+    "odd frequencies": (
+        lambda: Dynamometer(frequency_hz=np.arange(64) ** 2, response=np.zeros((64, 3, 3)), static_gain=np.eye(3),
+                            gain_uncertainty=np.eye(3)),
+        "do not go up in even steps",
+    ),
+    "one channel": (
+        lambda: sensor().forces(record(), bandwidth_hz=100, noise_to_signal=0), "the record has 1 channels"
+    ),
+    "a wide band": (
+        lambda: sensor().forces(record(channels=("a", "b", "c")), bandwidth_hz=600, noise_to_signal=0),
+        "bandwidth_hz is 600 Hz, the limit is 416.7 Hz",
+    ),
+    "much noise": (
+        lambda: sensor().forces(record(channels=("a", "b", "c")), bandwidth_hz=100, noise_to_signal=2),
+        "noise_to_signal is 2",
+    ),
+    "resolution beyond": (
+        lambda: sensor().resolution([300.0], bandwidth_hz=100, noise_to_signal=0), "frequency_hz reaches 300 Hz"
+    ),
+    "cuts of two lengths": (lambda: cuts(width=np.ones(3)), "differ in length"),
+    "thin cuts": (lambda: cuts(width=-np.ones(10)), "thickness or width of -1 mm"),
+    "uncertainty of one": (lambda: cuts(uncertainty=np.ones((10, 1))), "are not 2 positive numbers for each"),
+    "few cuts": (lambda: learn_material(cuts(3)), "3 rows are cuts, at least 4 are needed"),
+    "drift without time": (lambda: learn_material(cuts(), drift=1), "cuts without times have a drift"),
+    "drift without air": (lambda: learn_material(cuts(time=np.arange(10)), drift=1), "0 rows of a record are in air"),
+    "confidence": (lambda: learn_material(cuts(), confidence=95), "confidence is 95"),
+    "one thickness and an edge": (
+        lambda: learn_material(cuts(thickness=np.full(10, 1e-4)), edge_force=True), "do not tell the coefficient from"
+    ),
+    "a long block": (
+        lambda: measured_cuts(record(), [[0, 50]], cutting="a", thrust="a", thickness=np.ones_like, width=1,
+                              block=0.1, guard=0),
+        "no stretch of 0.1 s fits in a cut",
+    ),
+    "no reference": (lambda: ri80([[1.0]], np.nan), "the reference holds no finite intensity"),
+    "a dark reference": (lambda: ri80([[1.0]], 0.0), "the reference is 0 of intensity"),
+    "nothing measured": (lambda: ri80([[np.nan]], 1.0), "none of 1 places has an intensity"),
+    "no amplitude": (lambda: Vibration(amplitude=0, frequency_hz=1), "amplitude of a vibration is 0 mm"),
+    "no phase": (lambda: Vibration(amplitude=1, frequency_hz=1, phase=np.nan), "phase of a vibration is nan"),
+    "no chip": (lambda: MinimumChip(thickness=0), "the minimum chip thickness is 0 mm"),
+    "recovery": (lambda: MinimumChip(thickness=1, recovery=2), "recovery is 2"),
+    "friction": (lambda: MinimumChip.of_edge(1e-5, np.pi / 2), "friction_angle is 90 deg"),
+    "a thick minimum chip": (lambda: cusp_height(0.01, 0.5, 2e-4), "minimum_chip is 0.0002 mm, the limits are 0 to 0.0001"),
+    "velocities": (
+        lambda: vibrated(motion(velocity=STILL), Vibration(amplitude=1e-5, frequency_hz=1)), "states velocities"
+    ),
+    "a fast vibration": (
+        lambda: vibrated(motion(), Vibration(amplitude=1e-5, frequency_hz=1e6)), "the limit is 5e+07: cut the motion"
+    ),
+    "a raked edge": (
+        lambda: left_standing(motion(), tw.Tool(**TOOL, rake=-0.4), **ON), "does not lie in a plane through the axis"
+    ),
+    "a grid that falls": (
+        lambda: left_standing(motion(), tw.Tool(**TOOL), **ON | {"radius": [1.0, 0.9]}), "radius must ascend strictly"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_one_sentence(case):
+    attempt, sentence = WRONG[case]
+    with pytest.raises(InputError) as caught:
+        attempt()
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
