@@ -23,7 +23,8 @@ def test_a_material_that_is_cut_and_learned_is_the_one_that_was_cut(tmp_path):
     np.savetxt(tmp_path / "cut.csv", table, delimiter=",", header=header, comments="", fmt="%.7f")
     experiment = {
         "name": "again", "source": "a simulated cut", "rake": "0 deg",
-        "record": {"cutting": "cut", "thrust": "thrust", "drift": 0, "shortest": "20 ms", "block": "2 ms", "guard": "2 ms"},
+        "record": {"cutting": "cut", "thrust": "thrust", "drift": 0, "shortest": "20 ms",
+                   "block": "2 ms", "guard": "2 ms"},
         "cuts": [{"file": "cut.csv", "width": "0.1 mm", "ramp": ["100 nm", "1 um"]}],
     }  # fmt: skip
     (tmp_path / "experiment.toml").write_text(tomli_w.dumps(experiment))

@@ -1,1 +1,44 @@
 """What cutting does: how thick the chip is, which forces act, and whether the cut stays ductile."""
+
+from turnwright.cutting.dynamometer import Dynamometer, TapTest
+from turnwright.cutting.experiment import Experiment, learn_from_file
+from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
+from turnwright.cutting.fracture import IntactShare, ri80
+from turnwright.cutting.learning import Cuts, Estimate, LearnedMaterial, learn_material, measured_cuts
+from turnwright.cutting.records import read_forces
+from turnwright.cutting.signals import (
+    ForceAverage,
+    ForceRecord,
+    average_force,
+    engagements,
+    in_air,
+    low_pass,
+    remove_drift,
+)
+
+__all__ = [
+    "Cuts",
+    "Dynamometer",
+    "Estimate",
+    "Experiment",
+    "ForceAverage",
+    "ForceRecord",
+    "IntactShare",
+    "LearnedMaterial",
+    "MinimumChip",
+    "TapTest",
+    "Vibration",
+    "average_force",
+    "cusp_height",
+    "engagements",
+    "in_air",
+    "learn_from_file",
+    "learn_material",
+    "left_standing",
+    "low_pass",
+    "measured_cuts",
+    "read_forces",
+    "remove_drift",
+    "ri80",
+    "vibrated",
+]
