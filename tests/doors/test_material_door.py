@@ -133,6 +133,10 @@ def test_show_says_where_each_number_is_from(capsys):
 
 # What is changed in the experiment's file, and what the sentence must say.
 WRONG = {
+    "times that fall": (
+        ('ramp = ["50 nm", "1200 nm"]', 'ramp = ["50 nm", "1200 nm"]\ntimes = ["1 s", "0.1 s"]'),
+        "has times [1.0, 0.1]",
+    ),
     "no width": (('width = "0.2 mm"\n', ""), "cuts number 1 lacks width"),
     "a width of angle": (('"0.2 mm"', '"0.2 deg"'), "'0.2 deg' is an angle, it must be a length"),
     "no thickness": (('ramp = ["50 nm", "1200 nm"]\n', ""), "no thickness: give one of thickness, ramp, steps"),
@@ -141,7 +145,7 @@ WRONG = {
     "too high a drift": (("drift = 1", "drift = 9"), "degree of the drift is 9, the limits are 0 to 6"),
     "no file": (('file = "forces.csv"', 'file = "none.csv"'), "cannot be read (No such file or directory)"),
     "the wrong sign": (('"-Fz"', '"Fz"'), "thrust coefficient comes out as -8"),
-    "the cutting force turned round": (('"Fy"', '"-Fy"'), "check the signs of both channels"),
+    "the cutting force turned round": (('"Fy"', '"-Fy"'), "or the other sign of the channel"),
     "steps that are not those of the record": (
         ('ramp = ["50 nm", "1200 nm"]', 'steps = ["1 um"]'),
         "has 1 steps, and 12 cuts are found",

@@ -88,11 +88,11 @@ def ramp_record(random, *, seconds=1.4, noise=5e-3, period=0.05, engaged=0.035):
     return ForceRecord(force=said + noise * together + drift, rate_hz=RATE, channels=CHANNELS), truth
 
 
-def learned(record, taps):
-    """The whole way from record and taps to a material."""
+def learned(record, taps, **more):
+    """The whole way from record and taps to a material; ``more`` goes to the search of the cuts."""
     sensor = Dynamometer.from_taps(taps)
     true = sensor.forces(record, bandwidth_hz=5000.0, noise_to_signal=0.01)
-    cuts = engagements(true, "Fy", shortest=0.01, drift=2)
+    cuts = engagements(true, "Fy", shortest=0.01, drift=2, **more)
     first, last = cuts[0, 0] / RATE, cuts[-1, 1] / RATE
     rows = measured_cuts(
         true,

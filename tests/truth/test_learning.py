@@ -3,12 +3,15 @@
 Oracles: a hundred random experiments whose truth is known; Student's t of a straight line as SciPy computes it.
 """
 
+import re
+
 import numpy as np
 import pytest
 from force_oracle import learned, ramp_record, tap_tests
 from scipy import stats
 
 from turnwright.cutting.learning import Cuts, learn_material
+from turnwright.errors import InputError
 
 TRIALS = 100
 
@@ -45,6 +48,36 @@ def test_without_the_inverse_filter_the_cross_talk_would_stay():
     random = np.random.default_rng(3)
     record, truth = ramp_record(random)
     assert abs(learned_raw(record).thrust.value / truth.thrust - 1) > 0.05
+
+
+def test_a_ramp_without_interruption_needs_to_know_for_how_long_the_tool_is_in_air():
+    inside = []
+    for seed in range(20):
+        random = np.random.default_rng(70_000 + seed)
+        record, truth = ramp_record(random, period=10.0, engaged=9.0)
+        taps = tap_tests(random)
+        found = learned(record, taps, lead=0.08)
+        both = ((found.cutting, truth.cutting), (found.thrust, truth.thrust), (found.critical, truth.critical))
+        inside += [one.low <= true <= one.high for one, true in both]
+        with pytest.raises(InputError, match=r"what was taken for air in channel Fy .* give lead"):
+            learned(record, taps)
+    assert np.count_nonzero(inside) >= 53  # of 60 at 95 %: fewer has a chance of 3 %
+
+
+def test_air_that_is_counted_as_cut_is_told_of():
+    """The tool is in air for 6 ms between cuts, and 10 ms is said to be the shortest."""
+    random = np.random.default_rng(8)
+    record, _ = ramp_record(random, period=0.02, engaged=0.014)
+    assert any("scatter" in one for one in learned(record, tap_tests(random)).sentences)
+
+
+def test_chips_that_are_thinner_than_stated_are_told_of_with_by_how_much():
+    chip, width, force = averages(np.random.default_rng(6), noise=1e-4)
+    found = learn_material(Cuts(thickness=chip + 20e-6, width=width, cutting=force, thrust=force))
+    told = [re.search(r"as if the chips were (\S+) nm thinner than stated", one) for one in found.sentences]
+    assert [float(one[1]) for one in told if one] == pytest.approx([20, 20], abs=0.3)
+    right = learn_material(Cuts(thickness=chip, width=width, cutting=force, thrust=force))
+    assert not any("as if" in one for one in right.sentences)
 
 
 def learned_raw(record):

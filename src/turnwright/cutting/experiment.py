@@ -241,7 +241,7 @@ class _Record:
         self.unit = keys.text("unit", None)
         self.rate = keys.quantity("rate", "Hz", None)
         self.drift = keys.raw("drift")
-        self.shortest = keys.quantity("shortest", "s")
+        self.shortest, self.lead = keys.quantity("shortest", "s"), keys.quantity("lead", "s", 0.0)
         self.block, self.guard = keys.quantity("block", "s"), keys.quantity("guard", "s")
         smooth = keys.part("low_pass")
         self.smooth = None if smooth is None else (smooth.quantity("cutoff", "Hz"), smooth.raw("order"))
@@ -266,7 +266,7 @@ def _recorded(
             record = sensor.forces(record, bandwidth_hz=bandwidth, noise_to_signal=noise)
         if how.smooth is not None:
             record = low_pass(record, *how.smooth)
-        found = engagements(record, how.cutting, shortest=how.shortest, drift=how.drift)
+        found = engagements(record, how.cutting, shortest=how.shortest, drift=how.drift, lead=how.lead)
         parts.append(
             measured_cuts(
                 record,
@@ -312,7 +312,10 @@ def _thickness(keys: _Keys, spans: Floats) -> Callable[[Floats], Floats]:
     if given[0] == "ramp":
         if len(values) != 2:
             raise InputError(f"{keys.where} has a ramp of {len(values)} thicknesses, it needs 2: give first and last")
-        return lambda at: np.interp(at, [spans[0, 0], spans[-1, 1]], values)
+        ends = keys.quantities("times", "s") if "times" in keys.table else [spans[0, 0], spans[-1, 1]]
+        if len(ends) != 2 or not ends[0] < ends[1]:
+            raise InputError(f"{keys.where} has times {ends}, a ramp needs 2 that ascend: give begin and end")
+        return lambda at: np.interp(at, ends, values)
     if len(values) != len(spans):
         raise InputError(
             f"{keys.where} has {len(values)} steps, and {len(spans)} cuts are found in its record: give one for each "

@@ -41,6 +41,12 @@ COMPONENTS = 2
 CERTAIN = 0.01
 """A transition is told of if chance would make one as clear in less than this share of experiments."""
 
+WILD = 10.0
+"""Scatter in the cut over that in air beyond which something is likely not as stated."""
+
+UNLIKELY = 0.999
+"""A departure from proportion is told of outside this interval."""
+
 FEWEST = 4
 """Rows that a part of the forces must have on either side of the transition."""
 
@@ -301,7 +307,7 @@ def learn_material(
         more = wide * between(thickness_uncertainty, "thickness_uncertainty", 0.0, np.inf, "mm")
         critical = Estimate(value=split.value, low=max(split.low - more, 0.0), high=split.high + more)
     brittle = 0 if split is None else int(np.count_nonzero(rows.lower >= split.high))
-    sentences = list(_sentences(rows, split, estimates, confidence))
+    sentences = [*_sentences(rows, split, estimates, confidence), *_misfits(rows, ductile | ~rows.engaged)]
     return LearnedMaterial(
         cutting=estimates[0],
         thrust=estimates[1],
@@ -365,10 +371,33 @@ class _Rows:
 
     def slope(self, component: int, rows: Bools, confidence: float) -> tuple[float, float, float]:
         """Return the coefficient, its standard uncertainty and half its interval, from some rows."""
+        return self._first(component, self.ductile_columns(component), rows, confidence)
+
+    def scatter(self, rows: Bools) -> float:
+        """Return how many times as much the cutting force scatters in the cut as in air; 0 where that is not known."""
+        table = np.column_stack((self.ductile_columns(0), self.nuisance))[rows]
+        force, cut = self.forces[0][rows], self.engaged[rows]
+        if min(np.count_nonzero(cut), np.count_nonzero(~cut)) < FEWEST or not self.in_time:
+            return 0.0
+        left = force - table @ np.linalg.lstsq(table, force, rcond=None)[0]
+        return float(left[cut].std() / max(left[~cut].std(), np.finfo(np.float64).tiny))
+
+    def offset(self, component: int, rows: Bools, confidence: float) -> tuple[float, float, float]:
+        """Return by how much too thick the stated chips would be, were that all that keeps forces from proportion.
+
+        The value [mm], its standard uncertainty and half its interval.
+        """
+        columns = np.column_stack((self._per_thickness(component), self.areas[component]))
+        edge, sigma, half = self._first(component, columns, rows, confidence)
+        slope = self._first(component, columns[:, ::-1], rows, confidence)[0]
+        return -edge / slope, abs(sigma / slope), abs(half / slope)
+
+    def _first(self, component: int, columns: Floats, rows: Bools, confidence: float) -> tuple[float, float, float]:
+        """Return what the first of some columns is multiplied by, its standard uncertainty and half its interval."""
         from scipy.stats import t  # noqa: PLC0415 - costly to import
 
         weight = self.weights[component][rows]
-        table = np.column_stack((self.ductile_columns(component), self.nuisance))[rows] * weight[:, None]
+        table = np.column_stack((columns, self.nuisance))[rows] * weight[:, None]
         force = self.forces[component][rows] * weight
         size = np.linalg.norm(table, axis=0)
         if table.shape[0] <= table.shape[1] or not (size > 0).all():
@@ -572,6 +601,28 @@ def _remaining(rows: _Rows, component: int, order: np.ndarray, cut: int, at: flo
     line = answer[s] * at + (answer[s + 1] if rows.edge else 0.0)
     beyond = answer[s + d] + answer[s + d + 1] * at
     return float(beyond / line) if line else np.inf
+
+
+def _misfits(rows: _Rows, ductile: Bools) -> list[str]:
+    """Say if the ductile forces are not in proportion to the chips, which no interval accounts for."""
+    said = []
+    wild = rows.scatter(ductile)
+    if wild > WILD:
+        said.append(
+            f"the forces in the cut scatter {wild:.3g} times as much as in air, more than {WILD:g} times: check that "
+            "no air is counted as cut, and that the chips are as stated"
+        )
+    if rows.edge or np.unique(rows.thickness[ductile]).size < FEWEST:
+        return said
+    for component, name in enumerate(("cutting force", "thrust")):
+        off, _, half = rows.offset(component, ductile, UNLIKELY)
+        if abs(off) > half:
+            said.append(
+                f"the {name} is not in proportion to the chip: it is as if the chips were {abs(off) * 1e6:.3g} nm "
+                f"{'thinner' if off > 0 else 'thicker'} than stated, so the intervals do not hold: check where the cut "
+                "begins and how thick it is there, or take a force of the edge into account"
+            )
+    return said
 
 
 def _sentences(rows: _Rows, split: _Split | None, estimates: list[Estimate], confidence: float) -> list[str]:

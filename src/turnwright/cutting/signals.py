@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, frozen, positive
+from turnwright._arrays import Bools, Floats, Ints, between, frozen, positive
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -43,6 +43,9 @@ HIGHEST_DRIFT = 6
 
 CLEAR = 5.0
 """A force this many times the noise above the level in air is one of cutting."""
+
+ROUGHEST = 2.0
+"""Times the noise that what is taken for air may depart from a smooth level; beyond, it is a cut or another drift."""
 
 BELOW = 1e-3
 """Weight of samples above the level in air, against 1 below it, where the level is first looked for."""
@@ -258,7 +261,7 @@ def _envelope(values: Floats, basis: Floats) -> Floats:
     return level
 
 
-def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: int = 1) -> Ints:
+def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: int = 1, lead: float = 0.0) -> Ints:
     """Find where the tool cuts.
 
     The level in air is a polynomial in time below the force; what stands clear of it by five times the noise is
@@ -275,6 +278,10 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
         What is shorter, in the cut or in air, is taken for noise. [s]
     drift
         Degree of the polynomial.
+    lead
+        For so long the tool is in air for sure, at the beginning and at the end of the record: a slow ramp then cannot
+        be taken for drift. Without it the level in air is the smooth curve below nearly all of the force, which needs
+        air here and there. [s]
 
     Returns
     -------
@@ -299,17 +306,27 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
     basis = np.asarray(np.polynomial.legendre.legvander(np.linspace(-1, 1, count), _degree(drift)), dtype=np.float64)
     # Differences of neighbours tell the noise whatever the level.
     noise = 1.4826 * float(np.median(np.abs(np.diff(means)))) / np.sqrt(2)
-    noise = max(noise, 1e-9 * float(np.ptp(means)), np.finfo(np.float64).tiny)
-    level = _envelope(means, basis)
-    air = means < level + 2 * CLEAR * noise
+    noise = max(noise, 1e-9 * float(np.ptp(means)), 1e-12 * float(np.abs(means).max()), np.finfo(np.float64).tiny)
+    sure = round(between(lead, "lead", 0.0, record.samples / record.rate_hz / 2, "s") * record.rate_hz) // block
+    if sure:
+        air = (np.arange(count) < sure) | (np.arange(count) >= count - sure)
+    else:
+        air = means < _envelope(means, basis) + 2 * CLEAR * noise
     for _ in range(50):
         if np.count_nonzero(air) < max(8, basis.shape[1] + 2):
             break
         level = basis @ np.linalg.lstsq(basis[air], means[air], rcond=None)[0]
-        after = means < level + CLEAR * noise
+        after = np.abs(means - level) < CLEAR * noise if sure else means < level + CLEAR * noise
         if (after == air).all():
             break
         air = after
+    rough = float((means - level)[air].std()) / noise if air.any() else 0.0
+    if not sure and rough > ROUGHEST:
+        raise InputError(
+            f"what was taken for air in channel {channel} of the force record {record.name!r} departs from a drift of "
+            f"degree {drift} by {rough:.3g} times the noise, the limit is {ROUGHEST:g}: give lead, for how long the "
+            "tool is in air at both ends, another degree of the drift, or the other sign of the channel"
+        )
     shape = max(1, least // block)
     # Gaps are closed first: a weak cut falls below the limit here and there.
     cut = _without_short(~_without_short(air, shape), shape)
