@@ -338,7 +338,7 @@ def chips(
                 grid[size], whose[size] = place, which[layer] if layers > 0 else -1
                 size += 1
         limit = critical[row] if critical.size > 0 else FAR
-        nearest_low, nearest_high = np.nan, np.nan
+        nearest_low, nearest_high, lowest = np.nan, np.nan, FAR
         for k in range(size - 1):
             a, b = grid[k], grid[k + 1]
             piece = whose[k]
@@ -427,15 +427,13 @@ def chips(
                         nearest_low = np.arctan2(sine, cosine)
                     if node == 4:
                         nearest_high = np.arctan2(sine, cosine)
-                    if thick > limit and ratio > 0.0:
-                        # A crack runs normal to the edge; how deep it ends below the tangent at the contact.
-                        fu = here - tip + (1.0 + ratio) * thick * sine
-                        fw = s - bottom - (1.0 + ratio) * thick * cosine
+                    if thick > limit:
+                        # How high the edge stands there above the tangent at the contact.
                         cu = centre - tip
-                        cw = _edge(profile, table, upright, cu)
                         lean = upright * slope(profile, table, cu)
-                        deep = -(fw - cw - lean * (fu - cu)) / np.sqrt(1.0 + lean * lean)
-                        out[row, FRACTURE] = max(out[row, FRACTURE], deep)
+                        fu, fw = here - tip + thick * sine, s - bottom - thick * cosine
+                        over = fw - _edge(profile, table, upright, cu) - lean * (fu - cu)
+                        lowest = min(lowest, over / np.sqrt(1.0 + lean * lean))
                     if weight == 0.0:
                         continue
                     out[row, AREA] += weight * (s - below)
@@ -455,5 +453,7 @@ def chips(
                 # A chip at the window's end goes on beyond it.
                 if first <= from_left or last >= from_right:
                     out[row, CUT_SHORT] = 1.0
+        if lowest < FAR:
+            out[row, FRACTURE] = max(ratio * out[row, THICKEST] - lowest, 0.0)
         out[row, LOW] = nearest_low
         out[row, HIGH] = nearest_high

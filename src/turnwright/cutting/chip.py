@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, Ints, between, positive
+from turnwright._arrays import Bools, Floats, Ints, between, positive
 from turnwright.errors import InputError
 from turnwright.progress import run_chunks
 
@@ -124,7 +124,7 @@ class RoundChip:
     --------
     >>> chip = RoundChip(nose_radius=1.5, feed=0.025, depth=0.025)
     >>> round(chip.thickest * 1e3, 2), round(chip.nominal_thickest * 1e3, 2)   # um
-    (4.35, 4.55)
+    (4.34, 4.55)
     """
 
     nose_radius: float
@@ -210,6 +210,8 @@ class ChipMap:
     angle, x, y
         Azimuth of the part under the tool [rad], and where in the part frame the edge touches what it leaves. Each (n,)
         [mm]
+    inside
+        Whether that is within the clear radius; before, the tool only enters. (n,)
     thickness
         Thickest place of the chip, normal to the edge. (n,) [mm]
     area
@@ -221,9 +223,10 @@ class ChipMap:
     width
         Engaged length of the edge. (n,) [mm]
     rake
-        Effective rake: that of the tool less the angle at which the tool climbs. (n,) [rad]
+        Effective rake: that of the tool less the angle at which the surface climbs under it. (n,) [rad]
     fracture
-        How deep cracks reach below the surface that the pass leaves; 0 where the chip is ductile. (n,) [mm]
+        How deep cracks may reach below the surface that the pass leaves, if one as long as the material says of the
+        thickest chip begins at the lowest place of the edge that is beyond the critical thickness. (n,) [mm]
     axial, radial, cutting
         Force on the tool out of the part, away from the axis, and against its motion over the part; ``None`` where the
         material states no coefficients. Each (n,) [N]
@@ -235,6 +238,7 @@ class ChipMap:
     angle: Floats
     x: Floats
     y: Floats
+    inside: Bools
     thickness: Floats
     area: Floats
     depth: Floats
@@ -250,13 +254,18 @@ class ChipMap:
 
     @property
     def thickest(self) -> float:
-        """Greatest thickness anywhere. [mm]."""
-        return float(self.thickness.max(initial=0.0))
+        """Greatest thickness within the clear radius. [mm]."""
+        return float(self.thickness[self.inside].max(initial=0.0))
+
+    @property
+    def entering(self) -> float:
+        """Greatest thickness while the tool enters at the rim, where no turn before bounds the chip. [mm]."""
+        return float(self.thickness[~self.inside].max(initial=0.0))
 
     @property
     def where(self) -> tuple[float, float]:
-        """Where on the part that is (x, y). [mm]."""
-        at = int(np.argmax(self.thickness))
+        """Where on the part the chip is thickest (x, y). [mm]."""
+        at = int(np.argmax(np.where(self.inside, self.thickness, -1.0)))
         return float(self.x[at]), float(self.y[at])
 
 
@@ -363,8 +372,9 @@ def chip_map(
         raise InputError(f"points go from {at.min()} to {at.max()}, a motion has 0 to {moved.c.size - 1}: choose those")
     upright = float(np.cos(tool.rake))
     contact = moved.x + tool.profile().row[0] * np.sin(np.arctan(moved.slope / upright))
-    rake = (tool.rake - _climb(moved, contact))[at]
     azimuth, contact = moved.c[at], contact[at]
+    x, y = contact * np.cos(azimuth), contact * np.sin(azimuth)
+    rake = tool.rake - _climb(part, moved.sense, azimuth, contact)
     said = _Said.of(material, rake, azimuth)
     rows = np.empty((at.size, kernel.ROWS))
     _look(moved, earlier, tool, part, stock, at, contact, said, rows, progress)
@@ -378,7 +388,7 @@ def chip_map(
     if said.cutting.size:
         forces = {"axial": column[kernel.AXIAL], "radial": column[kernel.RADIAL], "cutting": column[kernel.CUTTING]}
     return ChipMap(
-        points=at, angle=azimuth, x=contact * np.cos(azimuth), y=contact * np.sin(azimuth),
+        points=at, angle=azimuth, x=x, y=y, inside=np.abs(contact) <= part.radius,
         thickness=column[kernel.THICKEST], area=column[kernel.AREA], depth=column[kernel.DEPTH],
         sweep_low=column[kernel.LOW], sweep_high=column[kernel.HIGH], width=column[kernel.WIDTH],
         rake=rake, fracture=column[kernel.FRACTURE], feed=motion.feed, **forces,
@@ -480,11 +490,12 @@ def _windows(moved: _Moved, tool: Tool, stock: float, at: Ints) -> tuple[Floats,
     return left, right
 
 
-def _climb(moved: _Moved, contact: Floats) -> Floats:
-    """Return the angle at which the tool climbs along its motion over the part. (n,) [rad]."""
-    rate = np.gradient(moved.z, moved.sense * moved.c, edge_order=1) if moved.c.size > 1 else np.zeros(1)
-    # Right on the axis nothing moves over the part.
-    return np.where(np.abs(contact) > 1e-9, np.arctan2(rate, np.maximum(np.abs(contact), 1e-9)), 0.0)
+def _climb(part: Part, sense: int, angle: Floats, contact: Floats) -> Floats:
+    """Return the angle at which the surface climbs under the edge; beyond the clear radius that at its rim. [rad]."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    held = np.clip(contact, -part.radius, part.radius)
+    _, zx, zy = part.surface.evaluate(held * cosine, held * sine, 1)
+    return np.asarray(np.arctan(sense * (zy * cosine - zx * sine)))
 
 
 def _blank(

@@ -1,0 +1,180 @@
+r"""The ductile gate: whether the material bears the chip.
+
+Every place of a pass has its thickest chip and, by the rake that the surface leaves the tool there, its critical one;
+the margin is :math:`1 - t / t_c`. Beyond it the material fractures, on the shoulder first, well above what the pass
+leaves [Blackley1991]_. What counts is whether the cracks end within what later passes take off.
+
+A feed that holds is found from each place's own chip: on a nose of radius R its thickest place stands at
+
+.. math:: s = \frac{R^2 + f^2 - (R - t)^2}{2 f}, \qquad f_c = s - \sqrt{s^2 - R^2 + (R - t_c)^2} .
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import Floats
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from turnwright.cutting.chip import ChipMap
+    from turnwright.material import CriticalThickness, Material
+    from turnwright.tool import Tool
+
+__all__ = ["DuctileGate", "ductile_gate"]
+
+STEEPEST = np.deg2rad(-45)
+"""Rake down to which one that helps is looked for. [rad]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DuctileGate:
+    """Whether a pass stays ductile, and whether its cracks are taken off later.
+
+    Parameters
+    ----------
+    chips
+        The chips of the pass.
+    critical
+        Critical thickness at each of its points, by the effective rake. (n,) [mm]
+    margin
+        1 - thickness / critical, negative where the material fractures. (n,) [1]
+    share
+        Part of the area, within the clear radius, that is cut beyond the critical thickness.
+    fracture
+        How deep cracks may reach below what the pass leaves; ``None`` where the material does not say. [mm]
+    allowance
+        Material that later passes take off. [mm]
+    feed
+        Of the pass. [mm/rev]
+    largest_feed
+        The largest that would stay ductile everywhere; infinite where the depth alone keeps it so. [mm/rev]
+    rake
+        The rake nearest to the tool's that would stay ductile at this feed; ``None`` where none is known. [rad]
+    """
+
+    chips: ChipMap
+    critical: Floats
+    margin: Floats
+    share: float
+    fracture: float | None
+    allowance: float
+    feed: float
+    largest_feed: float
+    rake: float | None
+
+    @property
+    def ductile(self) -> bool:
+        """Whether no place is beyond its critical thickness."""
+        return self.share == 0.0
+
+    @property
+    def ok(self) -> bool:
+        """Whether the pass is ductile, or what it cracks is taken off later."""
+        return self.ductile or (self.fracture is not None and self.fracture < self.allowance)
+
+    @property
+    def sentence(self) -> str:
+        """What a report says of it."""
+        at = int(np.argmin(np.where(self.chips.inside, self.margin, np.inf)))
+        x, y = self.chips.x[at], self.chips.y[at]
+        thick = f"the chip is up to {_length(self.chips.thickness[at])} thick at ({x:.3g}, {y:.3g}) mm"
+        limit = _length(self.critical[at])
+        if self.ductile:
+            return f"ductile: {thick}, the limit there is {limit} (margin {100 * self.margin[at]:.0f} %)"
+        said = f"brittle: {thick}, the limit there is {limit}, and {100 * self.share:.3g} % of the area is beyond it"
+        if self.ok and self.fracture is not None:
+            return (
+                f"{said}; cracks may reach {_length(self.fracture)} deep, within the {_length(self.allowance)} that "
+                "later passes take off"
+            )
+        depth = "" if self.fracture is None else f"; cracks may reach {_length(self.fracture)} deep"
+        remedies = [f"feed at most {self.largest_feed * 1e3:.3g} um/rev"]
+        if self.rake is not None:
+            remedies.append(f"a rake of {np.rad2deg(self.rake):.3g} deg")
+        if self.fracture is not None:
+            remedies.append(f"later passes that take off more than {_length(self.fracture)}")
+        return f"{said}{depth}, and later passes take off {_length(self.allowance)}: use {', or '.join(remedies)}"
+
+
+def _length(value: float) -> str:
+    """Return a small length with its unit."""
+    return f"{value * 1e6:.3g} nm" if value < 1e-3 else f"{value * 1e3:.3g} um"
+
+
+def ductile_gate(chips: ChipMap, material: Material, tool: Tool, *, allowance: float = 0.0) -> DuctileGate:
+    """Judge the chips of a pass.
+
+    Parameters
+    ----------
+    chips
+        As found with the same material; how deep it cracks was found then.
+    material
+        Whose critical thickness counts.
+    tool
+        What cuts.
+    allowance
+        Material that later passes take off. [mm]
+
+    Raises
+    ------
+    InputError
+        If the material states no critical thickness, since it is then ductile however thick the chip.
+
+    Sources
+    -------
+    [Troutman2016]_ chs. 4-5, [Blackley1991]_. Oracle of the feed: the chips at that feed.
+    """
+    if material.critical is None:
+        raise InputError(
+            f"material {material.name!r} states no critical thickness, a gate needs 1: give one, or cut it as ductile"
+        )
+    critical = material.critical.at(rake=chips.rake, angle=chips.angle)
+    margin = 1 - chips.thickness / critical
+    inside = chips.inside
+    beyond = inside & (margin < 0)
+    weight = np.hypot(chips.x, chips.y) * np.abs(np.gradient(chips.angle) if chips.angle.size > 1 else np.ones(1))
+    total = float(weight[inside].sum())
+    share = float(weight[beyond].sum()) / total if total > 0 else 0.0
+    if beyond.any():
+        share = max(share, np.finfo(float).tiny)
+    fracture = None
+    if material.fracture_ratio is not None:
+        fracture = float(chips.fracture[inside].max(initial=0.0))
+    return DuctileGate(
+        chips=chips, critical=critical, margin=margin, share=share, fracture=fracture, allowance=float(allowance),
+        feed=chips.feed, largest_feed=_largest_feed(chips, critical, tool),
+        rake=_helpful_rake(chips, material.critical, tool),
+    )  # fmt: skip
+
+
+def _largest_feed(chips: ChipMap, critical: Floats, tool: Tool) -> float:
+    """Return the largest feed at which the chip is critical nowhere. [mm/rev]."""
+    cut = chips.inside & (chips.thickness > 0)
+    if not cut.any():
+        return float("inf")
+    radius, feed = tool.actual_radius / np.cos(tool.rake), chips.feed
+    t, limit = chips.thickness[cut], np.minimum(critical[cut], radius)
+    side = (feed**2 + t * (2 * radius - t)) / (2 * feed)
+    square = side**2 - limit * (2 * radius - limit)
+    feeds = np.where(square >= 0, side - np.sqrt(np.maximum(square, 0.0)), np.inf)
+    return float(feeds.min())
+
+
+def _helpful_rake(chips: ChipMap, critical: CriticalThickness, tool: Tool) -> float | None:
+    """Return the rake nearest to the tool's at which every chip is ductile, or ``None`` where none is known."""
+    if critical.rake is None:
+        return None
+    low, high = max(critical.rake[0][0], STEEPEST), critical.rake[0][-1]
+    inside = chips.inside
+    for turned in sorted(np.deg2rad(np.arange(-45, 46)), key=abs):
+        rake = tool.rake + turned
+        if not low - 1e-9 <= rake <= high + 1e-9:
+            continue
+        limit = critical.at(rake=chips.rake[inside] + turned, angle=chips.angle[inside])
+        if (chips.thickness[inside] <= limit).all():
+            return float(rake)
+    return None
