@@ -175,3 +175,28 @@ def test_two_records_have_each_a_drift_of_their_own():
     found = learn_material(Cuts(**both, cutting=force, thrust=force, record=np.repeat([0.0, 1.0], 200)), drift=1)
     assert found.cutting.value == pytest.approx(1489, rel=5e-3)
     assert found.cutting.low <= 1489 <= found.cutting.high
+
+
+def test_the_axial_force_of_a_round_nose_counts_by_the_area_that_it_sees():
+    """Turning with the usual chip f sin s: areas f d and half of R f sin² S in closed form, forces by quadrature."""
+    from turnwright.cutting.chip import RoundChip
+    from turnwright.cutting.forces import chip_forces
+    from turnwright.material import Material
+
+    nose, depth = 1.0, 0.010
+    feed = np.linspace(0.5e-3, 3e-3, 8)
+    chips = [RoundChip(nose_radius=nose, feed=one, depth=depth) for one in feed]
+    forces = [chip_forces(one, Material.load("irg26"), nominal=True) for one in chips]
+    sine = np.sqrt(1 - (1 - depth / nose) ** 2)
+    found = learn_material(
+        Cuts(
+            thickness=feed * sine,
+            width=np.full(feed.size, nose * np.arcsin(sine)),
+            area=feed * depth,
+            thrust_area=nose * feed * sine**2 / 2,
+            cutting=[one.cutting for one in forces],
+            thrust=[one.axial for one in forces],
+        )
+    )
+    assert found.cutting.value == pytest.approx(1489, rel=1e-9)
+    assert found.thrust.value == pytest.approx(816, rel=1e-9)

@@ -4,7 +4,7 @@ A dynamometer on its springs rings, and each of its channels takes in something 
 of frequency responses, :math:`m(f) = H(f)\,F(f)`, 3 by 3. Taps with a hammer whose force is measured give it
 [BendatPiersol2010]_,
 
-.. math:: H = \Big(\sum_i M_i F_i^*\Big)\Big(\sum_i F_i F_i^*\Big)^{-1},
+.. math:: H = \Bigl(\sum_i M_i F_i^*\Bigr)\Bigl(\sum_i F_i F_i^*\Bigr)^{-1},
 
 the estimator H₁ of several inputs, for which noise of the dynamometer averages out, together with the coherence: the
 share of each channel's power that the taps explain. The force is then found back as

@@ -4,7 +4,7 @@ r"""What roughness has beside the shape of the tool: terms that were published, 
 such material, which springs back. Behind each cusp the chip begins at zero, so a strip of
 :math:`d = R\,t_m / f` stays as the turn before has left it, and the cusps of a flat become as high as
 
-.. math:: h = \frac{f^2}{8R} + \frac{t_m}{2} \Big(1 + \frac{R\,t_m}{f^2}\Big)
+.. math:: h = \frac{f^2}{8R} + \frac{t_m}{2} \Bigl(1 + \frac{R\,t_m}{f^2}\Bigr)
 
 [Brammertz1961]_, which `left_standing` gives on any surface: nothing else is assumed there than that thinner chips are
 not cut. It holds for :math:`d \le f/2`; beyond, material stays for several turns.
@@ -116,7 +116,7 @@ class MinimumChip:
     def of_edge(cls, edge_radius: float, friction_angle: float, *, recovery: float = 1.0) -> MinimumChip:
         r"""Return what an edge of a finite radius leaves uncut.
 
-        .. math:: t_m = r \Big(1 - \cos\big(\tfrac{\pi}{4} - \tfrac{\beta}{2}\big)\Big)
+        .. math:: t_m = r \Bigl(1 - \cos\bigl(\tfrac{\pi}{4} - \tfrac{\beta}{2}\bigr)\Bigr)
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class MinimumChip:
 def cusp_height(feed: float, nose_radius: float, minimum_chip: float = 0.0) -> float:
     r"""Peak-to-valley of the cusps on a flat, with material left standing below the minimum chip thickness.
 
-    .. math:: h = \frac{f^2}{8R} + \frac{t_m}{2}\Big(1 + \frac{R\,t_m}{f^2}\Big)
+    .. math:: h = \frac{f^2}{8R} + \frac{t_m}{2}\Bigl(1 + \frac{R\,t_m}{f^2}\Bigr)
 
     Parameters
     ----------

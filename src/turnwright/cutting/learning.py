@@ -10,7 +10,7 @@ is in that of K. The critical thickness :math:`h_c` is the split at which both p
 jump is found more sharply than the noise would let a mean be, its interval is not that of a normal distribution: it is
 made of all splits that the likelihood ratio does not reject,
 
-.. math:: \frac{S(h_c) - S(\hat h_c)}{\eta^2} \le -2 \ln\!\big(1 - \sqrt{p}\big)
+.. math:: \frac{S(h_c) - S(\hat h_c)}{\eta^2} \le -2 \ln\!\bigl(1 - \sqrt{p}\bigr)
 
 (7.35 for p = 95 %), with the long-run variance η² of the noise on the side that would then be on the wrong part
 [Hansen2000]_. What lies within that interval takes no part in the fit of K. Correlation in time is counted in all of
