@@ -107,6 +107,29 @@ def test_fit_writes_a_material_that_loads(tmp_path, capsys, name):
     assert "cutting coefficient: 14" in capsys.readouterr().out
 
 
+def test_fit_takes_records_of_steady_cuts_and_of_steps_and_filters_them(tmp_path):
+    """Two records with a drift of their own: one cut of 300 nm; three of 100, 200 and 400 nm, one after the other."""
+    random = np.random.default_rng(3)
+    time = np.arange(int(RATE)) / RATE
+    single = np.where((time > 0.3) & (time < 0.7), 300e-6, 0.0)
+    three = sum(np.where((time > 0.1 + at) & (time < 0.3 + at), chip, 0.0) for at, chip in
+                ((0.0, 100e-6), (0.3, 200e-6), (0.6, 400e-6)))  # fmt: skip
+    for name, chip, drift in (("single.csv", single, 0.1 * time), ("three.csv", three, 0.3 - 0.2 * time)):
+        force = 0.2 * chip[:, None] * [0.0, 1489.0, -816.0] + drift[:, None]
+        write_csv(tmp_path / name, time, force + 2e-3 * random.normal(size=force.shape))
+    text = EXPERIMENT.format(file="single.csv").replace('ramp = ["50 nm", "1200 nm"]', 'thickness = "300 nm"')
+    text = text.replace("[[cuts]]", 'low_pass = {cutoff = "1 kHz", order = 2}\n[[cuts]]', 1)
+    text += '[[cuts]]\nfile = "three.csv"\nwidth = "0.2 mm"\nsteps = ["100 nm", "200 nm", "400 nm"]\n'
+    (tmp_path / "experiment.toml").write_text(text)
+    out = tmp_path / "glass.toml"
+    assert main(["material", "fit", str(tmp_path / "experiment.toml"), "--out", str(out)]) == 0
+    glass = Material.load(out)
+    assert glass.cutting.value == pytest.approx(1489, abs=3 * glass.cutting.uncertainty)
+    assert glass.thrust.value == pytest.approx(816, abs=3 * glass.thrust.uncertainty)
+    assert glass.cutting.uncertainty < 0.005 * 1489
+    assert glass.critical is None
+
+
 def test_fit_takes_a_table_of_averaged_cuts(tmp_path, capsys):
     (tmp_path / "cuts.csv").write_text(averages())
     out = tmp_path / "glass.toml"

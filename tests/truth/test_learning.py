@@ -200,3 +200,50 @@ def test_the_axial_force_of_a_round_nose_counts_by_the_area_that_it_sees():
     )
     assert found.cutting.value == pytest.approx(1489, rel=1e-9)
     assert found.thrust.value == pytest.approx(816, rel=1e-9)
+
+
+def test_the_files_of_an_experiment_with_taps_give_what_its_arrays_give(tmp_path):
+    from force_oracle import CHANNELS
+
+    from turnwright.cutting.experiment import learn_from_file
+
+    random = np.random.default_rng(50_000)
+    record, truth = ramp_record(random)
+    taps = tap_tests(random)
+    np.savetxt(
+        tmp_path / "ramp.csv", record.force, delimiter=",", header=",".join(f"{c} [N]" for c in CHANNELS), comments=""
+    )
+    text = """
+        name = "glass"
+        source = "made up"
+        thickness_uncertainty = "0.2 nm"
+        [record]
+        channels = ["Fx", "Fy", "Fz"]
+        cutting = "Fy"
+        thrust = "Fz"
+        rate = "25.6 kHz"
+        drift = 2
+        shortest = "10 ms"
+        block = "1 ms"
+        guard = "1 ms"
+        [[cuts]]
+        file = "ramp.csv"
+        width = "0.2 mm"
+        ramp = ["50 nm", "1200 nm"]
+        [dynamometer]
+        hammer = "hammer"
+        bandwidth = "5 kHz"
+        noise_to_signal = 0.01
+    """
+    header = ",".join(f"{c} [N]" for c in ("hammer", *CHANNELS))
+    for number, tap in enumerate(taps):
+        table = np.column_stack((tap.hammer, tap.response))
+        np.savetxt(tmp_path / f"tap{number}.csv", table, delimiter=",", header=header, comments="")
+        text += f'[[dynamometer.taps]]\nfile = "tap{number}.csv"\ndirection = {tap.direction.tolist()}\n'
+    (tmp_path / "experiment.toml").write_text(text)
+    found = learn_from_file(tmp_path / "experiment.toml").learned
+    same = learned(record, taps)
+    assert found.cutting.value == pytest.approx(same.cutting.value, rel=1e-9)
+    assert found.uncertainty == pytest.approx(same.uncertainty, rel=1e-6)
+    assert found.critical.low == pytest.approx(same.critical.low, rel=1e-9)
+    assert found.thrust.low <= truth.thrust <= found.thrust.high
