@@ -12,6 +12,7 @@ import numpy as np
 import tomli_w
 
 from turnwright._whole import write_whole
+from turnwright.errors import InputError
 from turnwright.files import write_map
 from turnwright.heightmap import HeightMap
 from turnwright.job._finish import finished
@@ -113,6 +114,7 @@ def correct(
         If the job was not planned with the tool and machine of the measured parts.
     """
     told = progress or (lambda _stage, _done, _total: None)
+    _check(job, found)
     out = File(out)
     part = job.part.part
     table = tomllib.loads(job.to_toml())
@@ -143,6 +145,21 @@ def correct(
     x, y = error.points()
     before = HeightMap(x=x[::step], y=y[::step], z=error.z[::step], name="measured error")
     return Correction(job=better, file=file, cutoff=cutoff, measured=before, predicted=predicted, simulated=simulated)
+
+
+def _check(job: Job, found: Diagnosis) -> None:
+    """Raise unless the job cuts with the tool on the machine that were diagnosed, whatever their deviations."""
+    tool, machine = job.tool.tool, job.machine.machine
+    if (tool.nose_radius, tool.included, tool.rake) != (found.tool.nose_radius, found.tool.included, found.tool.rake):
+        raise InputError(
+            f"the job cuts with a nose radius {tool.nose_radius:g} mm, the measured parts were cut with "
+            f"{found.tool.nose_radius:g} mm or another edge: correct a job of the tool that was measured"
+        )
+    if machine.name != found.machine.name:
+        raise InputError(
+            f"the job is for the machine {machine.name!r}, the measured parts were cut on {found.machine.name!r}: "
+            "correct a job of the machine that was measured"
+        )
 
 
 def _left(found: Diagnosis, own: Sequence[bool]) -> HeightMap:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,6 +53,11 @@ FEEDS = 40
 
 ACROSS = 30
 """Cutoffs on the diameter, unless the job states one."""
+
+OF_POSE = MappingProxyType(
+    {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
+)
+"""What a registration calls that which a diagnosis leaves open."""
 
 FORM_ROUNDS = 2
 """How often causes and a form that none explains are found in turn."""
@@ -124,19 +130,22 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     """
     told = progress or (lambda _stage, _done, _total: None)
     asked, part = job.measurement, job.part.part
+    # What a fiducial fixes is not fitted away beforehand.
+    known = {name for one in asked.fixed for name in OF_POSE[one]}
+    free = tuple(name for name in asked.free if name not in known)
     told("register", 0, 2)
     heights = _turned(heights, job)
     pieces = part.surface.in_pieces
     first = register(
-        _thinned(heights, FIRST), part, free=asked.free, loss="huber" if pieces else "tukey", start=asked.pose,
-        reach=asked.reach, clocking=asked.clocking,
+        _thinned(heights, FIRST), part, free=free, loss="huber" if pieces else "tukey", start=asked.pose,
+        reach=asked.reach, clocking=asked.clocking if "rotation" in free else 0.0,
     )  # fmt: skip
     told("register", 1, 2)
     told("clean", 0, 1)
     spikes = 0
     if asked.spikes != "none":
         # The error shows no edges of the part, so only what does not belong there stands out.
-        error = register(heights, part, free=asked.free, start=first.pose, reach=0.0, clocking=0.0).error
+        error = register(heights, part, free=free, start=first.pose, reach=0.0, clocking=0.0).error
         found = despike(error, rule="kong" if asked.spikes == "second difference" else "robust")
         spikes = found.count
         heights = replace(heights, z=np.where(found.spikes, np.nan, heights.z))
@@ -144,7 +153,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         heights = trim_edge(heights, asked.trim)
     told("clean", 1, 1)
     registration = register(
-        heights, part, free=asked.free, loss="huber" if pieces else "linear", start=first.pose, reach=0.0, clocking=0.0
+        heights, part, free=free, loss="huber" if pieces else "linear", start=first.pose, reach=0.0, clocking=0.0
     )
     registration = replace(registration, candidates=first.candidates, start=first.start)
     told("register", 2, 2)

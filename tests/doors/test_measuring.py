@@ -1,0 +1,212 @@
+"""The commands of a measured part. Oracles: the errors that were injected, plain readers of what is written."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from job_files import written
+
+import turnwright as tw
+from turnwright._stop import Stop
+from turnwright.cli import main
+from turnwright.job import Job
+
+OFFSET = 0.003
+DISH = (
+    ("part.radius", "2 mm"),
+    ("part.surface", {"family": "sphere", "radius": "20 mm"}),
+    ("strategy.points_per_rev", 360),
+    ("strategy.spindle_speed", "60 rpm"),
+    ("simulation.patches", []),
+)
+
+
+def seen(job, file, *, offset=OFFSET, **more):
+    """Write what an instrument shows of a job that was cut by a tool beside its place, 5 nm of noise on it."""
+    recipe = Job.load(job)
+    part, tool, servo = recipe.part.aimed, recipe.tool.tool, recipe.servo(recipe.passes[-1])
+    motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, recipe.machine.machine)
+    axis = np.linspace(-2.1, 2.1, 211)
+    x, y = np.meshgrid(axis, axis)
+    inside = np.hypot(x, y) < 1.95
+    z = np.full(x.shape, np.nan)
+    z[inside] = tw.generate_points(motion, replace(tool, offset=(offset, 0.0, 0.0)), x=x[inside], y=y[inside])
+    z += 5e-6 * np.random.default_rng(5).normal(size=z.shape)
+    tw.write_map(tw.HeightMap(x=axis, y=axis, z=z, name="dish", **more), file)
+    return file
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory):
+    """A job, and the map of the part that it cut."""
+    folder = tmp_path_factory.mktemp("shop")
+    written(folder, *DISH)
+    seen(folder / "job.toml", folder / "dish.x3p")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def corrected(shop):
+    out = shop / "corrected"
+    assert main(["correct", str(shop / "dish.x3p"), "--job", str(shop / "job.toml"), "--out", str(out)]) == 0
+    return out
+
+
+def files_of(folder):
+    return {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
+
+
+def strict(file):
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    return json.loads(file.read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def test_measure_says_how_far_the_part_is_off(shop, tmp_path, capsys):
+    """Oracle: an offset of the tip leaves a cone, offset times slope, whose rms less piston is known in closed form."""
+    out = tmp_path / "measured"
+    assert main(["measure", str(shop / "dish.x3p"), "--job", str(shop / "job.toml"), "--out", str(out)]) == 0
+    assert "form error PV" in capsys.readouterr().out
+    assert files_of(out) == {"report.html", "measured.json", "error.npz"}
+    told = strict(out / "measured.json")
+    error = tw.read_map(out / "error.npz")
+    radius, z = np.hypot(*error.points()), error.z
+    known = ~np.isnan(z)
+    rows = np.stack([np.ones(known.sum()), radius[known] ** 2], axis=1)
+    cone = OFFSET * radius[known] / 20
+    assert told["form_rms_nm"] == pytest.approx(1e6 * np.std(z[known]), rel=0.05)
+    left, expected = (np.std(one - rows @ np.linalg.lstsq(rows, one, rcond=None)[0]) for one in (z[known], cone))
+    cusps = 0.02**2 / (8 * 0.5) * np.sqrt(4 / 45)
+    assert left == pytest.approx(np.sqrt(expected**2 + cusps**2 + 5e-6**2), rel=0.1)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Form in fringe Zernike terms" in page
+    assert "<script src" not in page
+
+
+def test_diagnose_finds_what_was_injected(shop, tmp_path, capsys):
+    out = tmp_path / "why"
+    assert main(["diagnose", str(shop / "dish.x3p"), "--job", str(shop / "job.toml"), "--out", str(out)]) == 0
+    assert "\ncorrect: offset x is +" in capsys.readouterr().out
+    assert files_of(out) == {"report.html", "diagnosis.json", "left-1.npz"}
+    found = {one["name"]: one for one in strict(out / "diagnosis.json")["findings"]}
+    assert found["offset x"]["simplest"] == pytest.approx(OFFSET, abs=1e-4)
+    assert tw.read_map(out / "left-1.npz").z.size > 1000
+
+
+def test_correct_writes_a_job_that_runs(shop, corrected, tmp_path):
+    """Oracle: what the corrected job leaves, cut by the tool as it is, judged by the design."""
+    assert {"report.html", "correction.json", "job.toml", "predicted.npz"} <= files_of(corrected)
+    better = Job.load(corrected / "job.toml")
+    assert better.tool.tool.offset[0] == pytest.approx(OFFSET, abs=1e-4)
+    assert better.part.part.surface == Job.load(shop / "job.toml").part.part.surface
+    out = tmp_path / "run"
+    assert main(["run", str(corrected / "job.toml"), "--out", str(out)]) == 0
+    whole = strict(out / "result.json")["predictions"][0]
+    cusps = 0.02**2 / (8 * 0.5) * 1e6
+    assert whole["roughness"]["sq_nm"] < cusps
+    again = seen(corrected / "job.toml", tmp_path / "again.npz")
+    assert main(["measure", str(again), "--job", str(corrected / "job.toml"), "--out", str(tmp_path / "second")]) == 0
+    before = strict(corrected / "correction.json")["measured"][0]["form_rms_nm"]
+    after = strict(tmp_path / "second" / "measured.json")["form_rms_nm"]
+    assert after < 40  # cusps, noise
+    assert before > 2 * after
+
+
+def test_a_second_map_counts_with_the_first(shop, corrected, tmp_path):
+    second = seen(corrected / "job.toml", tmp_path / "again.npz")
+    out = tmp_path / "out"
+    jobs = ["--job", str(corrected / "job.toml"), "--job", str(shop / "job.toml")]
+    assert main(["correct", str(second), str(shop / "dish.x3p"), *jobs, "--out", str(out)]) == 0
+    assert Job.load(out / "job.toml").tool.tool.offset[0] == pytest.approx(OFFSET, abs=1e-4)
+    assert len(strict(out / "correction.json")["measured"]) == 2
+
+
+def test_artefacts_correct_the_job_of_the_part(shop, tmp_path, capsys):
+    maps, jobs = [], []
+    for kind in ("tilted flat", "concave sphere"):
+        job = tmp_path / f"{kind.replace(' ', '-')}.toml"
+        assert main(["artefact", str(shop / "job.toml"), "--kind", kind, "--out", str(job)]) == 0
+        maps.append(str(seen(job, tmp_path / f"{job.stem}.npz")))
+        jobs += ["--job", str(job)]
+    out = tmp_path / "out"
+    assert main(["correct", *maps, *jobs, "--of", str(shop / "job.toml"), "--out", str(out)]) == 0
+    better = Job.load(out / "job.toml")
+    assert better.part.part.surface == Job.load(shop / "job.toml").part.part.surface
+    assert better.tool.tool.offset[0] == pytest.approx(OFFSET, abs=1e-4)
+    assert better.part.correction is None
+    capsys.readouterr()
+    assert main(["artefact", str(shop / "job.toml"), "--kind", "cube", "--out", str(tmp_path / "cube.toml")]) == 2
+    assert '"tilted flat" or "concave sphere"' in capsys.readouterr().err
+    assert not (tmp_path / "cube.toml").exists()
+
+
+def told_once(capsys):
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("turnwright: ")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_bad_input_is_one_sentence_and_leaves_nothing(shop, tmp_path, capsys):
+    good, job = str(shop / "dish.x3p"), str(shop / "job.toml")
+    bare = str(seen(shop / "job.toml", tmp_path / "bare.npz", calibrated=False))
+    far = tmp_path / "far.npz"
+    away = tw.read_map(good)
+    tw.write_map(tw.HeightMap(x=away.x, y=away.y, z=np.full(away.z.shape, np.nan)), far)
+    torn = tmp_path / "torn.x3p"
+    torn.write_bytes(Path(good).read_bytes()[:500])
+    unknown = written(tmp_path, *DISH, ("measurement", {"causes": ["bad luck"]})).rename(tmp_path / "unknown.toml")
+    other = written(tmp_path, *DISH, ("tool.nose_radius", "0.6 mm"), ("part.name", "other"))
+    other = other.rename(tmp_path / "other.toml")
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "notes.txt").write_text("cut on Monday")
+    cases = [
+        (["measure", str(tmp_path / "no.x3p"), "--job", job], "no.x3p"),
+        (["measure", bare, "--job", job], "pixel size"),
+        (["measure", str(far), "--job", job], "0 "),
+        (["measure", str(torn), "--job", job], "torn.x3p"),
+        (["measure", good, "--job", str(tmp_path / "no.toml")], "no.toml"),
+        (["diagnose", good, "--job", str(unknown)], "bad luck"),
+        (["diagnose", good, good, "--job", job, "--job", job, "--job", job], "2 maps and 3 jobs"),
+        (["diagnose", good, good, "--job", job, "--job", str(other)], "different tools or machines"),
+        (["correct", good, "--job", job, "--of", str(other)], "nose radius 0.6 mm"),
+    ]  # fmt: skip
+    for arguments, words in cases:
+        there = sorted(tmp_path.iterdir())
+        assert main([*arguments, "--out", str(tmp_path / "out")]) == 2, arguments
+        assert words in told_once(capsys)
+        assert sorted(tmp_path.iterdir()) == there
+    assert main(["correct", good, "--job", job, "--out", str(tmp_path / "taken")]) == 2
+    assert "not empty" in told_once(capsys)
+    assert [one.name for one in (tmp_path / "taken").iterdir()] == ["notes.txt"]
+
+
+def test_a_damaged_correction_is_refused(shop, tmp_path, capsys):
+    axis = np.linspace(-3, 3, 13)
+    for name, heights in {"torn": None, "missing": np.full((13, 13), np.nan)}.items():
+        file = tmp_path / f"{name}.npz"
+        if heights is None:
+            file.write_bytes(b"PK\x03\x04 half")
+        else:
+            tw.write_map(tw.HeightMap(x=axis, y=axis, z=heights), file)
+        job = written(tmp_path, *DISH, ("part.correction", file.name))
+        assert main(["check", str(job)]) == 2
+        assert f"{name}.npz" in told_once(capsys)
+
+
+def test_an_interrupt_leaves_nothing(shop, tmp_path, monkeypatch, capsys):
+    checked = []
+
+    def interrupt(_stop):
+        checked.append(1)
+        if len(checked) == 4:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Stop, "check", interrupt)
+    arguments = ["correct", str(shop / "dish.x3p"), "--job", str(shop / "job.toml"), "--out", str(tmp_path / "out")]
+    assert main(arguments) == 130
+    assert re.search("interrupt|stopped", capsys.readouterr().err)
+    assert list(tmp_path.iterdir()) == []
