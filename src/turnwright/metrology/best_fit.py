@@ -479,6 +479,10 @@ def _fitted(heights: HeightMap, model: _Model, free: Sequence[str] | None, dista
     size = float(np.nanmax(heights.z) - np.nanmin(heights.z)) or 1.0
     parameters = model.start
     thin = cloud.thinned(START)
+    if isinstance(model, _FreeSphere) and not model.along_normal and len(chosen) == len(model.start):
+        # Along the normal there is no equator to step over: from there a sphere that is nearly half is found too.
+        normal = _FreeSphere(model.middle, along_normal=True)
+        parameters, _, _ = _gauss_newton(thin, normal, parameters, chosen, size)
     if thin is not cloud and np.count_nonzero(thin.used) > 4 * len(chosen):
         parameters, _, _ = _gauss_newton(thin, model, parameters, chosen, size)
     left = np.full(heights.z.shape, np.nan)
