@@ -140,6 +140,22 @@ def test_fit_takes_a_table_of_averaged_cuts(tmp_path, capsys):
     assert str(out) in capsys.readouterr().out
 
 
+def test_a_size_effect_is_learned_and_loads(tmp_path):
+    chip = np.linspace(50, 500, 12)
+    force = 1489 * (chip / 200) ** -0.25 * chip * 1e-6 * 0.2 * 1e3
+    rows = [f"{one:.6f},0.2,{two:.9f},{two / 2:.9f}" for one, two in zip(chip, force, strict=True)]
+    (tmp_path / "cuts.csv").write_text(AVERAGES + "\n".join(rows))
+    (tmp_path / "experiment.toml").write_text(
+        'name = "crystal"\nsource = "made up"\nsize_effect = true\nrake = "-25 deg"\n[averages]\nfile = "cuts.csv"\n'
+    )
+    out = tmp_path / "crystal.toml"
+    assert main(["material", "fit", str(tmp_path / "experiment.toml"), "--out", str(out)]) == 0
+    crystal = Material.load(out)
+    assert crystal.cutting.exponent == pytest.approx(0.25, abs=1e-5)
+    assert float(crystal.cutting.at(200e-6)) == pytest.approx(1489, rel=1e-4)
+    assert "the tool's rake was -25 deg" in crystal.notes
+
+
 def test_list_names_every_material(capsys):
     assert main(["material", "list"]) == 0
     lines = capsys.readouterr().out.splitlines()

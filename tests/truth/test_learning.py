@@ -247,3 +247,41 @@ def test_the_files_of_an_experiment_with_taps_give_what_its_arrays_give(tmp_path
     assert found.uncertainty == pytest.approx(same.uncertainty, rel=1e-6)
     assert found.critical.low == pytest.approx(same.critical.low, rel=1e-9)
     assert found.thrust.low <= truth.thrust <= found.thrust.high
+
+
+def falling(random, noise, count=60, top=1200e-6):
+    """Coefficients that fall with the chip thickness to the powers 0.3 and 0.2, brittle beyond 600 nm."""
+    chip = np.linspace(50e-6, top, count)
+    of = np.minimum(chip, 600e-6)
+    share = np.where(chip > 600e-6, 0.6, 1.0) * 0.2 * of
+    cutting = 1500 * (of / 200e-6) ** -0.3 * share + noise * random.normal(size=count)
+    thrust = 800 * (of / 200e-6) ** -0.2 * share + noise * random.normal(size=count)
+    return Cuts(thickness=chip, width=np.full(count, 0.2), cutting=cutting, thrust=thrust)
+
+
+def test_a_size_effect_comes_back_with_its_power_and_the_limit_unmoved():
+    found = learn_material(falling(np.random.default_rng(0), 1e-9), size_effect=True)
+    reference = found.reference_thickness
+    assert [one.value for one in found.exponents] == pytest.approx([0.3, 0.2], abs=1e-6)
+    assert found.cutting.value == pytest.approx(1500 * (reference / 200e-6) ** -0.3, rel=1e-6)
+    assert found.thrust.value == pytest.approx(800 * (reference / 200e-6) ** -0.2, rel=1e-6)
+    assert found.critical.low <= 600e-6 <= found.critical.high
+    assert found.remaining == pytest.approx((0.6, 0.6), abs=0.02)
+
+
+def test_the_uncertainty_of_a_power_is_that_of_nonlinear_least_squares():
+    """Oracle: SciPy's curve_fit of the same curve over the ductile rows."""
+    from scipy.optimize import curve_fit
+
+    cuts = falling(np.random.default_rng(1), 1e-3, top=590e-6)
+    found = learn_material(cuts, size_effect=True)
+    assert found.critical is None
+    reference, area = found.reference_thickness, cuts.thickness * cuts.width
+    answer, cover = curve_fit(
+        lambda chip, k, m: k * area * (chip / reference) ** -m, cuts.thickness, cuts.cutting, p0=(1000, 0)
+    )
+    half = stats.t.ppf(0.975, area.size - 2) * np.sqrt(np.diag(cover))
+    assert found.cutting.value == pytest.approx(answer[0], rel=1e-6)
+    assert found.cutting.high - found.cutting.value == pytest.approx(half[0], rel=1e-4)
+    assert found.exponents[0].value == pytest.approx(answer[1], abs=1e-6)
+    assert found.exponents[0].high - found.exponents[0].value == pytest.approx(half[1], rel=1e-4)

@@ -105,6 +105,9 @@ WRONG = {
     "drift without time": (lambda: learn_material(cuts(), drift=1), "cuts without times have a drift"),
     "drift without air": (lambda: learn_material(cuts(time=np.arange(10)), drift=1), "0 rows of a record are in air"),
     "confidence": (lambda: learn_material(cuts(), confidence=95), "confidence is 95"),
+    "edge and size effect": (
+        lambda: learn_material(cuts(), edge_force=True, size_effect=True), "edge_force and size_effect are both asked for"
+    ),
     "one thickness and an edge": (
         lambda: learn_material(cuts(thickness=np.full(10, 1e-4)), edge_force=True), "do not tell the coefficient from"
     ),

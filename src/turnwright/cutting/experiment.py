@@ -86,6 +86,11 @@ class Experiment:
                 "value": f"{self.source}: {interval} {one.low:.5g} to {one.high:.5g} N/mm2{at}",
                 "uncertainty": f"{self.source}: standard uncertainty",
             }
+        if found.exponents is not None and found.reference_thickness is not None:
+            for key, one in zip(("cutting", "thrust"), found.exponents, strict=True):
+                table[key]["exponent"] = _rounded(one.value)
+                table[key]["reference_thickness"] = f"{_rounded(found.reference_thickness * 1e6)} nm"
+                sources[key]["exponent"] = f"{self.source}: {interval} {one.low:.4g} to {one.high:.4g}{at}"
         if found.critical is not None:
             low, high = found.critical.low * 1e6, found.critical.high * 1e6
             table["critical"] = {
@@ -159,6 +164,12 @@ class _Keys:
             raise InputError(f"{self.where} has {key} = {value!r}, it must be a plain number: write one")
         return value
 
+    def flag(self, key: str) -> bool:
+        value = self.raw(key, False)
+        if not isinstance(value, bool):
+            raise InputError(f"{self.where} has {key} = {value!r}, it must be true or false: change it")
+        return value
+
     def quantity(self, key: str, unit: str, default: Any = GONE) -> Any:
         value = self.raw(key, default)
         return value if value is default else self._read(key, value, unit)
@@ -200,9 +211,7 @@ def _learned(keys: _Keys, folder: Path) -> Experiment:
     name, source = keys.text("name"), keys.text("source")
     rake = keys.quantity("rake", "rad", 0.0)
     confidence = keys.number("confidence", 0.95)
-    edge = keys.raw("edge_force", False)
-    if not isinstance(edge, bool):
-        raise InputError(f"the experiment has edge_force = {edge!r}, it must be true or false: change it")
+    edge, falls = keys.flag("edge_force"), keys.flag("size_effect")
     common = float(keys.number("width_uncertainty", 0.0))
     averages, cuts = keys.part("averages"), keys.tables("cuts")
     record, dynamometer = keys.part("record"), keys.part("dynamometer")
@@ -223,6 +232,7 @@ def _learned(keys: _Keys, folder: Path) -> Experiment:
         rows,
         drift=drift,
         edge_force=edge,
+        size_effect=falls,
         calibration=calibration,
         thickness_uncertainty=thickness,
         confidence=confidence,

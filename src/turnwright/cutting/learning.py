@@ -47,6 +47,12 @@ WILD = 10.0
 UNLIKELY = 0.999
 """A departure from proportion is told of outside this interval."""
 
+ROUNDS = 20
+"""Steps of Newton for the power of a size effect."""
+
+SETTLED = 1e-10
+"""Change of a power at which these end."""
+
 FEWEST = 4
 """Rows that a part of the forces must have on either side of the transition."""
 
@@ -162,6 +168,10 @@ class LearnedMaterial:
         At most this share of experiments without a transition would show one as clear.
     sentences
         What a person should know before relying on it.
+    exponents
+        Powers with which the coefficients fall as the chip grows; ``None`` where that was not asked for. (2)
+    reference_thickness
+        Chip thickness at which the coefficients then are what they are. [mm]
     """
 
     cutting: Estimate
@@ -175,6 +185,8 @@ class LearnedMaterial:
     remaining: tuple[float, float] | None
     chance: float
     sentences: tuple[str, ...]
+    exponents: tuple[Estimate, Estimate] | None = None
+    reference_thickness: float | None = None
 
 
 def measured_cuts(
@@ -254,6 +266,7 @@ def learn_material(
     *,
     drift: int | None = None,
     edge_force: bool = False,
+    size_effect: bool = False,
     calibration: tuple[float, float] = (0.0, 0.0),
     thickness_uncertainty: float = 0.0,
     confidence: float = 0.95,
@@ -268,6 +281,9 @@ def learn_material(
         Degree of the polynomial in time that the forces in air follow; ``None`` for forces without drift.
     edge_force
         Whether a force in proportion to the width alone, of the rubbing edge, is taken out of the coefficients.
+    size_effect
+        Whether the coefficients fall with a power of the chip thickness, :math:`K_0 (h/h_0)^{-m}`; :math:`h_0` is the
+        geometric mean of all thicknesses.
     calibration
         Standard uncertainties, as shares, that are common to all cutting forces and to all thrusts: of the dynamometer
         (see `Dynamometer.relative_uncertainty`), the width, the thickness.
@@ -287,11 +303,12 @@ def learn_material(
     in a hundred random experiments; Student's t of a regression.
     """
     between(confidence, "confidence", 0.5, 0.999, "")
-    rows = _Rows(cuts, drift, edge=edge_force)
-    split = _transition(rows, confidence)
-    ductile = rows.engaged.copy()
-    if split is not None:
-        ductile &= rows.upper <= split.low
+    rows = _Rows(cuts, drift, edge=edge_force, falling=size_effect)
+    split, ductile = _parts(rows, confidence)
+    for _ in range(ROUNDS if size_effect else 0):
+        if rows.bend(ductile | ~rows.engaged) < SETTLED:
+            break
+        split, ductile = _parts(rows, confidence)
     parts = [rows.slope(component, ductile | ~rows.engaged, confidence) for component in range(COMPONENTS)]
     from scipy.stats import norm  # noqa: PLC0415 - costly to import
 
@@ -320,13 +337,25 @@ def learn_material(
         remaining=None if split is None else split.remaining,
         chance=1.0 if split is None else split.chance,
         sentences=tuple(sentences),
+        exponents=None if rows.power is None else rows.exponents(ductile | ~rows.engaged, confidence),
+        reference_thickness=None if rows.power is None else rows.reference,
     )
+
+
+def _parts(rows: _Rows, confidence: float) -> tuple[_Split | None, Bools]:
+    """Return the transition, and which rows are ductile beyond doubt."""
+    split = _transition(rows, confidence)
+    return split, rows.engaged & (rows.upper <= (np.inf if split is None else split.low))
 
 
 class _Rows:
     """The rows as a regression takes them: forces, columns, and what is common to all parts."""
 
-    def __init__(self, cuts: Cuts, drift: int | None, *, edge: bool) -> None:
+    def __init__(self, cuts: Cuts, drift: int | None, *, edge: bool, falling: bool) -> None:
+        if edge and falling:
+            raise InputError(
+                "edge_force and size_effect are both asked for, the limit is 1: forces do not tell them apart"
+            )
         self.thickness = cuts.thickness
         self.engaged: Bools = cuts.thickness > 0
         spread = np.zeros_like(cuts.thickness) if cuts.spread is None else cuts.spread
@@ -340,6 +369,7 @@ class _Rows:
         self.order = np.arange(n) if cuts.time is None else np.lexsort((cuts.time, record))
         self.nuisance = np.zeros((n, 0)) if drift is None else _drifts(cuts.time, record, ~self.engaged, drift)
         self.edge = edge
+        self.power: list[float] | None = [0.0, 0.0] if falling else None
         self.stated = cuts.uncertainty is not None
         weight = 1 / cuts.uncertainty if cuts.uncertainty is not None else np.ones((n, COMPONENTS))
         self.weights = (weight[:, 0], weight[:, 1])
@@ -348,12 +378,51 @@ class _Rows:
                 f"{np.count_nonzero(self.engaged)} rows are cuts, at least {FEWEST} are needed: measure more"
             )
 
+    @property
+    def reference(self) -> float:
+        """Thickness at which a power of it is 1. [mm]."""
+        return float(np.exp(np.log(self.thickness[self.engaged]).mean()))
+
     def ductile_columns(self, component: int) -> Floats:
-        """Return what multiplies the coefficient, and the edge's own force if it has one. (n, 1 or 2)."""
+        """Return what multiplies the coefficient, and the edge's own force or the bend by a power. (n, 1 or 2)."""
         area = self.areas[component]
+        if self.power is not None:
+            ratio = np.where(self.engaged, self.thickness / self.reference, 1.0)
+            falls = area * ratio ** -self.power[component]
+            return np.column_stack((falls, -falls * np.log(ratio)))
         if not self.edge:
             return area[:, None]
         return np.column_stack((area, self._per_thickness(component)))
+
+    def line(self, component: int, answer: Floats, at: float) -> float:
+        """Return the force per width of the ductile part at some thickness."""
+        if self.power is not None:
+            ratio = at / self.reference
+            return float(at * ratio ** -self.power[component] * (answer[0] - answer[1] * np.log(ratio)))
+        return float(answer[0] * at + (answer[1] if self.edge else 0.0))
+
+    def bend(self, rows: Bools) -> float:
+        """Take one step of Newton towards the powers that fit, and return how far it went."""
+        assert self.power is not None  # noqa: S101 - asked for with a size effect only
+        steps = []
+        for component in range(COMPONENTS):
+            columns = self.ductile_columns(component)
+            value = self._first(component, columns, rows, 0.9)[0]
+            steps.append(self._first(component, columns[:, ::-1], rows, 0.9)[0] / value)
+        self.power = [float(np.clip(old + step, -2, 2)) for old, step in zip(self.power, steps, strict=True)]
+        return max(abs(step) for step in steps)
+
+    def exponents(self, rows: Bools, confidence: float) -> tuple[Estimate, Estimate]:
+        """Return the powers and their intervals."""
+        assert self.power is not None  # noqa: S101 - asked for with a size effect only
+        found = []
+        for component in range(COMPONENTS):
+            columns = self.ductile_columns(component)
+            value = self._first(component, columns, rows, confidence)[0]
+            half = self._first(component, columns[:, ::-1], rows, confidence)[2] / abs(value)
+            power = self.power[component]
+            found.append(Estimate(value=power, low=power - half, high=power + half))
+        return found[0], found[1]
 
     def brittle_columns(self, component: int) -> Floats:
         """Return a constant force per width, and one that grows with the thickness. (n, 2)."""
@@ -598,7 +667,7 @@ def _remaining(rows: _Rows, component: int, order: np.ndarray, cut: int, at: flo
     size = np.maximum(np.linalg.norm(table * weight[:, None], axis=0), np.finfo(np.float64).tiny)
     answer = np.linalg.lstsq(table * weight[:, None] / size, rows.forces[component] * weight, rcond=1e-10)[0] / size
     s, d = steady.shape[1], ductile.shape[1]
-    line = answer[s] * at + (answer[s + 1] if rows.edge else 0.0)
+    line = rows.line(component, answer[s : s + d], at)
     beyond = answer[s + d] + answer[s + d + 1] * at
     return float(beyond / line) if line else np.inf
 
@@ -612,7 +681,7 @@ def _misfits(rows: _Rows, ductile: Bools) -> list[str]:
             f"the forces in the cut scatter {wild:.3g} times as much as in air, more than {WILD:g} times: check that "
             "no air is counted as cut, and that the chips are as stated"
         )
-    if rows.edge or np.unique(rows.thickness[ductile]).size < FEWEST:
+    if rows.edge or rows.power is not None or np.unique(rows.thickness[ductile]).size < FEWEST:
         return said
     for component, name in enumerate(("cutting force", "thrust")):
         off, _, half = rows.offset(component, ductile, UNLIKELY)
@@ -620,7 +689,7 @@ def _misfits(rows: _Rows, ductile: Bools) -> list[str]:
             said.append(
                 f"the {name} is not in proportion to the chip: it is as if the chips were {abs(off) * 1e6:.3g} nm "
                 f"{'thinner' if off > 0 else 'thicker'} than stated, so the intervals do not hold: check where the cut "
-                "begins and how thick it is there, or take a force of the edge into account"
+                "begins and how thick it is there, or take a force of the edge or a size effect into account"
             )
     return said
 
