@@ -64,7 +64,7 @@ def ri80(intensity: ArrayLike | HeightMap, reference: ArrayLike | float, *, thre
 
     Sources
     -------
-    [Troutman2016]_ ch. 4, RI80. Oracle: maps whose share is made.
+    [Troutman2016]_, RI80. Oracle: maps whose share is made.
 
     >>> ri80([[1.0, 0.9, 0.85], [0.5, 0.79, 0.81]], reference=1.0).share.__round__(4)
     0.6667
