@@ -64,6 +64,15 @@ __all__ = [
 
 AXES = ("x", "y", "radius", "angle")
 
+UNITS = {
+    **dict.fromkeys(("angle", "sweep", "C", "sweep_low", "sweep_high", "rake"), "rad"),
+    **dict.fromkeys(("axial", "radial", "cutting"), "N"),
+    **dict.fromkeys(("points", "inside"), "1"),
+    "time": "s",
+    "area": "mm^2",
+}
+"""Units of arrays in the archive that are not in mm."""
+
 
 def write_archive(result: Result, folder: str | PathLike[str]) -> None:
     """Write ``job.toml``, ``result.json``, ``maps/*.npy`` and ``run.h5`` into a folder that exists.
@@ -304,6 +313,9 @@ def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
             _store(group, {"z": one.error.z} | {name: getattr(one.error, name) for name in AXES})
             if one.tracking is not None:
                 _store(group, {"tracking": one.tracking.z})
+        for name, chips in result.chips.items():
+            told = {item.name: getattr(chips, item.name) for item in fields(chips) if item.name != "feed"}
+            _store(archive.create_group(f"chips/{name}"), told)
         names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
         _store(archive.create_group("path"), {name: getattr(result.path, name) for name in names})
         _store_motion(archive.create_group("motion"), result.motion)
@@ -319,7 +331,7 @@ def _store_motion(group: Any, motion: Motion) -> None:
 def _store(group: Any, arrays: Mapping[str, Floats | None]) -> None:
     for name, values in arrays.items():
         if values is not None:
-            unit = {"angle": "rad", "sweep": "rad", "C": "rad", "time": "s"}.get(name, "mm")
+            unit = UNITS.get(name, "mm")
             group.create_dataset(name, data=values).attrs["unit"] = unit
 
 

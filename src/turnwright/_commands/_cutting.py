@@ -45,6 +45,8 @@ def run(
             f"{cut.name}: {cut.points} points, {cut.limits.cycle_time_s / 60:.1f} min at {cut.spindle_rpm:.4g} rpm, "
             f"{cut.limits.binding} binds"
         )
+        if cut.chips is not None:
+            door.say(f"{cut.name}: {cut.chips.sentence}")
     _say_predictions(door, result.predictions)
     door.say(
         f"program: {out / result.program.files[0].name}, its surface within {result.rounding_nm:.2f} nm of the planned "
@@ -67,6 +69,8 @@ def check(context: typer.Context, job: JobFile) -> None:
         door.say(f"{'ok' if finding.ok else 'NO'}: {finding.sentence}")
     for name, points in plan.points.items():
         door.say(f"{name}: {points} points, at least {plan.shortest_s[name] / 60:.1f} min")
+    for name, sentence in plan.chips.items():
+        door.say(f"{name}: {sentence}")
     if plan.refused:
         raise JobError("\n".join(plan.refused))
 

@@ -1,9 +1,12 @@
 """What cutting does: how thick the chip is, which forces act, and whether the cut stays ductile."""
 
+from turnwright.cutting.chip import ChipMap, OrthogonalChip, RoundChip, chip_map
 from turnwright.cutting.dynamometer import Dynamometer, TapTest
 from turnwright.cutting.experiment import Experiment, learn_from_file
 from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
+from turnwright.cutting.forces import CuttingForces, FlyCut, ForceHistory, SlotMill, chip_forces
 from turnwright.cutting.fracture import IntactShare, ri80
+from turnwright.cutting.gate import DuctileGate, ductile_gate
 from turnwright.cutting.learning import Cuts, Estimate, LearnedMaterial, learn_material, measured_cuts
 from turnwright.cutting.records import read_forces
 from turnwright.cutting.signals import (
@@ -17,19 +20,30 @@ from turnwright.cutting.signals import (
 )
 
 __all__ = [
+    "ChipMap",
     "Cuts",
+    "CuttingForces",
+    "DuctileGate",
     "Dynamometer",
     "Estimate",
     "Experiment",
+    "FlyCut",
     "ForceAverage",
+    "ForceHistory",
     "ForceRecord",
     "IntactShare",
     "LearnedMaterial",
     "MinimumChip",
+    "OrthogonalChip",
+    "RoundChip",
+    "SlotMill",
     "TapTest",
     "Vibration",
     "average_force",
+    "chip_forces",
+    "chip_map",
     "cusp_height",
+    "ductile_gate",
     "engagements",
     "in_air",
     "learn_from_file",

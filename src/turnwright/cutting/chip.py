@@ -290,7 +290,7 @@ class _Moved:
                 "plane through the axis: take a strategy without Y"
             )
         c, x, z = (motion.axes[letter] for letter in "CXZ")
-        error = machine.z_error(x) if machine.squareness or machine.straightness is not None else 0.0
+        error = machine.z_error(x) if machine.squareness or machine.straightness is not None else None
         if "U" in motion.axes:
             x = x + motion.axes["U"]
         if "W" in motion.axes:
@@ -298,16 +298,19 @@ class _Moved:
         dx, _, dz = tool.offset
         starts = np.empty(max(int(np.ceil(abs(c[-1] - c[0]) / (2 * np.pi) - 1e-12)), 1) + 1, dtype=np.int64)
         kernel.turn_starts(c, motion.sense, starts)
-        return cls(c, np.ascontiguousarray(x + dx), np.ascontiguousarray(z + error + dz), motion.sense, starts)
+        if dx:
+            x = x + dx
+        if dz or error is not None:
+            z = z + ((0.0 if error is None else error) + dz)
+        return cls(c, x, z, motion.sense, starts)
 
-    @property
-    def slope(self) -> Floats:
-        """Radial slope of what is left: that between the tips of neighbouring turns. (n,)."""
-        along = self.sense * self.c
-        turn = 2 * np.pi
-        before = np.where(along - turn >= along[0], along - turn, np.minimum(along + turn, along[-1]))
-        x, z = np.interp(before, along, self.x) - self.x, np.interp(before, along, self.z) - self.z
-        usable = (np.abs(np.abs(before - along) - turn) < 1e-6) & (np.abs(x) > 1e-9)
+    def slope(self, at: Ints) -> Floats:
+        """Radial slope of what is left at some points: that between the tips of neighbouring turns. (n,)."""
+        along = self.c if self.sense > 0 else -self.c
+        here, turn = along[at], 2 * np.pi
+        before = np.where(here - turn >= along[0], here - turn, here + turn)
+        x, z = np.interp(before, along, self.x) - self.x[at], np.interp(before, along, self.z) - self.z[at]
+        usable = (before <= along[-1]) & (np.abs(x) > 1e-9)
         return np.where(usable, np.divide(z, x, where=usable, out=np.zeros_like(z)), 0.0)
 
 
@@ -371,8 +374,8 @@ def chip_map(
     if at.size and not (at.min() >= 0 and at.max() < moved.c.size):
         raise InputError(f"points go from {at.min()} to {at.max()}, a motion has 0 to {moved.c.size - 1}: choose those")
     upright = float(np.cos(tool.rake))
-    contact = moved.x + tool.profile().row[0] * np.sin(np.arctan(moved.slope / upright))
-    azimuth, contact = moved.c[at], contact[at]
+    azimuth = moved.c[at]
+    contact = moved.x[at] + tool.profile().row[0] * np.sin(np.arctan(moved.slope(at) / upright))
     x, y = contact * np.cos(azimuth), contact * np.sin(azimuth)
     rake = tool.rake - _climb(part, moved.sense, azimuth, contact)
     said = _Said.of(material, rake, azimuth)
@@ -482,7 +485,7 @@ def _windows(moved: _Moved, tool: Tool, stock: float, at: Ints) -> tuple[Floats,
     """
     radius = tool.actual_radius / np.cos(tool.rake)
     wide = 1.1 * np.sqrt(2 * radius * min(max(stock, 1e-3 * radius), radius / 2))
-    along = moved.sense * moved.c
+    along = moved.c if moved.sense > 0 else -moved.c
     first = np.searchsorted(along, along[0] + 2 * np.pi)
     advance = (moved.x[-1] - moved.x[0]) / max(along[-1] - along[0], 1e-9) * 2 * np.pi
     left, right = np.full(at.size, wide), np.full(at.size, wide)

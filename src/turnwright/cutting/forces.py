@@ -29,7 +29,7 @@ from turnwright.errors import InputError
 if TYPE_CHECKING:
     from turnwright.material import Material
 
-__all__ = ["CuttingForces", "FlyCut", "ForceRecord", "SlotMill", "chip_forces"]
+__all__ = ["CuttingForces", "FlyCut", "ForceHistory", "SlotMill", "chip_forces"]
 
 NODES = 48
 """Gauss-Legendre nodes on each smooth piece of an edge."""
@@ -176,7 +176,7 @@ def _reaches(chip: RoundChip, limit: float, nominal: bool) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ForceRecord:
+class ForceHistory:
     """Forces of an interrupted cut over time, as a dynamometer under the part measures them.
 
     Parameters
@@ -285,7 +285,9 @@ class SlotMill:
         t = self.feed_per_tooth * np.sin(phi) + square / (self.radius + np.sqrt(self.radius**2 - square))
         return np.where((phi >= self.entry) & (phi <= self.exit), np.maximum(t, 0.0), 0.0)
 
-    def forces(self, material: Material, *, spindle_rpm: float, turns: float = 1.0, samples: int = 3600) -> ForceRecord:
+    def forces(
+        self, material: Material, *, spindle_rpm: float, turns: float = 1.0, samples: int = 3600
+    ) -> ForceHistory:
         """Return the forces on the part over time.
 
         Parameters
@@ -319,7 +321,9 @@ class SlotMill:
             z += down
             torque += along * self.radius
             most = np.maximum(most, t if wall else t * np.sin(arc))
-        return ForceRecord(time=turned / speed, angle=turned, x=x, y=y, z=z, thickness=most, torque=torque, speed=speed)
+        return ForceHistory(
+            time=turned / speed, angle=turned, x=x, y=y, z=z, thickness=most, torque=torque, speed=speed
+        )
 
 
 def _edge_forces(material: Material, t: Floats, sweep: float, width: float) -> tuple[Floats, Floats, Floats]:
@@ -400,7 +404,7 @@ class FlyCut:
 
     def forces(
         self, material: Material, *, spindle_rpm: float, turns: float = 1.0, samples: int = 36000
-    ) -> ForceRecord:
+    ) -> ForceHistory:
         """Return the forces on the part over time: x across the lines, y along the cut, z into the part.
 
         Parameters
@@ -434,4 +438,6 @@ class FlyCut:
             z[at] = down * np.cos(phi[at]) - along * np.sin(phi[at])
             torque[at] = along * self.swing
             most[at] = t.max(axis=1)
-        return ForceRecord(time=turned / speed, angle=turned, x=x, y=y, z=z, thickness=most, torque=torque, speed=speed)
+        return ForceHistory(
+            time=turned / speed, angle=turned, x=x, y=y, z=z, thickness=most, torque=torque, speed=speed
+        )

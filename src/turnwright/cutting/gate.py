@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Floats
+from turnwright.cutting.chip import RoundChip
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from turnwright.material import CriticalThickness, Material
     from turnwright.tool import Tool
 
-__all__ = ["DuctileGate", "ductile_gate"]
+__all__ = ["DuctileGate", "ductile_gate", "foretell"]
 
 STEEPEST = np.deg2rad(-45)
 """Rake down to which one that helps is looked for. [rad]"""
@@ -74,7 +75,7 @@ class DuctileGate:
     @property
     def ok(self) -> bool:
         """Whether the pass is ductile, or what it cracks is taken off later."""
-        return self.ductile or (self.fracture is not None and self.fracture < self.allowance)
+        return self.ductile or self.fracture == 0.0 or (self.fracture is not None and self.fracture < self.allowance)
 
     @property
     def sentence(self) -> str:
@@ -86,6 +87,8 @@ class DuctileGate:
         if self.ductile:
             return f"ductile: {thick}, the limit there is {limit} (margin {100 * self.margin[at]:.0f} %)"
         said = f"brittle: {thick}, the limit there is {limit}, and {100 * self.share:.3g} % of the area is beyond it"
+        if self.fracture == 0.0:
+            return f"{said}; cracks end above what it leaves"
         if self.ok and self.fracture is not None:
             return (
                 f"{said}; cracks may reach {_length(self.fracture)} deep, within the {_length(self.allowance)} that "
@@ -178,3 +181,67 @@ def _helpful_rake(chips: ChipMap, critical: CriticalThickness, tool: Tool) -> fl
         if (chips.thickness[inside] <= limit).all():
             return float(rake)
     return None
+
+
+def foretell(
+    tool: Tool,
+    material: Material,
+    *,
+    feed: float,
+    depth: float,
+    bend: float,
+    rakes: tuple[float, float],
+    allowance: float,
+) -> str:
+    """Return what to expect of a pass before its path is known, with the feed and the rake that would hold.
+
+    Parameters
+    ----------
+    tool, material
+        What cuts, and what is cut.
+    feed, depth
+        Of the pass. [mm/rev], [mm]
+    bend
+        Least curvature of the surface along the radius, negative where it is convex: there the chip is thickest. [1/mm]
+    rakes
+        Lowest and highest effective rake. [rad]
+    allowance
+        Material that later passes take off. [mm]
+
+    Raises
+    ------
+    InputError
+        If the material states no critical thickness, or turns do not meet below the stock.
+    """
+    if material.critical is None:
+        raise InputError(f"material {material.name!r} states no critical thickness, a gate needs 1: give one")
+    flat = tool.actual_radius / np.cos(tool.rake)
+    relative = 1 / flat - bend
+    # Where the surface is as hollow as the nose, the chip is as thick as the cut is deep and no wider curve matters.
+    radius = 1 / max(relative, 1 / (1e3 * flat))
+    chip = RoundChip(nose_radius=radius, feed=feed, depth=depth)
+    around = np.linspace(0, 2 * np.pi, 73)[:-1]
+
+    def limit(turned: float) -> float:
+        places = np.linspace(rakes[0], rakes[1], 33) + turned
+        return float(material.critical.at(rake=places[:, None], angle=around).min()) if material.critical else 0.0
+
+    bears = limit(0.0)
+    said = f"the chip will be about {_length(chip.thickest)} thick, the limit is {_length(bears)}"
+    side = np.sqrt(depth * (2 * radius - depth))
+    square = side**2 - bears * (2 * radius - bears)
+    largest = side - np.sqrt(square) if square > 0 else float("inf")
+    held = f"ductile up to a feed of {largest * 1e3:.3g} um/rev" if np.isfinite(largest) else "ductile at any feed"
+    if chip.thickest <= bears:
+        return f"{said}: {held}"
+    remedies = [f"feed at most {largest * 1e3:.3g} um/rev"]
+    if material.critical.rake is not None:
+        low, high = max(material.critical.rake[0][0], STEEPEST), material.critical.rake[0][-1]
+        turns = sorted(np.deg2rad(np.arange(-45, 46)), key=abs)
+        helps = [one for one in turns if low <= tool.rake + one <= high and limit(one) >= chip.thickest]
+        remedies += [f"a rake of {np.rad2deg(tool.rake + one):.3g} deg" for one in helps[:1]]
+    else:
+        remedies.append("a more negative rake, whose help this material does not state")
+    needed = "" if material.fracture_ratio is None else f" more than {_length(material.fracture_ratio * chip.thickest)}"
+    left = f"later passes take off {_length(allowance)}, to take off cracks they need{needed or ' enough'}"
+    return f"brittle: {said}; {left}; to stay ductile use {', or '.join(remedies)}"

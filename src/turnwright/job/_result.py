@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from turnwright.access import Access
+    from turnwright.cutting.chip import ChipMap
     from turnwright.heightmap import HeightMap
+    from turnwright.job._cutting import PassChips
     from turnwright.job._schema import Job
     from turnwright.machine import Machine
     from turnwright.metrology import Roughness
@@ -38,12 +40,15 @@ class Preview:
         The shortest time that block rate and spindle allow, by pass; the slides may need longer. [s]
     refused
         Why `run` would refuse it, a sentence each.
+    chips
+        What the material will make of each pass, by name, where it is known.
     """
 
     access: Access
     points: Mapping[str, int]
     shortest_s: Mapping[str, float]
     refused: tuple[str, ...]
+    chips: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,6 +71,8 @@ class Pass:
         Number of program points.
     limits
         What it asks of the axes.
+    chips
+        What its chips are like; ``None`` where nothing is known of the material.
     """
 
     name: str
@@ -75,6 +82,7 @@ class Pass:
     spindle_rpm: float
     points: int
     limits: Limits
+    chips: PassChips | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,6 +142,8 @@ class Result:
         Largest difference between the back-plots of the program on disk and of the motion in memory.
     rounding_limit_nm
         What the program's decimals allow that difference to be.
+    chips
+        The chips of each pass at some hundred thousand points, by name, where the material is known.
     warnings
         One sentence each.
     timings
@@ -158,6 +168,7 @@ class Result:
     predictions: tuple[Prediction, ...]
     rounding_nm: float
     rounding_limit_nm: float
+    chips: Mapping[str, ChipMap]
     warnings: tuple[str, ...]
     timings: Mapping[str, float]
     peak_memory_gb: float

@@ -18,6 +18,7 @@ from turnwright.access import check_access
 from turnwright.contact import place
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate, generate_polar
+from turnwright.job._cutting import PassChips, chips_of, foretold
 from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.job._shares import has_servos, require_servos, without_servos
 from turnwright.metrology import roughness
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats
     from turnwright.access import Access
+    from turnwright.cutting.chip import ChipMap
     from turnwright.heightmap import HeightMap
     from turnwright.job._schema import Job
     from turnwright.machine import Machine
@@ -104,7 +106,8 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
 
     motions: dict[str, Motion] = {}
     passes: list[Pass] = []
-    stock = part.stock
+    chips: dict[str, ChipMap] = {}
+    stock, before = part.stock, None
     for cut in job.passes:
         servo = job.servo(cut)
         with watch.stage("plan") as tell:
@@ -126,16 +129,17 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             if not limits.ok:
                 warnings += _accepted(job, "limits", LimitError(f"pass {name}: {limits.findings[0]}"))
             motions[name] = lifted
+            told, before = _judged_chips(job, name, lifted, before, max(stock, 0.0), watch, chips, warnings), lifted
             passes.append(
                 Pass(
                     name=name, allowance=max(stock, 0.0), depth=depth, feed=feed,
-                    spindle_rpm=limits.spindle_rpm, points=limits.points, limits=limits,
+                    spindle_rpm=limits.spindle_rpm, points=limits.points, limits=limits, chips=told,
                 )
             )  # fmt: skip
         stock = cut.allowance
     pictured, least = _thin(path), float(path.clearance.min())
     shown, turns = _part_of(motion, _few(motion.time.size)), _turns(motion)
-    del path, lifted
+    del path, lifted, before
 
     with watch.stage("write program") as tell:
         program = written(job, motions, File(out), tell)
@@ -159,8 +163,33 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         actual_tool=job.actual_tool, actual_machine=job.actual_machine, access=access,
         passes=tuple(passes), path=pictured, motion=shown, turns=turns, least_clearance=least,
         program=program, predictions=predictions, rounding_nm=rounding, rounding_limit_nm=limit,
-        warnings=tuple(dict.fromkeys(warnings)), timings=watch.timings, peak_memory_gb=_peak_memory(),
+        chips=chips, warnings=tuple(dict.fromkeys(warnings)), timings=watch.timings, peak_memory_gb=_peak_memory(),
     )  # fmt: skip
+
+
+def _judged_chips(
+    job: Job,
+    name: str,
+    motion: Motion,
+    before: Motion | None,
+    allowance: float,
+    watch: _Watch,
+    chips: dict[str, ChipMap],
+    warnings: list[str],
+) -> PassChips | None:
+    """Keep the chips of a pass and warn of what the material does not bear; ``None`` where nothing is known of it."""
+    known = job.part.substance
+    if known is None or (known.critical is None and known.cutting is None):
+        return None
+    with watch.stage("chips") as tell:
+        found = chips_of(job, motion, before, allowance, tell)
+    if isinstance(found, str):
+        warnings.append(f"pass {name}: {found}")
+        return None
+    told, chips[name] = found
+    if not told.ok:
+        warnings.append(f"pass {name} is {told.sentence}")
+    return told
 
 
 def written(job: Job, motions: dict[str, Motion], out: File, tell: Progress | None = None) -> ProgramFiles:
@@ -200,7 +229,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
     with watch.stage("access"):
         access = check_access(part, tool, sense=job.strategy.sense)
-    points, shortest = {}, {}
+    points, shortest, chips = {}, {}, {}
     stock = part.stock
     for cut in job.passes:
         servo = job.servo(cut)
@@ -214,11 +243,14 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         # The points of a fast tool stand in its own table.
         blocks = 0 if job.program.fast_tool else spiral.angle.size - 1
         shortest[cut.name] = times * max(spiral.turns * 60 / speed, blocks / machine.block_rate_hz)
+        expected = foretold(job, access, cut, spiral.feed, stock)
+        if expected:
+            chips[cut.name] = expected
         stock = cut.allowance
     refused = tuple(
         _or_accept(one.sentence, one.name) for one in access.findings if not one.ok and one.name not in job.accept
     )
-    return Preview(access=access, points=points, shortest_s=shortest, refused=refused)
+    return Preview(access=access, points=points, shortest_s=shortest, refused=refused, chips=chips)
 
 
 def predict(

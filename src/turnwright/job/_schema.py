@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
 import numpy as np
 import tomli_w
 from annotated_types import Ge, Le
-from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator, Strict, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    Strict,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
 
 from turnwright._toml import read_toml
 from turnwright._whole import write_whole
@@ -34,6 +44,7 @@ from turnwright.job._table import (
     sentences,
 )
 from turnwright.machine import Machine
+from turnwright.material import Material
 from turnwright.motion import require_variable
 from turnwright.part import Part
 from turnwright.pose import Pose
@@ -72,13 +83,28 @@ def _correction(file: File) -> Gridded:
     return Gridded(x=heights.x, y=heights.y, z=heights.z)
 
 
+def _material(text: str, info: ValidationInfo) -> str:
+    """Return a material's name as it is, the file of one as a whole path, looked for beside the job file."""
+    if not text.endswith(".toml"):
+        return text
+    found = File((info.context or {}).get("folder", ".")) / text
+    if not found.is_file():
+        raise JobError(f"the file {text!r} does not exist beside the job file: correct the name or put it there")
+    return str(found.resolve())
+
+
+def _bare(name: str) -> str:
+    """Return a name without case, spaces and marks: IRG 26 and irg-26 are one."""
+    return re.sub("[^a-z0-9]", "", name.casefold())
+
+
 class PartTable(Table):
     """What is asked for: see `turnwright.Part`."""
 
     surface: AnySurface
     radius: Size
     stock: Thickness = 0.0
-    material: Text = ""
+    material: Annotated[Text, AfterValidator(_material)] = ""
     name: Text = ""
     correction: ExistingFile | None = None
 
@@ -88,6 +114,14 @@ class PartTable(Table):
         return Part(
             surface=self.surface.surface, radius=self.radius, stock=self.stock, material=self.material, name=self.name
         )
+
+    @cached_property
+    def substance(self) -> Material | None:
+        """What is known of the material; ``None`` where its name is only a note."""
+        if self.material.endswith(".toml"):
+            return Material.load(self.material)
+        named = _bare(self.material)
+        return next((Material.load(one) for one in Material.known() if named and _bare(one) == named), None)
 
     @cached_property
     def added(self) -> Gridded | None:
@@ -101,7 +135,7 @@ class PartTable(Table):
 
     @model_validator(mode="after")
     def _can_exist(self) -> Self:
-        _ = self.aimed
+        _ = self.aimed, self.substance
         return self
 
 

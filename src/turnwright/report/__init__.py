@@ -121,6 +121,8 @@ class _Page:
     spiral: Sequence[_Row]
     axes: Sequence[Picture]
     passes: Sequence[_Block]
+    chips: Sequence[_Row]
+    chip_maps: Sequence[Picture]
     maps: Sequence[_Map]
     left_out: int
     parameters: Sequence[tuple[str, str, Sequence[str]]]
@@ -203,6 +205,12 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
                 rows=_limit_rows(cut.limits, result.machine),
             )
             for cut in reversed(result.passes)
+        ],
+        chips=_chip_rows(result),
+        chip_maps=[
+            draw.chip_map(name, result.part, result.chips[name])
+            for name in (result.passes[0].name, result.passes[-1].name)[-len(result.chips) :]
+            if name in result.chips
         ],
         maps=maps,
         left_out=left_out,
@@ -293,6 +301,8 @@ def write_backplot(
                 rows=_limit_rows(limits, machine),
             )
         ],
+        chips=[],
+        chip_maps=[],
         maps=maps,
         left_out=left_out,
         parameters=_parameters(predictions),
@@ -318,6 +328,28 @@ def _length(length: float) -> str:
 
 def _duration(seconds: float) -> str:
     return f"{seconds / 60:.1f} min" if seconds >= 60 else f"{seconds:.3g} s"
+
+
+def _chip_rows(result: Result) -> list[_Row]:
+    """Return what the chips of each pass are like, and whether the material bears them."""
+    rows = []
+    for cut in result.passes:
+        chips = cut.chips
+        if chips is None:
+            continue
+        forces = ""
+        if chips.axial is not None and chips.cutting is not None:
+            forces = f"; up to {chips.axial * 1e3:.3g} mN out of the part, {chips.cutting * 1e3:.3g} mN along the cut"
+        low, high = (math.degrees(rake) + 0.0 for rake in chips.rake_range)
+        rows.append(
+            _Row(
+                cut.name,
+                f"{chips.sentence}; {_length(chips.typical)} at most places{forces}; effective rake {low:.3g}° to "
+                f"{high:.3g}°",
+                ok=chips.ok,
+            )
+        )
+    return rows
 
 
 def _number(value: float) -> str:

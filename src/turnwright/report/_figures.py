@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats
     from turnwright.access import AccessFinding
+    from turnwright.cutting.chip import ChipMap
     from turnwright.heightmap import HeightMap
     from turnwright.job import Candidate
     from turnwright.part import Part
@@ -35,6 +36,7 @@ __all__ = [
     "Picture",
     "access_map",
     "axes_over_time",
+    "chip_map",
     "contact",
     "error_map",
     "minutes_and_errors",
@@ -331,6 +333,27 @@ def contact(path: Path) -> Picture:
         canvas.svg,
         f"Range of the contact on the nose, over the distance from the axis: {sweep.min():.3g} to "
         f"{sweep.max():.3g} deg from the tip.",
+    )
+
+
+def chip_map(name: str, part: Part, chips: ChipMap) -> Picture:
+    """Draw the thickest chip over the part."""
+    inside = chips.inside
+    factor, unit = _length(chips.thickest)
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        image = axes.hexbin(
+            chips.x[inside], chips.y[inside], C=chips.thickness[inside] * factor, gridsize=90, reduce_C_function=np.max,
+            extent=(-part.radius, part.radius, -part.radius, part.radius), cmap=HEIGHTS, linewidths=0,
+        )  # fmt: skip
+        image.set_rasterized(True)
+        axes.set_aspect("equal")
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+        axes.set(xlabel="x [mm]", ylabel="y [mm]", title=name)
+        _bar(canvas, axes, image, f"thickest chip [{unit}]")
+    return Picture(
+        canvas.svg, f"Map of the thickest chip of the pass {name}, up to {chips.thickest * factor:.3g} {unit}."
     )
 
 

@@ -1,0 +1,125 @@
+"""What a job's material says of its passes: the chips along them, and whether they stay ductile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.cutting.chip import chip_map
+from turnwright.cutting.gate import ductile_gate, foretell
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from turnwright.access import Access
+    from turnwright.cutting.chip import ChipMap
+    from turnwright.job._schema import Job, PassTable
+    from turnwright.path import Motion
+    from turnwright.progress import Progress
+
+__all__ = ["PassChips", "chips_of", "foretold"]
+
+MOST = 99_991
+"""Points of a pass whose chips are found; a prime, so that they do not stand on few azimuths."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassChips:
+    """The chips of a pass, as a report tells them.
+
+    Parameters
+    ----------
+    thickest, typical
+        The thickest chip within the clear radius, and the median of all. [mm]
+    entering
+        The thickest while the tool enters at the rim. [mm]
+    where
+        Where the chip is thickest (x, y). [mm]
+    rake_range
+        Lowest and highest effective rake. [rad]
+    axial, cutting
+        Largest forces out of the part and against the cut; ``None`` without coefficients. [N]
+    critical
+        Critical thickness where the margin is least; ``None`` for a material without one. [mm]
+    share
+        Part of the area beyond it.
+    fracture
+        How deep cracks may reach below what the pass leaves. [mm]
+    largest_feed
+        Feed that would stay ductile; ``None`` where any would. [mm/rev]
+    ductile, ok
+        Whether the pass is ductile; or else whether later passes take off what it cracks.
+    sentence
+        All that in words.
+    """
+
+    thickest: float
+    typical: float
+    entering: float
+    where: tuple[float, float]
+    rake_range: tuple[float, float]
+    axial: float | None
+    cutting: float | None
+    critical: float | None = None
+    share: float = 0.0
+    fracture: float | None = None
+    largest_feed: float | None = None
+    ductile: bool = True
+    ok: bool = True
+    sentence: str = ""
+
+
+def chips_of(
+    job: Job, motion: Motion, before: Motion | None, allowance: float, tell: Progress
+) -> tuple[PassChips, ChipMap] | str:
+    """Return the chips of a pass, or why they are not found."""
+    material, part = job.part.substance, job.part.part
+    if before is None and not part.stock > 0:
+        return "the chips of the first pass are not found, since the part states no stock: add part.stock"
+    size = motion.time.size
+    points = np.arange(size) if size <= MOST else np.floor(np.arange(MOST) * (size / MOST)).astype(np.int64)
+    try:
+        chips = chip_map(
+            motion, job.tool.tool, part, before=before, material=material, points=points, progress=tell
+        )  # fmt: skip
+    except InputError as error:
+        return f"the chips are not found: {error}"
+    inside = chips.inside
+    told = PassChips(
+        thickest=chips.thickest,
+        typical=float(np.median(chips.thickness[inside])) if inside.any() else 0.0,
+        entering=chips.entering,
+        where=chips.where,
+        rake_range=(float(chips.rake.min()), float(chips.rake.max())),
+        axial=None if chips.axial is None else float(chips.axial[inside].max(initial=0.0)),
+        cutting=None if chips.cutting is None else float(chips.cutting[inside].max(initial=0.0)),
+    )
+    if material is None or material.critical is None:
+        return replace(told, sentence="ductile however thick the chip, as far as the material says"), chips
+    gate = ductile_gate(chips, material, job.tool.tool, allowance=allowance)
+    nearest = int(np.argmin(np.where(inside, gate.margin, np.inf)))
+    told = replace(
+        told, critical=float(gate.critical[nearest]), share=gate.share, fracture=gate.fracture,
+        largest_feed=gate.largest_feed if np.isfinite(gate.largest_feed) else None,
+        ductile=gate.ductile, ok=gate.ok, sentence=gate.sentence,
+    )  # fmt: skip
+    return told, chips
+
+
+def foretold(job: Job, access: Access, cut: PassTable, feed: float, stock: float) -> str:
+    """Return what the chips of a pass will be like before any path is placed; empty if nothing can be said."""
+    material, part = job.part.substance, job.part.part
+    if material is None or material.critical is None or not stock > 0:
+        return ""
+    radius, angle = np.meshgrid(part.radius * np.linspace(0.02, 1, 40), np.linspace(0, 2 * np.pi, 72, endpoint=False))
+    x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    cosine, sine = np.cos(angle).ravel(), np.sin(angle).ravel()
+    _, zx, zy, zxx, zxy, zyy = part.surface.evaluate(x, y, 2)
+    bend = zxx * cosine**2 + 2 * zxy * sine * cosine + zyy * sine**2
+    bend = bend / (1 + (zx * cosine + zy * sine) ** 2) ** 1.5
+    depth = (stock - cut.allowance) / cut.repeats(stock)
+    return foretell(
+        job.tool.tool, material, feed=feed, depth=depth, bend=float(bend.min()), rakes=access.rake_range,
+        allowance=cut.allowance,
+    )  # fmt: skip
