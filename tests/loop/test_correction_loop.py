@@ -151,11 +151,12 @@ def test_all_causes_at_once_are_gone(tmp_path):
 
 
 def test_all_causes_and_a_form_that_none_explains(tmp_path):
-    """The form has some 80 numbers, so of 22 nm in 340,000 points 0.35 nm are left, of two maps 0.25 nm."""
-    left, _, better = Loop(tool=EVERY_TOOL, machine=EVERY_MACHINE, form=bump, pixels=800).go(tmp_path, 2)
+    """The form has some 80 numbers, so of 22 nm in 190,000 points 0.45 nm are left, of two maps 0.32 nm."""
+    left, _, better = Loop(tool=EVERY_TOOL, machine=EVERY_MACHINE, form=bump, pixels=600).go(tmp_path, 2)
     assert left[0] > 40
     assert left[1] < 1.0
-    assert left[2] < 0.5
+    assert left[2] < 0.6
+    assert left[2] < left[1]
     assert better.cutoff > 1.5
     offset = better.job.tool.tool.offset
     assert offset[:2] == pytest.approx((0.004, -0.003), abs=1.5e-4)

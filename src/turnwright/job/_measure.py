@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats, Ints
     from turnwright.job._run import StageProgress
     from turnwright.job._schema import Job
+    from turnwright.part import Part
+    from turnwright.pose import Pose
 
 __all__ = ["Measured", "cutoff_of", "explain", "measure", "same_part"]
 
@@ -145,8 +147,9 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     spikes = 0
     if asked.spikes != "none":
         # The error shows no edges of the part, so only what does not belong there stands out.
-        error = register(heights, part, free=free, start=first.pose, reach=0.0, clocking=0.0).error
-        found = despike(error, rule="kong" if asked.spikes == "second difference" else "robust")
+        found = despike(
+            _error_at(heights, part, first.pose), rule="kong" if asked.spikes == "second difference" else "robust"
+        )
         spikes = found.count
         heights = replace(heights, z=np.where(found.spikes, np.nan, heights.z))
     if asked.trim:
@@ -352,6 +355,19 @@ def _thinned(heights: HeightMap, most: int) -> HeightMap:
     names = ("radius", "angle") if heights.polar else ("x", "y")
     axes = {name: getattr(heights, name)[::step] for name in names}
     return replace(heights, z=heights.z[::step, ::step], **axes)
+
+
+def _error_at(heights: HeightMap, part: Part, pose: Pose) -> HeightMap:
+    """Return measured minus design at a pose on the map's own points, nan beyond the clear radius. [mm]."""
+    valid = ~np.isnan(heights.z)
+    x, y = heights.points()
+    x, y, z = pose.apply(x[valid], y[valid], heights.z[valid])
+    on = np.hypot(x, y) <= part.radius
+    error = np.full(z.size, np.nan)
+    error[on] = z[on] - part.surface.sag(x[on], y[on])
+    whole = np.full(heights.z.shape, np.nan)
+    whole[valid] = error
+    return replace(heights, z=whole)
 
 
 def _on_part(heights: HeightMap, registration: Registration) -> tuple[HeightMap, HeightMap]:

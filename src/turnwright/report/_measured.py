@@ -33,6 +33,11 @@ FORETOLD = (
     "reaches, the noise of the instrument among it. It holds if all that was found repeats."
 )
 
+ON_PURPOSE = (
+    "The simulation knows nothing of what has no cause. So alone it shows what the part is aimed at beside its design: "
+    "the form that comes on top, with its sign turned."
+)
+
 BOTH = (
     "With only the fewest causes at work that explain the maps, each number lies in the second column; with all causes "
     "that were looked for, in the third, in 95 of 100 cases."
@@ -189,7 +194,7 @@ def write_correction(
         sections=[
             _Section(
                 title="Before and after",
-                text=[FORETOLD],
+                text=[FORETOLD, *([ON_PURPOSE] if better.job.part.correction is not None else [])],
                 pictures=[
                     (names[name], draw.places_map(one, radius)) for name, one in before.items() if one is not None
                 ],

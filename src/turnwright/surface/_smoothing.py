@@ -16,6 +16,7 @@ Sources
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -36,6 +37,9 @@ COARSE = 4
 
 LONGEST = 9
 """Longer cutoffs that are tried too, each longer by the square root of 2."""
+
+COSTLY = 2.5
+"""Cutoffs of up to this many times the one asked for are only tried where something hangs together over so little."""
 
 WORTH = 2.0
 """Standard errors by which a shorter cutoff must foretell the half of the points that it has not seen better."""
@@ -88,19 +92,21 @@ def smooth_table(
     best: float | None = None
     scale = 1.4826 * float(np.median(np.abs(whole - np.median(whole))))
     inner = min(reach, float(max(np.abs(x).max(), np.abs(y).max())) + cutoff)
-    last = np.concatenate([other.weight * _loss(other.z, scale) for other in halves[::-1]])
+    left = [half.z for half in halves]
+    last = _losses(halves, left, scale)
     for length in cutoff * math.sqrt(2) ** np.arange(LONGEST, -1, -1):
         if length > 2 * reach:
             continue
-        off = np.concatenate(
-            [
-                other.weight * _loss(other.z - _at(_smoothed(one, length, inner, COARSE), other), scale)
-                for one, other in (halves, halves[::-1])
-            ]
-        )
-        better = last - off
+        if length < COSTLY * cutoff and not any(
+            _hangs_together(half, off, cell) for half, off in zip(halves, left, strict=True)
+        ):
+            break
+        tables = [_smoothed(half, length, inner, COARSE) for half in halves]
+        off = [half.z - _at(table, half) for half, table in zip(halves, tables[::-1], strict=True)]
+        losses = _losses(halves, off, scale)
+        better = last - losses
         if better.sum() > WORTH * better.std() * math.sqrt(better.size):
-            best, last = float(length), off
+            best, last, left = float(length), losses, off
     if best is None:
         flat = np.linspace(-reach, reach, 6)
         return Smooth(Gridded(x=flat, y=flat, z=np.zeros((6, 6))), None)
@@ -147,6 +153,21 @@ def beside_form(x: Floats, y: Floats, z: Floats, marks: Floats, *, cutoff: float
         ]
     )
     return off[:-1] @ off[:-1].T, off[:-1] @ off[-1]
+
+
+def _losses(halves: Sequence[_Points], off: Sequence[Floats], scale: float) -> Floats:
+    """Return what each cell of both halves is off."""
+    return np.concatenate([half.weight * _loss(one, scale) for half, one in zip(halves, off, strict=True)])
+
+
+def _hangs_together(half: _Points, off: Floats, cell: float) -> bool:
+    """Say whether cells and their neighbours in the same half are off in the same sense more often than by chance."""
+    column, row = (np.floor((at - at.min()) / cell).astype(np.int64) for at in (half.x, half.y))
+    grid = np.zeros((int(row.max()) + 1, int(column.max()) + 1))
+    scaled = off * np.sqrt(half.weight)
+    grid[row, column] = np.clip(scaled, *(np.array([-4, 4]) * 1.4826 * np.median(np.abs(scaled))))
+    pairs = np.concatenate([(grid[1:, 1:] * grid[:-1, :-1]).ravel(), (grid[1:, :-1] * grid[:-1, 1:]).ravel()])
+    return bool(pairs.sum() > WORTH * np.sqrt(pairs @ pairs))
 
 
 def _loss(off: Floats, scale: float) -> Floats:
