@@ -81,7 +81,7 @@ class DuctileGate:
     def sentence(self) -> str:
         """What a report says of it."""
         at = int(np.argmin(np.where(self.chips.inside, self.margin, np.inf)))
-        x, y = self.chips.x[at], self.chips.y[at]
+        x, y = (round(float(one[at]), 6) + 0.0 for one in (self.chips.x, self.chips.y))
         thick = f"the chip is up to {_length(self.chips.thickness[at])} thick at ({x:.3g}, {y:.3g}) mm"
         limit = _length(self.critical[at])
         if self.ductile:
