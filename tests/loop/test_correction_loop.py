@@ -20,7 +20,7 @@ FEED = 0.02
 APERTURE = 7.2
 NOISE = 20e-6
 POSE = tw.Pose(shift=(0.6, -0.4, 1.0), rotation=0.03, tilt=(0.01, -0.02))
-CELLS = 1500
+CELLS = 1000
 
 OFFSET_X, OFFSET_Y = {"offset": (0.004, 0.0, 0.0)}, {"offset": (0.0, -0.003, 0.0)}
 WAVINESS = {"waviness": (0.0, 0.0, 0.02)}
@@ -38,9 +38,11 @@ def bump(x, y):
 class Loop:
     """The infrared lens on a machine that is not as planned."""
 
-    def __init__(self, *, tool=(), machine=(), form=None, late=0.0, pixels=400, fiducial=False, seed=1, **measurement):
+    def __init__(
+        self, *, tool=(), machine=(), form=None, late=0.0, pixels=400, per_rev=2880, fiducial=False, **measurement
+    ):
         table = tomllib.loads((EXAMPLES / "infrared_lens.toml").read_text())
-        table["strategy"] |= {"feed": f"{FEED * 1e3:g} um/rev", "points_per_rev": 2880, "spindle_speed": "16 rpm"}
+        table["strategy"] |= {"feed": f"{FEED * 1e3:g} um/rev", "points_per_rev": per_rev, "spindle_speed": "16 rpm"}
         for key in ("passes", "simulation", "tolerances"):
             table.pop(key)
         table["part"].pop("stock")
@@ -50,7 +52,8 @@ class Loop:
         self.tool = replace(self.job.tool.tool, **dict(tool))
         self.machine = replace(self.job.machine.machine, **dict(machine))
         self.form, self.late, self.pixels, self.fiducial = form, late, pixels, fiducial
-        self.rng = np.random.default_rng(seed)
+        self.last = None
+        self.rng = np.random.default_rng(1)
         count = np.arange(CELLS) + 0.5
         radius, angle = 7.15 * np.sqrt(count / CELLS), np.pi * (1 + np.sqrt(5)) * count
         self.x, self.y = radius * np.cos(angle), radius * np.sin(angle)
@@ -67,7 +70,9 @@ class Loop:
 
     def cut(self, job, x, y):
         """Return the heights that a job leaves. [mm]."""
-        motion = self.motion(job.part.aimed, job.tool.tool, job.machine.machine)
+        if self.last is None or self.last[0] is not job:
+            self.last = job, self.motion(job.part.aimed, job.tool.tool, job.machine.machine)
+        motion = self.last[1]
         # Z that is late by an angle cuts the part turned by it.
         c, s = np.cos(self.late), np.sin(self.late)
         z = tw.generate_points(motion, self.tool, x=c * x + s * y, y=c * y - s * x, machine=self.machine)
@@ -136,7 +141,7 @@ class Loop:
     ids=["offset x", "offset y", "radius error", "waviness", "squareness", "straightness", "servo lag", "form"],
 )
 def test_a_cause_alone_is_gone_after_one_correction(injected, before, after, tmp_path):
-    left, _, _ = Loop(pixels=250, **injected).go(tmp_path, 1)
+    left, _, _ = Loop(pixels=250, per_rev=1440, **injected).go(tmp_path, 1)
     assert left[0] > before
     assert left[1] < after
 
@@ -151,11 +156,11 @@ def test_all_causes_at_once_are_gone(tmp_path):
 
 
 def test_all_causes_and_a_form_that_none_explains(tmp_path):
-    """The form has some 80 numbers, so of 22 nm in 190,000 points 0.45 nm are left, of two maps 0.32 nm."""
-    left, _, better = Loop(tool=EVERY_TOOL, machine=EVERY_MACHINE, form=bump, pixels=600).go(tmp_path, 2)
+    """The form has some 80 numbers, so of 22 nm in 106,000 points 0.6 nm are left, of two maps 0.43 nm."""
+    left, _, better = Loop(tool=EVERY_TOOL, machine=EVERY_MACHINE, form=bump, pixels=450).go(tmp_path, 2)
     assert left[0] > 40
     assert left[1] < 1.0
-    assert left[2] < 0.6
+    assert left[2] < 0.7
     assert left[2] < left[1]
     assert better.cutoff > 1.5
     offset = better.job.tool.tool.offset
