@@ -18,7 +18,7 @@ MOST = 2048
 # Turns in a row, each higher than the one after it, beyond which no other is looked at.
 LOOK_BACK = 12
 # Cells that a window is cut into.
-CELLS = 16
+CELLS = 8
 # Gauss-Legendre, three nodes.
 NODES = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
 WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
@@ -281,8 +281,8 @@ def chips(
     p, zs, mirror = np.empty(MOST), np.empty(MOST), np.empty(MOST)
     sp, sz, sm = np.empty(MOST - 2 * OWN), np.empty(MOST - 2 * OWN), np.empty(MOST - 2 * OWN)
     which, begin = np.empty(MOST, dtype=np.int64), np.empty(MOST)
-    grid = np.empty(MOST + CELLS + 8)
-    whose = np.empty(MOST + CELLS + 8, dtype=np.int64)
+    grid = np.empty(MOST + 2 * CELLS + 8)
+    whose = np.empty(MOST + 2 * CELLS + 8, dtype=np.int64)
     for row in range(points.size):
         i = points[row]
         tip, bottom = x[i], z[i]
@@ -316,6 +316,7 @@ def chips(
         count, low, high = _earlier(
             c, x, z, sense, starts, sense * c[i], tip, bottom, low, high, far, profile, table, upright, p, zs, mirror
         )
+        advance = abs(p[0] - tip) if count > 0 else FAR
         if not high > low:
             continue
         for k in range(stocked):
@@ -323,10 +324,13 @@ def chips(
             count += 1
         _sort(p, zs, mirror, count)
         layers = _envelope(profile, table, upright, p, zs, mirror, count, low, high, which, begin)
+        # Forces bend where a plateau begins, if the chip comes near it: finer cells.
+        limit = critical[row] if critical.size > 0 else FAR
+        cells = 2 * CELLS if plateau and 1.5 * advance * reach > limit * profile[0] else CELLS
         # Elementary intervals: equal cells, and where another pass begins to be lowest.
         size, layer = 0, 0
-        for k in range(CELLS + 1):
-            place = low + (high - low) * k / CELLS if k < CELLS else high
+        for k in range(cells + 1):
+            place = low + (high - low) * k / cells if k < cells else high
             while layer + 1 < layers and begin[layer + 1] <= place:
                 layer += 1
                 if size == 0 or begin[layer] > grid[size - 1]:
@@ -337,8 +341,8 @@ def chips(
             if size == 0 or place > grid[size - 1]:
                 grid[size], whose[size] = place, which[layer] if layers > 0 else -1
                 size += 1
-        limit = critical[row] if critical.size > 0 else FAR
-        nearest_low, nearest_high, lowest = np.nan, np.nan, FAR
+        nearest_low, lowest, done = np.nan, FAR, np.nan
+        last_sine, last_cosine = 0.0, 1.0
         for k in range(size - 1):
             a, b = grid[k], grid[k + 1]
             piece = whose[k]
@@ -404,7 +408,8 @@ def chips(
                         first = 0.5 * (one + other)
                     else:
                         last = 0.5 * (one + other)
-                for node in range(5):
+                # An end that the interval before has looked at already is left out.
+                for node in range(1 if first == done else 0, 5):
                     # The two ends, for the thickest place and the engaged arc; three nodes for the integrals.
                     weight = 0.0
                     if node == 0:
@@ -425,8 +430,7 @@ def chips(
                     out[row, THICKEST] = max(out[row, THICKEST], thick)
                     if node == 0 and np.isnan(nearest_low):
                         nearest_low = np.arctan2(sine, cosine)
-                    if node == 4:
-                        nearest_high = np.arctan2(sine, cosine)
+                    last_sine, last_cosine = sine, cosine
                     if thick > limit:
                         # How high the edge stands there above the tangent at the contact.
                         cu = centre - tip
@@ -451,9 +455,11 @@ def chips(
                             factor[row, 0] * _coefficient(cutting, curve_first, curve_step, thin) * taken
                         )  # fmt: skip
                 # A chip at the window's end goes on beyond it.
+                done = last
                 if first <= from_left or last >= from_right:
                     out[row, CUT_SHORT] = 1.0
         if lowest < FAR:
             out[row, FRACTURE] = max(ratio * out[row, THICKEST] - lowest, 0.0)
-        out[row, LOW] = nearest_low
-        out[row, HIGH] = nearest_high
+        if not np.isnan(nearest_low):
+            out[row, LOW] = nearest_low
+            out[row, HIGH] = np.arctan2(last_sine, last_cosine)
