@@ -289,3 +289,15 @@ def test_what_is_not_called_for_is_taken_off_neither():
     plane = np.stack([np.ones(seen.sum()), x[seen], y[seen]], axis=1)
     flat = z[seen] - plane @ np.linalg.lstsq(plane, z[seen])[0]
     np.testing.assert_allclose(found.residual.z[seen], flat, atol=1e-9)
+
+
+def test_a_part_that_uses_little_of_the_nose_is_diagnosed_too():
+    """On 0.3 deg of sweep all powers look alike, and none may grow until no edge has a contact. Oracle: the offset."""
+    grid = tw.Part(surface=tw.SineGrid(amplitude=(0.002, 0.002), period=(2.5, 2.5)), radius=5.0)
+    found = tw.diagnose(
+        cut(grid, replace(TOOL, offset=(0.002, 0.0, 0.0)), per_turn=720), grid, TOOL, MACHINE, feed=FEED
+    )
+    assert [one.name for one in found if one.called_for] == ["offset x"]
+    low, high = found["offset x"].simplest_interval
+    assert low < 0.002 < high
+    assert found["offset x"].simplest == pytest.approx(0.002, abs=2e-4)

@@ -53,6 +53,9 @@ DEFAULT = (
 )
 """Those that are looked for if nobody says otherwise."""
 
+STEEP = 0.02
+"""Slope of the waviness against the nose that is plausible at most. [rad]"""
+
 HARMONIC = MappingProxyType({"astigmatism": 2, "trefoil": 3})
 
 
@@ -113,12 +116,15 @@ class Columns:
         Positions along X of the straightness, which is 0 at both ends: what is straight is squareness. (m,) [mm]
     reach
         Largest sweep used [rad], and radius of the part [mm].
+    nose
+        Radius of the tool's nose. [mm]
     """
 
     causes: Sequence[str | Cause]
     basis: Powers | Splines
     knots: Floats
     reach: tuple[float, float]
+    nose: float
 
     @property
     def all(self) -> list[Column]:
@@ -132,7 +138,9 @@ class Columns:
             if cause == "waviness" and isinstance(self.basis, Powers):
                 for k in self.basis.powers:
                     unit = "mm/rad" if k == 1 else f"mm/rad^{k}"
-                    columns.append(Column(f"waviness c{k}", cause, unit, known.typical / self.reach[0] ** k, k))
+                    # Over a short sweep a wave as high as elsewhere would be steeper than an edge can be.
+                    size = min(known.typical, STEEP * self.nose * self.reach[0] / k)
+                    columns.append(Column(f"waviness c{k}", cause, unit, size / self.reach[0] ** k, k))
             elif cause == "waviness":
                 columns += [
                     Column(f"waviness b{k + 1}", cause, "mm", known.typical, 0) for k in range(self.basis.count)

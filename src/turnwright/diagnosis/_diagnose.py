@@ -140,7 +140,11 @@ def diagnose(
         raise InputError(f"straightness is sought at {straightness} positions, it needs at least 3: give more")
     farthest = max(float(np.nanmax(np.hypot(sight.x, sight.y))) for sight in sights)
     columns = Columns(
-        causes=tuple(causes), basis=basis, knots=np.linspace(0, farthest, straightness), reach=(reach, radius)
+        causes=tuple(causes),
+        basis=basis,
+        knots=np.linspace(0, farthest, straightness),
+        reach=(reach, radius),
+        nose=tool.actual_radius,
     )
     for sight in sights:
         _mark(sight, columns)
@@ -269,14 +273,16 @@ def _sight(
         pose[2] = float(np.mean(design - z - _sphere_height(sphere, x, y)))
         opened = (*dict.fromkeys((*free, "piston", "sphere")),)
     sight = Sight(
-        x=x, y=y, z=z, swept=swept, sweeps=swept.start(x, y), added={}, good=np.ones(x.size, dtype=np.bool_),
+        x=x, y=y, z=z, swept=swept, sweeps=swept.start(x, y), added={},
+        usable=np.ones(x.size, dtype=np.bool_), good=np.ones(x.size, dtype=np.bool_),
         apart=np.zeros(x.size, dtype=np.bool_), free=opened, reference=reference, sphere=sphere, where=where,
         stands=np.zeros(x.size) if reference.endswith("normal") else None,
         cusp=feed * feed / 24, pose=pose, begun=pose.copy(),
     )  # fmt: skip
     at = swept.heights(x, y, sight.sweeps, Deviations())
     with np.errstate(invalid="ignore"):
-        sight.good &= np.isfinite(at.z) & (at.tip_radius > min(CENTRE, 0.02 * part.radius))
+        sight.usable &= np.isfinite(at.z) & (at.tip_radius > min(CENTRE, 0.02 * part.radius))
+    sight.good = sight.usable.copy()
     return sight
 
 
@@ -536,6 +542,7 @@ def _whole(thin: Sight, thinned: HeightMap, heights: HeightMap, part: Part, colu
         where=where,
         sweeps=thin.swept.guess(x, y),
         added={},
+        usable=np.isfinite(z),
         good=np.isfinite(z),
         apart=np.zeros(z.size, dtype=np.bool_),
     )

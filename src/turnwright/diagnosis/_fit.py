@@ -17,6 +17,9 @@ from turnwright.pose import Pose
 
 __all__ = ["FREE", "Fit", "Place", "Reduced", "Sight", "choose"]
 
+PLAUSIBLE = 3.0
+"""How many times its typical size a number may be while the fit is on its way."""
+
 FREE = ("piston", "tilt", "decentre", "clocking")
 """What registration leaves open, a little."""
 
@@ -77,7 +80,8 @@ class Sight:
     swept: Swept
     sweeps: Sweeps
     added: dict[str, Floats]
-    good: Bools
+    usable: Bools  # points that the planned tool cuts
+    good: Bools  # those of them that the fit takes
     apart: Bools  # points that stand out of the rest by so much that the fit leaves them
     free: tuple[str, ...]
     reference: str
@@ -99,6 +103,11 @@ class Sight:
     def cut(self, deviations: Deviations) -> tuple[Floats, Cutting]:
         """Return what is measured beyond the height that the deviations leave, and how the points were cut."""
         x, y, z = self.moved()
+        # Where the last deviations left no contact, these may have one again.
+        lost = self.usable & np.isnan(self.sweeps.cut)
+        if lost.any():
+            for own, again in zip(self.sweeps, self.swept.guess(x[lost], y[lost]), strict=True):
+                own[lost] = again
         cutting = self.swept.heights(x, y, self.sweeps, deviations)
         residual = z - cutting.z - self.cusp * cutting.between
         if self.stands is not None:
@@ -201,11 +210,20 @@ class Least(NamedTuple):
     left: float  # squares of what is left, and of the values
 
 
-def least(marks: Floats, target: Floats) -> Least:
-    """Return the numbers that explain a target, in units of the noise, by marks of plausible size."""
+def least(marks: Floats, target: Floats, *, most: float = np.inf) -> Least:
+    """Return the numbers that explain a target, in units of the noise, by marks of plausible size.
+
+    Where marks are nearly alike, numbers far beyond what is plausible may cancel each other; they are held to ``most``
+    times that by pulling all of them the more toward 0.
+    """
     u, s, vt = np.linalg.svd(marks, full_matrices=False)
     s[s < COLLINEAR * s.max(initial=0.0)] = 0.0
-    values = (vt.T * (s / (s * s + 1))) @ (u.T @ target)
+    pull = 1.0
+    while True:
+        values = (vt.T * (s / (s * s + pull))) @ (u.T @ target)
+        if np.abs(values).max(initial=0.0) <= most:
+            break
+        pull *= 4
     off = target - marks @ values
     return Least(values, (vt.T / (s * s + 1)) @ vt, float(off @ off + values @ values))
 
@@ -236,9 +254,9 @@ class Reduced(NamedTuple):
         """The residual that there would be with all numbers at 0."""
         return np.concatenate([block[:, -1] for block in self.blocks])
 
-    def least(self, places: Sequence[Place]) -> Least:
+    def least(self, places: Sequence[Place], *, most: float = np.inf) -> Least:
         """Return some numbers by least squares."""
-        return least(self.marks(places), self.target)
+        return least(self.marks(places), self.target, most=most)
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -264,7 +282,7 @@ class Fit:
         marks = self.columns.slopes(cutting, sight.added, self.sense)
         for cause, mark in sight.added.items():
             residual = residual - values[[column.cause == cause for column in self.names]] @ mark
-        sight.good &= np.isfinite(residual) & (cutting.tip_radius >= 0)
+        sight.good = sight.usable & ~sight.apart & np.isfinite(residual) & (cutting.tip_radius >= 0)
         nuisances, numbers = sight.nuisances(cutting)
         loose = LOOSE[numbers]
         points = int(np.count_nonzero(sight.good))
@@ -333,7 +351,7 @@ class Fit:
         last = np.inf
         for _ in range(steps):
             reduced = self.reduce(measure=False)
-            found = reduced.least(places).values
+            found = reduced.least(places, most=PLAUSIBLE).values
             values = np.zeros_like(self.values)
             for (k, m), value in zip(places, found, strict=True):
                 values[slice(None) if m is None else m, k] = value * reduced.typical[k]
