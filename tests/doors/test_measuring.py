@@ -95,6 +95,10 @@ def test_diagnose_finds_what_was_injected(shop, tmp_path, capsys):
     found = {one["name"]: one for one in strict(out / "diagnosis.json")["findings"]}
     assert found["offset x"]["simplest"] == pytest.approx(OFFSET, abs=1e-4)
     assert tw.read_map(out / "left-1.npz").z.size > 1000
+    page = (out / "report.html").read_text(encoding="utf-8")
+    (move,) = re.findall(r">X</th><td[^>]*>([^<]*)</td>", page)
+    assert float(move.replace("\u2212", "-")) == pytest.approx(-OFFSET * 1e3, abs=0.1)  # [um], back to where it belongs
+    assert "The rule of the handbook" in page  # the dish is a sphere
 
 
 def test_correct_writes_a_job_that_runs(shop, corrected, tmp_path):

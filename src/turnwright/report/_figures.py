@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.access import AccessFinding
     from turnwright.cutting.chip import ChipMap
+    from turnwright.diagnosis import Move
     from turnwright.heightmap import HeightMap
     from turnwright.job import Candidate
     from turnwright.part import Part
@@ -47,6 +48,7 @@ __all__ = [
     "sag_map",
     "shares_of",
     "spiral",
+    "tool_moves",
     "view",
     "z_over_turns",
 ]
@@ -500,6 +502,43 @@ def over_radius(heights: HeightMap, radius: float) -> Picture:
         axes.grid(visible=True)
         axes.margins(x=0)
     return Picture(canvas.svg, "Mean over each turn, and the band that holds 90 of 100 heights.")
+
+
+def tool_moves(moves: Sequence[Move]) -> Picture:
+    """Draw where to move the tool: seen from above along X and Z, and along the axis of the spindle for its height."""
+    by: dict[str, float] = {move.axis: move.by for move in moves}
+    largest = max(abs(one) for one in by.values())
+
+    def arrow(axes: Axes, way: tuple[float, float], name: str) -> None:
+        start = (0.0, 0.0)
+        axes.annotate("", xy=way, xytext=start, arrowprops={"arrowstyle": "-|>", "color": SERIES[1], "linewidth": 2.0})
+        aside = 0.18 * math.copysign(1.0, way[1] or 1.0)
+        axes.text(way[0], way[1] + aside, f"{name} {by[name] * 1e3:+.3g} µm", ha="center", va="center")
+
+    with _canvas(4.6, 2.6) as canvas:
+        above, along = canvas.figure.subplots(1, 2)
+        nose = np.linspace(-np.pi / 2, np.pi / 2, 61)
+        above.plot(0.5 * np.sin(nose), 0.5 - 0.5 * np.cos(nose), color=INK, linewidth=1.0)
+        above.axhline(0.0, color=LINE, linewidth=0.8)
+        for name, way in (("X", (1.0, 0.0)), ("Z", (0.0, 1.0))):
+            if name in by:
+                size = 0.5 + 0.5 * abs(by[name]) / largest
+                arrow(above, (way[0] * math.copysign(size, by[name]), way[1] * math.copysign(size, by[name])), name)
+        above.set(title="from above")
+        along.plot(np.cos(4 * nose), np.sin(4 * nose), color=LINE, linewidth=0.8)
+        along.plot([0, 0.35], [0, 0], color=INK, linewidth=2.0)
+        if "tool height" in by:
+            arrow(along, (0.0, math.copysign(0.8, by["tool height"])), "tool height")
+        along.set(title="along the spindle")
+        for axes in (above, along):
+            axes.set(xlim=(-1.9, 1.9), ylim=(-1.5, 1.5), aspect="equal", xticks=[], yticks=[])
+            for side in axes.spines.values():
+                side.set_visible(False)
+    return Picture(
+        canvas.svg,
+        "Which way to move the tool. Left X points to the right and Z away from the part; right the tool stands at +X, "
+        "and up the spindle angle under it grows.",
+    )
 
 
 def rings(heights: HeightMap) -> Picture:

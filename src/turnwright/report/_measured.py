@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from turnwright.errors import InputError
 from turnwright.report._page import page_file, set_page, version_of_page
 
 if TYPE_CHECKING:
@@ -37,6 +38,17 @@ ON_PURPOSE = (
     "The simulation knows nothing of what has no cause. So alone it shows what the part is aimed at beside its design: "
     "the form that comes on top, with its sign turned."
 )
+
+EITHER = (
+    "Move the tool by this, or cut with the corrected job; not both. X is positive away from the axis on the side "
+    "where the tool cuts, Z away from the part, the height toward growing spindle angles under the tool."
+)
+
+CORE = 0.05
+"""Share of the radius around the axis in which a core is looked for."""
+
+SHARP = 8
+"""Half pixels on its radius from which a core is more than a blurred tip of the surface."""
 
 BOTH = (
     "With only the fewest causes at work that explain the maps, each number lies in the second column; with all causes "
@@ -146,7 +158,7 @@ def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | 
             _number("Left", found.unexplained_rms_nm, f"rms, noise {max(found.noise_nm):.3g} nm from point to point"),
         ],
         notes=[note for one in measured for note in _open_questions(one)],
-        sections=[_causes(found), _marks(measured, found)],
+        sections=[_causes(found), *_setup(measured, found), _marks(measured, found)],
         job=measured[0].job.to_toml(),
         version=version_of_page(),
     )  # fmt: skip
@@ -313,6 +325,62 @@ def _causes(found: Diagnosis) -> _Section:
         ],
         numeric=frozenset({3}),
     )
+
+
+def _setup(measured: Sequence[Measured], found: Diagnosis) -> list[_Section]:
+    """Return what to do at the machine, with the rule of the handbook and the defect at the centre beside it."""
+    from turnwright.diagnosis import moves  # noqa: PLC0415
+    from turnwright.report import _figures as draw  # noqa: PLC0415
+
+    asked = moves(found)
+    text = [
+        *([EITHER] if asked else []),
+        *(one for sample in measured for one in (*_handbook(sample, found), *_centre(sample))),
+    ]
+    if not text:
+        return []
+    return [
+        _Section(
+            title="At the machine",
+            text=text,
+            pictures=[("", draw.tool_moves(asked))] if asked else [],
+            columns=("axis", "move [µm]", "within [µm]", "in words"),
+            rows=[(one.axis, f"{one.by * 1e3:+.4g}", f"{one.uncertainty * 1e3:.2g}", one.sentence) for one in asked],
+            numeric=frozenset({1, 2}),
+        )
+    ]
+
+
+def _handbook(sample: Measured, found: Diagnosis) -> list[str]:
+    """Return what the rule of thumb reads from a sphere, beside what was found."""
+    from turnwright.diagnosis import handbook_offset  # noqa: PLC0415
+    from turnwright.metrology import best_fit  # noqa: PLC0415
+    from turnwright.surface import Sphere  # noqa: PLC0415
+
+    surface, exact = sample.job.part.part.surface, [one.simplest for one in found if one.name == "offset x"]
+    if not isinstance(surface, Sphere) or not exact:
+        return []
+    pv_nm = best_fit(sample.placed, "sphere").pv_nm
+    ruled = handbook_offset(pv_nm / NM, surface.radius, 2 * sample.job.part.part.radius)
+    name = sample.job.part.part.name or "the part"
+    said = (
+        f"The rule of the handbook, 8 R/A PV, reads an offset of {ruled * 1e3:.3g} µm from the {pv_nm:.4g} nm that the "
+        f"best sphere leaves of {name}; the exact contact says {exact[0] * 1e3:+.4g} µm, so the rule is off by "
+        f"{(ruled - abs(exact[0])) * 1e3:+.2g} µm, and it knows no sign."
+    )
+    return [said]
+
+
+def _centre(sample: Measured) -> list[str]:
+    """Return what the core at the centre says of the tool's height, where the map shows one."""
+    from turnwright.diagnosis import centre_defect  # noqa: PLC0415
+
+    part = sample.job.part.part
+    try:
+        core = centre_defect(sample.placed, part, within=CORE * part.radius, sense=sample.job.strategy.sense)
+    except InputError:  # too few points there
+        return []
+    return [] if core is None or core.uncertainty > core.radius / SHARP else [core.sentence]
 
 
 def _between(finding: Finding, interval: tuple[float, float]) -> str:
