@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -26,6 +27,11 @@ MOST_LOBES = 24
 
 STEEPEST = np.deg2rad(80)
 """Rake beyond which nothing is measured. [rad]"""
+
+
+def _bare(name: str) -> str:
+    """Return a name without case, spaces and marks: IRG 26 and irg-26 are one."""
+    return re.sub("[^a-z0-9]", "", name.casefold())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -280,13 +286,18 @@ class Material:
         return tuple(sorted(Path(one.name).stem for one in folder.iterdir() if one.name.endswith(".toml")))
 
     @classmethod
+    def named(cls, name: str) -> str | None:
+        """Return which of `known` a name means, whatever its case, spaces and marks: IRG 26 is irg26."""
+        return next((one for one in cls.known() if _bare(one) == _bare(name)), None)
+
+    @classmethod
     def load(cls, name: str | Path) -> Material:
         """Return a material that comes with Turnwright, or one described in a file of the same form.
 
         Parameters
         ----------
         name
-            One of `known`, or the path of a ``.toml`` file.
+            One of `known`, whatever its case, spaces and marks, or the path of a ``.toml`` file.
 
         Raises
         ------
@@ -294,8 +305,9 @@ class Material:
             If there is no such material, or its file is wrong; the message names the key.
         """
         known = cls.known()
-        if name in known:
-            data = (resources.files("turnwright") / "materials" / f"{name}.toml").read_bytes()
+        named = cls.named(str(name))
+        if named is not None:
+            data = (resources.files("turnwright") / "materials" / f"{named}.toml").read_bytes()
         else:
             try:
                 data = Path(name).read_bytes()

@@ -93,11 +93,6 @@ def _material(text: str, info: ValidationInfo) -> str:
     return str(found.resolve())
 
 
-def _bare(name: str) -> str:
-    """Return a name without case, spaces and marks: IRG 26 and irg-26 are one."""
-    return re.sub("[^a-z0-9]", "", name.casefold())
-
-
 class PartTable(Table):
     """What is asked for: see `turnwright.Part`."""
 
@@ -120,8 +115,8 @@ class PartTable(Table):
         """What is known of the material; ``None`` where its name is only a note."""
         if self.material.endswith(".toml"):
             return Material.load(self.material)
-        named = _bare(self.material)
-        return next((Material.load(one) for one in Material.known() if named and _bare(one) == named), None)
+        named = Material.named(self.material)
+        return None if named is None else Material.load(named)
 
     @cached_property
     def added(self) -> Gridded | None:
