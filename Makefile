@@ -33,7 +33,7 @@ demo: $(VENV)/.installed ## install, run the main example (the freeform infrared
 	@echo "The report: $(CURDIR)/$(LENS)/report.html"
 
 test: $(VENV)/.testing ## install what tests need and run them, doctests included
-	$(BIN)/python -m pytest tests src README.md -q
+	$(BIN)/python -m pytest tests src README.md -q -n auto
 
 fmt: setup ## format, and mend what can be mended
 	$(BIN)/ruff format src tests benchmarks docs
