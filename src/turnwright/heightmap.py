@@ -139,6 +139,24 @@ class HeightMap:
             calibrated=True,
         )
 
+    def thinned(self, most: int) -> HeightMap:
+        """Return every so-manieth row and column, or scattered valid point, so that about ``most`` valid are left.
+
+        A map that has no more than that is returned as it is.
+        """
+        valid = np.isfinite(self.z)
+        count = int(np.count_nonzero(valid))
+        if count <= most:
+            return self
+        if self.scattered:
+            few = np.flatnonzero(valid)[:: -(-count // most)]
+            x, y = self.points()
+            return replace(self, x=x[few], y=y[few], z=self.z[few])
+        step = int(np.ceil(np.sqrt(count / most)))
+        names = ("radius", "angle") if self.polar else ("x", "y")
+        axes = {name: getattr(self, name)[::step] for name in names}
+        return replace(self, z=self.z[::step, ::step], **axes)
+
     def moved(self, pose: Pose) -> HeightMap:
         """Return the valid heights as scattered points, moved as a rigid body. See `Pose`."""
         self.require_calibrated()

@@ -132,7 +132,7 @@ def diagnose(
     if feed:
         positive(feed, "feed", "mm/rev")
     positive(points, "points", "")
-    thin = [_thinned(one, points) for one in maps]
+    thin = [one.thinned(points) for one in maps]
     sights, reach = _sights(thin, parts, tool, tuple(free), reference, sense, feed)
     basis = _basis(waviness)
     radius = max(part.radius for part in parts)
@@ -225,21 +225,6 @@ def _basis(waviness: Sequence[int] | Floats) -> Powers | Splines:
             "give such powers, or an array of knots"
         )
     return Powers(powers=powers)
-
-
-def _thinned(heights: HeightMap, points: int) -> HeightMap:
-    """Return every so-manieth row and column of a map, so that few enough valid points are left."""
-    valid = int(np.count_nonzero(np.isfinite(heights.z)))
-    if valid <= points:
-        return heights
-    if heights.scattered:
-        step = -(-valid // points)
-        at = np.flatnonzero(np.isfinite(heights.z))[::step]
-        return replace(heights, x=heights.x[at], y=heights.y[at], z=heights.z[at])  # type: ignore[index]
-    step = int(np.ceil(np.sqrt(valid / points)))
-    axes = ("radius", "angle") if heights.polar else ("x", "y")
-    fewer = {name: getattr(heights, name)[::step] for name in axes}
-    return replace(heights, z=heights.z[::step, ::step], **fewer)
 
 
 def _sights(

@@ -139,7 +139,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     heights = _turned(heights, job)
     pieces = part.surface.in_pieces
     first = register(
-        _thinned(heights, FIRST), part, free=free, loss="huber" if pieces else "tukey", start=asked.pose,
+        heights.thinned(FIRST), part, free=free, loss="huber" if pieces else "tukey", start=asked.pose,
         reach=asked.reach, clocking=asked.clocking if "rotation" in free else 0.0,
     )  # fmt: skip
     told("register", 1, 2)
@@ -340,21 +340,6 @@ def _turned(heights: HeightMap, job: Job) -> HeightMap:
             return replace(heights, x=mirrored)
         return replace(heights, x=mirrored[::-1], z=heights.z[:, ::-1])
     return heights
-
-
-def _thinned(heights: HeightMap, most: int) -> HeightMap:
-    """Return every so-manieth point, row and column."""
-    valid = int(np.count_nonzero(~np.isnan(heights.z)))
-    if valid <= most:
-        return heights
-    if heights.scattered:
-        few = np.flatnonzero(~np.isnan(heights.z))[:: -(-valid // most)]
-        x, y = heights.points()
-        return replace(heights, x=x[few], y=y[few], z=heights.z[few])
-    step = int(np.ceil(np.sqrt(valid / most)))
-    names = ("radius", "angle") if heights.polar else ("x", "y")
-    axes = {name: getattr(heights, name)[::step] for name in names}
-    return replace(heights, z=heights.z[::step, ::step], **axes)
 
 
 def _error_at(heights: HeightMap, part: Part, pose: Pose) -> HeightMap:
