@@ -50,7 +50,7 @@ layers: setup
 	$(BIN)/lint-imports
 
 docs: setup ## build the documentation; every page is run
-	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
+	$(BIN)/sphinx-build -q -W --keep-going -j auto -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
 check: setup lint types layers test docs ## everything CI runs
