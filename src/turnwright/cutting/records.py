@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import re
-import subprocess
 import sys
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -19,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from turnwright import _apart as _other
 from turnwright._arrays import Floats
 from turnwright.cutting.signals import ForceRecord
 from turnwright.errors import InputError
@@ -44,12 +43,6 @@ UNEVEN = 0.1
 
 LARGEST = 1 << 30
 """Values in a record beyond which it is refused."""
-
-LONGEST = 300
-"""Seconds until an HDF5 file is given up."""
-
-REFUSED = 3
-"""How the other process ends that has a sentence to say."""
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
 TDMS = b"TDSm"
@@ -267,25 +260,9 @@ def _only(path: Path, rates: set[float]) -> float | None:
 
 def _apart(path: Path, channels: Sequence[str] | None) -> _Raw:
     """Read HDF5 in a process of its own, which may die without harm."""
-    program = f"import sys, {__name__} as records; sys.exit(records.main())"
+    answer = _other.ask(__name__, path, refusal=InputError, arguments=[json.dumps(list(channels or []))])
     try:
-        done = subprocess.run(  # noqa: S603 - our own module
-            [sys.executable, "-P", "-c", program, str(path), json.dumps(list(channels or []))],
-            capture_output=True,
-            timeout=LONGEST,
-            check=False,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        )
-    except subprocess.TimeoutExpired as error:
-        raise InputError(f"{path} is not read after {LONGEST} s, the limit: it is damaged, so copy it again") from error
-    if done.returncode == REFUSED:
-        raise InputError(done.stderr.decode("utf-8", "replace"))
-    if done.returncode != 0:
-        raise InputError(
-            f"{path} is HDF5 that cannot be read (code {done.returncode}): it is damaged, so copy it again"
-        )
-    try:
-        with np.load(io.BytesIO(done.stdout), allow_pickle=False) as packed:
+        with np.load(io.BytesIO(answer), allow_pickle=False) as packed:
             said = json.loads(str(packed["said"]))
             columns = {name: packed[f"column{i}"] for i, name in enumerate(said["names"])}
     except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
@@ -296,18 +273,18 @@ def _apart(path: Path, channels: Sequence[str] | None) -> _Raw:
 def main() -> int:
     """Read the HDF5 file that is named, in the other process, and send its columns out."""
     path, channels = Path(sys.argv[1]), json.loads(sys.argv[2])
-    try:
-        raw = _hdf5(path, channels)
-    except InputError as error:
-        sys.stderr.buffer.write(str(error).encode())
-        return REFUSED
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError):
-        return 1
+    return _other.answer(
+        lambda: _packed(_hdf5(path, channels)),
+        refusal=InputError,
+        damage=(OSError, RuntimeError, KeyError, ValueError, TypeError),
+    )
+
+
+def _packed(raw: _Raw) -> bytes:
     said = json.dumps({"names": list(raw.columns), "units": raw.units, "rate_hz": raw.rate_hz})
     packed = io.BytesIO()
     np.savez(packed, said=np.array(said), **{f"column{i}": one for i, one in enumerate(raw.columns.values())})  # type: ignore[arg-type] # names do not clash with its options
-    sys.stdout.buffer.write(packed.getvalue())
-    return 0
+    return packed.getvalue()
 
 
 def _hdf5(path: Path, channels: Sequence[str]) -> _Raw:
