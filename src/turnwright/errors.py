@@ -10,7 +10,8 @@
     │   ├── LimitError        something beyond what the machine can do
     │   ├── JobError          a job file that is wrong, with the field named
     │   ├── ProgramError      a lathe program that cannot be written or read
-    │   └── MapError          a file of a measured map that cannot be written or read
+    │   ├── MapError          a file of a measured map that cannot be written or read
+    │   └── StudyError        many cases that cannot go on; what is finished is kept
     └── Stopped               the user asked for an end
 
 Every message is one sentence: what, how much, the limit, the remedy.
@@ -25,6 +26,7 @@ __all__ = [
     "MapError",
     "ProgramError",
     "Stopped",
+    "StudyError",
     "TurnwrightError",
     "UnitError",
 ]
@@ -64,6 +66,10 @@ class ProgramError(InputError):
 
 class MapError(InputError):
     """A file of a measured map cannot be written or read."""
+
+
+class StudyError(InputError):
+    """Many cases cannot go on, such as on a full disk; what is finished is kept."""
 
 
 class Stopped(TurnwrightError):  # noqa: N818 - an end that was asked for is not an error

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from contextvars import ContextVar
 from itertools import islice
 from typing import TypeAlias
 
@@ -12,8 +14,36 @@ Progress: TypeAlias = Callable[[int, int], None]
 """Called with (done, total); raising in it, as Ctrl-C does, stops the work cleanly."""
 
 
+THREADS = "TURNWRIGHT_THREADS"
+"""Variable of the environment: how many threads a process may use, for one that shares its machine with others."""
+
+_share: ContextVar[int | None] = ContextVar("_share", default=None)
+
+
+@contextmanager
+def at_most(threads: int) -> Iterator[None]:
+    """Let `cores` say no more than this within the block, in this thread."""
+    token = _share.set(threads)
+    try:
+        yield
+    finally:
+        _share.reset(token)
+
+
 def cores() -> int:
-    """Number of processors this process may use."""
+    """Number of processors this process may use: those there are, or the share it was given.
+
+    >>> with at_most(1):
+    ...     cores()
+    1
+    """
+    there = _cores_there()
+    told = os.environ.get(THREADS, "")
+    shares = [int(told) if told.isdecimal() and int(told) else there, _share.get() or there]
+    return min(there, *shares)
+
+
+def _cores_there() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 

@@ -1,0 +1,291 @@
+"""Cases out, rows back: each computed once, none lost, whatever happens to workers and driver."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version as version_of
+from os import environ
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from turnwright.errors import InputError, Stopped, StudyError, TurnwrightError
+from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, local
+from turnwright.execution._store import FULL, Store
+from turnwright.progress import THREADS, Progress, at_most, cores
+
+__all__ = ["Case", "Row", "Work", "case_key", "conduct", "program_version"]
+
+Row: TypeAlias = dict[str, Any]
+"""Numbers, texts or None by name; a case that could not be carried out has only ``reason``, a sentence."""
+
+Work: TypeAlias = Callable[[Mapping[str, Any], Mapping[str, Any], Store | None], Mapping[str, Any]]
+"""A function of a module, called as ``work(data, shared, store)``."""
+
+DEATHS = 3
+"""Workers that a case may take with it among others, before it is tried alone."""
+_LISTEN_S = 0.5
+"""How long at most until a wish to stop is heard, and progress told."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """One thing to compute.
+
+    Parameters
+    ----------
+    key
+        What it is kept under: it must differ wherever the row may, see `case_key`.
+    data
+        What the work needs to know of it, as JSON could carry it.
+    """
+
+    key: str
+    data: Mapping[str, Any]
+
+
+def case_key(data: Mapping[str, Any]) -> str:
+    """Return the name of a case: the digest of its data and of the program that computes it.
+
+    Parameters
+    ----------
+    data
+        Everything that the row depends on, what is shared by all cases included.
+
+    Raises
+    ------
+    InputError
+        If the data cannot be written as JSON.
+
+    >>> case_key({"a": 1, "b": 2.5}) == case_key({"b": 2.5, "a": 1})
+    True
+    """
+    try:
+        text = json.dumps([data, program_version()], sort_keys=True, separators=(",", ":"))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"a case must be plain data ({error}): use numbers, texts, lists and mappings") from None
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@cache
+def program_version() -> str:
+    """Return the version of this program with a digest of its own files, so that edited code is another program."""
+    root = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for file in sorted(file for kind in ("*.py", "*.toml") for file in root.rglob(kind)):
+        digest.update(f"{file.relative_to(root).as_posix()}\0".encode())
+        digest.update(file.read_bytes().replace(b"\r\n", b"\n") + b"\0")
+    return f"{version_of('turnwright')}+{digest.hexdigest()[:12]}"
+
+
+def conduct(
+    work: Work,
+    cases: Sequence[Case],
+    *,
+    shared: Mapping[str, Any] | None = None,
+    executor: Executor | None = None,
+    store: Store | None = None,
+    progress: Progress | None = None,
+) -> list[Row]:
+    """Carry out cases, each once, and return their rows.
+
+    The worker keeps the row of its case in the store before it says so; a driver that is killed and started again finds
+    it there. A case that fails is a row with its reason; one whose reason lies with the machine (memory, disk, files)
+    is not kept and so tried again the next time. A case whose worker dies is sent again; one that has taken
+    `DEATHS` workers with it is tried alone when all else is done, and if it kills even then it is a row too.
+
+    Parameters
+    ----------
+    work
+        A function of a module, ``work(data, shared, store)``, that returns numbers, texts and None by name.
+    cases
+        What to compute; equal keys are computed once.
+    shared
+        What every case needs, as JSON could carry it; large arrays go through the store.
+    executor
+        Any `concurrent.futures.Executor`: `local`, `cluster`, or another whose workers can import the work. A local
+        pool made for this call, if not given.
+    store
+        Where finished cases are kept and found.
+    progress
+        Called with (done, total), at least twice a second; raising in it stops the work.
+
+    Returns
+    -------
+    list of dict
+        One row for each case, in their order.
+
+    Raises
+    ------
+    StudyError
+        If the work cannot go on: the store takes nothing more, or the executor is broken. What is finished stays.
+    """
+    if executor is None:
+        with local() as pool:
+            return conduct(work, cases, shared=shared, executor=pool, store=store, progress=progress)
+    kept = set() if store is None else store.keys()
+    rows: dict[str, Row] = {}
+    todo: dict[str, Case] = {}
+    for case in cases:
+        row = store.row(case.key) if store is not None and case.key in kept else None
+        if row is not None:
+            rows[case.key] = row
+        else:
+            todo[case.key] = case
+    _Conductor(work, shared or {}, executor, store, rows, progress).carry_out(todo.values())
+    return [rows[case.key] for case in cases]
+
+
+class _Conductor:
+    """Few cases in flight at a time, so that a stop is quick and a cluster's scheduler never full."""
+
+    def __init__(
+        self,
+        work: Work,
+        shared: Mapping[str, Any],
+        executor: Executor,
+        store: Store | None,
+        rows: dict[str, Row],
+        progress: Progress | None,
+    ) -> None:
+        self.executor = executor
+        self.store = store
+        self.rows = rows
+        self.progress = progress
+        ours = isinstance(executor, LocalPool)  # its workers run these very files
+        threads = 1 if isinstance(executor, Cluster) else None  # Dask counts one thread for each of its own
+        self.order = (work, shared, store, None if ours else program_version(), threads)
+        self.running: dict[Future[tuple[Row, bool]], Case] = {}
+        self.deaths: Counter[str] = Counter()
+
+    def carry_out(self, cases: Collection[Case]) -> None:
+        """Fill the rows."""
+        total = len(self.rows) + len(cases)
+        pending = deque(cases)
+        suspects: deque[Case] = deque()
+        try:
+            self._tell(total)
+            while pending or suspects or self.running:
+                while pending and len(self.running) < self._room():
+                    self._send(pending.popleft())
+                if suspects and not self.running:
+                    self._send(suspects.popleft())
+                done, _ = wait(self.running, timeout=_LISTEN_S, return_when=FIRST_COMPLETED)
+                for future in done:
+                    case = self.running.pop(future)
+                    row = self._judge(future, case)
+                    if row is not None:
+                        self.rows[case.key] = row
+                    elif self.deaths[case.key] < DEATHS:
+                        pending.appendleft(case)
+                    else:
+                        suspects.append(case)
+                self._tell(total)
+        finally:
+            for future in self.running:
+                future.cancel()
+
+    def _tell(self, total: int) -> None:
+        if self.progress is not None:
+            self.progress(len(self.rows), total)
+
+    def _room(self) -> int:
+        """Return how many cases may be in flight, so that each worker has one in hand and one waiting."""
+        workers = getattr(self.executor, "workers", None) or getattr(self.executor, "_max_workers", None) or cores()
+        return 2 * int(workers)
+
+    def _send(self, case: Case) -> None:
+        try:
+            future = self.executor.submit(_carry_out, case.key, dict(case.data), *self.order)
+        except (BrokenExecutor, RuntimeError) as error:
+            raise self._lost(error) from error
+        self.running[future] = case
+
+    def _judge(self, future: Future[tuple[Row, bool]], case: Case) -> Row | None:
+        """Return the row of a case, or None if it is to be tried again."""
+        try:
+            row, lasting = future.result()
+        except WorkerDied as death:
+            self.deaths[case.key] += 1
+            if self.deaths[case.key] <= DEATHS:
+                return None
+            return {"reason": f"its worker died {self.deaths[case.key]} times, the last time alone ({death})"}
+        except (StudyError, Stopped):
+            raise
+        except (BrokenExecutor, CancelledError) as error:
+            raise self._lost(error) from error
+        except Exception as error:
+            if type(error).__name__ == "KilledWorker":  # Dask has tried it often enough by itself
+                return {"reason": "the workers of the cluster died of it, as when the memory runs out"}
+            raise self._lost(error) from error
+        foreign = not isinstance(self.executor, LocalPool)  # the folder of another machine may not be the one here
+        if lasting and foreign and self.store is not None and self.store.row(case.key) is None:
+            self.store.put_row(case.key, row)
+        return row
+
+    def _lost(self, error: BaseException) -> StudyError:
+        said = str(error).splitlines()[0] if str(error) else "it gives no reason"
+        kept = "kept" if self.store is not None else "lost, for want of a store"
+        return StudyError(
+            f"the executor carries out no more cases ({type(error).__name__}: {said}), the {len(self.rows)} that are "
+            f"finished are {kept}: start again with another"
+        )
+
+
+def _carry_out(
+    key: str,
+    data: dict[str, Any],
+    work: Work,
+    shared: Mapping[str, Any],
+    store: Store | None,
+    version: str | None,
+    threads: int | None,
+) -> tuple[Row, bool]:
+    """Carry out a case in a worker; return its row, and whether it would be the same another time."""
+    if version is not None and version != program_version():
+        raise StudyError(
+            f"a worker runs turnwright {program_version()}, this is {version}: install the same on all machines"
+        )
+    row = None if store is None else store.row(key)  # another driver may have been here
+    if row is not None:
+        return row, True
+    with nullcontext() if threads is None or THREADS in environ else at_most(threads):
+        row, lasting = _compute(work, data, shared, store)
+    if store is not None and lasting:
+        store.put_row(key, row)
+    return row, lasting
+
+
+def _compute(work: Work, data: dict[str, Any], shared: Mapping[str, Any], store: Store | None) -> tuple[Row, bool]:
+    try:
+        row = json.loads(json.dumps(dict(work(data, shared, store)), default=_plain))
+    except (StudyError, Stopped):
+        raise
+    except TurnwrightError as error:
+        return {"reason": str(error)}, True
+    except MemoryError as error:
+        return {"reason": f"the memory is not enough ({error}): use fewer workers or a coarser map"}, False
+    except OSError as error:
+        said = error.strerror or str(error)
+        what = "the disk is full" if error.errno in FULL else "the system refuses"
+        where = f" at {error.filename}" if error.filename else ""
+        return {"reason": f"{what} ({said}){where}"}, False
+    except ImportError as error:
+        return {"reason": f"the worker lacks a package ({error})"}, False
+    except Exception as error:  # noqa: BLE001 - one case is never the end of the others
+        said = " ".join(str(error).split())
+        return {"reason": f"{type(error).__name__}: {said} (a defect, please report it)"}, True
+    return row, True
+
+
+def _plain(value: Any) -> Any:
+    """Turn a number of NumPy into one of Python."""
+    if hasattr(value, "item") and getattr(value, "ndim", 1) == 0:
+        return value.item()
+    raise TypeError(f"a row holds numbers, texts and None, not {type(value).__name__}")

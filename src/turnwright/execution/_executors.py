@@ -1,0 +1,362 @@
+"""Who carries cases out: processes of this machine, or a Dask cluster.
+
+The pool of this machine is a `concurrent.futures.Executor` of its own, because the one of the standard library loses
+the cases of all its workers when one is killed and cannot say whose case killed it. Here each worker has a pipe of its
+own: one that dies takes one case with it, and the others do not notice.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import queue
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+from turnwright.errors import InputError, StudyError
+from turnwright.progress import THREADS, cores
+
+__all__ = ["Cluster", "LocalPool", "WorkerDied", "cluster", "local"]
+
+MEMORY_GB = 1.5
+"""What a worker may need if nobody says. The freeform infrared lens with its maps takes 0.6 GB."""
+_REACH_S = 5.0
+_GRACE_S = 0.7
+_ASK_AGAIN_S = 5.0
+_LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_SPAWN = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang, and Windows has none
+_starting = threading.Lock()
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+
+class WorkerDied(Exception):  # noqa: N818 - it says what happened to the worker, the case may be innocent
+    """The process that had a case in hand is gone.
+
+    Parameters
+    ----------
+    exitcode
+        Minus the number of the signal that ended it, or its own exit code.
+    """
+
+    def __init__(self, exitcode: int | None) -> None:
+        super().__init__(exitcode)
+        self.exitcode = exitcode
+
+    def __str__(self) -> str:
+        code = self.exitcode
+        if code is None or code >= 0:
+            return f"exit code {code}"
+        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+        return f"{name}, as when the memory runs out" if name == "SIGKILL" else name
+
+
+class LocalPool(Executor):
+    """Processes of this machine, each started when it is first needed and again when it died.
+
+    Parameters
+    ----------
+    workers
+        How many.
+    threads
+        How many threads each may use.
+    """
+
+    def __init__(self, *, workers: int, threads: int) -> None:
+        self.workers = workers
+        self.threads = threads
+        self._tasks: queue.SimpleQueue[tuple[Future[Any], tuple[Any, ...]] | None] = queue.SimpleQueue()
+        self._processes: set[SpawnProcess] = set()
+        self._closed = False
+        self._servers = [threading.Thread(target=self._serve, daemon=True) for _ in range(workers)]
+        for server in self._servers:
+            server.start()
+
+    def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
+        """Have a function of a module called in a worker; a worker that dies over it ends it with `WorkerDied`."""
+        if self._closed:
+            raise RuntimeError("the pool is closed")
+        future: Future[_T] = Future()
+        self._tasks.put((future, (fn, args, kwargs)))
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Let the workers end when nothing waits any more."""
+        self._closed = True
+        if cancel_futures:
+            self._drop()
+        for _ in self._servers:
+            self._tasks.put(None)
+        if wait:
+            for server in self._servers:
+                server.join()
+
+    def kill(self) -> None:
+        """End the workers now; one that has something to clean up gets a moment for it."""
+        self._closed = True
+        self._drop()
+        with _starting:
+            processes = tuple(self._processes)
+        for process in processes:
+            process.terminate()
+        until = time.monotonic() + _GRACE_S
+        for process in processes:
+            process.join(max(0.0, until - time.monotonic()))
+            process.kill()
+        self.shutdown()
+
+    def _drop(self) -> None:
+        with suppress(queue.Empty):
+            while True:
+                task = self._tasks.get_nowait()
+                if task is not None:
+                    task[0].cancel()
+
+    def _serve(self) -> None:
+        """Keep one worker busy."""
+        worker: tuple[SpawnProcess, Connection] | None = None
+        while (task := self._tasks.get()) is not None:
+            future, call = task
+            if not future.set_running_or_notify_cancel():
+                continue
+            try:
+                worker = worker or self._start()
+                done, value = _ask(*worker, call)
+            except BaseException as error:  # noqa: BLE001 - it belongs to whoever waits for the future
+                if isinstance(error, WorkerDied) and worker is not None:
+                    self._forget(*worker)
+                    worker = None
+                done, value = False, error
+            if done:
+                future.set_result(value)
+            else:
+                future.set_exception(value)
+        if worker is not None:
+            worker[1].close()
+            worker[0].join(_GRACE_S)
+            self._forget(*worker)
+
+    def _start(self) -> tuple[SpawnProcess, Connection]:
+        ours, theirs = _SPAWN.Pipe()
+        process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
+        with _starting:
+            if self._closed and not self._processes:
+                raise StudyError("the pool is closed: nothing starts any more")
+            # Libraries read these when they are loaded, before a line of ours runs in the worker.
+            names = (THREADS, *_LIBRARIES)
+            before = {name: os.environ.get(name) for name in names}
+            os.environ.update(dict.fromkeys(names, str(self.threads)))
+            try:
+                process.start()
+            finally:
+                for name, value in before.items():
+                    if value is None:
+                        del os.environ[name]
+                    else:
+                        os.environ[name] = value
+            self._processes.add(process)
+        theirs.close()
+        try:
+            _receive(process, ours)  # it says that it is ready
+        except WorkerDied as death:
+            self._forget(process, ours)
+            raise StudyError(
+                f"no worker process can be started ({death}): start the work of a script below "
+                'if __name__ == "__main__":, or use fewer workers'
+            ) from None
+        return process, ours
+
+    def _forget(self, process: SpawnProcess, connection: Connection) -> None:
+        connection.close()
+        process.kill()
+        process.join()
+        with _starting:
+            self._processes.discard(process)
+
+
+def _ask(process: SpawnProcess, connection: Connection, call: tuple[Any, ...]) -> tuple[bool, Any]:
+    try:
+        connection.send(call)
+    except OSError:
+        process.join()
+        raise WorkerDied(process.exitcode) from None
+    answer: tuple[bool, Any] = _receive(process, connection)
+    return answer
+
+
+def _receive(process: SpawnProcess, connection: Connection) -> Any:
+    wait([connection, process.sentinel])
+    try:
+        if connection.poll():
+            return connection.recv()
+    except (EOFError, OSError):
+        pass
+    process.join()
+    raise WorkerDied(process.exitcode)
+
+
+def _work(connection: Connection) -> None:
+    """Carry out what comes through the pipe, until it closes or the driver is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the driver too, which knows what to do
+    threading.Thread(target=_end_with_driver, daemon=True).start()
+    with suppress(EOFError, OSError, KeyboardInterrupt):
+        connection.send(None)
+        while True:
+            try:
+                function, args, kwargs = connection.recv()
+                answer = True, function(*args, **kwargs)
+            except EOFError:
+                return
+            except Exception as error:  # noqa: BLE001 - the driver judges it
+                answer = False, error
+            try:
+                connection.send(answer)
+            except OSError:
+                return
+            except Exception as error:  # noqa: BLE001 - what cannot travel
+                connection.send((False, TypeError(f"the answer cannot be sent back ({error})")))
+
+
+def _end_with_driver() -> None:
+    """End this process when the one that started it is gone, however it went."""
+    driver = multiprocessing.parent_process()
+    if driver is None:
+        return
+    wait([driver.sentinel])
+    os.kill(os.getpid(), signal.SIGTERM)  # whoever has a half-written folder hears this and removes it
+    time.sleep(_GRACE_S)
+    os._exit(1)
+
+
+class Cluster(Executor):
+    """The workers of a Dask scheduler.
+
+    Parameters
+    ----------
+    client
+        Connected to it.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._executor = client.get_executor(pure=False)  # equal cases are told apart by their keys, not by Dask
+        self._workers = 1
+        self._asked = -_ASK_AGAIN_S
+
+    @property
+    def workers(self) -> int:
+        """Cases that the cluster carries out at a time; workers come and go, so it is asked now and then."""
+        if time.monotonic() - self._asked > _ASK_AGAIN_S:
+            self._workers = max(1, sum(self._client.nthreads().values()))
+            self._asked = time.monotonic()
+        return self._workers
+
+    def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
+        """Have a function called on a worker."""
+        future: Future[_T] = self._executor.submit(fn, *args, **kwargs)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Let go of what was submitted; the cluster goes on."""
+        self._executor.shutdown(wait=wait and not cancel_futures)
+
+
+@contextmanager
+def local(workers: int | None = None, memory_gb: float | None = None) -> Iterator[LocalPool]:
+    """Yield a pool of processes of this machine; it ends with the block, at once if that ends with an error.
+
+    Parameters
+    ----------
+    workers
+        How many; as many as there are cores and as there is memory for, if not given.
+    memory_gb
+        What one worker may need, 1.5 if not given. [GB]
+
+    Raises
+    ------
+    InputError
+        If a number is not positive.
+    """
+    if workers is not None and workers < 1:
+        raise InputError(f"{workers} workers carry out nothing: use at least 1")
+    if memory_gb is not None and not memory_gb > 0:
+        raise InputError(f"a worker cannot do with {memory_gb} GB of memory: use more than 0")
+    available = cores()
+    if workers is None:
+        free = _free_memory_gb()
+        fitting = available if free is None else int(free / (memory_gb or MEMORY_GB))
+        workers = max(1, min(available, fitting))
+    pool = LocalPool(workers=workers, threads=max(1, available // workers))
+    try:
+        yield pool
+    except BaseException:
+        pool.kill()
+        raise
+    pool.shutdown()
+
+
+def _free_memory_gb() -> float | None:
+    """Memory that may be taken, the limit of a container included; None where the system does not say.
+
+    In GB.
+    """
+    found = []
+    with suppress(OSError, StopIteration, ValueError):
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        found.append(int(next(line for line in lines if line.startswith("MemAvailable")).split()[1]) / 1e6)
+    for limit, used in (
+        ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+        ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+    ):
+        with suppress(OSError, ValueError):  # "max" is no number, and no limit
+            most, now = (int(Path(one).read_text(encoding="ascii")) for one in (limit, used))
+            found.append((most - now) / 1e9)
+    return min(found, default=None)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Cluster]:
+    """Yield an executor over the workers of a Dask scheduler that runs already.
+
+    Parameters
+    ----------
+    address
+        Where it listens, such as "tcp://head:8786".
+
+    Raises
+    ------
+    InputError
+        If distributed is not installed.
+    StudyError
+        If no scheduler answers within five seconds.
+    """
+    try:
+        from distributed import Client  # noqa: PLC0415 - of an extra
+    except ImportError:
+        raise InputError(
+            "a cluster needs distributed, which is not installed: pip install 'turnwright[cluster]'"
+        ) from None
+    try:
+        client: Any = Client(  # type: ignore[no-untyped-call]
+            address, timeout=_REACH_S, set_as_default=False
+        )
+    except (OSError, ValueError, TypeError) as error:
+        reason = str(error).splitlines()[0]
+        raise StudyError(
+            f"no Dask scheduler answers at {address!r} within {_REACH_S:.0f} s ({reason}): start one with "
+            "'dask scheduler', or check the address"
+        ) from None
+    try:
+        yield Cluster(client)
+    finally:
+        with suppress(OSError, TimeoutError):
+            client.close()

@@ -1,0 +1,255 @@
+"""Where finished cases and large arrays lie: a folder, or any place that fsspec knows.
+
+A store is a place, not a handle: it travels to a worker as a few letters. Everything in it appears whole or not at all,
+under its final name, so that a reader never meets a half of it and a writer that is killed leaves nothing behind that
+counts.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import io
+import json
+import os
+import re
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Self
+from uuid import uuid4
+
+from turnwright.errors import InputError, StudyError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+__all__ = ["Store"]
+
+FULL = frozenset(getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name))
+"""What the system says when there is no room."""
+
+Row = dict[str, Any]
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Store:
+    """Rows of finished cases and the large arrays that cases share.
+
+    Parameters
+    ----------
+    place
+        The folder, absolute, or a URL of fsspec ("s3://bucket/study"), without a slash at its end.
+    """
+
+    place: str
+
+    @classmethod
+    def open(cls, place: str | os.PathLike[str]) -> Self:
+        """Name a store, and make sure that it can be written.
+
+        Parameters
+        ----------
+        place
+            A folder, made if it is not there, or a URL with "://" that fsspec understands.
+
+        Raises
+        ------
+        InputError
+            If fsspec, or what it needs for this kind of URL, is not installed.
+        StudyError
+            If the place cannot be made.
+        """
+        text = os.fspath(place)
+        store = cls(place=text.rstrip("/") if "://" in text else str(Path(text).expanduser().absolute()))
+        if not store._remote:
+            try:
+                for part in ("rows", "arrays"):
+                    (Path(store.place) / part).mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise store._trouble(error) from error
+        else:
+            store._files()
+        return store
+
+    @property
+    def _remote(self) -> bool:
+        return "://" in self.place
+
+    def row(self, key: str) -> Row | None:
+        """Return the row of a finished case, None if there is none.
+
+        A row that a failing disk has spoiled counts as none: it is computed again.
+        """
+        try:
+            row = json.loads(self._read("rows", f"{_checked(key)}.json"))
+        except (FileNotFoundError, ValueError):
+            return None
+        return row if isinstance(row, dict) else None
+
+    def put_row(self, key: str, row: Row) -> None:
+        """Keep the row of a finished case; it appears whole or not at all.
+
+        Parameters
+        ----------
+        key
+            Of the case.
+        row
+            Numbers, texts or None by name. An infinite number stays one: it is written as Python writes it in JSON.
+
+        Raises
+        ------
+        StudyError
+            If the place takes nothing more; what is in it stays.
+        """
+        text = json.dumps(row).encode()
+        self._write("rows", f"{_checked(key)}.json", lambda stream: stream.write(text))
+
+    def keys(self) -> set[str]:
+        """Return the keys of all finished cases."""
+        return {name.removesuffix(".json") for name in self._names("rows") if name.endswith(".json")}
+
+    def put_array(self, name: str, array: np.ndarray) -> str:
+        """Keep an array, once: a second time nothing is written.
+
+        Parameters
+        ----------
+        name
+            A word for people.
+        array
+            Any shape and type.
+
+        Returns
+        -------
+        str
+            What to ask `array` for: the word and a digest of the content, so that it never means anything else.
+
+        Raises
+        ------
+        StudyError
+            If the place takes nothing more.
+        """
+        import numpy as np  # noqa: PLC0415 - a worker that has no arrays starts without
+
+        array = np.ascontiguousarray(array)
+        digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
+        digest.update(array.view(np.uint8).data if array.size else b"")
+        full = f"{_checked(name)}-{digest.hexdigest()[:24]}"
+        if f"{full}.npy" not in self._names("arrays"):
+            self._write("arrays", f"{full}.npy", lambda stream: np.save(stream, array, allow_pickle=False))
+        return full
+
+    def array(self, name: str) -> np.ndarray:
+        """Return an array that was put, read only: mapped into memory from a folder, loaded from elsewhere.
+
+        Parameters
+        ----------
+        name
+            What `put_array` returned.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name.
+        """
+        import numpy as np  # noqa: PLC0415
+
+        file = f"{_checked(name)}.npy"
+        try:
+            if not self._remote:
+                mapped: np.ndarray = np.load(Path(self.place) / "arrays" / file, mmap_mode="r", allow_pickle=False)
+                return mapped
+            array: np.ndarray = np.load(io.BytesIO(self._read("arrays", file)), allow_pickle=False)
+        except FileNotFoundError:
+            raise InputError(f"the store {self.place!r} has no array {name!r}: put it first") from None
+        array.flags.writeable = False
+        return array
+
+    def _files(self) -> tuple[Any, str]:
+        """Return the file system of a URL and the path in it."""
+        try:
+            from fsspec.core import url_to_fs  # noqa: PLC0415 - of an extra
+        except ImportError:
+            raise InputError(
+                f"a store at {self.place!r} needs fsspec, which is not installed: pip install 'turnwright[cluster]', "
+                "or name a folder"
+            ) from None
+        try:
+            files, path = url_to_fs(self.place)
+        except (ImportError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise InputError(
+                f"the store {self.place!r} cannot be used ({reason}): see fsspec, or name a folder"
+            ) from None
+        return files, str(path).rstrip("/")
+
+    def _names(self, part: str) -> set[str]:
+        try:
+            if not self._remote:
+                with os.scandir(Path(self.place) / part) as entries:
+                    return {entry.name for entry in entries if not entry.name.startswith(".")}
+            files, root = self._files()
+            files.invalidate_cache(f"{root}/{part}")
+            listed = files.ls(f"{root}/{part}", detail=False)
+        except FileNotFoundError:
+            return set()
+        return {name for one in listed if not (name := str(one).rsplit("/", 1)[-1]).startswith(".")}
+
+    def _read(self, part: str, name: str) -> bytes:
+        if not self._remote:
+            return (Path(self.place) / part / name).read_bytes()
+        files, root = self._files()
+        content: bytes = files.cat_file(f"{root}/{part}/{name}")
+        return content
+
+    def _write(self, part: str, name: str, fill: Callable[[IO[bytes]], object]) -> None:
+        """Fill a file under a name that nobody looks for, then give it its own."""
+        try:
+            if self._remote:
+                self._put(part, name, fill)
+                return
+            folder = Path(self.place) / part
+            folder.mkdir(parents=True, exist_ok=True)  # the worker may be the first one on its machine
+            number, made = tempfile.mkstemp(prefix=".", dir=folder)
+            try:
+                with os.fdopen(number, "wb") as stream:
+                    fill(stream)
+                Path(made).replace(folder / name)
+            except BaseException:
+                Path(made).unlink(missing_ok=True)
+                raise
+        except OSError as error:
+            raise self._trouble(error) from error
+
+    def _put(self, part: str, name: str, fill: Callable[[IO[bytes]], object]) -> None:
+        files, root = self._files()
+        made = f"{root}/{part}/.{uuid4().hex}"
+        files.makedirs(f"{root}/{part}", exist_ok=True)
+        try:
+            with files.open(made, "wb") as stream:
+                fill(stream)
+            files.mv(made, f"{root}/{part}/{name}")
+        except BaseException:
+            with suppress(Exception):  # the first trouble is the one to tell
+                files.rm(made)
+            raise
+
+    def _trouble(self, error: OSError) -> StudyError:
+        if error.errno in FULL:
+            return StudyError(
+                f"the store {self.place!r} is full ({error.strerror}), what is finished stays: free some space there "
+                "and start again"
+            )
+        reason = error.strerror or str(error).splitlines()[0]
+        return StudyError(
+            f"the store {self.place!r} cannot be written ({reason}), what is finished stays: check its name and rights"
+        )
+
+
+def _checked(name: str) -> str:
+    if not _NAME.fullmatch(name):
+        raise InputError(f"{name!r} is no name in a store: use letters, digits, dots, dashes and underscores")
+    return name
