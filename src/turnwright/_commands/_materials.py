@@ -10,9 +10,12 @@ import typer
 from turnwright._commands._shared import Door, app, progress_of, require_new
 
 if TYPE_CHECKING:
-    from turnwright.material import CriticalThickness, CuttingCoefficient
+    from turnwright.material import CriticalThickness, CuttingCoefficient, Material
 
 __all__: list[str] = []
+
+THIN = 1e-3
+"""Chip at which coefficients that vary with it are compared. [mm]"""
 
 materials = typer.Typer(help="The materials that are cut.")
 app.add_typer(materials, name="material")
@@ -37,13 +40,9 @@ def list_all(context: typer.Context) -> None:
 
     for name in Material.known():
         one = Material.load(name)
-        bears = "ductile at any thickness" if one.critical is None else f"ductile to {one.critical.value * 1e6:.4g} nm"
-        forces = (
-            "no coefficients"
-            if one.cutting is None or one.thrust is None
-            else f"Kc {one.cutting.value:.5g}, Kt {one.thrust.value:.5g} N/mm^2"
-        )
-        door.say(f"{name}: {one.name}; {forces}; {bears}")
+        bears = "no brittle limit" if one.critical is None else f"ductile to {one.critical.value * 1e6:.4g} nm"
+        varies = "" if one.critical is None else _more(one.critical).replace("; varies", " and varies")
+        door.say(f"{name}: {one.name}; {_forces(one)}; {bears}{varies}")
 
 
 @materials.command()
@@ -56,7 +55,7 @@ def show(context: typer.Context, name: Name) -> None:
     door.say(one.name)
     for what, coefficient in (("cutting coefficient", one.cutting), ("thrust coefficient", one.thrust)):
         door.say(f"{what}: {'not known' if coefficient is None else _coefficient(coefficient)}")
-    door.say(f"critical thickness: {'none, it is ductile' if one.critical is None else _critical(one.critical)}")
+    door.say(f"critical thickness: {'none stated' if one.critical is None else _critical(one.critical)}")
     if one.notes:
         door.say(f"note: {one.notes}")
     for key, source in one.sources.items():
@@ -83,6 +82,23 @@ def fit(context: typer.Context, data: Data, out: Out) -> None:
     door.say(f"material: {out}")
 
 
+def _forces(material: Material) -> str:
+    """Return the coefficients at a glance: as they are, or those of a thin chip where they vary with it."""
+    cutting, thrust = material.cutting, material.thrust
+    if cutting is None or thrust is None:
+        return "no coefficients"
+    if cutting.constant and thrust.constant:
+        return f"Kc {cutting.value:.5g}, Kt {thrust.value:.5g} N/mm^2"
+    at = [float(one) for one in material.coefficients(THIN)]
+    if not material.caution(THIN):
+        return f"Kc {at[0]:.5g}, Kt {at[1]:.5g} N/mm^2 at 1 um"
+    words = []
+    for label, value, one in zip(("Kc", "Kt"), at, (cutting, thrust), strict=True):
+        sure = "" if one.uncertainty is None else f" +- {100 * one.uncertainty / one.value:.0f} %"
+        words.append(f"{label} about {float(f'{value:.2g}'):.0f}{sure}")
+    return f"an estimate, {', '.join(words)} N/mm^2 at 1 um"
+
+
 def _more(one: CuttingCoefficient | CriticalThickness) -> str:
     """Return what a property depends on, in words."""
     kinds = [
@@ -97,9 +113,17 @@ def _more(one: CuttingCoefficient | CriticalThickness) -> str:
     return f"; varies with {', '.join(kinds)}" if kinds else ""
 
 
+def _length(length: float) -> str:
+    """Return a thickness of chip in the unit that suits it."""
+    return f"{length:g} mm" if length >= 1 else f"{length * 1e3:.4g} um" if length >= 1e-3 else f"{length * 1e6:.4g} nm"
+
+
 def _coefficient(one: CuttingCoefficient) -> str:
     sure = "" if one.uncertainty is None else f" +- {one.uncertainty:.3g}"
-    return f"{one.value:.5g}{sure} N/mm^2{_more(one)}"
+    at = "" if one.reference_thickness is None else f" at {_length(one.reference_thickness)}"
+    power = f", falling with the power {one.exponent:g} of the chip" if one.exponent else ""
+    stated = "" if one.stated is None else f"; stated for chips of {_length(one.stated[0])} to {_length(one.stated[1])}"
+    return f"{one.value:.5g}{sure} N/mm^2{at}{power}{_more(one)}{stated}"
 
 
 def _critical(one: CriticalThickness) -> str:

@@ -28,19 +28,30 @@ from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_t
 from turnwright.tracking import precorrect, track
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
     from os import PathLike
 
     from turnwright._arrays import Floats
     from turnwright.access import Access
     from turnwright.cutting.chip import ChipMap
     from turnwright.heightmap import HeightMap
-    from turnwright.job._schema import Job
+    from turnwright.job._schema import Job, PassTable
     from turnwright.machine import Machine
     from turnwright.path import Motion, Path
     from turnwright.progress import Progress
 
-__all__ = ["StageProgress", "predict", "preview", "read_back", "run", "written"]
+__all__ = [
+    "WHOLE",
+    "StageProgress",
+    "Watch",
+    "planned",
+    "predict",
+    "preview",
+    "read_back",
+    "repeated",
+    "run",
+    "written",
+]
 
 StageProgress: TypeAlias = Callable[[str, int, int], None]
 """Called with (stage, done, total); raising in it, as Ctrl-C does, stops the run cleanly."""
@@ -48,11 +59,14 @@ StageProgress: TypeAlias = Callable[[str, int, int], None]
 PICTURE = 20_000
 """Points that a picture of a path needs."""
 
+WHOLE = "whole part"
+"""What the map of the whole part is called."""
+
 GOUGE = 1e-9
 """Clearance below zero that is rounding. [mm]"""
 
 
-class _Watch:
+class Watch:
     """Tells each stage's progress and keeps its time."""
 
     def __init__(self, progress: StageProgress | None) -> None:
@@ -98,7 +112,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     if out is None:
         with TemporaryDirectory(prefix="turnwright-") as folder:
             return run(job, progress=progress, out=folder)
-    watch = _Watch(progress)
+    watch = Watch(progress)
     part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
     with watch.stage("access"):
         access = check_access(part, tool, sense=job.strategy.sense)
@@ -109,30 +123,18 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     chips: dict[str, ChipMap] = {}
     stock, before = part.stock, None
     for cut in job.passes:
-        servo = job.servo(cut)
-        with watch.stage("plan") as tell:
-            spiral = _asked(servo.spiral(part, tool, progress=tell), machine)
-        with watch.stage("place") as tell:
-            path = place(spiral, part, tool, along=job.strategy.along, progress=tell)
-        feed = spiral.feed
-        del spiral
-        with watch.stage("drive") as tell:
-            motion, meant = _commanded(job, drive(path, servo, machine, profile=job.strategy.profile(cut)), tell)
+        feed, path, motion, meant = planned(job, cut, watch)
         warnings += _accepted_gouge(job, path)
-        names = cut.names(stock)
-        depth = (stock - cut.allowance) / len(names)
-        for name in names:
-            stock -= depth
-            lifted = motion if name == names[-1] and not cut.allowance else _lifted(motion, max(stock, 0.0))
+        for name, depth, left, lifted in repeated(cut, motion, stock):
             with watch.stage("limits"):
                 limits = check_limits(lifted, machine)
             if not limits.ok:
                 warnings += _accepted(job, "limits", LimitError(f"pass {name}: {limits.findings[0]}"))
             motions[name] = lifted
-            told, before = _judged_chips(job, name, lifted, before, max(stock, 0.0), watch, chips, warnings), lifted
+            told, before = _judged_chips(job, name, lifted, before, left, watch, chips, warnings), lifted
             passes.append(
                 Pass(
-                    name=name, allowance=max(stock, 0.0), depth=depth, feed=feed,
+                    name=name, allowance=left, depth=depth, feed=feed,
                     spindle_rpm=limits.spindle_rpm, points=limits.points, limits=limits, chips=told,
                 )
             )  # fmt: skip
@@ -167,19 +169,47 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     )  # fmt: skip
 
 
+def planned(job: Job, cut: PassTable, watch: Watch) -> tuple[float, Path, Motion, Motion | None]:
+    """Return the feed of a pass [mm/rev], its path, what is commanded, and what is meant where that is corrected."""
+    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
+    servo = job.servo(cut)
+    with watch.stage("plan") as tell:
+        spiral = _asked(servo.spiral(part, tool, progress=tell), machine)
+    with watch.stage("place") as tell:
+        path = place(spiral, part, tool, along=job.strategy.along, progress=tell)
+    feed = spiral.feed
+    del spiral
+    with watch.stage("drive") as tell:
+        motion, meant = _commanded(job, drive(path, servo, machine, profile=job.strategy.profile(cut)), tell)
+    return feed, path, motion, meant
+
+
+def repeated(cut: PassTable, motion: Motion, stock: float) -> Iterator[tuple[str, float, float, Motion]]:
+    """Yield the name of each repetition of a pass, how much it takes off, how much it leaves [mm], and its motion."""
+    names = cut.names(stock)
+    depth = (stock - cut.allowance) / len(names)
+    for name in names:
+        stock -= depth
+        left = max(stock, 0.0)
+        yield name, depth, left, motion if name == names[-1] and not cut.allowance else _lifted(motion, left)
+
+
 def _judged_chips(
     job: Job,
     name: str,
     motion: Motion,
     before: Motion | None,
     allowance: float,
-    watch: _Watch,
+    watch: Watch,
     chips: dict[str, ChipMap],
     warnings: list[str],
 ) -> PassChips | None:
     """Keep the chips of a pass and warn of what the material does not bear; ``None`` where nothing is known of it."""
     known = job.part.substance
-    if known is None or (known.critical is None and known.cutting is None):
+    if known is None:
+        return None
+    # A metal without stock is left alone: there is nothing to warn of but that its forces are not found.
+    if known.critical is None and (known.cutting is None or not job.part.part.stock > 0):
         return None
     with watch.stage("chips") as tell:
         found = chips_of(job, motion, before, allowance, tell)
@@ -187,6 +217,9 @@ def _judged_chips(
         warnings.append(f"pass {name}: {found}")
         return None
     told, chips[name] = found
+    caution = known.caution(told.typical)
+    if caution:
+        told = replace(told, sentence=f"{told.sentence}; {caution}")
     if not told.ok:
         warnings.append(f"pass {name} is {told.sentence}")
     return told
@@ -225,7 +258,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     progress
         Called with (stage, done, total).
     """
-    watch = _Watch(progress)
+    watch = Watch(progress)
     part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
     with watch.stage("access"):
         access = check_access(part, tool, sense=job.strategy.sense)
@@ -259,7 +292,8 @@ def predict(
     *,
     tracking: bool | None = None,
     meant: Motion | None = None,
-    watch: _Watch | None = None,
+    only: Collection[str] | None = None,
+    watch: Watch | None = None,
     progress: StageProgress | None = None,
 ) -> tuple[Prediction, ...]:
     """Predict what a motion leaves of the job's part, on the job's grids and with its actual tool and machine.
@@ -277,6 +311,8 @@ def predict(
         given.
     meant
         Where the axes shall really pass, if ``motion`` is corrected for the servos: what these add is against that.
+    only
+        Names of the places to predict, of the patches and "whole part"; all of them if not given.
     watch, progress
         Who keeps the time, or who is told (stage, done, total).
 
@@ -285,7 +321,7 @@ def predict(
     InputError
         If tracking is asked of a machine that does not state how any axis answers.
     """
-    watch = watch or _Watch(progress)
+    watch = watch or Watch(progress)
     part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
     tracking = job.simulation.tracking if tracking is None else tracking
     real = None
@@ -316,8 +352,11 @@ def predict(
     def whole(one: Motion, tell: Progress) -> HeightMap:
         return generate_polar(one, tool, radius=radius, angle=angle, machine=machine, progress=tell)
 
-    predictions = [predicted("whole part", "none", whole)]
-    for patch in job.simulation.patches:
+    def wanted(name: str) -> bool:
+        return only is None or name in only
+
+    predictions = [predicted(WHOLE, "none", whole)] if wanted(WHOLE) else []
+    for patch in filter(lambda one: wanted(one.name), job.simulation.patches):
 
         def rectangle(one: Motion, tell: Progress, axes: tuple[Floats, Floats] = patch.axes) -> HeightMap:
             return generate(one, tool, x=axes[0], y=axes[1], machine=machine, progress=tell)
