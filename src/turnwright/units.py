@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler
     from pydantic_core import CoreSchema
 
-__all__ = ["convert", "parse", "unit", "write"]
+__all__ = ["convert", "parse", "say_length", "unit", "write"]
 
 LONGEST = 100
 """Characters in a quantity: beyond this it is a mistake, and exact arithmetic on it would be slow."""
@@ -228,6 +228,18 @@ def write(value: float, unit: str) -> str:
             if parse(f"{number} {friendly}", unit) == value:
                 texts.append(f"{number} {friendly}")
     return min(texts, key=len) if texts else f"{value!r} {unit}"
+
+
+def say_length(length: float) -> str:
+    """Return a length in mm as people read it: to three digits, in the unit that leaves the fewest zeros.
+
+    >>> say_length(7500.0), say_length(0.00099999), say_length(2e-4), say_length(0.0)
+    ('7.5 m', '1 um', '200 nm', '0 nm')
+    """
+    rounded = abs(float(f"{length:.3g}"))
+    sizes = (("m", 1e-3), ("mm", 1.0), ("um", 1e3), ("nm", 1e6))
+    name, factor = next((one for one in sizes if rounded * one[1] >= 1 - 1e-9), sizes[-1])
+    return f"{float(f'{length:.3g}') * factor:.3g} {name}"
 
 
 class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]

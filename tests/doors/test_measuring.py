@@ -85,6 +85,17 @@ def test_measure_says_how_far_the_part_is_off(shop, tmp_path, capsys):
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Form in fringe Zernike terms" in page
     assert "<script src" not in page
+    # What no tolerance judges is neither good nor bad.
+    assert '<section class="verdict plain"' in page
+    assert "The job states no tolerances.form_pv to judge by." in page
+
+
+@pytest.mark.parametrize(("allowed", "grade"), [("10 um", "good"), ("1 nm", "bad")])
+def test_a_stated_tolerance_judges_the_form(shop, tmp_path, allowed, grade):
+    judged = written(tmp_path, *DISH, ("tolerances.form_pv", allowed))
+    out = tmp_path / "measured"
+    assert main(["measure", str(shop / "dish.x3p"), "--job", str(judged), "--out", str(out)]) == 0
+    assert f'<section class="verdict {grade}"' in (out / "report.html").read_text(encoding="utf-8")
 
 
 def test_diagnose_finds_what_was_injected(shop, tmp_path, capsys):

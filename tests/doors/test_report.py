@@ -168,6 +168,37 @@ def test_the_page_says_what_the_result_says(page, small):
     assert first in text
 
 
+def in_glass(folder, *, critical, ratio=1):
+    """The page of the small job in a glass of its own, and what the finishing pass is like."""
+    (folder / "glass.toml").write_text(f'name = "glass"\nfracture_ratio = {ratio}\n[critical]\n{critical}\n')
+    job = SMALL | {
+        "part": SMALL["part"] | {"material": str(folder / "glass.toml")},
+        "strategy": SMALL["strategy"] | {"feed": "5 um/rev"},
+    }
+    result = run(Job.read(job), out=folder)
+    return read(write_report(result, folder)).text, result.passes[-1].chips
+
+
+def test_the_chips_of_every_pass_stand_in_a_table(tmp_path):
+    text, chips = in_glass(tmp_path, critical='value = "600 nm"')
+    thickest = f"{chips.thickest * 1e6:.3g} nm"
+    assert f"finish ductile {thickest} 600 nm {100 * (1 - chips.thickest / 600e-6):.0f} %" in text
+    assert f"pass finish, up to {thickest}; the material bears 600 nm, which is exceeded nowhere." in text
+    assert "rough brittle, taken off later" in text
+    assert "effective rake of 0° to 0°" in text
+    assert "Ready to cut" in text
+
+
+def test_a_margin_inside_its_uncertainty_is_not_ready_to_cut(tmp_path):
+    """Where a crack would be twenty times as long as the chip, what cannot be told may stay."""
+    text, chips = in_glass(tmp_path, critical='value = "450 nm"\nuncertainty = "90 nm"', ratio=20)
+    margin, band = 100 * (1 - chips.thickest / 450e-6), 100 * 2 * 0.2 * chips.thickest / 450e-6
+    assert abs(margin) < band
+    assert f"cannot be told {chips.thickest * 1e6:.3g} nm 450 nm {margin:.0f} ± {band:.2g} %" in text
+    assert "Cracks may stay" in text
+    assert "not certainly ductile: it cannot be told, the margin of" in text
+
+
 def test_a_tolerance_that_is_not_kept_is_the_verdict(small, tmp_path):
     result, _ = small
     strict = Job.read(SMALL | {"tolerances": {"form_pv": "1 nm", "sq": "10 um"}})

@@ -7,7 +7,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.cutting.chip import RoundChip, chip_map
-from turnwright.cutting.gate import ductile_gate
+from turnwright.cutting.gate import ductile_gate, foretell
 from turnwright.job import Job
 from turnwright.material import CriticalThickness, Material
 
@@ -40,7 +40,8 @@ def test_the_infrared_lens_is_ductile_in_finishing(lens):
     assert gate.ductile
     assert gate.ok
     assert gate.share == 0
-    assert gate.sentence.startswith("ductile: the chip is up to 20")
+    margin = 100 * (1 - chips.thickest / 600e-6)
+    assert gate.sentence.startswith(f"ductile, with a margin of {margin:.0f} %: the chip is up to 20")
 
 
 def test_the_infrared_lens_is_brittle_in_roughing_and_asks_for_allowance(lens):
@@ -100,3 +101,110 @@ def test_the_effective_rake_is_that_of_the_climbing_surface():
         lowest, highest = tw.check_access(part, tool, sense=sense).rake_range
         assert chips.rake.min() == pytest.approx(lowest, abs=1e-3)
         assert chips.rake.max() == pytest.approx(highest, abs=1e-3)
+
+
+FLAT = RoundChip(nose_radius=0.5, feed=0.01, depth=0.004)
+
+
+def flat_gate(critical, uncertainty=None, *, allowance=0.0, ratio=1.0, rake=None, tool_rake=0.0):
+    """The gate of a flat, whose every chip beyond the first turns is ``FLAT``."""
+    material = Material(
+        name="glass",
+        critical=CriticalThickness(value=critical, uncertainty=uncertainty, rake=rake),
+        fracture_ratio=ratio,
+    )
+    part = tw.Part(surface=tw.Plane(slope=(0.0, 0.0)), radius=1.0, stock=0.004)
+    tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(100), rake=tool_rake)
+    servo = tw.SlowToolServo(feed=0.01, points_per_rev=36, spindle_rpm=60, lead_in=0.2)
+    motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, tw.Machine.load("generic"))
+    chips = chip_map(motion, tool, part, material=material)
+    return ductile_gate(chips, material, tool, allowance=allowance)
+
+
+def test_the_margin_is_as_uncertain_as_the_material_says():
+    """Oracles: propagation, 2 t u / t_c^2, and what 1 - t / t_c does where t_c is drawn at random."""
+    critical = 2 * FLAT.thickest
+    gate = flat_gate(critical, 0.02 * critical)
+    assert gate.margin[gate.worst] == pytest.approx(0.5, rel=1e-6)
+    assert gate.uncertainty[gate.worst] == pytest.approx(2 * FLAT.thickest * 0.02 / critical, rel=1e-6)
+    drawn = 1 - FLAT.thickest / np.random.default_rng(0).normal(critical, 0.02 * critical, 400_000)
+    inside = np.abs(drawn - gate.margin[gate.worst]) < gate.uncertainty[gate.worst]
+    assert inside.mean() == pytest.approx(0.9545, abs=0.003)
+    assert gate.sentence.startswith("ductile, with a margin of 50 % +- 2 %: the chip is up to")
+    assert flat_gate(critical).uncertainty is None
+
+
+@pytest.mark.parametrize(
+    ("times", "relative", "verdict"),
+    [
+        # t (1 + 2u) against t_c from above, t (1 - 2u) from below, by hand, a thousandth to either side.
+        (1.001, None, "ductile"),
+        (0.999, None, "brittle"),
+        (1.201, 0.1, "ductile"),
+        (1.199, 0.1, "uncertain"),
+        (0.801, 0.1, "uncertain"),
+        (0.799, 0.1, "brittle"),
+        (0.1, 0.5, "uncertain"),  # nothing is known of a limit that may be 0
+    ],
+)
+def test_the_verdict_is_told_only_outside_the_band(times, relative, verdict):
+    critical = times * FLAT.thickest
+    gate = flat_gate(critical, None if relative is None else relative * critical)
+    assert gate.verdict == verdict
+    assert gate.ductile == (verdict == "ductile")
+    words = {"ductile": "ductile, with a margin of", "brittle": "brittle: the chip", "uncertain": "it cannot be told"}
+    assert words[verdict] in gate.sentence
+    # Only at the axis, where half a feed is left, the chip is thinner.
+    assert gate.doubtful == pytest.approx(float(verdict == "uncertain"), abs=0.01)
+    assert gate.share == pytest.approx(float(times < 1), abs=0.01)
+
+
+def test_what_cannot_be_told_is_held_to_what_a_brittle_pass_is():
+    """Oracles: the chip of the feed that is proposed; where on the nose the chip is t_c / (1 + 2u)."""
+    critical = 1.1 * FLAT.thickest
+    gate = flat_gate(critical, 0.1 * critical)
+    assert gate.verdict == "uncertain"
+    safe = critical / 1.2
+    sweep = np.linspace(0, FLAT.sweep[1], 200_001)
+    begins = sweep[np.argmax(FLAT.thickness(sweep) > safe)]
+    assert gate.fracture == pytest.approx(max(FLAT.thickest - 0.5 * (1 - np.cos(begins)), 0.0), abs=2e-6)
+    held = RoundChip(nose_radius=0.5, feed=gate.largest_feed, depth=0.004)
+    assert held.thickest == pytest.approx(safe, rel=1e-5)
+    # Long cracks, and how much later passes take off.
+    short, enough = (flat_gate(critical, 0.1 * critical, allowance=one, ratio=20.0) for one in (0.001, 0.03))
+    assert 0.001 < short.fracture < 0.03
+    assert not short.ok
+    assert "is inside its uncertainty" in short.sentence
+    assert f"feed at most {gate.largest_feed * 1e3:.3g} um/rev" in short.sentence
+    assert enough.ok
+    assert "within the 30 um that later passes take off" in enough.sentence
+    # Where the material bears it without doubt no crack is looked for.
+    assert flat_gate(critical, 0.01 * critical).fracture == 0
+
+
+def test_a_rake_is_proposed_that_holds_beyond_doubt():
+    critical = FLAT.thickest / 2.1
+    rake = (np.deg2rad([-45, 0]), [4.0, 1.0])
+    for relative in (0.0, 0.1):
+        gate = flat_gate(critical, relative * critical, rake=rake)
+        needed = -(2.1 * (1 + 2 * relative) - 1) / 3 * 45
+        assert np.rad2deg(gate.rake) == pytest.approx(np.floor(needed), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        (1.21, "ductile up to a feed of"),
+        (1.19, "not certainly ductile, the margin is inside its uncertainty: the chip"),
+        (0.79, "brittle: the chip will be"),
+    ],
+)
+def test_a_check_tells_the_same_before_any_path(times, words):
+    critical = times * FLAT.thickest
+    glass = Material(name="glass", critical=CriticalThickness(value=critical, uncertainty=0.1 * critical))
+    tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(100))
+    said = foretell(tool, glass, feed=0.01, depth=0.004, bend=0.0, rakes=(0.0, 0.0), allowance=0.0)
+    assert words in said
+    assert " +- " in said
+    feed = float(said.split("feed of " if times > 1.2 else "feed at most ")[1].split(" um/rev")[0]) * 1e-3
+    assert RoundChip(nose_radius=0.5, feed=feed, depth=0.004).thickest == pytest.approx(critical / 1.2, rel=0.01)

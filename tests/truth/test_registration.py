@@ -1,5 +1,6 @@
 """Registration. Oracles: poses that were put in, SciPy's least squares on residuals written here, closed forms."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -139,6 +140,10 @@ def test_astigmatism_on_a_torus_is_not_taken_for_a_rotation():
     assert any("rotation" in one.words and one.cause == "form" for one in plain.undetermined)
     with pytest.raises(InputError, match="hardly fixes the direction rotation"):
         register(heights, part, weak="raise")
+    # Lengths are said in the unit that suits them: a um of form, and what it passes for at the rim.
+    said = next(one.words for one in plain.undetermined if "rotation" in one.words)
+    assert re.search(r": 1 um of form error passes for [\d.]+ (nm|um|mm|m) of it at the rim\.$", said), said
+    assert "e+" not in said
     unsure = register(heights, part, terms=[astigmatism])  # other forms remain
     assert "rotation" in unsure.held
     along = register(heights, part, terms=[astigmatism], form_error=0.0)

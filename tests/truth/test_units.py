@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from turnwright.errors import UnitError
-from turnwright.units import convert, parse, unit, write
+from turnwright.units import convert, parse, say_length, unit, write
 
 REGISTRY = pint.UnitRegistry()
 REGISTRY.define("shaft = [shaft]")
@@ -132,3 +132,13 @@ def test_a_pydantic_field_takes_text_only_and_goes_out_as_text():
     assert squareness.validate_python("-35 um/m") == -35e-6
     with pytest.raises(ValidationError, match="it must be an angle"):
         squareness.validate_python("35 um")
+
+
+@given(st.floats(1e-6, 9.99e5), st.sampled_from((1, -1)))
+def test_a_length_is_said_in_plain_digits_and_reads_back(length, sign):
+    """Oracle: pint reads what is said."""
+    said = say_length(sign * length)
+    number, name = said.split()
+    assert "e" not in number
+    assert 1 <= abs(float(number)) < 1000
+    assert REGISTRY.Quantity(float(number), name).to("mm").magnitude == pytest.approx(sign * length, rel=5.1e-3)

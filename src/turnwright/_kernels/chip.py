@@ -268,15 +268,15 @@ def _coefficient(curve, first, step, thickness):
 def chips(
     c, x, z, sense, starts, points, contact, left, right, profile, table, upright,
     before_c, before_x, before_z, before_sense, before_starts, stock, stock_first, stock_step, rim,
-    critical, plateau, ratio, cutting, thrust, curve_first, curve_step, factor, out,
+    critical, safe, plateau, ratio, cutting, thrust, curve_first, curve_step, factor, out,
 ):  # fmt: skip
     """Fill ``out`` (n, ROWS) with the chip at ``points`` (n,) of a motion.
 
     ``contact`` (n,) is where the edge touches, ``left`` and ``right`` (n,) how far the window reaches to either side of
-    it; ``stock`` (n, 2, m) heights and
-    slopes of the blank on equal steps from ``stock_first`` (n,) on, or empty; ``before_*`` the motion of the pass
-    before, or empty; ``critical`` (n,) or empty the thickest ductile chip; ``cutting`` and ``thrust`` the coefficients
-    over thickness, or empty, and ``factor`` (n, 2) what they are multiplied by.
+    it; ``stock`` (n, 2, m) heights and slopes of the blank on equal steps from ``stock_first`` (n,) on, or empty;
+    ``before_*`` the motion of the pass before, or empty; ``critical`` (n,) or empty the thickest ductile chip, ``safe``
+    the share of it that is ductile beyond doubt; ``cutting`` and ``thrust`` the coefficients over thickness, or empty,
+    and ``factor`` (n, 2) what they are multiplied by.
     """
     p, zs, mirror = np.empty(MOST), np.empty(MOST), np.empty(MOST)
     sp, sz, sm = np.empty(MOST - 2 * OWN), np.empty(MOST - 2 * OWN), np.empty(MOST - 2 * OWN)
@@ -431,7 +431,7 @@ def chips(
                     if node == 0 and np.isnan(nearest_low):
                         nearest_low = np.arctan2(sine, cosine)
                     last_sine, last_cosine = sine, cosine
-                    if thick > limit:
+                    if thick > safe * limit:
                         # How high the edge stands there above the tangent at the contact.
                         cu = centre - tip
                         lean = upright * slope(profile, table, cu)

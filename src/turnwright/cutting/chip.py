@@ -226,7 +226,7 @@ class ChipMap:
         Effective rake: that of the tool less the angle at which the surface climbs under it. (n,) [rad]
     fracture
         How deep cracks may reach below the surface that the pass leaves, if one as long as the material says of the
-        thickest chip begins at the lowest place of the edge that is beyond the critical thickness. (n,) [mm]
+        thickest chip begins at the lowest place of the edge that is not ductile beyond doubt. (n,) [mm]
     axial, radial, cutting
         Force on the tool out of the part, away from the axis, and against its motion over the part; ``None`` where the
         material states no coefficients. Each (n,) [N]
@@ -403,6 +403,7 @@ class _Said:
     """What a material says of every point, as the kernel takes it; empty where it says nothing."""
 
     critical: Floats
+    safe: float  # share of the critical thickness that is ductile beyond doubt
     plateau: bool
     ratio: float
     cutting: Floats  # both coefficients over the logarithm of the thickness
@@ -415,18 +416,19 @@ class _Said:
     def of(cls, material: Material | None, rake: Floats, angle: Floats) -> _Said:
         nothing = np.empty(0)
         if material is None:
-            return cls(nothing, False, 0.0, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))
+            return cls(nothing, 1.0, False, 0.0, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))
         critical = nothing if material.critical is None else material.critical.at(rake=rake, angle=angle)
+        safe = 1.0 if material.critical is None else 1 / (1 + material.critical.doubt)
         ratio = material.fracture_ratio or 0.0
         if material.cutting is None or material.thrust is None:
-            return cls(critical, False, ratio, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))
+            return cls(critical, safe, False, ratio, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))
         both = (material.cutting, material.thrust)
         logs = np.linspace(np.log(1e-7), 0.0, 1 if all(one.constant for one in both) else FINE)
         cutting, thrust = (one.at(np.exp(logs)) for one in both)
         factor = np.stack([one.at(TYPICAL, rake=rake, angle=angle) / one.at(TYPICAL) for one in both], axis=1)
         step = float(logs[1] - logs[0]) if logs.size > 1 else 1.0
         return cls(
-            critical, material.brittle_plateau, ratio, cutting, thrust, float(logs[0]), step,
+            critical, safe, material.brittle_plateau, ratio, cutting, thrust, float(logs[0]), step,
             np.ascontiguousarray(factor),
         )  # fmt: skip
 
@@ -465,7 +467,7 @@ def _look(
             kernel.chips(
                 moved.c, moved.x, moved.z, moved.sense, moved.starts, where, middle, left, right, *profile[:2],
                 upright, *past, table, first, step, part.radius, said.critical[todo] if said.critical.size else nothing,
-                said.plateau, said.ratio, said.cutting, said.thrust, said.first, said.step,
+                said.safe, said.plateau, said.ratio, said.cutting, said.thrust, said.first, said.step,
                 said.factor[todo] if said.factor.size else said.factor, out,
             )  # fmt: skip
             rows[todo] = out

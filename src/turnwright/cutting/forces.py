@@ -16,7 +16,9 @@ With the usual t = f sin s, dA = t R ds and constant coefficients, up to :math:`
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -219,6 +221,20 @@ class ForceHistory:
         return np.asarray(self.torque * self.speed)
 
 
+Acting = tuple[Floats, Floats, Floats, Floats, Floats]
+"""x, y, z, thickness and torque of a `ForceHistory`."""
+
+
+def _turning(acting: Callable[[Floats], Acting], spindle_rpm: float, turns: float, samples: int) -> ForceHistory:
+    """Return the forces of what acts at the angles of a steady spindle."""
+    speed = positive(spindle_rpm, "spindle_rpm", "rev/min") * 2 * np.pi / 60
+    turned = 2 * np.pi * np.arange(max(int(positive(turns, "turns", "rev") * samples), 1) + 1) / samples
+    x, y, z, thickness, torque = acting(turned)
+    return ForceHistory(
+        time=turned / speed, angle=turned, x=x, y=y, z=z, thickness=thickness, torque=torque, speed=speed
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlotMill:
     r"""Milling around an axis normal to the part: a slot of full width, or any arc of it.
@@ -301,8 +317,10 @@ class SlotMill:
         samples
             Per turn.
         """
-        speed = positive(spindle_rpm, "spindle_rpm", "rev/min") * 2 * np.pi / 60
-        turned = 2 * np.pi * np.arange(max(int(positive(turns, "turns", "rev") * samples), 1) + 1) / samples
+        return _turning(partial(self._acting, material), spindle_rpm, turns, samples)
+
+    def _acting(self, material: Material, turned: Floats) -> Acting:
+        """Return what acts where the cutter has turned so far."""
         arc = 0.0
         if self.corner_radius:
             arc = float(np.arccos(1 - min(self.depth / self.corner_radius, 1.0)))
@@ -321,9 +339,7 @@ class SlotMill:
             z += down
             torque += along * self.radius
             most = np.maximum(most, t if wall else t * np.sin(arc))
-        return ForceHistory(
-            time=turned / speed, angle=turned, x=x, y=y, z=z, thickness=most, torque=torque, speed=speed
-        )
+        return x, y, z, most, torque
 
 
 def _edge_forces(material: Material, t: Floats, sweep: float, width: float) -> tuple[Floats, Floats, Floats]:
@@ -418,8 +434,10 @@ class FlyCut:
         samples
             Per turn.
         """
-        speed = positive(spindle_rpm, "spindle_rpm", "rev/min") * 2 * np.pi / 60
-        turned = 2 * np.pi * np.arange(max(int(positive(turns, "turns", "rev") * samples), 1) + 1) / samples
+        return _turning(partial(self._acting, material), spindle_rpm, turns, samples)
+
+    def _acting(self, material: Material, turned: Floats) -> Acting:
+        """Return what acts where the swing has turned so far."""
         phi = np.mod(turned, 2 * np.pi) - np.pi
         low = -float(np.arcsin(self.step / (2 * self.nose_radius)))
         high = RoundChip(nose_radius=self.nose_radius, feed=self.step, depth=self.depth).sweep[1]
@@ -438,6 +456,4 @@ class FlyCut:
             z[at] = down * np.cos(phi[at]) - along * np.sin(phi[at])
             torque[at] = along * self.swing
             most[at] = t.max(axis=1)
-        return ForceHistory(
-            time=turned / speed, angle=turned, x=x, y=y, z=z, thickness=most, torque=torque, speed=speed
-        )
+        return x, y, z, most, torque

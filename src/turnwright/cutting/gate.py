@@ -4,6 +4,10 @@ Every place of a pass has its thickest chip and, by the rake that the surface le
 the margin is :math:`1 - t / t_c`. Beyond it the material fractures, on the shoulder first, well above what the pass
 leaves [Blackley1991]_. What counts is whether the cracks end within what later passes take off.
 
+A critical thickness with a standard uncertainty u makes the margin uncertain by :math:`t\,u / t_c^2`; two of that, 95
+of 100 cases, are its band. A pass is ductile where the band lies above zero and brittle where it lies below; in between
+it cannot be told, and such a pass is held to what a brittle one is. So below, t_c counts as :math:`t_c / (1 + 2u/t_c)`.
+
 A feed that holds is found from each place's own chip: on a nose of radius R its thickest place stands at
 
 .. math:: s = \frac{R^2 + f^2 - (R - t)^2}{2 f}, \qquad f_c = s - \sqrt{s^2 - R^2 + (R - t_c)^2} .
@@ -12,13 +16,14 @@ A feed that holds is found from each place's own chip: on a nose of radius R its
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Bools, Floats
 from turnwright.cutting.chip import RoundChip
 from turnwright.errors import InputError
+from turnwright.units import say_length
 
 if TYPE_CHECKING:
     from turnwright.cutting.chip import ChipMap
@@ -43,8 +48,12 @@ class DuctileGate:
         Critical thickness at each of its points, by the effective rake. (n,) [mm]
     margin
         1 - thickness / critical, negative where the material fractures. (n,) [1]
+    uncertainty
+        How far the margin may be off in 95 of 100 cases; ``None`` where the material states no uncertainty. (n,) [1]
     share
         Part of the area, within the clear radius, that is cut beyond the critical thickness.
+    doubtful
+        Part of it whose margin lies inside its uncertainty.
     fracture
         How deep cracks may reach below what the pass leaves; ``None`` where the material does not say. [mm]
     allowance
@@ -60,7 +69,9 @@ class DuctileGate:
     chips: ChipMap
     critical: Floats
     margin: Floats
+    uncertainty: Floats | None
     share: float
+    doubtful: float
     fracture: float | None
     allowance: float
     feed: float
@@ -68,44 +79,65 @@ class DuctileGate:
     rake: float | None
 
     @property
+    def worst(self) -> int:
+        """Number of the point within the clear radius whose margin is least."""
+        return int(np.argmin(np.where(self.chips.inside, self.margin, np.inf)))
+
+    @property
+    def verdict(self) -> Literal["ductile", "uncertain", "brittle"]:
+        """Whether the least margin lies above zero, around it or below it, by more than its uncertainty."""
+        if not self.chips.inside.any():
+            return "ductile"
+        margin = self.margin[self.worst]
+        band = 0.0 if self.uncertainty is None else self.uncertainty[self.worst]
+        return "ductile" if margin >= band else "brittle" if margin < -band else "uncertain"
+
+    @property
     def ductile(self) -> bool:
-        """Whether no place is beyond its critical thickness."""
-        return self.share == 0.0
+        """Whether every place is below its critical thickness, beyond the doubt that the material states."""
+        return self.verdict == "ductile"
 
     @property
     def ok(self) -> bool:
-        """Whether the pass is ductile, or what it cracks is taken off later."""
+        """Whether the pass is ductile, or what it may crack is taken off later."""
         return self.ductile or self.fracture == 0.0 or (self.fracture is not None and self.fracture < self.allowance)
 
     @property
     def sentence(self) -> str:
         """What a report says of it."""
-        at = int(np.argmin(np.where(self.chips.inside, self.margin, np.inf)))
+        at = self.worst
         x, y = (round(float(one[at]), 6) + 0.0 for one in (self.chips.x, self.chips.y))
-        thick = f"the chip is up to {_length(self.chips.thickness[at])} thick at ({x:.3g}, {y:.3g}) mm"
-        limit = _length(self.critical[at])
+        said = f"the chip is up to {say_length(self.chips.thickness[at])} thick at ({x:.3g}, {y:.3g}) mm"
+        said += f", the limit there is {say_length(self.critical[at])}"
+        margin = f"margin of {_percent(self.margin[at])}"
+        if self.uncertainty is not None:
+            margin += f" +- {_percent(self.uncertainty[at])}"
         if self.ductile:
-            return f"ductile: {thick}, the limit there is {limit} (margin {100 * self.margin[at]:.0f} %)"
-        said = f"brittle: {thick}, the limit there is {limit}, and {100 * self.share:.3g} % of the area is beyond it"
+            return f"ductile, with a {margin}: {said}"
+        if self.verdict == "brittle":
+            said = f"brittle: {said}, and {100 * self.share:.3g} % of the area is beyond it"
+        else:
+            said = (
+                f"not certainly ductile: it cannot be told, the {margin} is inside its uncertainty on "
+                f"{100 * self.doubtful:.3g} % of the area; {said}"
+            )
         if self.fracture == 0.0:
             return f"{said}; cracks end above what it leaves"
         if self.ok and self.fracture is not None:
-            return (
-                f"{said}; cracks may reach {_length(self.fracture)} deep, within the {_length(self.allowance)} that "
-                "later passes take off"
-            )
-        depth = "" if self.fracture is None else f"; cracks may reach {_length(self.fracture)} deep"
+            later = f"within the {say_length(self.allowance)} that later passes take off"
+            return f"{said}; cracks may reach {say_length(self.fracture)} deep, {later}"
+        depth = "" if self.fracture is None else f"; cracks may reach {say_length(self.fracture)} deep"
         remedies = [f"feed at most {self.largest_feed * 1e3:.3g} um/rev"]
         if self.rake is not None:
             remedies.append(f"a rake of {np.rad2deg(self.rake):.3g} deg")
         if self.fracture is not None:
-            remedies.append(f"later passes that take off more than {_length(self.fracture)}")
-        return f"{said}{depth}, and later passes take off {_length(self.allowance)}: use {', or '.join(remedies)}"
+            remedies.append(f"later passes that take off more than {say_length(self.fracture)}")
+        return f"{said}{depth}, and later passes take off {say_length(self.allowance)}: use {', or '.join(remedies)}"
 
 
-def _length(value: float) -> str:
-    """Return a small length with its unit."""
-    return f"{value * 1e6:.3g} nm" if value < 1e-3 else f"{value * 1e3:.3g} um"
+def _percent(share: float) -> str:
+    """Return a share in percent, two digits of it at least."""
+    return f"{100 * share:.0f} %" if abs(share) >= 0.1 else f"{100 * share:.2g} %"
 
 
 def ductile_gate(chips: ChipMap, material: Material, tool: Tool, *, allowance: float = 0.0) -> DuctileGate:
@@ -136,26 +168,32 @@ def ductile_gate(chips: ChipMap, material: Material, tool: Tool, *, allowance: f
             f"material {material.name!r} states no critical thickness, a gate needs 1: give one, or cut it as ductile"
         )
     critical = material.critical.at(rake=chips.rake, angle=chips.angle)
-    margin = 1 - chips.thickness / critical
+    used = chips.thickness / critical
+    margin = 1 - used
+    doubt = material.critical.doubt
     inside = chips.inside
-    beyond = inside & (margin < 0)
     weight = np.hypot(chips.x, chips.y) * np.abs(np.gradient(chips.angle) if chips.angle.size > 1 else np.ones(1))
     total = float(weight[inside].sum())
-    share = float(weight[beyond].sum()) / total if total > 0 else 0.0
-    if beyond.any():
-        share = max(share, np.finfo(float).tiny)
+
+    def share(where: Bools) -> float:
+        part = float(weight[inside & where].sum()) / total if total > 0 else 0.0
+        return max(part, np.finfo(float).tiny) if (inside & where).any() else 0.0
+
     fracture = None
     if material.fracture_ratio is not None:
         fracture = float(chips.fracture[inside].max(initial=0.0))
     return DuctileGate(
-        chips=chips, critical=critical, margin=margin, share=share, fracture=fracture, allowance=float(allowance),
-        feed=chips.feed, largest_feed=_largest_feed(chips, critical, tool),
+        chips=chips, critical=critical, margin=margin, share=share(margin < 0),
+        uncertainty=None if material.critical.uncertainty is None else doubt * used,
+        doubtful=share((margin < doubt * used) & (margin >= -doubt * used)),
+        fracture=fracture, allowance=float(allowance),
+        feed=chips.feed, largest_feed=_largest_feed(chips, critical / (1 + doubt), tool),
         rake=_helpful_rake(chips, material.critical, tool),
     )  # fmt: skip
 
 
 def _largest_feed(chips: ChipMap, critical: Floats, tool: Tool) -> float:
-    """Return the largest feed at which the chip is critical nowhere. [mm/rev]."""
+    """Return the largest feed at which the chip is beyond the limit nowhere. [mm/rev]."""
     cut = chips.inside & (chips.thickness > 0)
     if not cut.any():
         return float("inf")
@@ -177,7 +215,7 @@ def _helpful_rake(chips: ChipMap, critical: CriticalThickness, tool: Tool) -> fl
         rake = tool.rake + turned
         if not low - 1e-9 <= rake <= high + 1e-9:
             continue
-        limit = critical.at(rake=chips.rake[inside] + turned, angle=chips.angle[inside])
+        limit = critical.at(rake=chips.rake[inside] + turned, angle=chips.angle[inside]) / (1 + critical.doubt)
         if (chips.thickness[inside] <= limit).all():
             return float(rake)
     return None
@@ -226,22 +264,29 @@ def foretell(
         places = np.linspace(rakes[0], rakes[1], 33) + turned
         return float(material.critical.at(rake=places[:, None], angle=around).min()) if material.critical else 0.0
 
-    bears = limit(0.0)
-    said = f"the chip will be about {_length(chip.thickest)} thick, the limit is {_length(bears)}"
+    bears, doubt = limit(0.0), material.critical.doubt
+    safe, used = bears / (1 + doubt), chip.thickest / bears
+    said = f"the chip will be about {say_length(chip.thickest)} thick, the limit is {say_length(bears)}"
+    if doubt:
+        said += f" +- {say_length(doubt * bears)}"
     side = np.sqrt(depth * (2 * radius - depth))
-    square = side**2 - bears * (2 * radius - bears)
+    square = side**2 - safe * (2 * radius - safe)
     largest = side - np.sqrt(square) if square > 0 else float("inf")
     held = f"ductile up to a feed of {largest * 1e3:.3g} um/rev" if np.isfinite(largest) else "ductile at any feed"
-    if chip.thickest <= bears:
+    if chip.thickest <= safe:
         return f"{said}: {held}"
     remedies = [f"feed at most {largest * 1e3:.3g} um/rev"]
     if material.critical.rake is not None:
         low, high = max(material.critical.rake[0][0], STEEPEST), material.critical.rake[0][-1]
         turns = sorted(np.deg2rad(np.arange(-45, 46)), key=abs)
-        helps = [one for one in turns if low <= tool.rake + one <= high and limit(one) >= chip.thickest]
+        helps = [one for one in turns if low <= tool.rake + one <= high and limit(one) / (1 + doubt) >= chip.thickest]
         remedies += [f"a rake of {np.rad2deg(tool.rake + one):.3g} deg" for one in helps[:1]]
     else:
         remedies.append("a more negative rake, whose help this material does not state")
-    needed = "" if material.fracture_ratio is None else f" more than {_length(material.fracture_ratio * chip.thickest)}"
-    left = f"later passes take off {_length(allowance)}, to take off cracks they need{needed or ' enough'}"
-    return f"brittle: {said}; {left}; to stay ductile use {', or '.join(remedies)}"
+    ratio = material.fracture_ratio
+    needed = "enough" if ratio is None else f"more than {say_length(ratio * chip.thickest)}"
+    left = f"later passes take off {say_length(allowance)}, to take off cracks they need {needed}"
+    # The margin 1 - t / limit lies below zero by more than its uncertainty.
+    certain = used * (1 - doubt) > 1
+    verdict = "brittle" if certain else "not certainly ductile, the margin is inside its uncertainty"
+    return f"{verdict}: {said}; {left}; to stay ductile use {', or '.join(remedies)}"

@@ -32,6 +32,7 @@ from turnwright.metrology._rigid import (
 from turnwright.metrology._weak import ENDLESS, Doubt, doubt, held, plausible
 from turnwright.pose import Pose
 from turnwright.surface import Surface
+from turnwright.units import say_length
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
@@ -535,8 +536,8 @@ def _words(task: _Task, direction: Floats, std: float, cause: str) -> str:
     together = " with ".join(named)
     if cause == "surface":
         return f"The surface is the same when the part moves by {together}: nothing fixes this direction."
-    why = f"{1e3 * task.form:.3g} um of form error passes for" if cause == "form" else "noise passes for"
-    return f"The surface hardly fixes the direction {together}: {why} {1e3 * std:.3g} um of it at the rim."
+    why = f"{say_length(task.form)} of form error passes for" if cause == "form" else "noise passes for"
+    return f"The surface hardly fixes the direction {together}: {why} {say_length(std)} of it at the rim."
 
 
 def _distinct(

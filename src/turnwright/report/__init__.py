@@ -87,6 +87,22 @@ class _Block(NamedTuple):
     rows: list[_Row]
 
 
+class _ChipRow(NamedTuple):
+    """The chips of a pass: a verdict with its grade, and what it rests on."""
+
+    name: str
+    verdict: str
+    grade: str  # yes, soft or no
+    values: tuple[str, ...]
+
+
+class _Chips(NamedTuple):
+    """The chips of every pass."""
+
+    rows: list[_ChipRow]
+    note: str
+
+
 class _Map(NamedTuple):
     """A predicted place."""
 
@@ -121,7 +137,7 @@ class _Page:
     spiral: Sequence[_Row]
     axes: Sequence[Picture]
     passes: Sequence[_Block]
-    chips: Sequence[_Row]
+    chips: _Chips | None
     chip_maps: Sequence[Picture]
     maps: Sequence[_Map]
     left_out: int
@@ -161,6 +177,8 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
         failed.append("the program differs from the plan")
     if failed:
         verdict = _Verdict("bad", "Not ready", "; ".join(failed))
+    elif cracked := [cut.name for cut in result.passes if cut.chips is not None and not cut.chips.ok]:
+        verdict = _Verdict("warn", "Cracks may stay", f"not ductile: {', '.join(cracked)}")
     elif not result.ok:
         verdict = _Verdict("warn", "Ready as accepted", "beyond a limit, which the job accepts")
     else:
@@ -206,9 +224,9 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             )
             for cut in reversed(result.passes)
         ],
-        chips=_chip_rows(result),
+        chips=_chip_table(result),
         chip_maps=[
-            draw.chip_map(name, result.part, result.chips[name])
+            draw.chip_map(name, result.part, result.chips[name], result.job.part.substance)
             for name in (result.passes[0].name, result.passes[-1].name)[-len(result.chips) :]
             if name in result.chips
         ],
@@ -301,7 +319,7 @@ def write_backplot(
                 rows=_limit_rows(limits, machine),
             )
         ],
-        chips=[],
+        chips=None,
         chip_maps=[],
         maps=maps,
         left_out=left_out,
@@ -330,26 +348,51 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.1f} min" if seconds >= 60 else f"{seconds:.3g} s"
 
 
-def _chip_rows(result: Result) -> list[_Row]:
-    """Return what the chips of each pass are like, and whether the material bears them."""
-    rows = []
+def _chip_table(result: Result) -> _Chips | None:
+    """Return what the chips of each pass are like, and whether the material bears them; ``None`` if none are known."""
+    rows: list[_ChipRow] = []
+    rakes: list[float] = []
     for cut in result.passes:
         chips = cut.chips
         if chips is None:
             continue
-        forces = ""
+        rakes += chips.rake_range
+        force = "–"
         if chips.axial is not None and chips.cutting is not None:
-            forces = f"; up to {chips.axial * 1e3:.3g} mN out of the part, {chips.cutting * 1e3:.3g} mN along the cut"
-        low, high = (math.degrees(rake) + 0.0 for rake in chips.rake_range)
+            force = f"{chips.axial * 1e3:.3g} / {chips.cutting * 1e3:.3g} mN"
+        margin, limit, feed = "–", "–", "any"
+        if chips.margin is not None and chips.critical is not None:
+            band = "" if chips.margin_uncertainty is None else f" ± {100 * chips.margin_uncertainty:.2g}"
+            margin, limit = f"{100 * chips.margin:.0f}{band} %", _chip_length(chips.critical)
+        if chips.largest_feed is not None:
+            feed = f"{chips.largest_feed * 1e3:.3g} µm/rev"
+        verdict = {"ductile": "ductile", "brittle": "brittle", "uncertain": "cannot be told"}[chips.verdict]
         rows.append(
-            _Row(
+            _ChipRow(
                 cut.name,
-                f"{chips.sentence}; {_length(chips.typical)} at most places{forces}; effective rake {low:.3g}° to "
-                f"{high:.3g}°",
-                ok=chips.ok,
+                verdict if chips.ok == (chips.verdict == "ductile") else f"{verdict}, taken off later",
+                "yes" if chips.verdict == "ductile" else "soft" if chips.ok else "no",
+                (
+                    _chip_length(chips.thickest), limit, margin, _chip_length(chips.typical), feed,
+                    "–" if chips.fracture is None else "none" if not chips.fracture else _chip_length(chips.fracture),
+                    _chip_length(cut.allowance) if cut.allowance else "none",
+                    force,
+                    _chip_length(chips.entering) if chips.entering else "–",
+                ),
             )
-        )
-    return rows
+        )  # fmt: skip
+    if not rows:
+        return None
+    low, high = (round(math.degrees(rake), 6) + 0.0 for rake in (min(rakes), max(rakes)))
+    known = result.job.part.substance
+    cautions = (known.caution(cut.chips.typical) for cut in result.passes if known and cut.chips)
+    note = f"The surface leaves the tool an effective rake of {low:.3g}° to {high:.3g}°."
+    return _Chips(rows, " ".join([note, *(f"{one.capitalize()}." for one in dict.fromkeys(cautions) if one)]))
+
+
+def _chip_length(length: float) -> str:
+    """Return a thickness to three digits, in the unit of the pictures."""
+    return f"{length * NM:.3g} nm" if length < 1e-3 else f"{length * 1e3:.3g} µm"
 
 
 def _number(value: float) -> str:

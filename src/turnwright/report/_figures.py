@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from turnwright.diagnosis import Move
     from turnwright.heightmap import HeightMap
     from turnwright.job import Candidate
+    from turnwright.material import Material
     from turnwright.part import Part
     from turnwright.path import Motion, Path
 
@@ -61,6 +62,9 @@ PIXELS = 480
 
 MOST_PIXELS = 900
 """Longest side of a map that is drawn as it is; a longer one is drawn with every second pixel, third, and so on."""
+
+FEW = 1e-3
+"""Share of the area below which no line is drawn around what is beyond a limit."""
 
 SPAN = 99.9
 """Share of the heights that the colours of an error map reach over; what lies beyond has the end colour. [%]"""
@@ -338,25 +342,45 @@ def contact(path: Path) -> Picture:
     )
 
 
-def chip_map(name: str, part: Part, chips: ChipMap) -> Picture:
-    """Draw the thickest chip over the part."""
+def chip_map(name: str, part: Part, chips: ChipMap, material: Material | None) -> Picture:
+    """Draw the thickest chip over the part, with a line where it is critical."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - costly to import, and only chips need it
+
     inside = chips.inside
     factor, unit = _length(chips.thickest)
+    thickness = chips.thickness[inside] * factor
+    x, y, r = _square(part.radius)
+    on = r <= part.radius
+    _, nearest = cKDTree(np.column_stack((chips.x[inside], chips.y[inside]))).query(np.column_stack((x[on], y[on])))
+    drawn = _over_disc(part.radius, thickness[nearest], r)
+    # A few places at the axis or at the rim are not what the colours are for.
+    low, high = np.nanpercentile(drawn, (0.2, 99.8))
+    said = f"Thickest chip of the pass {name}, up to {chips.thickest * factor:.3g} {unit}"
     with _canvas(4.6, 3.7) as canvas:
         axes = canvas.figure.add_subplot()
-        image = axes.hexbin(
-            chips.x[inside], chips.y[inside], C=chips.thickness[inside] * factor, gridsize=90, reduce_C_function=np.max,
-            extent=(-part.radius, part.radius, -part.radius, part.radius), cmap=HEIGHTS, linewidths=0,
-        )  # fmt: skip
-        image.set_rasterized(True)
-        axes.set_aspect("equal")
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
-        axes.set(xlabel="x [mm]", ylabel="y [mm]", title=name)
-        _bar(canvas, axes, image, f"thickest chip [{unit}]")
-    return Picture(
-        canvas.svg, f"Map of the thickest chip of the pass {name}, up to {chips.thickest * factor:.3g} {unit}."
-    )
+        image = _plan(axes, drawn, part.radius, cmap=HEIGHTS, vmin=low, vmax=high)
+        if material is not None and material.critical is not None:
+            limit = material.critical.at(rake=chips.rake, angle=chips.angle)[inside] * NM
+            used = (chips.thickness[inside] * NM / limit)[nearest]
+            beyond = float(np.mean(used > 1))
+            bears = " to ".join(dict.fromkeys((f"{limit.min():.3g}", f"{limit.max():.3g}")))
+            where = f"on {100 * beyond:.3g} % of the area" if beyond else "nowhere"
+            said += f"; the material bears {bears} nm, which is exceeded {where}"
+            if FEW < beyond < 1 - FEW:
+                some = (slice(None, None, 4),) * 2
+                line = _over_disc(part.radius, used, r)[some]
+                axes.contour(x[some], y[some], line, levels=[1.0], colors="white", linewidths=1.0)
+                said += ", bounded by the white line"
+        axes.plot(*chips.where, "o", color=INK, fillstyle="none", markersize=7, markeredgewidth=1.2, clip_on=False)
+        axes.set(title=name)
+        _bar(canvas, axes, image, f"thickest chip [{unit}]", _beyond(thickness, low, high))
+    return Picture(canvas.svg, f"{said}. The ring is where it is thickest.")
+
+
+def _beyond(values: Floats, low: float, high: float) -> str:
+    """Return at which ends a bar of colours has an arrow."""
+    below, above = bool((values < low).any()), bool((values > high).any())
+    return "both" if below and above else "min" if below else "max" if above else "neither"
 
 
 def z_over_turns(turns: Sequence[Motion]) -> Picture:

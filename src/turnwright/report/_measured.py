@@ -223,7 +223,7 @@ def _judged(measured: Measured) -> dict[str, str]:
     """Return grade, word and reason: whether the form keeps its tolerance."""
     allowed = measured.job.tolerances.form_pv
     if allowed is None:
-        return {"grade": "good", "word": "Measured", "why": "The job states no tolerances.form_pv to judge by."}
+        return {"grade": "plain", "word": "Measured", "why": "The job states no tolerances.form_pv to judge by."}
     told = f"PV {measured.form_pv_nm:.4g} nm of {allowed * NM:.4g} nm allowed."
     if measured.form_pv_nm <= allowed * NM:
         return {"grade": "good", "word": "Keeps its form", "why": told}
