@@ -6,9 +6,10 @@ from turnwright.job._correct import Correction, correct
 from turnwright.job._measure import Measured, explain, measure
 from turnwright.job._plan import Plan, Trial, plan
 from turnwright.job._result import Pass, Prediction, Preview, Result
-from turnwright.job._run import StageProgress, predict, preview, run
+from turnwright.job._run import StageProgress, finishing_motion, predict, preview, run
 from turnwright.job._schema import Job
 from turnwright.job._shares import Shares, shares
+from turnwright.job._stages import Stages
 from turnwright.job._terms import Finish, finish
 
 __all__ = [
@@ -26,12 +27,14 @@ __all__ = [
     "Result",
     "Shares",
     "StageProgress",
+    "Stages",
     "Trial",
     "artefact",
     "compare",
     "correct",
     "explain",
     "finish",
+    "finishing_motion",
     "measure",
     "plan",
     "predict",

@@ -1,0 +1,103 @@
+"""A place predicted from its own share of a finishing pass.
+
+Oracle: the same place from the whole pass, every point of it planned, placed and driven by `run`'s own stages.
+"""
+
+import copy
+
+import numpy as np
+import pytest
+
+from turnwright.job import Job, predict
+from turnwright.job._run import Watch, planned
+from turnwright.job._window import can_be_parted, predict_parted
+
+GRID = {"family": "sine grid", "amplitude": ["3 um", "2 um"], "period": ["0.9 mm", "1.3 mm"]}
+LENSES = {
+    "family": "lens array", "layout": "square", "pitch": "0.8 mm", "rows": 4, "columns": 4,
+    "lenslet": {"family": "sphere", "radius": "12 mm"},
+}  # fmt: skip
+STEPS = {
+    "family": "lens array", "layout": "square", "pitch": "0.9 mm", "rows": 3, "columns": 3, "aperture": "0.3 mm",
+    "lenslet": {"family": "sphere", "radius": "9 mm"}, "surround": "2 um",
+}  # fmt: skip
+BOWL = [{"family": "sphere", "radius": "30 mm"}, {"family": "plane", "slope": [0.01, 0.004]}]
+BASE = {
+    "part": {"surface": GRID, "radius": "1.5 mm"},
+    "tool": {"nose_radius": "0.3 mm", "included": "120 deg", "clearance": "12 deg"},
+    "machine": {"name": "generic"},
+    "strategy": {"kind": "slow tool servo", "feed": "7 um/rev", "points_per_rev": 240, "spindle_speed": "60 rpm"},
+    "simulation": {
+        "whole_part": {"radii": 300, "angles": 24},
+        "patches": [
+            {"name": "aside", "centre": ["0.61 mm", "-0.43 mm"], "size": ["80 um", "60 um"], "pixel": "1.3 um"},
+            {"name": "axis", "centre": ["0.01 mm", "0 mm"], "size": ["60 um", "60 um"], "pixel": "1.3 um"},
+            {"name": "rim", "centre": ["-1.40 mm", "0.1 mm"], "size": ["80 um", "80 um"], "pixel": "1.7 um"},
+        ],
+    },
+    "accept": ["nose radius", "included angle", "clearance", "valley", "step", "limits"],
+}
+CASES = {
+    "as it is": {},
+    "outward": {"strategy.inside_out": True, "strategy.sense": -1},
+    "overrun": {"strategy.overrun": "1.75 um"},
+    "constant arc": {"strategy.arc_length": "9 um", "strategy.points_per_rev": None},
+    "constant arc and angle": {
+        "strategy.arc_length": "9 um", "strategy.max_step": "1.5 deg", "strategy.points_per_rev": None,
+    },
+    "lenses": {"part.surface": LENSES},
+    "steps": {"part.surface": STEPS},
+    "bowl": {"part.surface": BOWL},
+    "planned deviations": {"tool.offset": ["3 um", "0 um", "2 um"], "tool.radius_error": "1 um"},
+    "actual tool": {
+        "actual.tool.offset": ["4 um", "0 um", "1 um"], "actual.tool.radius_error": "-2 um",
+        "actual.tool.waviness": ["0 mm/rad", "1e-5 mm/rad^2", "4e-4 mm/rad^3"],
+    },
+    "actual machine": {"actual.machine.squareness": "20 arcsec", "machine.squareness": "-7 arcsec"},
+    "fast tool": {
+        "strategy.kind": "fast tool servo", "machine.name": "nanoform-fts-70", "program.fast_tool": "position",
+    },
+}  # fmt: skip
+
+
+def job_with(changes):
+    data = copy.deepcopy(BASE)
+    for name, value in changes.items():
+        *tables, last = name.split(".")
+        node = data
+        for table in tables:
+            node = node.setdefault(table, {})
+        if value is None:
+            del node[last]
+        else:
+            node[last] = value
+    return Job.read(data)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_its_share_of_the_path_leaves_the_surface_of_the_whole_path(name):
+    job = job_with(CASES[name])
+    assert can_be_parted(job)
+    motion = planned(job, job.passes[-1], Watch(None))[2]
+    parted = 0
+    for one in predict(job, motion):
+        share = predict_parted(job, one.name)
+        if share is not None:
+            parted += 1
+            # 0.01 nm is asked for; what is left is rounding.
+            np.testing.assert_allclose(share.error.z, one.error.z, rtol=0, atol=1e-12)
+            assert share.roughness.sq_nm == pytest.approx(one.roughness.sq_nm, rel=1e-9)
+    assert parted >= 2
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"strategy.along": "normal"},
+        {"strategy.chord": "1 nm", "strategy.points_per_rev": None},
+        {"tool.rake": "-5 deg"},
+        {"actual.tool.offset": ["0 um", "3 um", "0 um"]},
+    ],
+)
+def test_where_a_place_depends_on_the_whole_path_it_is_not_parted(changes):
+    assert not can_be_parted(job_with(changes))
