@@ -54,6 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = INTERRUPTED
             if door is not None and door.kept is not None:
                 _say(f"interrupted when all was done: the results are complete in {door.kept}")
+            elif door is not None and door.partly:
+                _say(f"interrupted, {door.partly}")
             else:
                 _say("interrupted, nothing was kept: start it again")
         if code == 0 and door is not None and door.unsaid is not None and door.unsaid.errno != errno.EPIPE:

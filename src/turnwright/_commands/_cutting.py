@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from turnwright._commands._batch import run_batch, run_into
 from turnwright._commands._shared import Door, Folder, Force, JobFile, app, new_folder, progress_of, require_new, warn
 from turnwright.errors import InputError, JobError
 
@@ -23,23 +24,32 @@ __all__: list[str] = []
 @app.command()
 def run(
     context: typer.Context,
-    job: JobFile,
+    jobs: Annotated[
+        list[Path], typer.Argument(metavar="JOB.toml...", help="The job file, or several.", show_default=False)
+    ],
     out: Folder,
     force: Force = False,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="How many of several jobs run at a time.", show_default="as cores and memory allow"
+        ),
+    ] = None,
 ) -> None:
-    """Check, plan, place, drive, write the program, read it back, predict the surface it leaves, and report."""
+    """Check, plan, place, drive, write the program, read it back, predict the surface it leaves, and report.
+
+    Several jobs run side by side, each into a folder of its own in the folder for the results; one that fails does not
+    hold up the others, and one that is done already is not done again.
+    """
     door: Door = context.obj
+    if len(jobs) > 1:
+        run_batch(jobs, out, door, force=force, workers=workers)
+        return
     with new_folder(out, door, force=force) as folder:
-        from turnwright import job as recipe  # noqa: PLC0415 - costly
+        from turnwright.job import Job  # noqa: PLC0415 - costly
 
         with progress_of(door.stop) as progress:
-            result = recipe.run(recipe.Job.load(job), progress=progress, out=folder)
-            progress("report", 0, 1)
-            from turnwright import archive, report  # noqa: PLC0415 - matplotlib, only for a run that came so far
-
-            archive.write_archive(result, folder)
-            report.write_report(result, folder)
-            progress("report", 1, 1)
+            result = run_into(folder, Job.load(jobs[0]), progress)
     for cut in result.passes:
         door.say(
             f"{cut.name}: {cut.points} points, {cut.limits.cycle_time_s / 60:.1f} min at {cut.spindle_rpm:.4g} rpm, "

@@ -46,6 +46,8 @@ class Door:
         Whether somebody wants an end.
     kept
         The folder that is complete and in its place.
+    partly
+        What stays of a work in parts that is interrupted, and how to go on; a sentence.
     unsaid
         Why the standard output did not take what was said; the work goes on without.
     """
@@ -53,6 +55,7 @@ class Door:
     def __init__(self, stop: Stop) -> None:
         self.stop = stop
         self.kept: Path | None = None
+        self.partly = ""
         self.unsaid: OSError | None = None
 
     def say(self, text: str) -> None:

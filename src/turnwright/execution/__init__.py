@@ -4,7 +4,7 @@ It knows nothing of jobs: a case is data, the work a function that turns data in
 """
 
 from turnwright.execution._conduct import Case, Row, Work, case_key, conduct, program_version
-from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, cluster, local
+from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, cluster, fitting, local
 from turnwright.execution._store import Store
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "case_key",
     "cluster",
     "conduct",
+    "fitting",
     "local",
     "program_version",
 ]

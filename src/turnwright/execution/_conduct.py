@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tomllib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import version as version_of
 from os import environ
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from turnwright.errors import InputError, Stopped, StudyError, TurnwrightError
-from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, local
+from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, fitting, local
 from turnwright.execution._store import FULL, Store
 from turnwright.progress import THREADS, Progress, at_most, cores
 
@@ -56,7 +57,8 @@ def case_key(data: Mapping[str, Any]) -> str:
     Parameters
     ----------
     data
-        Everything that the row depends on, what is shared by all cases included.
+        Everything that the row depends on, what is shared by all cases included. A text that is the whole path of a
+        file stands for the content of that file, and of those that it names if it is a TOML file.
 
     Raises
     ------
@@ -67,10 +69,37 @@ def case_key(data: Mapping[str, Any]) -> str:
     True
     """
     try:
-        text = json.dumps([data, program_version()], sort_keys=True, separators=(",", ":"))
+        text = json.dumps([_stated(data), program_version()], sort_keys=True, separators=(",", ":"))
     except (TypeError, ValueError) as error:
         raise InputError(f"a case must be plain data ({error}): use numbers, texts, lists and mappings") from None
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _stated(value: Any, folder: Path | None = None, above: frozenset[Path] = frozenset()) -> Any:
+    """Return data with the files that it names replaced by what is in them."""
+    if isinstance(value, Mapping):
+        return {key: _stated(one, folder, above) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_stated(one, folder, above) for one in value]
+    if not isinstance(value, str) or not (folder or value.startswith(("/", "\\")) or value[1:2] == ":"):
+        return value
+    file = Path(value) if folder is None else folder / value
+    try:
+        if not file.is_file() or file in above:
+            return value
+        state = file.stat()
+        content: Any = _digest(file, state.st_mtime_ns, state.st_size)
+        if file.suffix == ".toml":
+            table = tomllib.loads(file.read_text(encoding="utf-8"))
+            content = [content, _stated(table, file.parent, above | {file})]
+    except (OSError, ValueError):  # no path after all, or no TOML
+        return value
+    return {"file": content}
+
+
+@lru_cache(maxsize=1024)
+def _digest(file: Path, _changed_ns: int, _size: int) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 @cache
@@ -127,7 +156,7 @@ def conduct(
         If the work cannot go on: the store takes nothing more, or the executor is broken. What is finished stays.
     """
     if executor is None:
-        with local() as pool:
+        with local(min(fitting(), max(1, len(cases)))) as pool:
             return conduct(work, cases, shared=shared, executor=pool, store=store, progress=progress)
     kept = set() if store is None else store.keys()
     rows: dict[str, Row] = {}
@@ -212,29 +241,39 @@ class _Conductor:
         try:
             row, lasting = future.result()
         except WorkerDied as death:
-            self.deaths[case.key] += 1
-            if self.deaths[case.key] <= DEATHS:
-                return None
-            return {"reason": f"its worker died {self.deaths[case.key]} times, the last time alone ({death})"}
+            return self._died(case, str(death), 1)
         except (StudyError, Stopped):
             raise
-        except (BrokenExecutor, CancelledError) as error:
+        except BrokenExecutor as error:
             raise self._lost(error) from error
+        except CancelledError:
+            raise self._lost(ConnectionError("its cases were cancelled, as when a scheduler is gone")) from None
         except Exception as error:
-            if type(error).__name__ == "KilledWorker":  # Dask has tried it often enough by itself
-                return {"reason": "the workers of the cluster died of it, as when the memory runs out"}
-            raise self._lost(error) from error
+            if type(error).__name__ == "KilledWorker":  # Dask has sent it again by itself, maybe beside the guilty one
+                return self._died(case, "as when the memory runs out", getattr(error, "allowed_failures", DEATHS) + 1)
+            raise StudyError(
+                f"a case cannot travel to a worker and back ({type(error).__name__}: {_line(error)}): the work must be "
+                "a function of a module that the workers can import, its data plain"
+            ) from error
         foreign = not isinstance(self.executor, LocalPool)  # the folder of another machine may not be the one here
         if lasting and foreign and self.store is not None and self.store.row(case.key) is None:
             self.store.put_row(case.key, row)
         return row
 
+    def _died(self, case: Case, how: str, deaths: int) -> Row | None:
+        alone = self.deaths[case.key] >= DEATHS
+        self.deaths[case.key] += deaths
+        if not alone:
+            return None
+        return {
+            "reason": f"its worker died {self.deaths[case.key]} times, the last time with nothing beside it ({how})"
+        }
+
     def _lost(self, error: BaseException) -> StudyError:
-        said = str(error).splitlines()[0] if str(error) else "it gives no reason"
         kept = "kept" if self.store is not None else "lost, for want of a store"
         return StudyError(
-            f"the executor carries out no more cases ({type(error).__name__}: {said}), the {len(self.rows)} that are "
-            f"finished are {kept}: start again with another"
+            f"the executor carries out no more cases ({type(error).__name__}: {_line(error)}), the "
+            f"{len(self.rows)} that are finished are {kept}: start again with another"
         )
 
 
@@ -279,9 +318,13 @@ def _compute(work: Work, data: dict[str, Any], shared: Mapping[str, Any], store:
     except ImportError as error:
         return {"reason": f"the worker lacks a package ({error})"}, False
     except Exception as error:  # noqa: BLE001 - one case is never the end of the others
-        said = " ".join(str(error).split())
-        return {"reason": f"{type(error).__name__}: {said} (a defect, please report it)"}, True
+        return {"reason": f"{type(error).__name__}: {_line(error)} (a defect, please report it)"}, True
     return row, True
+
+
+def _line(error: BaseException) -> str:
+    """Return what an error says, in one line."""
+    return " ".join(str(error).split()) or "it gives no reason"
 
 
 def _plain(value: Any) -> Any:

@@ -7,6 +7,7 @@ own: one that dies takes one case with it, and the others do not notice.
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import queue
@@ -24,12 +25,13 @@ from typing import Any, ParamSpec, TypeVar
 from turnwright.errors import InputError, StudyError
 from turnwright.progress import THREADS, cores
 
-__all__ = ["Cluster", "LocalPool", "WorkerDied", "cluster", "local"]
+__all__ = ["Cluster", "LocalPool", "WorkerDied", "cluster", "fitting", "local"]
 
-MEMORY_GB = 1.5
-"""What a worker may need if nobody says. The freeform infrared lens with its maps takes 0.6 GB."""
+MEMORY_GB = 2.0
+"""What a worker may need if nobody says: a whole run of the freeform infrared lens with its maps takes 1.6 GB."""
 _REACH_S = 5.0
-_GRACE_S = 0.7
+_GRACE_S = 0.7  # for a worker whose driver is gone: within a second so is it
+_FAREWELL_S = 5.0  # for a worker that is told to stop; nearly all go at once
 _ASK_AGAIN_S = 5.0
 _LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _SPAWN = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang, and Windows has none
@@ -77,6 +79,7 @@ class LocalPool(Executor):
         self._tasks: queue.SimpleQueue[tuple[Future[Any], tuple[Any, ...]] | None] = queue.SimpleQueue()
         self._processes: set[SpawnProcess] = set()
         self._closed = False
+        self._ended = False
         self._servers = [threading.Thread(target=self._serve, daemon=True) for _ in range(workers)]
         for server in self._servers:
             server.start()
@@ -105,10 +108,11 @@ class LocalPool(Executor):
         self._closed = True
         self._drop()
         with _starting:
+            self._ended = True  # from here on none starts
             processes = tuple(self._processes)
         for process in processes:
             process.terminate()
-        until = time.monotonic() + _GRACE_S
+        until = time.monotonic() + _FAREWELL_S
         for process in processes:
             process.join(max(0.0, until - time.monotonic()))
             process.kill()
@@ -128,6 +132,9 @@ class LocalPool(Executor):
             future, call = task
             if not future.set_running_or_notify_cancel():
                 continue
+            if worker is not None and not worker[0].is_alive():  # killed while it waited: no case is to blame
+                self._forget(*worker)
+                worker = None
             try:
                 worker = worker or self._start()
                 done, value = _ask(*worker, call)
@@ -149,14 +156,16 @@ class LocalPool(Executor):
         ours, theirs = _SPAWN.Pipe()
         process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
         with _starting:
-            if self._closed and not self._processes:
-                raise StudyError("the pool is closed: nothing starts any more")
+            if self._ended:
+                raise WorkerDied(None)
             # Libraries read these when they are loaded, before a line of ours runs in the worker.
             names = (THREADS, *_LIBRARIES)
             before = {name: os.environ.get(name) for name in names}
             os.environ.update(dict.fromkeys(names, str(self.threads)))
             try:
                 process.start()
+            except (OSError, RuntimeError) as error:  # Python starts none while it reads a worker's copy of the script
+                raise _none_starts(error) from error
             finally:
                 for name, value in before.items():
                     if value is None:
@@ -169,10 +178,7 @@ class LocalPool(Executor):
             _receive(process, ours)  # it says that it is ready
         except WorkerDied as death:
             self._forget(process, ours)
-            raise StudyError(
-                f"no worker process can be started ({death}): start the work of a script below "
-                'if __name__ == "__main__":, or use fewer workers'
-            ) from None
+            raise _none_starts(death) from None
         return process, ours
 
     def _forget(self, process: SpawnProcess, connection: Connection) -> None:
@@ -181,6 +187,14 @@ class LocalPool(Executor):
         process.join()
         with _starting:
             self._processes.discard(process)
+
+
+def _none_starts(error: Exception) -> StudyError:
+    said = str(error).split("\n\n")[0].strip()
+    return StudyError(
+        f"no worker process can be started ({' '.join(said.split())}): start the work of a script below "
+        'if __name__ == "__main__":, or use fewer workers'
+    )
 
 
 def _ask(process: SpawnProcess, connection: Connection, call: tuple[Any, ...]) -> tuple[bool, Any]:
@@ -279,7 +293,7 @@ def local(workers: int | None = None, memory_gb: float | None = None) -> Iterato
     workers
         How many; as many as there are cores and as there is memory for, if not given.
     memory_gb
-        What one worker may need, 1.5 if not given. [GB]
+        What one worker may need, 2 if not given. [GB]
 
     Raises
     ------
@@ -290,18 +304,21 @@ def local(workers: int | None = None, memory_gb: float | None = None) -> Iterato
         raise InputError(f"{workers} workers carry out nothing: use at least 1")
     if memory_gb is not None and not memory_gb > 0:
         raise InputError(f"a worker cannot do with {memory_gb} GB of memory: use more than 0")
-    available = cores()
     if workers is None:
-        free = _free_memory_gb()
-        fitting = available if free is None else int(free / (memory_gb or MEMORY_GB))
-        workers = max(1, min(available, fitting))
-    pool = LocalPool(workers=workers, threads=max(1, available // workers))
+        workers = fitting(memory_gb)
+    pool = LocalPool(workers=workers, threads=max(1, cores() // workers))
     try:
         yield pool
     except BaseException:
         pool.kill()
         raise
     pool.shutdown()
+
+
+def fitting(memory_gb: float | None = None) -> int:
+    """Return how many workers there are cores and memory for, at least one."""
+    free = _free_memory_gb()
+    return max(1, cores() if free is None else min(cores(), int(free / (memory_gb or MEMORY_GB))))
 
 
 def _free_memory_gb() -> float | None:
@@ -345,11 +362,15 @@ def cluster(address: str) -> Iterator[Cluster]:
         raise InputError(
             "a cluster needs distributed, which is not installed: pip install 'turnwright[cluster]'"
         ) from None
+    talker = logging.getLogger("distributed.client")
+    level = talker.level
+    talker.setLevel(logging.CRITICAL)  # it tells of a lost scheduler by a traceback, this by a sentence
     try:
         client: Any = Client(  # type: ignore[no-untyped-call]
             address, timeout=_REACH_S, set_as_default=False
         )
     except (OSError, ValueError, TypeError) as error:
+        talker.setLevel(level)
         reason = str(error).splitlines()[0]
         raise StudyError(
             f"no Dask scheduler answers at {address!r} within {_REACH_S:.0f} s ({reason}): start one with "
@@ -360,3 +381,4 @@ def cluster(address: str) -> Iterator[Cluster]:
     finally:
         with suppress(OSError, TimeoutError):
             client.close()
+        talker.setLevel(level)

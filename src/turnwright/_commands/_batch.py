@@ -1,0 +1,111 @@
+"""Several jobs at once: each in a process and a folder of its own."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from turnwright._commands._shared import Door, new_folder, progress_of
+from turnwright._stop import Stop
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from turnwright.execution import Store
+    from turnwright.job import Job, Result, StageProgress
+
+__all__ = ["run_batch", "run_into"]
+
+DONE = "case.json"
+"""Says which job, and which program, a folder of a batch was made by, and in one line with what outcome."""
+
+
+def run_into(folder: Path, job: Job, progress: StageProgress) -> Result:
+    """Run a job and leave all that it promises in a folder."""
+    from turnwright import job as recipe  # noqa: PLC0415 - costly
+
+    result = recipe.run(job, progress=progress, out=folder)
+    progress("report", 0, 1)
+    from turnwright import archive, report  # noqa: PLC0415 - matplotlib, only for a run that came so far
+
+    archive.write_archive(result, folder)
+    report.write_report(result, folder)
+    progress("report", 1, 1)
+    return result
+
+
+def run_batch(jobs: Sequence[Path], out: Path, door: Door, *, force: bool, workers: int | None) -> None:
+    """Run jobs side by side and say how each ended.
+
+    Raises
+    ------
+    InputError
+        If two jobs would be put into the same folder.
+    typer.Exit
+        With the code of bad input, if a job failed.
+    """
+    from turnwright.execution import Case, conduct, fitting, local  # noqa: PLC0415 - only for several jobs
+
+    named = Counter(job.stem for job in jobs)
+    twice = next((name for name, count in named.items() if count > 1), None)
+    if twice is not None:
+        raise InputError(
+            f"{named[twice]} jobs are named {twice!r}, and so would be their folders: give them other names"
+        )
+    cases = [Case(key=job.stem, data={"name": job.stem, "job": str(job)}) for job in jobs]
+    shared = {"out": str(out.absolute()), "force": force}
+    made = [folder for folder in (out.absolute(), *out.absolute().parents) if not folder.exists()]
+    side_by_side = min(fitting() if workers is None else workers, len(jobs))
+    out.mkdir(parents=True, exist_ok=True)
+    door.partly = f"what is finished stays in {out}: give the same command to go on"
+    try:
+        with progress_of(door.stop) as progress, local(side_by_side) as pool:
+            rows = conduct(
+                _run_case, cases, shared=shared, executor=pool,
+                progress=lambda done, total: progress("jobs", done, total),
+            )  # fmt: skip
+    finally:
+        for folder in made:
+            with suppress(OSError):  # something stays in it
+                folder.rmdir()
+    width = max(map(len, named))
+    for case, row in zip(cases, rows, strict=True):
+        outcome = f"failed: {'; '.join(row['reason'].splitlines())}" if "reason" in row else row["outcome"]
+        door.say(f"{case.key:<{width}}  {outcome}")
+    failed = sum("reason" in row for row in rows)
+    door.say(f"{len(rows) - failed} of {len(rows)} jobs are done, their reports in {out}/JOB/report.html")
+    if failed:
+        raise typer.Exit(2)
+
+
+def _run_case(data: Mapping[str, Any], shared: Mapping[str, Any], _store: Store | None) -> dict[str, str]:
+    """Run one job of a batch, unless its folder is there and made by the same job and program."""
+    from turnwright.execution import case_key  # noqa: PLC0415
+    from turnwright.job import Job  # noqa: PLC0415 - costly
+
+    job = Job.load(data["job"])
+    key = case_key({"job": job.model_dump(mode="json")})
+    out = Path(shared["out"]) / data["name"]
+    with suppress(OSError, ValueError, KeyError):
+        done = json.loads((out / DONE).read_text(encoding="utf-8"))
+        if done["key"] == key:
+            return {"outcome": f"as before: {done['outcome']}"}
+    with Stop() as stop, new_folder(out, Door(stop), force=shared["force"]) as folder:
+        outcome = _outcome(run_into(folder, job, lambda *_: stop.check()))
+        (folder / DONE).write_text(json.dumps({"key": key, "outcome": outcome}) + "\n", encoding="utf-8")
+    return {"outcome": outcome}
+
+
+def _outcome(result: Result) -> str:
+    minutes = sum(cut.limits.cycle_time_s for cut in result.passes) / 60
+    said = [f"{minutes:.1f} min", f"{sum(cut.points for cut in result.passes)} points"]
+    said += [f"{one.name} Sq {one.roughness.sq_nm:.3g} nm" for one in result.predictions]
+    if result.warnings:
+        said.append(f"warnings in its report: {len(result.warnings)}")
+    return ", ".join(said)
