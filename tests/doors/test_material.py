@@ -156,6 +156,21 @@ def test_check_names_feed_and_what_the_material_does_not_say(tmp_path, capsys):
     assert "ductile up to a feed of" in capsys.readouterr().out
 
 
+def test_a_first_turn_that_breaks_the_rim_asks_for_a_lead_in(tmp_path):
+    """Oracle: no turn before bounds the first, so on a flat the chip is as thick as the cut is deep, 10 um."""
+    file = job(tmp_path, feed="1 um/rev")
+    assert tw.run(Job.load(file)).passes[0].chips.ok
+    text = file.read_text(encoding="utf-8").replace('lead_in = "0.2 mm"\n', "")
+    file.write_text(text.replace('"sphere"\nradius = "20 mm"', '"plane"\nslope = [0, 0]'), encoding="utf-8")
+    result = tw.run(Job.load(file))
+    chips = result.passes[0].chips
+    assert chips.verdict == "ductile"
+    assert chips.thickest * 1e6 < 600
+    assert chips.entering * 1e3 == pytest.approx(10, rel=1e-9)
+    assert not chips.ok
+    assert any("first turn" in one and "give a longer lead_in" in one for one in result.warnings)
+
+
 def test_other_words_for_a_material_stay_a_note(tmp_path):
     result = tw.run(Job.load(job(tmp_path, material="what was on the shelf")))
     assert result.passes[0].chips is None

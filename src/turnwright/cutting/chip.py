@@ -211,7 +211,7 @@ class ChipMap:
         Azimuth of the part under the tool [rad], and where in the part frame the edge touches what it leaves. Each (n,)
         [mm]
     inside
-        Whether that is within the clear radius; before, the tool only enters. (n,)
+        Whether that is within the clear radius, and beyond the first turn: before, the tool only enters. (n,)
     thickness
         Thickest place of the chip, normal to the edge. (n,) [mm]
     area
@@ -254,12 +254,12 @@ class ChipMap:
 
     @property
     def thickest(self) -> float:
-        """Greatest thickness within the clear radius. [mm]."""
+        """Greatest thickness within the clear radius, once the tool has entered. [mm]."""
         return float(self.thickness[self.inside].max(initial=0.0))
 
     @property
     def entering(self) -> float:
-        """Greatest thickness while the tool enters at the rim, where no turn before bounds the chip. [mm]."""
+        """Greatest thickness while the tool enters: on the first turn, which none bounds, and at the rim. [mm]."""
         return float(self.thickness[~self.inside].max(initial=0.0))
 
     @property
@@ -391,7 +391,8 @@ def chip_map(
     if said.cutting.size:
         forces = {"axial": column[kernel.AXIAL], "radial": column[kernel.RADIAL], "cutting": column[kernel.CUTTING]}
     return ChipMap(
-        points=at, angle=azimuth, x=x, y=y, inside=np.abs(contact) <= part.radius,
+        points=at, angle=azimuth, x=x, y=y,
+        inside=(np.abs(contact) <= part.radius) & (np.abs(azimuth - moved.c[0]) >= 2 * np.pi - 1e-9),
         thickness=column[kernel.THICKEST], area=column[kernel.AREA], depth=column[kernel.DEPTH],
         sweep_low=column[kernel.LOW], sweep_high=column[kernel.HIGH], width=column[kernel.WIDTH],
         rake=rake, fracture=column[kernel.FRACTURE], feed=motion.feed, **forces,

@@ -10,19 +10,25 @@ import numpy as np
 from turnwright.cutting.chip import chip_map
 from turnwright.cutting.gate import ductile_gate, foretell
 from turnwright.errors import InputError
+from turnwright.units import say_length
 
 if TYPE_CHECKING:
     from turnwright._arrays import Ints
     from turnwright.access import Access
     from turnwright.cutting.chip import ChipMap
+    from turnwright.cutting.gate import DuctileGate
     from turnwright.job._schema import Job, PassTable
     from turnwright.path import Motion
     from turnwright.progress import Progress
 
 __all__ = ["PassChips", "chips_of", "foretold"]
 
-MOST = 40_000
-"""Points of a pass whose chips are found, as many on every part of the area: a map of 200 by 200."""
+MOST = 20_000
+"""Points of a pass whose chips are found, as many on every part of the area. Eight times as many change the thickest
+chip of the infrared lens and of an array of lenses by less than 0.1 %."""
+
+FIRST = 72
+"""Points of the first turn among them."""
 
 GOLDEN = np.pi * (3 - np.sqrt(5))
 """Angle by which the seeds of a sunflower follow each other: it leaves no gaps and no rows. [rad]"""
@@ -106,17 +112,35 @@ def chips_of(
         return replace(told, sentence="ductile however thick the chip, as far as the material says"), chips
     gate = ductile_gate(chips, material, job.tool.tool, allowance=allowance)
     told = replace(
-        told, critical=float(gate.critical[gate.worst]), margin=float(gate.margin[gate.worst]),
+        told,
+        critical=float(gate.critical[gate.worst]), margin=float(gate.margin[gate.worst]),
         margin_uncertainty=None if gate.uncertainty is None else float(gate.uncertainty[gate.worst]),
         share=gate.share, fracture=gate.fracture,
         largest_feed=gate.largest_feed if np.isfinite(gate.largest_feed) else None,
         verdict=gate.verdict, ok=gate.ok, sentence=gate.sentence,
     )  # fmt: skip
-    return told, chips
+    return _with_first_turn(told, chips, gate, part.radius), chips
+
+
+def _with_first_turn(told: PassChips, chips: ChipMap, gate: DuctileGate, radius: float) -> PassChips:
+    """Add what the first turn does to the part, if it begins within the clear radius."""
+    away = np.hypot(chips.x, chips.y)
+    first = ~chips.inside & (away <= radius)
+    cracked = float(chips.fracture[first].max(initial=0.0))
+    harmless = gate.fracture is not None and (cracked == 0 or cracked < gate.allowance)
+    if harmless or not (gate.margin[first] < 0).any():
+        return told
+    said = (
+        f"{told.sentence}; but the first turn, which none before bounds, takes a chip of "
+        f"{say_length(float(chips.thickness[first].max()))} within the clear radius"
+    )
+    if away[first].max() > radius / 2:
+        said += ": give a longer lead_in, so that it stands outside"
+    return replace(told, ok=False, sentence=said)
 
 
 def _spread(motion: Motion) -> Ints:
-    """Return points that stand evenly over the area, in the order of the motion; all of them if they are few. (n,)."""
+    """Return points spread over the area, and some of the first turn, in the order of the motion; all if few. (n,)."""
     size = motion.time.size
     if size <= MOST:
         return np.arange(size)
@@ -127,7 +151,8 @@ def _spread(motion: Motion) -> Ints:
     k = np.arange(MOST)
     near = np.interp(x.max() * np.sqrt((k + 0.5) / MOST), x[few][order], c[few][order])
     wanted = near + np.mod(k * GOLDEN - near + np.pi, 2 * np.pi) - np.pi
-    return np.unique(np.minimum(np.searchsorted(c, wanted), size - 1))
+    entry = c[0] + 2 * np.pi * np.arange(FIRST) / FIRST
+    return np.unique(np.minimum(np.searchsorted(c, np.concatenate((entry, wanted))), size - 1))
 
 
 def foretold(job: Job, access: Access, cut: PassTable, feed: float, stock: float) -> str:

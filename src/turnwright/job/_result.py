@@ -143,7 +143,7 @@ class Result:
     rounding_limit_nm
         What the program's decimals allow that difference to be.
     chips
-        The chips of each pass at up to 40,000 points, by name, where the material is known.
+        The chips of each pass at up to 20,000 points, by name, where the material is known.
     warnings
         One sentence each.
     timings

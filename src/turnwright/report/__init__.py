@@ -178,7 +178,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
     if failed:
         verdict = _Verdict("bad", "Not ready", "; ".join(failed))
     elif cracked := [cut.name for cut in result.passes if cut.chips is not None and not cut.chips.ok]:
-        verdict = _Verdict("warn", "Cracks may stay", f"not ductile: {', '.join(cracked)}")
+        verdict = _Verdict("warn", "Cracks may stay", f"the material does not bear: {', '.join(cracked)}")
     elif not result.ok:
         verdict = _Verdict("warn", "Ready as accepted", "beyond a limit, which the job accepts")
     else:
@@ -366,12 +366,14 @@ def _chip_table(result: Result) -> _Chips | None:
             margin, limit = f"{100 * chips.margin:.0f}{band} %", _chip_length(chips.critical)
         if chips.largest_feed is not None:
             feed = f"{chips.largest_feed * 1e3:.3g} µm/rev"
+        ductile = chips.verdict == "ductile"
+        unlike = "but on the first turn" if ductile else "taken off later"
         verdict = {"ductile": "ductile", "brittle": "brittle", "uncertain": "cannot be told"}[chips.verdict]
         rows.append(
             _ChipRow(
                 cut.name,
-                verdict if chips.ok == (chips.verdict == "ductile") else f"{verdict}, taken off later",
-                "yes" if chips.verdict == "ductile" else "soft" if chips.ok else "no",
+                verdict if chips.ok == ductile else f"{verdict}, {unlike}",
+                "no" if not chips.ok else "yes" if ductile else "soft",
                 (
                     _chip_length(chips.thickest), limit, margin, _chip_length(chips.typical), feed,
                     "–" if chips.fracture is None else "none" if not chips.fracture else _chip_length(chips.fracture),
