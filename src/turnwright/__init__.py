@@ -183,6 +183,7 @@ if TYPE_CHECKING:
         XYPolynomial,
         Zernike,
     )
+    from turnwright.tiling import TiledMap, generate_tiled
     from turnwright.tool import Tool, WavinessTable
     from turnwright.tracking import precorrect, track
 
@@ -362,6 +363,7 @@ _HOMES = {
         "XYPolynomial",
         "Zernike",
     ),
+    "tiling": ("TiledMap", "generate_tiled"),
     "tool": ("Tool", "WavinessTable"),
     "tracking": ("precorrect", "track"),
 }
@@ -475,6 +477,7 @@ __all__ = [
     "Sum",
     "Surface",
     "TapTest",
+    "TiledMap",
     "Tool",
     "Toroid",
     "TransferFunction",
@@ -518,6 +521,7 @@ __all__ = [
     "generate",
     "generate_points",
     "generate_polar",
+    "generate_tiled",
     "handbook_offset",
     "in_air",
     "inspect_nc",

@@ -50,7 +50,9 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.diagnosis import Diagnosis
     from turnwright.job import Comparison, Correction, Measured, Prediction, Result
+    from turnwright.metrology import Roughness, Spectrum
     from turnwright.path import Motion
+    from turnwright.tiling import TiledMap
 
 __all__ = [
     "read_maps",
@@ -60,6 +62,7 @@ __all__ = [
     "write_diagnosis",
     "write_maps",
     "write_measured",
+    "write_tiled",
 ]
 
 AXES = ("x", "y", "radius", "angle")
@@ -147,6 +150,28 @@ def write_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
         ],
     }
     _write_json(folder / "comparison.json", numbers)
+
+
+def write_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: str | PathLike[str]) -> None:
+    """Write ``tiled.json`` and ``spectrum.csv``.
+
+    Parameters
+    ----------
+    made, rough, spectrum
+        A map in tiles, and what was found in it.
+    folder
+        Where to; it exists.
+    """
+    folder = Path(folder)
+    numbers = {
+        "map": {"shape": list(made.shape), "pixel_mm": list(made.pixel), "extent_mm": list(made.extent)},
+        "roughness": rough,
+    }
+    _write_json(folder / "tiled.json", numbers)
+    unit = spectrum.unit.replace("²", "2").replace(" ", "_")
+    lines = (f"{one:.17g},{two:.17g}" for one, two in zip(spectrum.frequency, spectrum.density, strict=True))
+    table = [f"frequency_per_mm,density_{unit}", *lines]
+    (folder / "spectrum.csv").write_text("\n".join(table) + "\n", encoding="utf-8")
 
 
 def write_measured(measured: Measured, folder: str | PathLike[str]) -> None:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Floats, Ints, frozen
+from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
@@ -145,10 +145,10 @@ def generate_points(
     x, y = frozen(x, "x"), frozen(y, "y")
     if x.shape != y.shape:
         raise InputError(f"x has {x.size} points and y {y.size}: give as many of one as of the other")
-    return _finish(_in_tiles(_cut(motion, tool, machine), x, y, _Tiles.of_points(x.size), progress))
+    return _finish(_in_tiles(_cut(motion, tool, machine), x, y, Tiles.of_points(x.size), progress))
 
 
-class _Tiles(NamedTuple):
+class Tiles(NamedTuple):
     """Neighbouring points in tiles, and neighbouring tiles in groups."""
 
     order: Ints  # of the points of a grid, tile by tile
@@ -156,13 +156,13 @@ class _Tiles(NamedTuple):
     groups: Ints  # where each group begins among the tiles
 
     @classmethod
-    def of_points(cls, count: int) -> _Tiles:
+    def of_points(cls, count: int) -> Tiles:
         """Return every point alone."""
         each = np.arange(count + 1)
         return cls(each[:-1], each, each)
 
     @classmethod
-    def of_grid(cls, shape: tuple[int, int], sides: tuple[int, int]) -> _Tiles:
+    def of_grid(cls, shape: tuple[int, int], sides: tuple[int, int]) -> Tiles:
         """Return a grid in tiles of ``sides`` points, sixteen tiles to a group."""
         tile = [np.arange(n) // side for n, side in zip(shape, sides, strict=True)]
         group = [index // 4 for index in tile]
@@ -175,16 +175,51 @@ class _Tiles(NamedTuple):
         return cls(order, np.append(first, number.size), np.append(groups, filled.size))
 
 
-def _in_tiles(cut: _Cut, x: Floats, y: Floats, tiles: _Tiles, progress: Progress | None) -> Floats:
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A motion and an edge made ready for any points within a range of distances from the axis.
+
+    Whatever is as long as the motion is done once, however many tiles of a part are then made of it.
+    """
+
+    cut: _Cut
+    blocks: Floats
+    rings: Floats
+    useful: Ints
+    core: Bools
+    most_y: float
+
+    @classmethod
+    def of(
+        cls, motion: Motion, tool: Tool, machine: Machine | None, *, distances: tuple[float, float], most_rings: int
+    ) -> Prepared:
+        """Prepare for the points between two ``distances`` from the axis [mm], with so many rings at most."""
+        return _prepared(_cut(motion, tool, machine), *distances, most_rings)
+
+    def sides(self, steps: tuple[float, float]) -> tuple[int, int]:
+        """Return how many points of a grid with such steps [mm] go in one tile, along rows and columns."""
+        return _tile_side(self.cut, steps[0]), _tile_side(self.cut, steps[1])
+
+    def fill(self, x: Floats, y: Floats, tiles: Tiles, span: tuple[int, int], out: Floats) -> None:
+        """Fill ``out`` at the points (x, y) of the groups of ``span``, on this thread. Each (n,) [mm]."""
+        from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
+
+        cut = self.cut
+        kernel.tiles(
+            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, self.blocks, self.rings, self.useful,
+            self.core, cut.row, cut.profile, cut.table, cut.gap, cut.bend, self.most_y, x, y, tiles.offsets,
+            tiles.groups, *span, out,
+        )  # fmt: skip
+
+
+def _prepared(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
+    """Settle once for each of some hundred rings which turns can matter at all."""
     from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
 
-    out = np.empty(x.size)
-    # Which turns can matter at all is settled once for each of some hundred rings.
-    radius = np.hypot(x, y)
-    high = radius.max(initial=0.0) * (1 + 1e-9) + 1e-9
-    low = radius.min(initial=high) * (1 - 1e-9)
+    high = high * (1 + 1e-9) + 1e-9
+    low = min(low, high) * (1 - 1e-9)
     most = RINGS if cut.upright and cut.convex else 10 * RINGS
-    count = int(np.clip(2 * (high - low) / max(cut.feed, 1e-9), 1, min(most, x.size)))
+    count = int(np.clip(2 * (high - low) / max(cut.feed, 1e-9), 1, max(min(most, most_rings), 1)))
     rings = np.linspace(low, high, count + 1)
     useful, core = np.empty((count, 2, 2), dtype=np.int64), np.zeros(count, dtype=np.bool_)
     most_y = float(np.abs(cut.y).max(initial=0.0))
@@ -196,15 +231,21 @@ def _in_tiles(cut: _Cut, x: Floats, y: Floats, tiles: _Tiles, progress: Progress
         kernel.useful_aside(
             cut.bounds, cut.row, cut.profile, cut.table, cut.gap, cut.bend, most_y, rings, useful, core
         )  # fmt: skip
+    return Prepared(cut, blocks, rings, useful, core, most_y)
 
-    def work(start: int, stop: int) -> None:
-        kernel.tiles(
-            cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, blocks, rings, useful, core, cut.row,
-            cut.profile, cut.table, cut.gap, cut.bend, most_y, x, y, tiles.offsets, tiles.groups, start, stop, out,
-        )  # fmt: skip
 
+def _in_tiles(cut: _Cut, x: Floats, y: Floats, tiles: Tiles, progress: Progress | None) -> Floats:
+    out = np.empty(x.size)
+    radius = np.hypot(x, y)
+    high = radius.max(initial=0.0)
+    ready = _prepared(cut, radius.min(initial=high), high, x.size)
     groups = tiles.groups.size - 1
-    run_chunks(work, groups, max(1, min(256, groups // 16)), progress)
+    run_chunks(
+        lambda start, stop: ready.fill(x, y, tiles, (start, stop), out),
+        groups,
+        max(1, min(256, groups // 16)),
+        progress,
+    )
     return out
 
 
@@ -252,7 +293,7 @@ def generate(
     x, y = _ascending(x, "x"), _ascending(y, "y")
     cut = _cut(motion, tool, machine)
     rows, columns = (_tile_side(cut, float(np.diff(axis).mean())) if axis.size > 1 else 1 for axis in (y, x))
-    tiles = _Tiles.of_grid((y.size, x.size), (rows, columns))
+    tiles = Tiles.of_grid((y.size, x.size), (rows, columns))
     z = np.empty(x.size * y.size)
     z[tiles.order] = _in_tiles(cut, x[tiles.order % x.size], y[tiles.order // x.size], tiles, progress)
     return HeightMap(z=_finish(z).reshape(y.size, x.size), x=x, y=y, name="generated")
@@ -310,7 +351,7 @@ def generate_polar(
             float(radius[-1] * np.diff(angle).mean()) if angle.size > 1 else 0.0,
             float(np.diff(radius).mean()) if radius.size > 1 else 0.0,
         )
-        tiles = _Tiles.of_grid(shape, (_tile_side(cut, steps[0]), _tile_side(cut, steps[1])))
+        tiles = Tiles.of_grid(shape, (_tile_side(cut, steps[0]), _tile_side(cut, steps[1])))
         rho, phi = radius[tiles.order % radius.size], angle[tiles.order // radius.size]
         z.ravel()[tiles.order] = _in_tiles(cut, rho * np.cos(phi), rho * np.sin(phi), tiles, progress)
         _finish(z)

@@ -323,17 +323,7 @@ def predict(
     """
     watch = watch or Watch(progress)
     part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
-    tracking = job.simulation.tracking if tracking is None else tracking
-    real = None
-    if tracking:
-        require_servos(machine)
-        with watch.stage("track") as tell:
-            real = track(motion, machine, progress=tell)
-        motion = meant or motion
-    ideal = without_servos(machine, corrected=meant is not None)
-    if ideal.controller.interpolation != "linear":
-        with watch.stage("interpolate") as tell:
-            motion = track(motion, ideal, progress=tell)
+    motion, real = _followed(job, motion, job.simulation.tracking if tracking is None else tracking, meant, watch)
 
     def predicted(name: str, form: int | str, made: Callable[[Motion, Progress], HeightMap]) -> Prediction:
         with watch.stage(f"simulate {name}") as tell:
@@ -363,6 +353,54 @@ def predict(
 
         predictions.append(predicted(patch.name, job.roughness.form, rectangle))
     return tuple(predictions)
+
+
+def _followed(
+    job: Job, motion: Motion, tracking: bool, meant: Motion | None, watch: Watch
+) -> tuple[Motion, Motion | None]:
+    """Return what the controller makes of a motion, and what the servos make of it if that is asked."""
+    machine = job.actual_machine
+    real = None
+    if tracking:
+        require_servos(machine)
+        with watch.stage("track") as tell:
+            real = track(motion, machine, progress=tell)
+        motion = meant or motion
+    ideal = without_servos(machine, corrected=meant is not None)
+    if ideal.controller.interpolation != "linear":
+        with watch.stage("interpolate") as tell:
+            motion = track(motion, ideal, progress=tell)
+    return motion, real
+
+
+def finishing_motion(job: Job, *, progress: StageProgress | None = None) -> tuple[Motion, Result]:
+    """Carry out a job, and return how the axes move in its finishing pass: what its predictions are made from.
+
+    Parameters
+    ----------
+    job
+        What is asked for.
+    progress
+        Called with (stage, done, total).
+
+    Returns
+    -------
+    tuple
+        The motion of the program read back, with what the controller's interpolation makes of it, and the servos if the
+        job says so; and the result of the run. Its program is not kept.
+
+    Raises
+    ------
+    TurnwrightError
+        Whatever `run` raises.
+    """
+    with TemporaryDirectory(prefix="turnwright-") as folder:
+        result = run(job, progress=progress, out=folder)
+        watch = Watch(progress)
+        with watch.stage("read program") as tell:
+            motion = read_back(job, result.program.files[0], result.passes[-1].name, tell)
+        ideal, real = _followed(job, motion, job.simulation.tracking, None, watch)
+    return real or ideal, result
 
 
 def _accepted(job: Job, what: str, error: GougeError | LimitError) -> list[str]:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
     from turnwright.job import Candidate
     from turnwright.material import Material
+    from turnwright.metrology import Spectrum
     from turnwright.part import Part
     from turnwright.path import Motion, Path
 
@@ -40,6 +41,7 @@ __all__ = [
     "axes_over_time",
     "chip_map",
     "contact",
+    "density",
     "error_map",
     "minutes_and_errors",
     "over_radius",
@@ -613,6 +615,18 @@ def profile(heights: HeightMap, feed: float) -> Picture:
         axes.margins(x=0)
         axes.grid(visible=True)
     return Picture(canvas.svg, f"Profile of cut minus design along {letter}, cusps {feed * 1e3:.3g} µm apart.")
+
+
+def density(spectrum: Spectrum) -> Picture:
+    """Draw a power spectral density over spatial frequency, both logarithmic."""
+    kept = (spectrum.frequency > 0) & (spectrum.density > 0)
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        axes.loglog(spectrum.frequency[kept], spectrum.density[kept], color=SERIES[0])
+        axes.set(xlabel="spatial frequency [1/mm]", ylabel=f"power spectral density [{spectrum.unit}]")
+        axes.margins(x=0)
+        axes.grid(visible=True)
+    return Picture(canvas.svg, f"Power spectral density up to {spectrum.frequency[-1]:.3g} per mm.")
 
 
 def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:

@@ -1,0 +1,67 @@
+"""The command of a whole part at a pixel of micrometres."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from turnwright._commands._shared import Door, JobFile, app, progress_of, warn
+
+__all__: list[str] = []
+
+
+@app.command()
+def tile(
+    context: typer.Context,
+    job: JobFile,
+    pixel: Annotated[str, typer.Option(help='Of the map, such as "1 um".', show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder for the map; what is in it of the same map is not made again.")],
+    size: Annotated[int, typer.Option("--tile", help="Pixels along a tile, about.")] = 1024,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="A Dask scheduler whose workers see the folder.")
+    ] = None,
+) -> None:
+    """Predict the error of the whole part at a pixel, of any size, in tiles: a map on disk, its roughness, a report."""
+    door: Door = context.obj
+    from turnwright.job import Job, finishing_motion  # noqa: PLC0415 - costly
+    from turnwright.tiling import generate_tiled, planned_layout  # noqa: PLC0415
+    from turnwright.units import parse  # noqa: PLC0415
+
+    recipe = Job.load(job)
+    step = parse(pixel, "mm")
+    part, store = recipe.part.part, out / "map.zarr"
+    planned_layout(store, step, radius=part.radius)  # a disk too small is found before the part is planned
+    with ExitStack() as stack:
+        progress = stack.enter_context(progress_of(door.stop))
+        motion, result = finishing_motion(recipe, progress=progress)
+        workers = None
+        if cluster is not None:
+            from turnwright.execution import cluster as workers_of  # noqa: PLC0415 - of an extra
+
+            workers = stack.enter_context(workers_of(cluster))
+        door.partly = f"the finished tiles stay in {str(out)!r}: the same command makes the others"
+        made = generate_tiled(
+            motion, recipe.actual_tool, machine=recipe.actual_machine, pixel=step, radius=part.radius,
+            minus=part.surface, store=store, tile=size, executor=workers,
+            progress=lambda done, total: progress("tiles", done, total),
+        )  # fmt: skip
+        asked = recipe.roughness.form
+        form: Literal["none", "mean", "plane"] = "none" if asked == "none" else "mean" if asked == "mean" else "plane"
+        rough = made.roughness(form=form, progress=lambda done, total: progress("roughness of the part", done, total))
+        spectrum = made.area_psd(progress=lambda done, total: progress("spectrum", done, total)).radial()
+        progress("report", 0, 1)
+        from turnwright import archive, report  # noqa: PLC0415 - matplotlib, only for a map that is there
+
+        archive.write_tiled(made, rough, spectrum, out)
+        report.write_tiled(recipe, made, rough, spectrum, out)
+        progress("report", 1, 1)
+    rows, columns = made.shape
+    door.say(f"map: {columns} x {rows} pixels, {rough.valid} heights, in {store}")
+    door.say(f"whole part: PV {rough.pv_nm:.4g} nm, Sq {rough.sq_nm:.4g} nm, Sa {rough.sa_nm:.4g} nm ({form} removed)")
+    if form != asked:
+        warn([f"the job removes {asked!r} before its roughness, a map in tiles takes a plane at most: a plane it was"])
+    warn(result.warnings)
+    door.say(f"report: {out / 'report.html'}")

@@ -1,0 +1,200 @@
+"""How a large grid is cut into tiles and halved into overviews: numbers only, no heights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Self
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats, positive
+from turnwright.errors import InputError
+
+__all__ = ["DEFAULT", "INNER", "Layout", "Tile", "tile_sides"]
+
+INNER = 3
+"""Overviews that a tile makes of itself; the coarser ones are made of these when all tiles are there."""
+
+COARSEST = 512
+"""Pixels along the longer side of the coarsest overview, at most."""
+
+DEFAULT = 1024
+"""Pixels along a tile, about: its arrays fit the memory of any machine, its file takes milliseconds to write."""
+
+MOST = 1 << 15
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """The tile in row ``j`` and column ``i`` of all tiles, and its pixels."""
+
+    j: int
+    i: int
+    rows: slice
+    columns: slice
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of pixels."""
+        return self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """A grid of equal pixels in tiles.
+
+    Parameters
+    ----------
+    pixel
+        Along x and y. [mm]
+    origin
+        The first column and row. [mm]
+    shape
+        Rows and columns.
+    tile
+        Rows and columns of a tile.
+    radius
+        Beyond it there are no heights; ``None`` if the grid is full. [mm]
+    """
+
+    pixel: tuple[float, float]
+    origin: tuple[float, float]
+    shape: tuple[int, int]
+    tile: tuple[int, int]
+    radius: float | None
+
+    @classmethod
+    def of(
+        cls,
+        pixel: float | tuple[float, float],
+        *,
+        radius: float | None,
+        x: tuple[float, float] | None,
+        y: tuple[float, float] | None,
+    ) -> Self:
+        """Lay a grid over a disc, a pixel on its axis, or over a rectangle, a pixel on its corner; not yet in tiles."""
+        both = pixel if isinstance(pixel, tuple) else (pixel, pixel)
+        steps = positive(both[0], "the pixel along x", "mm"), positive(both[1], "the pixel along y", "mm")
+        if (x is None) != (y is None) or (x is None and radius is None):
+            raise InputError(
+                "the extent of the map is not stated: give a radius for a disc, or x and y as (first, last) in mm"
+            )
+        if radius is not None:
+            radius = positive(radius, "the radius of the map", "mm")
+        origin, counts = [], []
+        for step, span in zip(steps, (x, y), strict=True):
+            if span is None:
+                assert radius is not None  # noqa: S101 - refused above
+                half = math.floor(radius / step + 1e-9)
+                origin.append(-half * step)
+                counts.append(2 * half + 1)
+            else:
+                low, high = span
+                if not (math.isfinite(low) and math.isfinite(high) and low < high):
+                    raise InputError(f"the map runs from {low:g} to {high:g} mm, it must ascend: swap the two")
+                origin.append(float(low))
+                counts.append(math.floor((high - low) / step + 1e-9) + 1)
+        if min(counts) < 2:
+            raise InputError(
+                f"the map has {counts[0]} x {counts[1]} pixels, the least is 2 x 2: use a smaller pixel than "
+                f"{max(steps):g} mm"
+            )
+        shape = counts[1], counts[0]
+        return cls(pixel=steps, origin=(origin[0], origin[1]), shape=shape, tile=shape, radius=radius)
+
+    @classmethod
+    def read(cls, data: dict[str, Any]) -> Self:
+        """Make one of what `plain` gave."""
+        return cls(**{one.name: _tupled(data[one.name]) for one in fields(cls)})
+
+    def in_tiles(self, tile: tuple[int, int]) -> Self:
+        """Return the grid in tiles of so many rows and columns."""
+        return replace(self, tile=tile)
+
+    def plain(self) -> dict[str, Any]:
+        """Return what JSON can hold."""
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """Rows and columns of tiles."""
+        return -(-self.shape[0] // self.tile[0]), -(-self.shape[1] // self.tile[1])
+
+    @property
+    def levels(self) -> int:
+        """The map itself and its overviews."""
+        longer = max(self.shape)
+        return max(INNER + 1, 1 + math.ceil(math.log2(max(longer / COARSEST, 1))))
+
+    def level_shape(self, level: int) -> tuple[int, int]:
+        """Return rows and columns of an overview."""
+        return -(-self.shape[0] // 2**level), -(-self.shape[1] // 2**level)
+
+    def level_chunk(self, level: int) -> tuple[int, int]:
+        """Return rows and columns of its files."""
+        by = 2 ** min(level, INNER)
+        return self.tile[0] // by, self.tile[1] // by
+
+    def axes(self, level: int = 0) -> tuple[Floats, Floats]:
+        """Return x and y of the middles of an overview's pixels. (nx,), (ny,) [mm]."""
+        rows, columns = self.level_shape(level)
+        found = []
+        for step, first, count in zip(self.pixel, self.origin, (columns, rows), strict=True):
+            found.append(first + step * (2**level * np.arange(count) + (2**level - 1) / 2))
+        return found[0], found[1]
+
+    def at(self, j: int, i: int) -> Tile:
+        """Return a tile by its place."""
+        (tall, wide), (rows, columns) = self.tile, self.shape
+        return Tile(
+            j, i, slice(j * tall, min((j + 1) * tall, rows)), slice(i * wide, min((i + 1) * wide, columns))
+        )  # fmt: skip
+
+    def inside(self, x: Floats, y: Floats) -> Bools | None:
+        """Return where a grid has heights, ``None`` if everywhere. (ny, nx)."""
+        if self.radius is None:
+            return None
+        far = (x * x) + (y * y)[:, None] <= self.radius**2 * (1 + 1e-12)
+        return None if far.all() else far
+
+    def tiles(self) -> Iterator[Tile]:
+        """Yield the tiles that have heights, row by row."""
+        x, y = self.axes()
+        for j in range(self.count[0]):
+            for i in range(self.count[1]):
+                tile = self.at(j, i)
+                if self.radius is not None:
+                    near_x, near_y = (
+                        min(max(0.0, axis[span.start]), axis[span.stop - 1])
+                        for axis, span in ((x, tile.columns), (y, tile.rows))
+                    )
+                    if near_x**2 + near_y**2 > self.radius**2 * (1 + 1e-12):
+                        continue
+                yield tile
+
+    def distances(self) -> tuple[float, float]:
+        """Return the least and the greatest distance of a pixel from the axis. [mm]."""
+        axes = [np.abs(axis) for axis in self.axes()]
+        low, high = (float(np.hypot(*(pick(axis) for axis in axes))) for pick in (np.min, np.max))
+        return low, high if self.radius is None else min(high, self.radius * (1 + 1e-9))
+
+
+def tile_sides(asked: int, sides: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
+    """Return rows and columns of a tile: near what is asked, and a whole number of groups of the generation's tiles.
+
+    So each point meets the same neighbours as in one piece, and gets the same height to the last bit; and three
+    overviews of a tile end where it ends.
+    """
+    if not 64 <= asked <= MOST:
+        raise InputError(f"a tile is {asked} pixels wide, the limits are 64 to {MOST}: give a number between")
+    found = []
+    for side, size in zip(sides, shape, strict=True):
+        whole = math.lcm(4 * side, 2**INNER)
+        found.append(whole * max(1, round(min(asked, size + whole) / whole)))
+    return found[0], found[1]
+
+
+def _tupled(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
