@@ -47,6 +47,7 @@ def track(
     machine: Machine | None = None,
     *,
     chord: float = 1e-6,
+    at: ArrayLike | None = None,
     progress: Progress | None = None,
 ) -> Motion:
     r"""Return the axes as they really move, which `generate` sweeps like any other motion.
@@ -74,6 +75,9 @@ def track(
     chord
         Largest distance between the real motion of a sliding axis and the straight lines between the samples that are
         returned, as its second differences show it. [mm]
+    at
+        Times at which to state the motion, as that of another machine was stated, whatever the chord; evenly spaced
+        where a response was measured. (m,) [s]
     progress
         Called with (axes done, axes in all).
 
@@ -103,21 +107,24 @@ def track(
     )
     told = progress or (lambda _done, _total: None)
     parts = 1
+    asked = None if at is None else frozen(at, "at")
     for rounds in range(1, ROUNDS + 1):
-        at = _samples(time, parts, uniform=uniform)
+        samples = _samples(time, parts, uniform=uniform) if asked is None else asked
         axes = {}
         for k, letter in enumerate(motion.axes):
             told(k, len(motion.axes))
             own = slice(None) if letter in FAST else blocks
             speed = velocity[letter][own] if letter in velocity else None
-            axes[letter] = _follow(letter, motion.axes[letter][own], speed, time[own], machine, at)
-        bulge = max(kernel.bulge(at, position) for letter, position in axes.items() if letter not in ROTARY)
+            axes[letter] = _follow(letter, motion.axes[letter][own], speed, time[own], machine, samples)
+        if asked is not None:
+            break
+        bulge = max(kernel.bulge(samples, position) for letter, position in axes.items() if letter not in ROTARY)
         # The second differences of few points may hide a part of what curves between them, but not that of a corner.
         if bulge <= chord or (parts > 1 and machine.controller.interpolation == "linear") or rounds == ROUNDS:
             break
         parts = math.ceil(parts * math.sqrt(bulge / chord))
     told(len(axes), len(axes))
-    return Motion(time=at - at[0], axes=axes, machine=motion.machine)
+    return Motion(time=samples - samples[0], axes=axes, machine=motion.machine)
 
 
 def precorrect(

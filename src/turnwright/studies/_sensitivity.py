@@ -1,0 +1,276 @@
+r"""What a result depends on: shares of its variance, and how often it keeps a limit.
+
+The first-order index of an input, or of a group of inputs, is the share of the variance that knowing it would take
+away; the total index is the share that would be left if only it were not known:
+
+.. math:: S_i = \frac{\mathrm{Var}\,\mathrm E[y | x_i]}{\mathrm{Var}\,y}, \qquad
+   T_i = \frac{\mathrm E\,\mathrm{Var}[y | x_{\sim i}]}{\mathrm{Var}\,y}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Floats, Ints
+
+__all__ = [
+    "Indices",
+    "Interval",
+    "MapModel",
+    "chance",
+    "grouped",
+    "neighbour_indices",
+    "percentile",
+    "sobol_indices",
+    "unit_points",
+]
+
+MISSED = 0.05
+"""An interval misses the truth this often."""
+
+PIECE = 2_000
+"""Maps at a time."""
+
+
+class Interval(NamedTuple):
+    """A number, and the interval that holds the true one in 95 of 100 studies."""
+
+    value: float
+    low: float
+    high: float
+
+
+def chance(successes: int, trials: int) -> Interval:
+    """Return how likely success is, with the interval of Clopper and Pearson.
+
+    It never misses the truth more often than it says, at 0 and at all successes too.
+
+    Sources
+    -------
+    [Clopper1934]_. Oracle: ``scipy.stats.binomtest``.
+
+    >>> [round(one, 4) for one in chance(190, 200)]
+    [0.95, 0.91, 0.9758]
+    """
+    from scipy.special import betaincinv  # noqa: PLC0415 - costly to import
+
+    if not 0 <= successes <= trials or trials < 1:
+        raise InputError(f"{successes} of {trials} cases are good, which cannot be: give at least 1 case")
+    k, n = successes, trials
+    low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, MISSED / 2))
+    high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1 - MISSED / 2))
+    return Interval(k / n, low, high)
+
+
+def percentile(values: Floats, share: float) -> Interval:
+    """Return a percentile of a distribution that some draws come from, with its interval by order statistics.
+
+    Where there are too few draws for an end of the interval it is infinite.
+
+    Sources
+    -------
+    The number of draws below a percentile is binomial, whatever the distribution [Conover1999]_.
+    """
+    from scipy.special import bdtr  # noqa: PLC0415 - costly to import
+
+    ordered = np.sort(values)
+    n = ordered.size
+    below = bdtr(np.arange(n + 1.0), n, share)  # chance that at most so many draws lie below
+    first = int(np.searchsorted(below, MISSED / 2, side="right"))
+    last = int(np.searchsorted(below, 1 - MISSED / 2, side="left")) + 1
+    low = -np.inf if first == 0 else float(ordered[first - 1])
+    high = np.inf if last > n else float(ordered[last - 1])
+    return Interval(float(np.quantile(ordered, share)), low, high)
+
+
+class Indices(NamedTuple):
+    """Sobol' indices of groups of inputs, and their standard errors by the design. Each (groups,)."""
+
+    first: Floats
+    total: Floats
+    first_error: Floats
+    total_error: Floats
+
+
+def unit_points(dimensions: int, log2: int, seed: int) -> Floats:
+    """Return points of a scrambled Sobol' sequence inside the unit cube. (2**log2, dimensions)."""
+    from scipy.stats import qmc  # noqa: PLC0415 - costly to import
+
+    points = qmc.Sobol(dimensions, scramble=True, seed=seed).random_base2(log2)
+    return np.asarray(np.clip(points, 1e-12, 1 - 1e-12), dtype=np.float64)
+
+
+def sobol_indices(
+    function: Callable[[Floats], Floats], groups: Sequence[Sequence[int]], a: Floats, b: Floats
+) -> Indices:
+    """Return first-order and total indices of groups of inputs, by the design of Saltelli.
+
+    Parameters
+    ----------
+    function
+        From inputs to a result. (n, d) to (n,)
+    groups
+        Numbers of the inputs in each group.
+    a, b
+        Independent draws of all inputs, best the two halves of one sequence. Each (n, d)
+
+    Sources
+    -------
+    [Saltelli2010]_, Table 2: (b) for the first order, that of Jansen (f) for the total. Oracle:
+    ``scipy.stats.sobol_indices`` and closed forms.
+    """
+    of_a, of_b = function(a), function(b)
+    both = np.concatenate([of_a, of_b])
+    variance = float(np.var(both)) or 1.0
+    of_a, of_b = of_a - both.mean(), of_b - both.mean()
+    terms = np.empty((2, len(groups), of_a.size))
+    for k, group in enumerate(groups):
+        mixed = a.copy()
+        mixed[:, group] = b[:, group]
+        of_mixed = function(mixed) - both.mean()
+        terms[0, k] = of_b * (of_mixed - of_a) / variance
+        terms[1, k] = (of_a - of_mixed) ** 2 / 2 / variance
+    means, errors = terms.mean(axis=2), terms.std(axis=2) / np.sqrt(of_a.size)
+    return Indices(means[0], means[1], errors[0], errors[1])
+
+
+def neighbour_indices(inputs: Floats, result: Floats, groups: Sequence[Sequence[int]]) -> Floats:
+    """Return first-order indices of groups of inputs from given cases, whatever they were drawn by.
+
+    Two cases that are nearest neighbours in a group differ by what the others do; for one input that is the rank
+    correlation of Chatterjee with the result in place of its ranks. It scatters by about 1 over the root of the number
+    of cases.
+
+    Parameters
+    ----------
+    inputs
+        In units of their standard deviations. (n, d)
+    result
+        Of each case. (n,)
+    groups
+        Numbers of the inputs in each group.
+
+    Sources
+    -------
+    [Gamboa2022]_ for one input, [Broto2020]_ for groups.
+    """
+    from scipy.spatial import KDTree  # noqa: PLC0415 - costly to import
+
+    variance = float(np.var(result))
+    indices = np.zeros(len(groups))
+    if variance == 0:
+        return indices
+    centred = result - result.mean()
+    for k, group in enumerate(groups):
+        own = inputs[:, group]
+        if len(group) == 1:
+            order = np.argsort(own[:, 0])
+            partner = np.roll(order, -1)
+            products = centred[order] * centred[partner]
+        else:
+            nearest = np.asarray(KDTree(own).query(own, k=2)[1])
+            other = np.where(nearest[:, 0] == np.arange(own.shape[0]), nearest[:, 1], nearest[:, 0])
+            products = centred * centred[other]
+        indices[k] = products.mean() / variance
+    return indices
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MapModel:
+    """Error maps as sums of marks, one for each input and one for its square, fitted to the cases of a study.
+
+    Small errors add up: each moves every height in proportion, and its square by a little. So some hundred cases tell
+    the map of any draw, and peak to valley of a million draws costs no case.
+
+    Parameters
+    ----------
+    share
+        Of each mark in each height: a constant, then the inputs, then their squares. (1 + d or 1 + 2d, m) [nm]
+    weight
+        Of each height. (m,)
+    leverage
+        How much each case draws the fit to itself. (n,)
+    left
+        What the fit leaves of each case. (n, m) [nm]
+    maps
+        That were fitted. (n, m) [nm]
+    """
+
+    share: Floats
+    weight: Floats
+    leverage: Floats
+    left: Floats
+    maps: Floats
+
+    @classmethod
+    def fitted(cls, inputs: Floats, maps: Floats, weight: Floats, chosen: Ints | None = None) -> MapModel | None:
+        """Return the model of some cases, or ``None`` if they are too few.
+
+        Parameters
+        ----------
+        inputs
+            Draws in units of their standard deviations, about their means. (n, d)
+        maps
+            (n, m) [nm]
+        weight
+            Of each height. (m,)
+        chosen
+            Which cases to fit, some of them more than once; all once if not given.
+        """
+        columns = cls.columns(inputs, squares=inputs.shape[0] >= 4 * (2 * inputs.shape[1] + 1))
+        if inputs.shape[0] < 2 * columns.shape[1]:
+            return None
+        own, seen = (columns, maps) if chosen is None else (columns[chosen], maps[chosen])
+        share = np.asarray(np.linalg.lstsq(own, seen, rcond=None)[0], dtype=np.float64)
+        q = np.linalg.qr(columns)[0]
+        return cls(share=share, weight=weight, leverage=(q**2).sum(axis=1), left=maps - columns @ share, maps=maps)
+
+    @staticmethod
+    def columns(inputs: Floats, *, squares: bool) -> Floats:
+        """Return what a map is a sum of. (n, 1 + d or 1 + 2d)."""
+        parts = [np.ones((inputs.shape[0], 1)), inputs]
+        if squares:
+            parts.append(inputs**2 - 1)
+        return np.concatenate(parts, axis=1)
+
+    def pv(self, inputs: Floats) -> Floats:
+        """Return peak to valley of draws. (n, d) to (n,) [nm]."""
+        squares = self.share.shape[0] > 1 + inputs.shape[1]
+        pv = np.empty(inputs.shape[0])
+        for start in range(0, inputs.shape[0], PIECE):
+            own = slice(start, start + PIECE)
+            pv[own] = np.ptp(self.columns(inputs[own], squares=squares) @ self.share, axis=1)
+        return pv
+
+    def _rms(self, maps: Floats) -> Floats:
+        return np.asarray(np.sqrt(maps**2 @ self.weight / self.weight.sum()))
+
+    def foretold(self) -> tuple[float, float]:
+        """Return which share of the variance of peak to valley and of root mean square of a case the others foretell.
+
+        By leaving each out in turn, in closed form.
+        """
+        without = self.maps - self.left / (1 - self.leverage)[:, None]
+        shares = []
+        for real, told in (
+            (np.ptp(self.maps, axis=1), np.ptp(without, axis=1)),
+            (self._rms(self.maps), self._rms(without)),
+        ):
+            variance = float(np.var(real))
+            shares.append(1 - float(np.mean((real - told) ** 2)) / variance if variance > 0 else 1.0)
+        return shares[0], shares[1]
+
+
+def grouped(names: Sequence[str], group_of: Callable[[str], str]) -> Mapping[str, list[int]]:
+    """Return the numbers of the inputs in each group."""
+    groups: dict[str, list[int]] = {}
+    for k, name in enumerate(names):
+        groups.setdefault(group_of(name), []).append(k)
+    return groups
