@@ -85,6 +85,7 @@ if TYPE_CHECKING:
         Plan,
         Result,
         Shares,
+        Stages,
         artefact,
         compare,
         correct,
@@ -164,6 +165,7 @@ if TYPE_CHECKING:
         Strategy,
         Valleys,
     )
+    from turnwright.studies import Study, study
     from turnwright.surface import (
         Biconic,
         Conic,
@@ -265,6 +267,7 @@ _HOMES = {
         "Plan",
         "Result",
         "Shares",
+        "Stages",
         "artefact",
         "compare",
         "correct",
@@ -344,6 +347,7 @@ _HOMES = {
         "Strategy",
         "Valleys",
     ),
+    "studies": ("Study", "study"),
     "surface": (
         "Biconic",
         "Conic",
@@ -470,9 +474,11 @@ __all__ = [
     "SpeedProfile",
     "Sphere",
     "Spiral",
+    "Stages",
     "Stopped",
     "Store",
     "Strategy",
+    "Study",
     "StudyError",
     "Sum",
     "Surface",
@@ -557,6 +563,7 @@ __all__ = [
     "separate_bands",
     "shares",
     "slope_error",
+    "study",
     "track",
     "trim_edge",
     "vibrated",

@@ -13,6 +13,7 @@ from turnwright.path import Motion
 from turnwright.report._comparison import write_comparison
 from turnwright.report._measured import write_correction, write_diagnosis, write_measured
 from turnwright.report._page import page_file, set_page, version_of_page
+from turnwright.report._study import write_study
 from turnwright.report._tiled import write_tiled
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ __all__ = [
     "write_diagnosis",
     "write_measured",
     "write_report",
+    "write_study",
     "write_tiled",
 ]
 
