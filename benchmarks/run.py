@@ -11,6 +11,7 @@ some minutes and writes RESULTS.md beside this file; ``--quick`` takes a fractio
 import argparse
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -31,6 +32,7 @@ from scipy.signal import lsim, lti
 from turnwright.contact import place
 from turnwright.generation import generate, generate_polar
 from turnwright.heightmap import HeightMap
+from turnwright.job import Job
 from turnwright.machine import Axis, Machine
 from turnwright.metrology import (
     area_psd,
@@ -50,6 +52,7 @@ from turnwright.progress import cores
 from turnwright.response import SecondOrder
 from turnwright.strategy import AdaptiveToolServo, SlowToolServo
 from turnwright.surface import LensArray, RadialPolynomial, SineGrid, Sphere
+from turnwright.tiling import generate_tiled
 from turnwright.tool import Tool
 from turnwright.tracking import track
 
@@ -265,6 +268,32 @@ def bench_patch(table, scale):
     table.note(f"`generate` makes {x.size * y.size / median(ours):.2g} pixels a second.")
 
 
+def bench_tiling(table, scale):
+    """A map in tiles on disk against the same map in memory, at the pixel of 1e9 heights on this part."""
+    job = Job.load(EXAMPLES / "li2018_sine_grid.toml")
+    servo, part, tool = job.servo(job.passes[-1]), job.part.aimed, job.tool.tool
+    motion = drive(place(servo.spiral(part, tool), part, tool), servo, job.machine.machine)
+    pixel = 0.00028
+    x = 0.7 + pixel * np.arange(int(5000 * np.sqrt(scale)))
+    span = float(x[0]), float(x[-1]) + pixel / 2
+    with tempfile.TemporaryDirectory() as folder:
+        store = Path(folder) / "map"
+
+        def tiled():
+            shutil.rmtree(store, ignore_errors=True)
+            generate_tiled(motion, tool, pixel=pixel, store=store, x=span, y=span)
+
+        ours, memory = timed(tiled, lambda: generate(motion, tool, x=x, y=x), times=3)
+    table.add(
+        what=f"generate_tiled, {x.size} x {x.size} pixels of 0.28 um, {plural(cores())}",
+        ours=ours, yardstick="`generate` of the same, in memory", theirs=memory, limit=1.25,
+    )  # fmt: skip
+    table.note(
+        f"`generate_tiled` makes {x.size**2 / median(ours):.2g} heights a second, `generate` "
+        f"{x.size**2 / median(memory):.2g}."
+    )
+
+
 def bench_program_files(table, scale):
     for dialect in bench_program.FORMATS:
         with tempfile.TemporaryDirectory() as folder:
@@ -470,7 +499,7 @@ def main():
         f"{os.getloadavg()[0]:.1f} cores busy."
     )
     programs = (bench_program_files, bench_planning, bench_tracking, bench_metrology, bench_analysis)
-    for bench in (bench_place, bench_polar, bench_patch, *programs, bench_doors, bench_thesis):
+    for bench in (bench_place, bench_polar, bench_patch, bench_tiling, *programs, bench_doors, bench_thesis):
         bench(table, scale)
     if scale == 1:
         (HERE / "RESULTS.md").write_text(table.markdown(), encoding="utf-8")

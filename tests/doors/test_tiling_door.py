@@ -95,6 +95,21 @@ def test_command(job, tmp_path, capsys):
     assert "holds the map of another motion, tool, surface or grid" in capsys.readouterr().err
 
 
+def test_an_interrupt_keeps_the_finished_tiles_and_says_so(job, tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "turnwright", "tile", str(job), "--pixel", "0.25 um", "--tile", "64"]
+    with subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True) as process:
+        until = time.monotonic() + 60
+        while len(chunks(out / "map.zarr")) < 5 and time.monotonic() < until:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        said = process.stderr.read()
+    assert process.returncode == 130
+    assert said.splitlines()[-1].startswith("turnwright: interrupted, the finished tiles stay in")
+    with pytest.raises(tw.InputError, match=r"has \d+ of \d+ tiles: finish it"):
+        tw.TiledMap.open(out / "map.zarr")
+
+
 def test_a_disk_too_small_is_refused_beforehand(job, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(shutil, "disk_usage", lambda _folder: SimpleNamespace(free=10**7))
     assert main(["tile", str(job), "--pixel", "0.5 um", "--out", str(tmp_path / "out")]) == 2

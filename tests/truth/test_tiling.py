@@ -103,6 +103,22 @@ def test_a_steep_plane_is_removed_as_in_one_piece(motion, tmp_path):
         assert getattr(merged, name) == pytest.approx(getattr(one, name), rel=1e-12), name
 
 
+def test_the_slopes_of_a_tilted_flat_are_the_closed_form(tmp_path):
+    """A flat cut by a wide nose at a fine feed, minus a plane: cusps of a picometre, on a slope that is known."""
+    k = np.arange(100 * 90 + 1)
+    axes = {"C": TURN * k / 90, "X": 0.1 - 0.001 * k / 90, "Z": np.zeros(k.size)}
+    flat = tw.Motion(time=1e-3 * k, axes=axes, machine=MACHINE)
+    made = tw.generate_tiled(
+        flat, tw.Tool(nose_radius=100.0, included=0.01), pixel=0.0007, store=tmp_path / "map", radius=0.09, tile=64,
+        minus=tw.Plane(slope=(0.3, 0.4)),
+    )  # fmt: skip
+    found = made.roughness(form="none")
+    assert found.sdq == pytest.approx(0.5, rel=1e-6)
+    assert found.sdr == pytest.approx(100 * (math.sqrt(1.25) - 1), rel=1e-6)
+    assert found.sz_nm == pytest.approx(2 * 0.09 * 0.5 * 1e6, rel=0.01)
+    assert made.roughness(form="plane").sq_nm < 0.01
+
+
 def test_merged_roughness_is_that_of_sums_in_extended_precision(error):
     """Plane, heights and slopes by their definitions, with sums that round once."""
     heights = error.height_map()
