@@ -9,6 +9,7 @@ import errno
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -468,16 +469,27 @@ def test_a_case_costs_less_than_twenty_milliseconds(pool, store):
     assert (time.perf_counter() - start) / 300 < 0.020
 
 
-def test_an_unreachable_scheduler_is_one_sentence_soon():
+@pytest.mark.parametrize(("listens", "reason"), [(False, "Connection refused"), (True, "no answer")])
+def test_an_unreachable_scheduler_is_one_sentence_soon(listens, reason):
     pytest.importorskip("distributed")
-    start = time.monotonic()
-    with (
-        pytest.raises(StudyError, match=r"no Dask scheduler answers at 'tcp://127.0.0.1:9'") as error,
-        cluster("tcp://127.0.0.1:9"),
-    ):
-        pass
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        if listens:
+            other.listen()
+        address = f"tcp://127.0.0.1:{other.getsockname()[1]}"
+        start = time.monotonic()
+        with pytest.raises(StudyError) as error, cluster(address):
+            pass
     assert time.monotonic() - start < 10
+    assert str(error.value).startswith(f"no Dask scheduler answers at {address!r} ({reason}): start one with")
     assert one_sentence(error)
+
+
+@pytest.mark.parametrize("address", ["", "nonsense", "tcp://127.0.0.1", "http://127.0.0.1:8786"])
+def test_what_is_no_address_is_said(address):
+    pytest.importorskip("distributed")
+    with pytest.raises(InputError, match="is no address of a Dask scheduler: write tcp://host:port"), cluster(address):
+        pass
 
 
 def test_a_dask_cluster_computes_each_case_once_and_its_loss_is_one_sentence(store, log, caplog):

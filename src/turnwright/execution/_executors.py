@@ -7,20 +7,24 @@ own: one that dies takes one case with it, and the others do not notice.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import multiprocessing
 import os
 import queue
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
+from urllib.parse import urlsplit
 
 from turnwright.errors import InputError, StudyError
 from turnwright.progress import THREADS, cores
@@ -352,33 +356,73 @@ def cluster(address: str) -> Iterator[Cluster]:
     Raises
     ------
     InputError
-        If distributed is not installed.
+        If distributed is not installed, or the address is none.
     StudyError
         If no scheduler answers within five seconds.
     """
     try:
-        from distributed import Client  # noqa: PLC0415 - of an extra
+        distributed = import_module("distributed")  # of an extra
     except ImportError:
         raise InputError(
             "a cluster needs distributed, which is not installed: pip install 'turnwright[cluster]'"
         ) from None
-    talker = logging.getLogger("distributed.client")
+    _knock(address)
+    with _quiet("distributed.client"):  # it tells of a lost scheduler by a traceback, this by a sentence
+        try:
+            client = distributed.Client(address, timeout=_REACH_S, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise _no_scheduler(address, error) from None
+        try:
+            yield Cluster(client)
+        finally:
+            with suppress(OSError, TimeoutError):
+                client.close()
+
+
+def _knock(address: str) -> None:
+    """Raise unless a scheduler answers: Dask's own client hangs where somebody listens who is none."""
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise _no_scheduler(address, error) from None
+    if parts.scheme not in {"tcp", "tls"} or not host or not port:
+        raise InputError(f"{address!r} is no address of a Dask scheduler: write tcp://host:port, or tls://host:port")
+    try:
+        socket.create_connection((host, port), timeout=_REACH_S).close()  # Dask would try a closed door for long
+        with ThreadPoolExecutor(1) as thread:  # a notebook has a loop of its own in this one
+            kind = thread.submit(asyncio.run, _kind_of(address)).result()
+    except Exception as error:  # noqa: BLE001 - who is no scheduler may answer anything
+        raise _no_scheduler(address, error) from None
+    if kind != "Scheduler":
+        raise InputError(f"at {address!r} is a {kind} of Dask: give the address of its scheduler")
+
+
+async def _kind_of(address: str) -> str:
+    distributed = import_module("distributed")
+    connection = distributed.Security().get_connection_args("client")
+    async with asyncio.timeout(_REACH_S):
+        there = distributed.rpc(address, connection_args=connection, timeout=_REACH_S)
+        try:
+            return str((await there.identity())["type"])
+        finally:
+            await there.close_rpc()
+
+
+def _no_scheduler(address: str, error: Exception) -> StudyError:
+    reason = getattr(error, "strerror", None) or " ".join(str(error).split()) or "no answer"
+    return StudyError(
+        f"no Dask scheduler answers at {address!r} ({reason}): start one with 'dask scheduler', or check the address"
+    )
+
+
+@contextmanager
+def _quiet(name: str) -> Iterator[None]:
+    """Let a logger say nothing for a while."""
+    talker = logging.getLogger(name)
     level = talker.level
-    talker.setLevel(logging.CRITICAL)  # it tells of a lost scheduler by a traceback, this by a sentence
+    talker.setLevel(logging.CRITICAL)
     try:
-        client: Any = Client(  # type: ignore[no-untyped-call]
-            address, timeout=_REACH_S, set_as_default=False
-        )
-    except (OSError, ValueError, TypeError) as error:
-        talker.setLevel(level)
-        reason = str(error).splitlines()[0]
-        raise StudyError(
-            f"no Dask scheduler answers at {address!r} within {_REACH_S:.0f} s ({reason}): start one with "
-            "'dask scheduler', or check the address"
-        ) from None
-    try:
-        yield Cluster(client)
+        yield
     finally:
-        with suppress(OSError, TimeoutError):
-            client.close()
         talker.setLevel(level)
