@@ -1,0 +1,281 @@
+"""Studies from the outside: the command, its files and its page, the table in Python, and going on after an end."""
+
+import csv
+import json
+import re
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import tomli_w
+from pyarrow import parquet
+
+from turnwright import Job, Stages, Study, StudyError, cli, study
+from turnwright.errors import InputError
+from turnwright.execution import Store
+
+DATA = {
+    "part": {"surface": {"family": "plane"}, "radius": "0.5 mm"},
+    "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
+    "machine": {"name": "generic"},
+    "strategy": {
+        "kind": "slow tool servo", "feed": "10 um/rev", "points_per_rev": 120, "spindle_speed": "100 rpm",
+    },
+    "simulation": {
+        "whole_part": {"radii": 100, "angles": 12},
+        "patches": [
+            {"name": "askew", "centre": ["0.3 mm", "0.1 mm"], "size": ["80 um", "80 um"], "pixel": "1.3 um"},
+            {"name": "middle", "centre": ["0 mm", "0 mm"], "size": ["40 um", "40 um"], "pixel": "1.3 um"},
+        ],
+    },
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def job():
+    return Job.read(DATA)
+
+
+@pytest.fixture(scope="module")
+def threads():
+    with ThreadPoolExecutor(2) as executor:
+        yield executor
+
+
+@pytest.fixture
+def job_file(tmp_path):
+    file = tmp_path / "job.toml"
+    file.write_text(tomli_w.dumps(DATA), encoding="utf-8")
+    return file
+
+
+def deepest(stages):
+    return float(stages.prediction("askew").error.z.min() * 1e6)
+
+
+def counted(stages):
+    with open(counted.file, "a", encoding="utf-8") as file:  # noqa: PTH123
+        file.write("x")
+    return stages.job.tool.nose_radius
+
+
+def test_the_command_leaves_a_table_a_page_and_a_study_that_can_be_loaded(job_file, tmp_path, capsys):
+    out = tmp_path / "study"
+    code = cli.main([
+        "study", str(job_file), "--out", str(out), "--workers", "1",
+        "--vary", "tool.nose_radius=0.2..0.6 mm:3", "--vary", "strategy.feed=0.5, 1, 2 mm/min",
+        "--measure", "sq_nm", "--measure", "minutes", "--measure", "peak_speed@X", "--measure", "binding",
+    ])  # fmt: skip
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    assert sorted(file.name for file in out.iterdir()) == [
+        "job.toml", "report.html", "study.csv", "study.json", "study.parquet",
+    ]  # fmt: skip
+    assert not (tmp_path / "study.cases").exists()
+    assert "9 cases, 0 of them refused" in said.out
+    with (out / "study.csv").open(encoding="utf-8", newline="") as lines:
+        head, *rows = csv.reader(lines)
+    assert head == [
+        "case", "tool.nose_radius [mm]", "strategy.feed [mm/min]", "sq_nm", "minutes", "peak_speed@X [mm/s]", "binding",
+        "seconds", "reason",
+    ]  # fmt: skip
+    assert [row[:3] for row in rows[:4]] == [
+        ["0", "0.2", "0.5"],
+        ["1", "0.2", "1.0"],
+        ["2", "0.2", "2.0"],
+        ["3", "0.4", "0.5"],
+    ]
+    # X advances by the feed: the oracle of its speed.
+    np.testing.assert_allclose([float(row[5]) for row in rows], [float(row[2]) / 60 for row in rows], rtol=1e-9)
+
+    loaded = Study.load(out)
+    table = parquet.read_table(out / "study.parquet")
+    assert table.column_names == head
+    for heading, column in zip(head[1:-2], loaded.columns, strict=True):
+        assert table.column(heading).to_pylist() == column.values.tolist()
+    assert loaded.job == Job.load(job_file)
+    assert loaded.fields[0].own == 0.5
+    assert loaded.fields[1].own == pytest.approx(1.0)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 3
+    assert "Best cases by sq_nm" in page
+    assert not re.search(r"\bnan\b", page)
+
+
+def test_the_table_is_asked_by_name_and_by_number(job, threads):
+    found = study(
+        job, vary={"tool.nose_radius": "0.2, 0.4 mm", "strategy.feed": [0.005, 0.010, 0.020]},
+        measure=["pv_nm@askew", deepest, "form_pv_nm"], executor=threads,
+    )  # fmt: skip
+    assert len(found) == 6
+    assert [one.heading for one in found.columns] == [
+        "tool.nose_radius [mm]", "strategy.feed [mm/rev]", "pv_nm@askew", "deepest", "form_pv_nm",
+    ]  # fmt: skip
+    assert found[4] == {**{name: found[name][4] for name in (one.name for one in found.columns)}, "reason": ""}
+    assert [row["strategy.feed"] for row in found] == [0.005, 0.010, 0.020] * 2
+    grid = found.grid("pv_nm@askew", over=("strategy.feed", "tool.nose_radius"))
+    np.testing.assert_array_equal(grid.values, found["pv_nm@askew"].reshape(2, 3).T)
+    assert grid.ok.all()
+    assert found.best("pv_nm@askew", 1) == [3]
+    assert found.best("pv_nm@askew", 1, largest=True) == [2]
+    assert found.is_grid
+    # What a case says is what its own job says.
+    alone = Stages(Job.read({**DATA, "tool": {**DATA["tool"], "nose_radius": "0.4 mm"}}))
+    assert found["pv_nm@askew"][4] == alone.prediction("askew").roughness.pv_nm
+    assert found["deepest"][4] == deepest(alone)
+    assert found["form_pv_nm"][4] == alone.prediction("whole part").roughness.pv_nm
+    with pytest.raises(InputError, match="the study has no column 'sq', it has"):
+        found["sq"]
+    with pytest.raises(InputError, match="several cases stand at the same"):
+        found.grid("deepest", over=("strategy.feed", "strategy.feed"))
+
+
+def test_it_is_saved_and_loaded_to_the_last_bit(job, threads, tmp_path):
+    found = study(
+        job,
+        design=[
+            {"strategy.feed": "10 um/rev", "strategy.inside_out": "true", "strategy.points_per_rev": 120},
+            {"strategy.feed": "1 mm/rev", "strategy.inside_out": "false", "strategy.points_per_rev": 100},
+        ],
+        measure=["sq_nm", "sal", "binding", "points"],
+        executor=threads,
+    )
+    found.save(tmp_path)
+    again = Study.load(tmp_path)
+    assert again.job == job
+    assert again.reasons == found.reasons
+    assert again.design == "list"
+    for one, other in zip(found.columns, again.columns, strict=True):
+        assert (one.name, one.unit, one.own, one.kind) == (other.name, other.unit, other.own, other.kind)
+        np.testing.assert_array_equal(one.values, other.values)
+    np.testing.assert_array_equal(again.seconds, found.seconds)
+    # The second case is no job: its feed is wider than the edge.
+    assert found.ok.tolist() == [True, False]
+    assert "feed 1 mm per rev is at least the width of the edge" in found.reasons[1]
+    assert np.isnan(found["sq_nm"][1])
+    assert found["binding"][1] == ""
+    with pytest.raises(StudyError, match="holds no study"):
+        Study.load(tmp_path / "nowhere")
+
+
+def test_what_run_would_refuse_has_its_numbers_and_its_reason(threads):
+    bowl = {**DATA, "part": {"surface": {"family": "sphere", "radius": "2 mm"}, "radius": "0.5 mm"}}
+    found = study(
+        Job.read(bowl), vary={"tool.nose_radius": "0.5, 2.5 mm", "strategy.spindle_speed": "100, 400 rpm"},
+        measure=["sq_nm", "minutes"], executor=threads,
+    )  # fmt: skip
+    assert np.isfinite(found["sq_nm"]).all()
+    assert found.ok.tolist() == [True, False, False, False]
+    assert "block rate reaches 800 blocks/s" in found.reasons[1]
+    assert "nose_radius is 2.5 mm, the limit is 2 mm" in found.reasons[2]
+    assert found.best("sq_nm") == [0]
+    accepting = Job.read({**bowl, "accept": ["nose radius", "limits"]})
+    assert study(accepting, vary={"tool.nose_radius": "0.5, 2.5 mm"}, measure="minutes", executor=threads).ok.all()
+
+
+def test_finished_cases_are_not_computed_again(job, threads, tmp_path):
+    counted.file = tmp_path / "calls"
+    store = tmp_path / "cases"
+    how = {"measure": counted, "executor": threads, "store": store}
+    first = study(job, vary={"tool.nose_radius": "0.3, 0.4 mm"}, **how)
+    assert counted.file.read_text() == "xx"
+    more = study(job, vary={"tool.nose_radius": "0.3, 0.4, 0.5 mm"}, **how)
+    assert counted.file.read_text() == "xxx"
+    assert more["counted"].tolist() == [*first["counted"], 0.5]
+    study(job, vary={"tool.nose_radius": "0.3, 0.4, 0.5 mm"}, measure="minutes", executor=threads, store=store)
+    assert len(Store.open(store).keys()) == 6
+
+
+def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys, monkeypatch, threads):
+    from turnwright.studies import _study
+
+    asked = [
+        "study", str(job_file), "--out", str(tmp_path / "out"), "--workers", "1",
+        "--vary", "tool.nose_radius=0.2..0.6 mm:3", "--measure", "sq_nm",
+    ]  # fmt: skip
+    whole = _study.conduct
+
+    def half(work, cases, **how):
+        whole(work, cases[:2], **{**how, "executor": threads})  # quicker than a process, which others test
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_study, "conduct", half)
+    assert cli.main(asked) == 130
+    said = capsys.readouterr().err
+    kept = tmp_path / "out.cases"
+    assert f"interrupted, the finished cases stay in {kept}: give the same command to go on" in said
+    assert not (tmp_path / "out").exists()
+    before = {file.name: file.stat().st_mtime_ns for file in (kept / "rows").iterdir()}
+    assert len(before) == 2
+
+    fresh = []
+
+    def counting(work, cases, **how):
+        fresh.extend(case.key for case in cases if f"{case.key}.json" not in before)
+        return whole(work, cases, **{**how, "executor": threads})
+
+    monkeypatch.setattr(_study, "conduct", counting)
+    assert cli.main(asked) == 0
+    assert len(fresh) == 1
+    assert len(Study.load(tmp_path / "out")) == 3
+    assert not kept.exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--vary", "tool.nose_radius", "--measure", "sq_nm"], "names no field and values: write it such as"),
+        (["--vary", "tool.nos_radius=1 mm", "--measure", "sq_nm"], "did you mean tool.nose_radius?"),
+        (["--vary", "tool.nose_radius=1 mm", "--measure", "sq_nmm"], "'sq_nmm' is not a measure: did you mean sq_nm?"),
+        (["--vary", "tool.nose_radius=0.1..1 mm", "--measure", "sq_nm"], "has no single values for a grid"),
+        (["--vary", "tool.nose_radius=0.1..1 mm", "--measure", "sq_nm", "--design", "sobol"], "state how many cases"),
+    ],
+)
+def test_a_wrong_command_is_one_sentence_and_leaves_nothing(job_file, tmp_path, capsys, more, said):
+    assert cli.main(["study", str(job_file), "--out", str(tmp_path / "out"), *more]) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert len(told.strip().splitlines()) == 1
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["job.toml"]
+
+
+def test_a_file_that_a_job_names_travels_through_the_store(threads, tmp_path, monkeypatch):
+    folder = tmp_path / "here"
+    folder.mkdir()
+    (folder / "edge.csv").write_text("sweep [deg],deviation [um]\n-20,0\n-5,0\n5,0\n20,0.3\n", encoding="utf-8")
+    job = Job.read({**DATA, "actual": {"tool": {"waviness_file": "edge.csv"}}}, folder=folder)
+    right = study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads)
+
+    from turnwright.studies import _evaluate
+
+    # A machine that does not have the file.
+    monkeypatch.setattr(_evaluate, "_is_there", lambda _path, _digest: False)
+    apart = study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads, store=tmp_path / "s")
+    np.testing.assert_array_equal(apart["deepest"], right["deepest"])
+    with pytest.raises(
+        StudyError, match=r"does not have 1 of the files that the job names, such as .*: give the study"
+    ):
+        study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads)
+
+
+@pytest.mark.parametrize(
+    ("vary", "design", "pictures"),
+    [
+        ({"strategy.feed": "5, 10, 20 um/rev"}, {}, 2),
+        ({"strategy.sense": "1, -1", "strategy.feed": "5, 10 um/rev"}, {}, 2),
+        ({"tool.nose_radius": "0.2..0.6 mm", "strategy.feed": "5..900 um/rev"}, {"design": "halton", "count": 9}, 1),
+    ],
+)
+def test_the_page_draws_any_study(job, threads, tmp_path, vary, design, pictures):
+    from turnwright.report import write_study
+
+    found = study(job, vary=vary, measure=["sq_nm", "minutes"], executor=threads, seed=1, **design)
+    page = write_study(found, tmp_path).read_text(encoding="utf-8")
+    assert page.count("<svg") == pictures
+    assert ("Refused" in page) == (not found.ok.all())
+
+
+def test_a_study_of_jobs_as_data_keeps_only_plain_data(job, threads, tmp_path):
+    study(job, vary={"strategy.feed": "10 um/rev"}, measure="sq_nm", executor=threads, store=tmp_path)
+    (row,) = (json.loads(file.read_text()) for file in (tmp_path / "rows").iterdir())
+    assert set(row) == {"sq_nm", "seconds"}
