@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turnwright._commands._shared import Door, app, progress_of, require_new
+from turnwright.errors import InputError
 
 if TYPE_CHECKING:
+    from turnwright.cutting import Experiment
     from turnwright.material import CriticalThickness, CuttingCoefficient, Material
 
 __all__: list[str] = []
+
+PICTURES = (".png", ".svg", ".pdf")
 
 THIN = 1e-3
 """Chip at which coefficients that vary with it are compared. [mm]"""
@@ -28,6 +32,10 @@ Data = Annotated[
     typer.Argument(
         metavar="DATA", help="A .toml file of the experiment, or a .csv of averaged cuts.", show_default=False
     ),
+]
+Picture = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="A picture of fit and residuals, .png, .svg or .pdf.", show_default=False),
 ]
 Out = Annotated[Path, typer.Option(metavar="FILE", help="The material's file, .toml.", show_default=False)]
 
@@ -63,10 +71,16 @@ def show(context: typer.Context, name: Name) -> None:
 
 
 @materials.command()
-def fit(context: typer.Context, data: Data, out: Out) -> None:
+def fit(context: typer.Context, data: Data, out: Out, picture: Picture = None) -> None:
     """Learn a material from measured forces, and write it as a file."""
     door: Door = context.obj
     require_new(out)
+    if picture is not None:
+        require_new(picture)
+        if picture.suffix.lower() not in PICTURES:
+            raise InputError(
+                f"the picture {picture} ends in {picture.suffix!r}, it can be {', '.join(PICTURES)}: name it so"
+            )
     import tomli_w  # noqa: PLC0415
 
     from turnwright.cutting.experiment import learn_from_file  # noqa: PLC0415
@@ -76,10 +90,40 @@ def fit(context: typer.Context, data: Data, out: Out) -> None:
         found = learn_from_file(data)
         text = tomli_w.dumps(found.table())
         progress("learn", 1, 1)
+    if picture is not None:
+        _draw(found, picture)
     out.write_text(text, encoding="utf-8")
     for sentence in found.learned.sentences:
         door.say(sentence)
     door.say(f"material: {out}")
+    if picture is not None:
+        door.say(f"picture: {picture}")
+
+
+def _draw(found: Experiment, picture: Path) -> None:
+    """Draw the forces beside what was learned makes of them, and what is left."""
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    fit, critical = found.learned.fit, found.learned.critical
+    count = len(fit.components)
+    figure = Figure(figsize=(4.2 * count, 5.6), layout="constrained")
+    axes = figure.subplots(2, count, squeeze=False, sharex=True, height_ratios=(2, 1))
+    nm = fit.thickness * 1e6
+    for name, column, measured, fitted in zip(fit.components, axes.T, fit.measured.T, fit.fitted.T, strict=True):
+        column[0].plot(nm, measured * 1e3, ".", ms=3, color="tab:blue", label="measured, without drift")
+        column[0].plot(nm, fitted * 1e3, ".", ms=2, color="k", label="fitted")
+        column[1].plot(nm, (measured - fitted) * 1e3, ".", ms=3, color="tab:blue")
+        column[1].axhline(0, color="k", lw=0.8)
+        column[0].set(title=name, ylabel="force [mN]")
+        column[1].set(xlabel="thickest chip [nm]", ylabel="measured - fitted [mN]")
+        for ax in column:
+            if critical is not None:
+                ax.axvspan(
+                    critical.low * 1e6, critical.high * 1e6, color="tab:red", alpha=0.3, label="critical thickness"
+                )
+        column[0].legend(fontsize=7)
+    figure.suptitle(found.name)
+    figure.savefig(picture, dpi=150)
 
 
 def _forces(material: Material) -> str:

@@ -2,12 +2,14 @@
 
 from turnwright.cutting.chip import ChipMap, OrthogonalChip, RoundChip, chip_map
 from turnwright.cutting.dynamometer import Dynamometer, TapTest
+from turnwright.cutting.edge_cuts import InterruptedCuts, NoseCuts, interrupted_cuts, turning_cuts
+from turnwright.cutting.edge_learning import learn_along_edge
 from turnwright.cutting.experiment import Experiment, learn_from_file
 from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
 from turnwright.cutting.forces import CuttingForces, FlyCut, ForceHistory, SlotMill, chip_forces
 from turnwright.cutting.fracture import IntactShare, ri80
 from turnwright.cutting.gate import DuctileGate, ductile_gate
-from turnwright.cutting.learning import Cuts, Estimate, LearnedMaterial, learn_material, measured_cuts
+from turnwright.cutting.learning import Cuts, Estimate, ForceFit, LearnedMaterial, learn_material, measured_cuts
 from turnwright.cutting.records import read_forces
 from turnwright.cutting.signals import (
     ForceAverage,
@@ -29,11 +31,14 @@ __all__ = [
     "Experiment",
     "FlyCut",
     "ForceAverage",
+    "ForceFit",
     "ForceHistory",
     "ForceRecord",
     "IntactShare",
+    "InterruptedCuts",
     "LearnedMaterial",
     "MinimumChip",
+    "NoseCuts",
     "OrthogonalChip",
     "RoundChip",
     "SlotMill",
@@ -46,6 +51,8 @@ __all__ = [
     "ductile_gate",
     "engagements",
     "in_air",
+    "interrupted_cuts",
+    "learn_along_edge",
     "learn_from_file",
     "learn_material",
     "left_standing",
@@ -54,5 +61,6 @@ __all__ = [
     "read_forces",
     "remove_drift",
     "ri80",
+    "turning_cuts",
     "vibrated",
 ]

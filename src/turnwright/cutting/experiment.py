@@ -15,9 +15,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright import units
-from turnwright._arrays import Floats
+from turnwright._arrays import Floats, Ints, positive
 from turnwright._toml import read_toml
-from turnwright.cutting.dynamometer import Dynamometer, TapTest
+from turnwright.cutting.dynamometer import CLOSES, Dynamometer, TapTest
+from turnwright.cutting.edge_cuts import (
+    MILLED,
+    OFF_SPEED,
+    TURNED,
+    InterruptedCuts,
+    NoseCuts,
+    interrupted_cuts,
+    turning_cuts,
+)
+from turnwright.cutting.edge_learning import learn_along_edge
+from turnwright.cutting.forces import FlyCut, SlotMill
 from turnwright.cutting.learning import Cuts, LearnedMaterial, learn_material, measured_cuts
 from turnwright.cutting.records import NEWTONS, read_forces
 from turnwright.cutting.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
@@ -26,9 +37,19 @@ from turnwright.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.typing import NDArray
+
+    from turnwright.cutting.edge_cuts import Passband
+
 __all__ = ["Experiment", "learn_from_file"]
 
 GONE = object()
+
+LEAST_TURNS = 8
+"""Turns of a cutter that a pass must last to be found by the force; `engagements` looks at eighths of that."""
+
+RAKES_DIFFER = np.deg2rad(0.5)
+"""Rakes that are further apart are those of two experiments. [rad]"""
 
 LENGTHS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "nm": 1e-6}
 
@@ -36,6 +57,18 @@ COLUMNS = ("thickness", "width", "cutting", "thrust")
 """What a CSV of averaged cuts has; each with its unit, such as ``thickness [nm]``."""
 
 UNCERTAINTIES = ("cutting uncertainty", "thrust uncertainty")
+
+NOSE_COLUMNS = {"nose radius": "nose_radius", "depth": "depth", "feed": "feed"}
+NOSE_FORCES = {"axial force": "axial", "feed force": "feed_force", "cutting force": "cutting"}
+"""What a CSV of averaged cuts with a round nose has; each with its unit, and forces as far as they were measured."""
+
+CHANNELS = {
+    "orthogonal": ("cutting", "thrust"),
+    "round nose": ("cutting", "axial", "feed"),
+    "slot": ("x", "y", "z"),
+    "fly-cut": ("y", "z", "x"),
+}
+"""Kinds of experiments and their components of the force; the first that is measured tells when the tool cuts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,7 +92,7 @@ class Experiment:
     name: str
     source: str
     learned: LearnedMaterial
-    cuts: Cuts
+    cuts: Cuts | NoseCuts | InterruptedCuts
     rake: float = 0.0
 
     def table(self) -> dict[str, Any]:
@@ -76,6 +109,11 @@ class Experiment:
         for key, one, sigma in zip(
             ("cutting", "thrust"), (found.cutting, found.thrust), found.uncertainty, strict=True
         ):
+            if one is None or sigma is None:
+                raise InputError(
+                    f"the measured forces do not tell the {key} coefficient, a material has both: measure "
+                    + ("the cutting force too" if key == "cutting" else "the axial force or that against the feed too")
+                )
             if not one.value > 0:
                 raise InputError(
                     f"the {key} coefficient comes out as {one.value:.4g} N/mm^2, it must be above 0: check the signs "
@@ -88,6 +126,7 @@ class Experiment:
             }
         if found.exponents is not None and found.reference_thickness is not None:
             for key, one in zip(("cutting", "thrust"), found.exponents, strict=True):
+                assert one is not None  # noqa: S101 - both are told, or the above has raised
                 table[key]["exponent"] = _rounded(one.value)
                 table[key]["reference_thickness"] = f"{_rounded(found.reference_thickness * 1e6)} nm"
                 sources[key]["exponent"] = f"{self.source}: {interval} {one.low:.4g} to {one.high:.4g}{at}"
@@ -132,6 +171,8 @@ def learn_from_file(file: str | Path) -> Experiment:
         table = read_toml(data, f"the experiment {str(file)!r}")
     else:
         table = {"name": path.stem, "source": path.name, "averages": {"file": path.name}}
+        if b"nose radius" in data.split(b"\n", 1)[0]:
+            table["kind"] = "round nose"
     try:
         return _learned(_Keys(table, "the experiment"), path.parent)
     except InputError as error:
@@ -209,50 +250,74 @@ class _Keys:
 def _learned(keys: _Keys, folder: Path) -> Experiment:
     """Learn from the tables of an experiment."""
     name, source = keys.text("name"), keys.text("source")
-    rake = keys.quantity("rake", "rad", 0.0)
+    kind = keys.text("kind", "orthogonal")
+    if kind not in CHANNELS:
+        raise InputError(f"kind is {kind!r}, the known ones are {', '.join(CHANNELS)}: choose one")
+    rake, leans = keys.quantity("rake", "rad", 0.0), keys.quantity("inclination", "rad", 0.0)
+    if leans:
+        raise InputError(
+            f"the edge is inclined by {np.rad2deg(leans):g} deg, the limit is 0 deg: an oblique cut also presses along "
+            "its edge, for which no coefficient is learned, so set the edge square to the cut"
+        )
     confidence = keys.number("confidence", 0.95)
     edge, falls = keys.flag("edge_force"), keys.flag("size_effect")
-    common = float(keys.number("width_uncertainty", 0.0))
+    shared = "width_uncertainty" if kind == "orthogonal" else "area_uncertainty"
+    common = float(keys.number(shared, 0.0))
     averages, cuts = keys.part("averages"), keys.tables("cuts")
     record, dynamometer = keys.part("record"), keys.part("dynamometer")
     thickness = keys.quantity("thickness_uncertainty", "mm", 0.0)
     keys.done()
     if (averages is None) == (not cuts):
         raise InputError("the experiment has neither averages nor cuts, or both: give [averages] or [[cuts]]")
+    more = {"edge_force": edge, "size_effect": falls, "thickness_uncertainty": thickness, "confidence": confidence}
     drift: int | None = None
-    calibration = (common, common)
+    shares: list[float] | None = None
+    rows: Cuts | NoseCuts | InterruptedCuts
     if averages is not None:
-        rows = _averages(folder / averages.text("file"))
+        file = folder / averages.text("file")
         averages.done()
+        if kind in ("slot", "fly-cut"):
+            raise InputError(
+                f"averages were given of the kind {kind!r}, averages can be of orthogonal or round nose: give records"
+            )
+        if kind == "orthogonal":
+            rows = _averages(file)
+        else:
+            rows, rake = _nose_averages(file, rake)
+    elif record is None:
+        raise InputError("the experiment lacks record: say in [record] which channel is which")
     else:
-        if record is None:
-            raise InputError("the experiment lacks record: say in [record] which channel is which")
-        rows, drift, calibration = _recorded(_Record(record), dynamometer, cuts, folder, common)
-    learned = learn_material(
-        rows,
-        drift=drift,
-        edge_force=edge,
-        size_effect=falls,
-        calibration=calibration,
-        thickness_uncertainty=thickness,
-        confidence=confidence,
-    )
+        how = _Record(record, kind)
+        rows, shares = _recorded(how, dynamometer, cuts, folder, kind, rake)
+        drift = how.drift
+    if isinstance(rows, Cuts):
+        both = [float(np.hypot(one, common)) for one in shares or (0.0, 0.0)]
+        learned = learn_material(rows, drift=drift, calibration=(both[0], both[1]), **more)
+    else:
+        learned = learn_along_edge(rows, drift=drift, calibration=shares, area_uncertainty=common, **more)
     return Experiment(name=name, source=source, learned=learned, cuts=rows, rake=rake)
 
 
 class _Record:
     """How the records are to be read and cleaned."""
 
-    def __init__(self, keys: _Keys) -> None:
-        self.cutting, self.thrust = keys.text("cutting"), keys.text("thrust")
-        self.channels = keys.raw("channels", [one.removeprefix("-") for one in (self.cutting, self.thrust)])
+    def __init__(self, keys: _Keys, kind: str) -> None:
+        given = {one: keys.text(one, *(() if kind == "orthogonal" else (None,))) for one in CHANNELS[kind]}
+        self.named: dict[str, str] = {key: channel for key, channel in given.items() if channel is not None}
+        if not self.named:
+            raise InputError(f"record names no channel, it needs at least 1 of {', '.join(given)}: add it")
+        self.by = keys.text("found_by", next(iter(self.named.values())))
+        plain = [one.removeprefix("-") for one in (*self.named.values(), self.by)]
+        self.channels = keys.raw("channels", list(dict.fromkeys(plain)))
         if not isinstance(self.channels, list) or not all(isinstance(one, str) for one in self.channels):
             raise InputError(f"record has channels = {self.channels!r}, it must be a list of names: write [ ]")
         self.unit = keys.text("unit", None)
         self.rate = keys.quantity("rate", "Hz", None)
         self.drift = keys.raw("drift")
         self.shortest, self.lead = keys.quantity("shortest", "s"), keys.quantity("lead", "s", 0.0)
-        self.block, self.guard = keys.quantity("block", "s"), keys.quantity("guard", "s")
+        self.whole_turns = kind in ("slot", "fly-cut") and keys.flag("whole_turns")
+        self.block = None if self.whole_turns else keys.quantity("block", "s")
+        self.guard = keys.quantity("guard", "s")
         smooth = keys.part("low_pass")
         self.smooth = None if smooth is None else (smooth.quantity("cutoff", "Hz"), smooth.raw("order"))
         if smooth is not None:
@@ -262,52 +327,186 @@ class _Record:
     def read(self, path: Path) -> ForceRecord:
         return read_forces(path, channels=self.channels, unit=self.unit, rate_hz=self.rate)
 
+    def passband(self, sensor: Dynamometer | None, bandwidth: float, noise: float, rate: float) -> Passband | None:
+        """Return what the filters leave of forces at some frequencies, or ``None`` for all."""
+        if sensor is None and self.smooth is None:
+            return None
+
+        def left(frequency: Floats) -> NDArray[np.complex128]:
+            found = np.tile(np.eye(len(self.channels), dtype=np.complex128), (frequency.size, 1, 1))
+            if sensor is not None:
+                heard = frequency <= CLOSES * bandwidth
+                found[~heard] = 0
+                found[heard] = sensor.resolution(frequency[heard], bandwidth_hz=bandwidth, noise_to_signal=noise)
+            if self.smooth is not None:
+                cutoff, order = self.smooth
+                ratio = np.tan(np.pi * np.minimum(frequency / rate, 0.499)) / np.tan(np.pi * cutoff / rate)
+                found *= (1 / (1 + ratio ** (2 * order)))[:, None, None]
+            return found
+
+        return left
+
 
 def _recorded(
-    how: _Record, dynamometer: _Keys | None, cuts: Sequence[_Keys], folder: Path, common: float
-) -> tuple[Cuts, int, tuple[float, float]]:
-    """Return the rows of all records, the degree of their drift, and what is common to all forces."""
+    how: _Record, dynamometer: _Keys | None, cuts: Sequence[_Keys], folder: Path, kind: str, rake: float
+) -> tuple[Cuts | NoseCuts | InterruptedCuts, list[float] | None]:
+    """Return the rows of all records, and by what share the dynamometer leaves each component uncertain."""
     sensor, bandwidth, noise = _sensor(dynamometer, how, folder)
-    parts, steady = [], np.zeros(len(how.channels))
+    parts: list[Cuts | NoseCuts | InterruptedCuts] = []
+    steady = np.zeros(len(how.channels))
     for one in cuts:
+        _require_rake(one.quantity("rake", "rad", rake), rake, one.where)
         record = how.read(folder / one.text("file"))
-        width = one.quantity("width", "mm")
+        passed = how.passband(sensor, bandwidth, noise, record.rate_hz)
         if sensor is not None:
             record = sensor.forces(record, bandwidth_hz=bandwidth, noise_to_signal=noise)
         if how.smooth is not None:
             record = low_pass(record, *how.smooth)
-        found = engagements(record, how.cutting, shortest=how.shortest, drift=how.drift, lead=how.lead)
-        parts.append(
-            measured_cuts(
-                record,
-                found,
-                cutting=how.cutting,
-                thrust=how.thrust,
-                thickness=_thickness(one, found / record.rate_hz),
-                width=width,
-                block=how.block,
-                guard=how.guard,
-            )
-        )
+        found = _found(how, one, record, kind)
+        if kind == "orthogonal":
+            parts.append(_straight(how, one, record, found))
+        elif kind == "round nose":
+            parts.append(_turned(how, one, record, found))
+        else:
+            parts.append(_milled(how, one, record, found, kind, passed))
         one.done()
         air = in_air(record.samples, found)
         steady += remove_drift(record, air, degree=how.drift).force[~air].mean(axis=0)
-    rows = Cuts(
-        **{
-            key: np.concatenate([getattr(part, key) for part in parts])
-            for key in ("thickness", "width", "cutting", "thrust", "time", "spread")
-        },
-        record=np.repeat(np.arange(len(parts), dtype=np.float64), [part.thickness.size for part in parts]),
-    )
-    calibration = (common, common)
+    shares: list[float] | None = None
     if sensor is not None:
-        share = sensor.relative_uncertainty(steady)
-        both = [
-            float(np.hypot(share[how.channels.index(channel.removeprefix("-"))], common))
-            for channel in (how.cutting, how.thrust)
+        of_channel = np.minimum(sensor.relative_uncertainty(steady), 1.0)
+        order = {"round nose": TURNED, "orthogonal": CHANNELS[kind]}.get(kind, MILLED)
+        shares = [
+            float(of_channel[how.channels.index(how.named[key].removeprefix("-"))]) for key in order if key in how.named
         ]
-        calibration = (both[0], both[1])
-    return rows, how.drift, calibration
+    return _together(parts), shares
+
+
+def _found(how: _Record, one: _Keys, record: ForceRecord, kind: str) -> Ints:
+    """Return first samples of the cuts of a record, and first ones after them. (m, 2)."""
+    if kind in ("slot", "fly-cut"):
+        turn = 60 / positive(one.quantity("spindle", "rpm"), f"spindle of {one.where}", "rpm")
+        if "times" in one.table:
+            times = one.quantities("times", "s")
+            ends = [round(at * record.rate_hz) for at in times]
+            if len(ends) != 2 or not 0 <= ends[0] < ends[1] <= record.samples:
+                raise InputError(
+                    f"{one.where} has times {times}, a pass needs 2 that ascend within the record of "
+                    f"{record.samples / record.rate_hz:.4g} s: give begin and end"
+                )
+            return np.array([ends], dtype=np.int64)
+        if how.shortest < LEAST_TURNS * turn * (1 - OFF_SPEED):
+            raise InputError(
+                f"shortest is {how.shortest:g} s, a pass is found by means over turns of {turn:.3g} s and the limit is "
+                f"{LEAST_TURNS} of these: raise it, or give the times of {one.where}"
+            )
+    return engagements(record, how.by, shortest=how.shortest, drift=how.drift, lead=how.lead)
+
+
+def _require_rake(mine: float, common: float, where: str) -> None:
+    if abs(mine - common) > RAKES_DIFFER:
+        raise InputError(
+            f"{where} has a rake of {np.rad2deg(mine):g} deg and the experiment one of {np.rad2deg(common):g} deg, "
+            "coefficients are learned for one: give each rake an experiment of its own"
+        )
+
+
+def _straight(how: _Record, one: _Keys, record: ForceRecord, found: Ints) -> Cuts:
+    assert how.block is not None  # noqa: S101 - whole turns are of other kinds
+    return measured_cuts(
+        record,
+        found,
+        cutting=how.named["cutting"],
+        thrust=how.named["thrust"],
+        thickness=_thickness(one, found / record.rate_hz),
+        width=one.quantity("width", "mm"),
+        block=how.block,
+        guard=how.guard,
+    )
+
+
+def _turned(how: _Record, one: _Keys, record: ForceRecord, found: Ints) -> NoseCuts:
+    assert how.block is not None  # noqa: S101 - whole turns are of other kinds
+    of_each = {}
+    for key, many, unit in (("depth", "depths", "mm"), ("feed", "feeds", "mm/rev")):
+        given = [name for name in (key, many) if name in one.table]
+        if len(given) != 1:
+            raise InputError(f"{one.where} has {' and '.join(given) or f'no {key}'}: give {key}, or {many} of its cuts")
+        values = [one.quantity(key, unit)] * len(found) if given == [key] else one.quantities(many, unit)
+        if len(values) != len(found):
+            raise InputError(
+                f"{one.where} has {len(values)} {many}, and {len(found)} cuts are found in its record: give one for "
+                "each cut, or another value of shortest"
+            )
+        of_each[key] = np.array([positive(value, f"a {key} of {one.where}", unit) for value in values])
+    channels = {"feed_force" if key == "feed" else key: channel for key, channel in how.named.items()}
+    return turning_cuts(
+        record, found, nose_radius=positive(one.quantity("nose_radius", "mm"), "nose_radius", "mm"),
+        depth=of_each["depth"], feed=of_each["feed"], block=how.block, guard=how.guard, **channels,
+    )  # fmt: skip
+
+
+def _milled(
+    how: _Record, one: _Keys, record: ForceRecord, found: Ints, kind: str, passed: Passband | None
+) -> InterruptedCuts:
+    geometry: SlotMill | FlyCut
+    if kind == "slot":
+        geometry = SlotMill(
+            radius=one.quantity("radius", "mm"),
+            feed_per_tooth=one.quantity("feed_per_tooth", "mm"),
+            depth=one.quantity("depth", "mm"),
+            teeth=one.raw("teeth"),
+            corner_radius=one.quantity("corner_radius", "mm", 0.0),
+            entry=one.quantity("entry", "rad", 0.0),
+            exit=one.quantity("exit", "rad", np.pi),
+        )
+    else:
+        lengths = {key: one.quantity(key, "mm") for key in ("swing", "nose_radius", "step", "depth")}
+        geometry = FlyCut(**lengths, feed=one.quantity("feed", "mm/rev"))
+    return interrupted_cuts(
+        record,
+        found,
+        geometry=geometry,
+        spindle_rpm=one.quantity("spindle", "rpm"),
+        block=how.block,
+        guard=how.guard,
+        passband=passed,
+        **how.named,
+    )
+
+
+def _together(parts: Sequence[Cuts | NoseCuts | InterruptedCuts]) -> Cuts | NoseCuts | InterruptedCuts:
+    """Return the rows of all records as those of one experiment."""
+
+    def joined(keys: Sequence[str]) -> dict[str, Any]:
+        return {key: np.concatenate([getattr(part, key) for part in parts]) for key in keys}
+
+    first = parts[0]
+    sizes = [(part.thickness if isinstance(part, Cuts) else part.force).shape[0] for part in parts]
+    number = np.repeat(np.arange(len(parts)), sizes)
+    if isinstance(first, Cuts):
+        return Cuts(
+            **joined(("thickness", "width", "cutting", "thrust", "time", "spread")), record=number.astype(np.float64)
+        )
+    if isinstance(first, NoseCuts):
+        keys = ("nose_radius", "depth", "feed", "time")
+        forces = [key for key in ("axial", "feed_force", "cutting") if getattr(first, key) is not None]
+        return NoseCuts(**joined((*keys, *forces)), record=number.astype(np.float64))
+    rest = [part for part in parts if isinstance(part, InterruptedCuts)]
+    passes = np.cumsum([0, *[int(part.cut.max()) + 1 for part in rest]])
+    cut = [np.where(part.cut >= 0, part.cut + begin, -1) for part, begin in zip(rest, passes[:-1], strict=True)]
+    if len({part.rate_hz for part in rest}) > 1:
+        raise InputError(
+            f"the records have {len({part.rate_hz for part in rest})} rates, there must be 1: choose those"
+        )
+    return replace(
+        first,
+        **joined(("force", "begin", "end")),
+        geometry=tuple(part.geometry[0] for part in rest),
+        spindle_rpm=tuple(part.spindle_rpm[0] for part in rest),
+        cut=np.concatenate(cut),
+        record=number,
+    )
 
 
 def _thickness(keys: _Keys, spans: Floats) -> Callable[[Floats], Floats]:
@@ -359,8 +558,8 @@ def _sensor(keys: _Keys | None, how: _Record, folder: Path) -> tuple[Dynamometer
     return Dynamometer.from_taps(taps, flat_hz=flat), bandwidth, noise
 
 
-def _averages(path: Path) -> Cuts:
-    """Read a CSV of averaged cuts, a line each."""
+def _columns(path: Path, known: Mapping[str, Mapping[str, float]], needed: Sequence[str]) -> dict[str, Floats]:
+    """Read a CSV of averaged cuts, a line each; every column with its unit, of which the sizes are given."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -372,21 +571,18 @@ def _averages(path: Path) -> Cuts:
     found: dict[str, tuple[int, float]] = {}
     for i, head in enumerate(heads):
         match = re.fullmatch(r"(.+?)\s*[\[(]\s*(\S+)\s*[\])]", head)
-        known = (*COLUMNS, *UNCERTAINTIES)
         if match is None or match.group(1) not in known:
             raise InputError(
                 f"{path} has a column {head!r}, the known ones are {', '.join(known)}, each with its unit such as "
-                "'thickness [nm]': correct the first line"
+                f"'{needed[0]} [nm]': correct the first line"
             )
         name, unit = match.groups()
-        sizes = LENGTHS if name in COLUMNS[:2] else NEWTONS
-        if unit not in sizes:
-            raise InputError(f"{path} has {name} in {unit!r}, the units are {', '.join(sizes)}: convert it")
-        found[name] = (i, sizes[unit])
-    missing = [name for name in COLUMNS if name not in found]
-    if missing or sum(name in found for name in UNCERTAINTIES) == 1:
-        lacking = missing or [name for name in UNCERTAINTIES if name not in found]
-        raise InputError(f"{path} lacks {', '.join(lacking)}: add it with its unit, such as 'thickness [nm]'")
+        if unit not in known[name]:
+            raise InputError(f"{path} has {name} in {unit!r}, the units are {', '.join(known[name])}: convert it")
+        found[name] = (i, known[name][unit])
+    missing = [name for name in needed if name not in found]
+    if missing:
+        raise InputError(f"{path} lacks {', '.join(missing)}: add it with its unit, such as '{needed[0]} [nm]'")
     try:
         table = np.loadtxt(lines[1:], delimiter=",", ndmin=2, dtype=np.float64, comments=None)
     except ValueError as error:
@@ -394,8 +590,40 @@ def _averages(path: Path) -> Cuts:
         raise InputError(f"{path} is not a table of numbers ({why}): use decimal points and commas between") from error
     if table.shape[0] == 0 or table.shape[1] != len(heads):
         raise InputError(f"{path} has {len(heads)} names and numbers of shape {table.shape}: give as many in each line")
-    columns = {name: table[:, i] * factor for name, (i, factor) in found.items()}
+    return {name: table[:, i] * factor for name, (i, factor) in found.items()}
+
+
+def _averages(path: Path) -> Cuts:
+    """Read averages of orthogonal cuts."""
+    known = {name: LENGTHS if name in COLUMNS[:2] else NEWTONS for name in (*COLUMNS, *UNCERTAINTIES)}
+    columns = _columns(path, known, COLUMNS)
     rows = Cuts(**{name: columns[name] for name in COLUMNS})
-    if UNCERTAINTIES[0] in columns:
-        rows = replace(rows, uncertainty=np.column_stack([columns[name] for name in UNCERTAINTIES]))
+    stated = [name for name in UNCERTAINTIES if name in columns]
+    if stated:
+        rows = replace(rows, uncertainty=_stated(path, columns, UNCERTAINTIES))
     return rows
+
+
+def _stated(path: Path, columns: Mapping[str, Floats], names: Sequence[str]) -> Floats:
+    """Return the uncertainties of all components."""
+    missing = [name for name in names if name not in columns]
+    if missing:
+        raise InputError(f"{path} lacks {', '.join(missing)}: add it with its unit, such as '{missing[0]} [mN]'")
+    return np.column_stack([columns[name] for name in names])
+
+
+def _nose_averages(path: Path, rake: float) -> tuple[NoseCuts, float]:
+    """Read averages of cuts with a round nose, and their rake."""
+    doubts = [f"{name} uncertainty" for name in NOSE_FORCES]
+    known: dict[str, Mapping[str, float]] = dict.fromkeys(NOSE_COLUMNS, LENGTHS)
+    known |= dict.fromkeys((*NOSE_FORCES, *doubts), NEWTONS) | {"rake": {"deg": np.pi / 180, "rad": 1.0}}
+    columns = _columns(path, known, tuple(NOSE_COLUMNS))
+    if "rake" in columns:
+        for i, one in enumerate(columns["rake"]):
+            _require_rake(float(one), float(columns["rake"][0]), f"{path}, cut {i + 1},")
+        rake = float(columns["rake"][0])
+    rows = NoseCuts(**{key: columns[name] for name, key in {**NOSE_COLUMNS, **NOSE_FORCES}.items() if name in columns})
+    if any(name in columns for name in doubts):
+        names = [f"{name} uncertainty" for name in NOSE_FORCES if name in columns]
+        rows = replace(rows, uncertainty=_stated(path, columns, names))
+    return rows, rake

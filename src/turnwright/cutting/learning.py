@@ -24,16 +24,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, between, frozen, positive, same_length
+from turnwright._arrays import Bools, Floats, Ints, between, frozen, positive, same_length
 from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import ArrayLike
 
-__all__ = ["Cuts", "Estimate", "LearnedMaterial", "learn_material", "measured_cuts"]
+__all__ = ["Cuts", "Estimate", "ForceFit", "LearnedMaterial", "learn_material", "measured_cuts"]
 
 COMPONENTS = 2
 """Cutting force and thrust."""
@@ -52,6 +52,10 @@ ROUNDS = 20
 
 SETTLED = 1e-10
 """Change of a power at which these end."""
+
+CLEAR = 5.0
+"""Times the scatter in air that a force must have for its cut to be found beyond doubt, as `engagements` looks for it.
+"""
 
 FEWEST = 4
 """Rows that a part of the forces must have on either side of the transition."""
@@ -143,6 +147,33 @@ class Estimate:
     high: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ForceFit:
+    """Forces of the rows that are cuts, beside what was learned makes of them.
+
+    Parameters
+    ----------
+    components
+        Which forces.
+    thickness
+        Thickest place of each chip. (n,) [mm]
+    measured
+        The forces, drift taken out. (n, components) [N]
+    fitted
+        The same as they follow from what was learned. (n, components) [N]
+    """
+
+    components: tuple[str, ...]
+    thickness: Floats
+    measured: Floats
+    fitted: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "thickness", frozen(self.thickness, "thickness"))
+        for name in ("measured", "fitted"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=2))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LearnedMaterial:
     """What forces tell of a material.
@@ -150,7 +181,7 @@ class LearnedMaterial:
     Parameters
     ----------
     cutting, thrust
-        Coefficients Kc and Kt of the ductile range. [N/mm²]
+        Coefficients Kc and Kt of the ductile range; ``None`` for one that the measured forces do not tell. [N/mm²]
     uncertainty
         Their standard uncertainties. (2) [N/mm²]
     critical
@@ -162,8 +193,10 @@ class LearnedMaterial:
     thickest
         Thickest chip of all rows. [mm]
     remaining
-        Force beyond the transition as a share of what the ductile line has there, for cutting force and thrust;
-        ``None`` without a transition. (2)
+        Force beyond the transition as a share of what the ductile line has there, for each coefficient that is told;
+        ``None`` without a transition.
+    fit
+        The forces beside what was learned makes of them.
     chance
         At most this share of experiments without a transition would show one as clear.
     sentences
@@ -174,18 +207,19 @@ class LearnedMaterial:
         Chip thickness at which the coefficients then are what they are. [mm]
     """
 
-    cutting: Estimate
-    thrust: Estimate
-    uncertainty: tuple[float, float]
+    cutting: Estimate | None
+    thrust: Estimate | None
+    uncertainty: tuple[float | None, float | None]
     critical: Estimate | None
     confidence: float
     ductile: int
     brittle: int
     thickest: float
-    remaining: tuple[float, float] | None
+    remaining: tuple[float, ...] | None
     chance: float
     sentences: tuple[str, ...]
-    exponents: tuple[Estimate, Estimate] | None = None
+    fit: ForceFit
+    exponents: tuple[Estimate | None, Estimate | None] | None = None
     reference_thickness: float | None = None
 
 
@@ -224,41 +258,55 @@ def measured_cuts(
     InputError
         If no stretch fits in a cut.
     """
-    step = max(1, round(positive(block, "block", "s") * record.rate_hz))
-    margin = max(0, round(between(guard, "guard", 0.0, np.inf, "s") * record.rate_hz))
-    pairs = np.asarray(cuts, dtype=np.int64).reshape(-1, 2)
-    air = in_air(record.samples, pairs, guard=margin)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], air, [False])).astype(np.int8))).reshape(-1, 2)
-    engaged = np.column_stack((pairs[:, 0] + margin, pairs[:, 1] - margin))
-    starts, is_cut = [], []
-    for spans, cutting_there in ((engaged, True), (edges, False)):
-        for first, last in spans:
-            count = (last - first) // step
-            if count > 0:
-                starts.append(first + step * np.arange(count))
-                is_cut.append(np.full(count, cutting_there))
-    if not any(flags.any() for flags in is_cut):
-        raise InputError(
-            f"no stretch of {block:g} s fits in a cut with {guard:g} s left out at entry and exit: shorten them"
-        )
-    start, flag = np.concatenate(starts), np.concatenate(is_cut)
-    order = np.argsort(start)
-    start, flag = start[order], flag[order]
-
-    def means(channel: str) -> Floats:
-        total = np.concatenate(([0.0], np.cumsum(record.channel(channel))))
-        return np.asarray((total[start + step] - total[start]) / step)
-
+    at = stretches(record, cuts, block=block, guard=guard)
+    start, step, flag = at.start, at.step, at.cut >= 0
     begin, end = start / record.rate_hz, (start + step - 1) / record.rate_hz
     ends = np.array([np.where(flag, thickness(at), 0.0) for at in (begin, end)])
     return Cuts(
         thickness=ends.mean(axis=0),
         width=np.where(flag, width, 0.0),
-        cutting=means(cutting),
-        thrust=means(thrust),
+        cutting=at.means(record.channel(cutting)),
+        thrust=at.means(record.channel(thrust)),
         time=(begin + end) / 2,
         spread=np.abs(ends[1] - ends[0]) / 2,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretches:
+    """Short stretches of a record, in its cuts and in air, in the order of time."""
+
+    start: Ints
+    step: int
+    cut: Ints  # number of the cut that each is in; -1 in air
+
+    def means(self, values: Floats) -> Floats:
+        """Return the mean of each stretch."""
+        total = np.concatenate(([0.0], np.cumsum(values)))
+        return np.asarray((total[self.start + self.step] - total[self.start]) / self.step)
+
+
+def stretches(record: ForceRecord, cuts: ArrayLike, *, block: float, guard: float) -> Stretches:
+    """Divide a record into stretches of one length that lie in one cut, or in air."""
+    step = max(1, round(positive(block, "block", "s") * record.rate_hz))
+    margin = max(0, round(between(guard, "guard", 0.0, np.inf, "s") * record.rate_hz))
+    pairs = np.asarray(cuts, dtype=np.int64).reshape(-1, 2)
+    air = in_air(record.samples, pairs, guard=margin)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], air, [False])).astype(np.int8))).reshape(-1, 2)
+    spans = [(first + margin, last - margin, number) for number, (first, last) in enumerate(pairs)]
+    spans += [(first, last, -1) for first, last in edges]
+    starts, which = [], []
+    for first, last, number in spans:
+        count = max((last - first) // step, 0)
+        starts.append(first + step * np.arange(count))
+        which.append(np.full(count, number))
+    start, cut = np.concatenate(starts).astype(np.int64), np.concatenate(which).astype(np.int64)
+    if not (cut >= 0).any():
+        raise InputError(
+            f"no stretch of {block:g} s fits in a cut with {guard:g} s left out at entry and exit: shorten them"
+        )
+    order = np.argsort(start)
+    return Stretches(start[order], step, cut[order])
 
 
 def learn_material(
@@ -324,7 +372,16 @@ def learn_material(
         more = wide * between(thickness_uncertainty, "thickness_uncertainty", 0.0, np.inf, "mm")
         critical = Estimate(value=split.value, low=max(split.low - more, 0.0), high=split.high + more)
     brittle = 0 if split is None else int(np.count_nonzero(rows.lower >= split.high))
-    sentences = [*_sentences(rows, split, estimates, confidence), *_misfits(rows, ductile | ~rows.engaged)]
+    sentences = [
+        *said_of(
+            dict(zip(("cutting", "thrust"), estimates, strict=True)),
+            None if split is None else split.value,
+            () if split is None else split.remaining,
+            float(cuts.thickness.max()),
+            confidence,
+        ),
+        *_misfits(rows, ductile | ~rows.engaged, split),
+    ]
     return LearnedMaterial(
         cutting=estimates[0],
         thrust=estimates[1],
@@ -337,6 +394,7 @@ def learn_material(
         remaining=None if split is None else split.remaining,
         chance=1.0 if split is None else split.chance,
         sentences=tuple(sentences),
+        fit=_fitted(rows, split),
         exponents=None if rows.power is None else rows.exponents(ductile | ~rows.engaged, confidence),
         reference_thickness=None if rows.power is None else rows.reference,
     )
@@ -367,7 +425,7 @@ class _Rows:
         n = cuts.thickness.size
         record = np.zeros(n) if cuts.record is None else cuts.record
         self.order = np.arange(n) if cuts.time is None else np.lexsort((cuts.time, record))
-        self.nuisance = np.zeros((n, 0)) if drift is None else _drifts(cuts.time, record, ~self.engaged, drift)
+        self.nuisance = np.zeros((n, 0)) if drift is None else drifts(cuts.time, record, ~self.engaged, drift)
         self.edge = edge
         self.power: list[float] | None = [0.0, 0.0] if falling else None
         self.stated = cuts.uncertainty is not None
@@ -451,6 +509,14 @@ class _Rows:
         left = force - table @ np.linalg.lstsq(table, force, rcond=None)[0]
         return float(left[cut].std() / max(left[~cut].std(), np.finfo(np.float64).tiny))
 
+    def weakest(self, split: _Split | None) -> tuple[float, float]:
+        """Return the smallest cutting force that the fit has in a cut, and the scatter in air. [N]."""
+        fit, air = _fitted(self, split), ~self.engaged
+        drift = self.nuisance[air]
+        left = self.forces[0][air]
+        left = left - (drift @ np.linalg.lstsq(drift, left, rcond=None)[0] if drift.size else left.mean())
+        return float(fit.fitted[:, 0].min()), float(left.std())
+
     def offset(self, component: int, rows: Bools, confidence: float) -> tuple[float, float, float]:
         """Return by how much too thick the stated chips would be, were that all that keeps forces from proportion.
 
@@ -497,7 +563,7 @@ class _Rows:
         return float(answer[0] / size[0]), sigma, float(t.ppf(0.5 + confidence / 2, free)) * sigma
 
 
-def _drifts(time: Floats | None, record: Floats, air: Bools, degree: int) -> Floats:
+def drifts(time: Floats | None, record: Floats, air: Bools, degree: int) -> Floats:
     """Return the columns of a drift of each record. (n, records times (degree + 1))."""
     if time is None:
         raise InputError("cuts without times have a drift to be found: give their times, or no drift")
@@ -672,9 +738,34 @@ def _remaining(rows: _Rows, component: int, order: np.ndarray, cut: int, at: flo
     return float(beyond / line) if line else np.inf
 
 
-def _misfits(rows: _Rows, ductile: Bools) -> list[str]:
+def _fitted(rows: _Rows, split: _Split | None) -> ForceFit:
+    """Return the forces of the cuts without drift, and what the ductile and the brittle part make of them."""
+    limit = np.inf if split is None else split.value
+    thin = rows.thickness <= limit
+    measured, fitted = [], []
+    for component in range(COMPONENTS):
+        ductile = rows.ductile_columns(component) * thin[:, None]
+        brittle = rows.brittle_columns(component) * ~thin[:, None]
+        table = np.column_stack((ductile, brittle, rows.nuisance))
+        weight = rows.weights[component]
+        size = np.maximum(np.linalg.norm(table * weight[:, None], axis=0), np.finfo(np.float64).tiny)
+        answer = np.linalg.lstsq(table * weight[:, None] / size, rows.forces[component] * weight, rcond=1e-10)[0] / size
+        of_chip = ductile.shape[1] + brittle.shape[1]
+        measured.append((rows.forces[component] - rows.nuisance @ answer[of_chip:])[rows.engaged])
+        fitted.append((table[:, :of_chip] @ answer[:of_chip])[rows.engaged])
+    return ForceFit(
+        components=("cutting", "thrust"),
+        thickness=rows.thickness[rows.engaged],
+        measured=np.column_stack(measured),
+        fitted=np.column_stack(fitted),
+    )
+
+
+def _misfits(rows: _Rows, ductile: Bools, split: _Split | None) -> list[str]:
     """Say if the ductile forces are not in proportion to the chips, which no interval accounts for."""
     said = []
+    if rows.in_time and np.count_nonzero(~rows.engaged) >= FEWEST:
+        said += too_weak(*rows.weakest(split))
     wild = rows.scatter(ductile)
     if wild > WILD:
         said.append(
@@ -694,23 +785,42 @@ def _misfits(rows: _Rows, ductile: Bools) -> list[str]:
     return said
 
 
-def _sentences(rows: _Rows, split: _Split | None, estimates: list[Estimate], confidence: float) -> list[str]:
-    """Say what a person should know before relying on what was learned."""
-    said = []
-    for name, one in zip(("cutting", "thrust"), estimates, strict=True):
+def said_of(
+    estimates: Mapping[str, Estimate],
+    critical: float | None,
+    remaining: Sequence[float],
+    thickest: float,
+    confidence: float,
+) -> list[str]:
+    """Say what was learned."""
+    said = [
+        f"the {name} coefficient is {one.value:.5g} N/mm^2, {confidence:.0%} interval {one.low:.5g} to "
+        f"{one.high:.5g} N/mm^2"
+        for name, one in estimates.items()
+    ]
+    if critical is None:
         said.append(
-            f"the {name} coefficient is {one.value:.5g} N/mm^2, {confidence:.0%} interval {one.low:.5g} to "
-            f"{one.high:.5g} N/mm^2"
-        )
-    thickest = float(rows.thickness.max()) * 1e6
-    if split is None:
-        said.append(
-            f"the forces show no transition up to the thickest chip of {thickest:.4g} nm: the critical thickness is "
-            "beyond, or the cuts are too few or too noisy to tell"
+            f"the forces show no transition up to the thickest chip of {thickest * 1e6:.4g} nm: the critical thickness "
+            "is beyond, or the cuts are too few or too noisy to tell"
         )
     else:
+        force = {"cutting": "cutting force", "thrust": "thrust"}
+        shares = [f"{share:.0%} of the {force[name]}" for name, share in zip(estimates, remaining, strict=True)]
         said.append(
-            f"the critical thickness is {split.value * 1e6:.4g} nm; beyond it {split.remaining[0]:.0%} of the cutting "
-            f"force and {split.remaining[1]:.0%} of the thrust remain"
+            f"the critical thickness is {critical * 1e6:.4g} nm; beyond it {' and '.join(shares)} "
+            f"{'remain' if len(shares) > 1 else 'remains'}"
         )
     return said
+
+
+def too_weak(weakest: float, scatter: float) -> list[str]:
+    """Say if cuts may have been taken for air, since their forces do not stand out of the noise there."""
+    if weakest >= CLEAR * scatter:
+        return []
+    said = (
+        f"the weakest cuts press with {weakest * 1e3:.3g} mN and forces in air scatter by {scatter * 1e3:.3g} mN, so "
+        f"that cuts below {CLEAR * scatter * 1e3:.3g} mN, {CLEAR:g} times that, may have been taken for air, and chips "
+        "then be thicker than stated: do not rely on the intervals; leave the thinnest chips out, cut wider, filter "
+        "more, or state when the cuts begin and end"
+    )
+    return [said]

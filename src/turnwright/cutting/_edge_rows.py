@@ -1,0 +1,444 @@
+"""What a regression takes of chips that are not equally thick along the edge: columns for any critical thickness.
+
+An edge is cut into elements, each with the least and the largest thickness on it, so that what is beyond a limit
+changes smoothly with the limit. For a cutter that turns the columns go over its angle, pass the filters that the forces
+have passed, harmonic by harmonic, and are averaged over the same stretches of time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats
+from turnwright.cutting.chip import RoundChip
+from turnwright.cutting.edge_cuts import MILLED, OFF_SPEED, TURNED, Complexes, InterruptedCuts, NoseCuts
+from turnwright.cutting.forces import FlyCut, SlotMill
+from turnwright.cutting.learning import FEWEST, drifts
+from turnwright.cutting.signals import correlation_time
+from turnwright.errors import InputError
+
+__all__ = ["Fit", "InterruptedRows", "Rows", "TurningRows"]
+
+PIECES = 256
+"""Elements on each smooth piece of a nose in a steady cut."""
+
+ANGLES = 512
+"""Angles of the cutter at which a tooth is looked at while it cuts."""
+
+ACROSS = 96
+"""Elements along the nose of a fly-cutter, or round the corner of a mill."""
+
+HARMONICS = 4096
+"""Most harmonics of a turn that are followed; averages over stretches leave nothing of higher ones."""
+
+GRID = 1 << 13
+"""Angles of a turn at which forces are tabled after the filter."""
+
+
+class _Strips:
+    """Elements of an edge at some states of the cut, (states, elements), and what each adds to the forces."""
+
+    def __init__(
+        self, thickness: tuple[Floats, Floats, Floats], area: Floats, along: Floats, normal: Floats, kept: Sequence[int]
+    ) -> None:
+        """Take thicknesses (least, middle, most), areas and the directions of cut and normal, (..., 3)."""
+        self.least, self.middle, self.most = thickness
+        self.area = area
+        self.directions = (along[..., kept], normal[..., kept])
+        self.thickest = self.most.max(axis=1)
+        self.even = bool((np.where(area > 0, self.middle, np.inf).min(axis=1) >= 0.99 * self.middle.max(axis=1)).all())
+
+    def columns(self, limit: float, edge: bool, power: Sequence[float] | None, reference: float) -> Floats:
+        """Return what each parameter is multiplied by. (states, components, parameters).
+
+        For the cutting coefficient: ductile area, edge or bend; then the same for thrust; then what is beyond the
+        limit per width and per area, for both.
+        """
+        width = np.divide(self.area, self.middle, out=np.zeros_like(self.area), where=self.middle > 0)
+        if np.isfinite(limit):
+            span = np.maximum(self.most - self.least, 1e-12 * limit)
+            below = np.clip((limit - self.least) / span, 0.0, 1.0)
+        else:
+            below = np.ones_like(self.area)
+        thin, thick = [], []
+        for which, direction in enumerate(self.directions):
+            ductile = [below * self.area]
+            if power is not None:
+                ratio = np.where(self.middle > 0, self.middle, reference) / reference
+                ductile = [ductile[0] * ratio ** -power[which]]
+                ductile.append(-ductile[0] * np.log(ratio))
+            elif edge:
+                ductile.append(below * width)
+            thin += [np.einsum("pq,pqc->pc", one, direction) for one in ductile]
+            if np.isfinite(limit):
+                rest = 1 - below
+                thick += [np.einsum("pq,pqc->pc", rest * one, direction) for one in (width, self.area)]
+        return np.stack(thin + thick, axis=2)
+
+
+def _nose_strips(chip: RoundChip, kept: Sequence[int]) -> _Strips:
+    """Return the elements of a round nose in a steady cut; axial, feed, cutting."""
+    low, high = chip.sweep
+    corner = min(max(chip.corner, low), high)
+    ends = np.concatenate((np.linspace(low, corner, PIECES + 1), np.linspace(corner, high, PIECES + 1)[1:]))
+    middle = (ends[1:] + ends[:-1]) / 2
+    t, border = chip.thickness(middle), chip.thickness(ends)
+    area = t * (chip.nose_radius - t / 2) * np.diff(ends)
+    zero = np.zeros_like(middle)
+    normal = np.stack((np.cos(middle), np.sin(middle), zero), axis=-1)
+    along = np.stack((zero, zero, zero + 1), axis=-1)
+    both = np.stack((border[1:], border[:-1]))
+    rows = [one[None] for one in (both.min(axis=0), t, both.max(axis=0))]
+    return _Strips((rows[0], rows[1], rows[2]), area[None], along[None], normal[None], kept)
+
+
+def _tooth_strips(geometry: SlotMill | FlyCut, kept: Sequence[int]) -> tuple[_Strips, Floats]:
+    """Return the elements of one tooth while it cuts, and the borders of the angles; x, y, z."""
+    if isinstance(geometry, SlotMill):
+        borders = np.linspace(geometry.entry, geometry.exit, ANGLES + 1)
+        sweeps, arc, wall = np.empty(0), 0.0, max(geometry.depth - geometry.corner_radius, 0.0)
+        if geometry.corner_radius:
+            arc = float(np.arccos(1 - min(geometry.depth / geometry.corner_radius, 1.0)))
+            sweeps = np.linspace(0.0, arc, ACROSS + 1)
+        # The wall is one more element beside those of the corner.
+        s = np.concatenate(((sweeps[1:] + sweeps[:-1]) / 2, np.full(1 if wall else 0, np.pi / 2)))
+        length = np.concatenate((geometry.corner_radius * np.diff(sweeps), np.full(1 if wall else 0, wall)))
+        ends = [np.concatenate((one, np.full(1 if wall else 0, np.pi / 2))) for one in (sweeps[:-1], sweeps[1:])]
+        phi = (borders[1:] + borders[:-1]) / 2
+        inner = np.clip(borders, geometry.entry, geometry.exit)
+        t = geometry.thickness(phi)[:, None] * np.sin(s)
+        corners = [geometry.thickness(at)[:, None] * np.sin(end) for at in (inner[:-1], inner[1:]) for end in ends]
+        area = t * length
+        turn = phi[:, None] + 0 * s
+        along = np.stack((np.sin(turn), np.cos(turn), 0 * turn), axis=-1)
+        normal = np.stack((-np.cos(turn) * np.sin(s), np.sin(turn) * np.sin(s), np.cos(s) + 0 * turn), axis=-1)
+    else:
+        borders = np.linspace(-geometry.exit, geometry.exit, ANGLES + 1)
+        low = -float(np.arcsin(geometry.step / (2 * geometry.nose_radius)))
+        high = RoundChip(nose_radius=geometry.nose_radius, feed=geometry.step, depth=geometry.depth).sweep[1]
+        sweeps = np.linspace(low, high, ACROSS + 1)
+        s, phi = (sweeps[1:] + sweeps[:-1]) / 2, (borders[1:] + borders[:-1]) / 2
+        t = geometry.thickness(phi[:, None], s)
+        at = geometry.thickness(borders[:, None], sweeps)
+        corners = [at[:-1, :-1], at[1:, :-1], at[:-1, 1:], at[1:, 1:]]
+        area = t * (geometry.nose_radius - t / 2) * np.diff(sweeps)
+        turn = phi[:, None] + 0 * s
+        along = np.stack((0 * turn, np.cos(turn), -np.sin(turn)), axis=-1)
+        normal = np.stack((np.sin(s) + 0 * turn, np.cos(s) * np.sin(turn), np.cos(s) * np.cos(turn)), axis=-1)
+    around = np.stack([*corners, t])
+    return _Strips((around.min(axis=0), t, around.max(axis=0)), area, along, normal, kept), borders
+
+
+class Rows:
+    """What a regression takes of its rows, whatever the cut: forces, drift, and columns for any limit."""
+
+    def __init__(
+        self, force: Floats, engaged: Bools, thickest: Floats, time: Floats | None, record: Floats, drift: int | None
+    ) -> None:
+        self.force, self.engaged, self.thickest = force, engaged, thickest
+        self.in_time = time is not None
+        n = force.shape[0]
+        self.order = np.arange(n) if time is None else np.lexsort((time, record))
+        self.drift = np.zeros((n, 0)) if drift is None else drifts(time, record, ~engaged, drift)
+        self.weights = np.ones_like(force)
+        self.stated = False
+        self.edge = False
+        self.power: list[float] | None = None
+        self.reference = 1.0
+        self.even = False
+        if np.count_nonzero(engaged) < FEWEST:
+            raise InputError(f"{np.count_nonzero(engaged)} rows are cuts, at least {FEWEST} are needed: measure more")
+
+    @property
+    def parts(self) -> int:
+        """Ductile columns of each coefficient."""
+        return 2 if self.edge or self.power is not None else 1
+
+    def columns(self, limit: float) -> Floats:
+        """Return what each parameter is multiplied by. (n, components, parameters)."""
+        raise NotImplementedError
+
+    def unknown(self, answer: Floats, limit: float) -> Floats:  # noqa: ARG002 - for those that have some
+        """Return columns of what else is fitted beside the parameters. (n, components, k)."""
+        return np.zeros((*self.force.shape, 0))
+
+    def synchronise(self, answer: Floats | None, limit: float) -> None:
+        """Find what the rows themselves tell of where the cutter stands."""
+
+    def noise(self, left: Floats, rows: Bools) -> float:
+        """Return how many rows in time say as much as one."""
+        if not self.in_time:
+            return 1.0
+        inside = self.order[rows[self.order]]
+        if inside.size <= 16:
+            return 1.0
+        return max(correlation_time(column) for column in left[inside].T)
+
+
+class TurningRows(Rows):
+    """Rows of steady cuts."""
+
+    def __init__(self, cuts: NoseCuts, drift: int | None) -> None:
+        engaged = cuts.feed > 0
+        n = cuts.feed.size
+        table = np.column_stack((cuts.nose_radius, cuts.depth, cuts.feed))
+        states, index = np.unique(table[engaged], axis=0, return_inverse=True)
+        kept = [TURNED.index(one) for one in cuts.components]
+        self.strips = [
+            _nose_strips(RoundChip(nose_radius=float(r), depth=float(d), feed=float(f)), kept) for r, d, f in states
+        ]
+        self.state = np.full(n, -1)
+        self.state[engaged] = index.reshape(-1)
+        thickest = np.zeros(n)
+        thickest[engaged] = np.array([one.thickest[0] for one in self.strips])[self.state[engaged]]
+        record = np.zeros(n) if cuts.record is None else cuts.record
+        super().__init__(cuts.force, engaged, thickest, cuts.time, record, drift)
+        if cuts.uncertainty is not None:
+            self.weights, self.stated = 1 / cuts.uncertainty, True
+        self.reference = _typical(self.strips)
+
+    def columns(self, limit: float) -> Floats:
+        each = np.concatenate([one.columns(limit, self.edge, self.power, self.reference) for one in self.strips])
+        found = np.zeros((self.state.size, *each.shape[1:]))
+        found[self.engaged] = each[self.state[self.engaged]]
+        return found
+
+
+class InterruptedRows(Rows):
+    """Rows of a cutter that turns."""
+
+    def __init__(self, cuts: InterruptedCuts, drift: int | None) -> None:
+        self.cuts = cuts
+        self.known: tuple[object, list[Floats]] | None = None  # tables that were asked for last
+        kept = [MILLED.index(one) for one in cuts.components]
+        self.teeth = [_tooth_strips(one, kept) for one in cuts.geometry]
+        self.spin = np.array(cuts.spindle_rpm) * 2 * np.pi / 60
+        engaged = cuts.cut >= 0
+        time = (cuts.begin + cuts.end) / 2
+        self.passes = np.unique(cuts.cut[engaged])
+        self.of = [int(cuts.record[cuts.cut == one][0]) for one in self.passes]
+        self.middle = np.array([time[cuts.cut == one].mean() for one in self.passes])
+        self.speed, self.phase = self.spin[self.of], np.zeros(self.passes.size)
+        self.basis = [_harmonics(borders, number, cuts) for number, (_, borders) in enumerate(self.teeth)]
+        most = np.array([one.thickest.max() for one, _ in self.teeth])
+        thickest = np.where(engaged, most[cuts.record], 0.0)
+        super().__init__(cuts.force, engaged, thickest, time, cuts.record.astype(np.float64), drift)
+        self.reference = _typical([one for one, _ in self.teeth])
+        self.even = all(one.even for one, _ in self.teeth) and not cuts.whole_turns
+
+    def _mean(self, tables: Sequence[Floats], rate: bool = False) -> Floats:
+        """Return the mean of periodic tables over each row, or how fast it changes with the angle."""
+        found = np.zeros((self.cuts.cut.size, *tables[0].shape[1:]))
+        for number, which in enumerate(self.passes):
+            rows = np.flatnonzero(self.cuts.cut == which)
+            table = tables[self.of[number]]
+            ends = [
+                (self.phase[number] + self.speed[number] * (at[rows] - self.middle[number])) / (2 * np.pi)
+                for at in (self.cuts.begin, self.cuts.end)
+            ]
+            if rate:
+                values = [_looked_up(table, one) for one in ends]
+                found[rows] = (values[1] - values[0]) / (2 * np.pi * (ends[1] - ends[0])).reshape(
+                    -1, *[1] * (table.ndim - 1)
+                )
+                continue
+            total = np.concatenate((np.zeros((1, *table.shape[1:])), np.cumsum(table, axis=0))) / GRID
+            whole = total[-1]
+            sums = [_looked_up(total[:-1] + 0.0, one, whole) for one in ends]
+            found[rows] = (sums[1] - sums[0]) / (ends[1] - ends[0]).reshape(-1, *[1] * (table.ndim - 1))
+        return found
+
+    def _tables(self, limit: float) -> list[Floats]:
+        """Return the columns over a turn of the cutter, after the filters, for each geometry. (GRID, c, p)."""
+        asked = (limit, self.edge, None if self.power is None else tuple(self.power))
+        if self.known is not None and self.known[0] == asked:
+            return self.known[1]
+        tables = []
+        for (strips, _), (basis, passed) in zip(self.teeth, self.basis, strict=True):
+            each = strips.columns(limit, self.edge, self.power, self.reference)
+            spectrum = np.tensordot(basis, each, axes=(1, 0))
+            spectrum = np.einsum("kij,kjp->kip", passed, spectrum)
+            full = np.zeros((GRID // 2 + 1, *spectrum.shape[1:]), dtype=np.complex128)
+            full[: spectrum.shape[0]] = spectrum
+            tables.append(np.fft.irfft(full, GRID, axis=0) * GRID)
+        self.known = (asked, tables)
+        return tables
+
+    def columns(self, limit: float) -> Floats:
+        tables = self._tables(limit)
+        if self.cuts.whole_turns:
+            each = np.array([table.mean(axis=0) for table in tables])
+            return np.where(self.engaged[:, None, None], each[self.cuts.record], 0.0)
+        return self._mean(tables)
+
+    def unknown(self, answer: Floats, limit: float) -> Floats:
+        """Return what the force changes by with the phase and the speed of each pass."""
+        if self.cuts.whole_turns:
+            return np.zeros((*self.force.shape, 0))
+        shape = [table @ answer[: table.shape[2]] for table in self._tables(limit)]
+        slope = self._mean(shape, rate=True)
+        time = (self.cuts.begin + self.cuts.end) / 2
+        columns = []
+        for number, which in enumerate(self.passes):
+            mine = np.where((self.cuts.cut == which)[:, None], slope, 0.0)
+            columns += [mine, mine * (time - self.middle[number])[:, None]]
+        return np.stack(columns, axis=2)
+
+    def synchronise(self, answer: Floats | None, limit: float) -> None:
+        """Find speed and phase of each pass: from the harmonics first, then by least squares."""
+        if self.cuts.whole_turns:
+            return
+        if answer is None:
+            for number in range(self.passes.size):
+                self._catch(number)
+            self._look_at_chips()
+            return
+        fit = Fit(self, np.ones(self.engaged.size, dtype=np.bool_))
+        moved = fit.solve(np.concatenate((self.columns(limit), self.unknown(answer, limit)), axis=2))[0]
+        size = answer.size
+        self.phase = self.phase + moved[size::2]
+        self.speed = self.speed + moved[size + 1 :: 2]
+        self._look_at_chips()
+
+    def _catch(self, number: int) -> None:
+        """Find speed and phase of one pass without knowing either well."""
+        rows = np.flatnonzero(self.cuts.cut == self.passes[number])
+        time = (self.cuts.begin + self.cuts.end)[rows] / 2 - self.middle[number]
+        force = self.cuts.force[rows] - self.cuts.force[rows].mean(axis=0)
+        nominal, block = float(self.spin[self.of[number]]), float((self.cuts.end - self.cuts.begin)[rows[0]])
+        turn = 2 * np.pi / nominal
+        if block > turn / 4:
+            raise InputError(
+                f"the stretches are {block:.3g} s long and the cutter turns once in {turn:.3g} s: take at most a "
+                "quarter of that, or average over whole turns"
+            )
+        most = max(1, min(24, int(turn / block / 3)))
+        order = np.arange(1, most + 1)
+        reach = float(np.ptp(time)) + block
+        count = int(np.ceil(OFF_SPEED * nominal * reach * most / 0.5))
+        if count > 40_000:
+            order, count = order[:4], int(np.ceil(OFF_SPEED * nominal * reach * 8))
+        speeds = nominal * (1 + OFF_SPEED * np.linspace(-1, 1, 2 * count + 1))
+
+        def heard(speed: float) -> Complexes:
+            return np.asarray(np.exp(-1j * speed * np.outer(order, time)) @ force / rows.size)
+
+        power = np.array([(np.abs(heard(one)) ** 2).sum() for one in speeds])
+        speed = float(speeds[int(np.argmax(power))])
+        said = heard(speed)
+        # The harmonics of both coefficients, as the means over stretches show them.
+        tables = self._tables(np.inf)[self.of[number]]
+        model = np.fft.rfft(tables, axis=0)[order] / GRID * np.sinc(order * block * speed / (2 * np.pi))[:, None, None]
+        phases = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
+        left = np.empty(phases.size)
+        for i, phase in enumerate(phases):
+            table = (np.exp(1j * order * phase)[:, None, None] * model).reshape(-1, model.shape[2])
+            table = np.concatenate((table.real, table.imag))
+            right = np.concatenate((said.reshape(-1).real, said.reshape(-1).imag))
+            size = np.maximum(np.linalg.norm(table, axis=0), np.finfo(np.float64).tiny)
+            found = np.linalg.lstsq(table / size, right, rcond=1e-10)[0]
+            wrong = (found[:: self.parts] < 0).any()
+            left[i] = np.inf if wrong else float(((right - table / size @ found) ** 2).sum())
+        if not np.isfinite(left).any():
+            raise InputError(
+                f"at no position of the cutter do the forces of pass {number + 1} point as those of a cut do: check "
+                "the channels, their signs, the speed of the spindle and the geometry"
+            )
+        self.speed[number], self.phase[number] = speed, phases[int(np.argmin(left))]
+
+    def _look_at_chips(self) -> None:
+        """Find the thickest place of the edge while each row lasts, a row before and after with it."""
+        self.thickest = np.zeros(self.cuts.cut.size)
+        for number, which in enumerate(self.passes):
+            rows = np.flatnonzero(self.cuts.cut == which)
+            geometry, (strips, borders) = self.cuts.geometry[self.of[number]], self.teeth[self.of[number]]
+            length = (self.cuts.end - self.cuts.begin)[rows, None]
+            begin = self.cuts.begin[rows, None] - length - self.middle[number]
+            at = self.phase[number] + self.speed[number] * (begin + 3 * length * np.linspace(0, 1, 25))
+            teeth = geometry.teeth if isinstance(geometry, SlotMill) else 1
+            chip = np.zeros(at.shape)
+            for tooth in range(teeth):
+                turned = np.mod(at - tooth * 2 * np.pi / teeth - borders[0], 2 * np.pi) + borders[0]
+                one = np.interp(turned, (borders[1:] + borders[:-1]) / 2, strips.thickest, right=0.0)
+                chip = np.maximum(chip, np.where(turned <= borders[-1], one, 0.0))
+            self.thickest[rows] = chip.max(axis=1)
+
+
+def _typical(strips: Sequence[_Strips]) -> float:
+    """Return the geometric mean of the thicknesses, each counted by its area."""
+    area = np.concatenate([one.area.reshape(-1) for one in strips])
+    chip = np.concatenate([one.middle.reshape(-1) for one in strips])
+    return float(np.exp((area[chip > 0] @ np.log(chip[chip > 0])) / area[chip > 0].sum()))
+
+
+def _harmonics(borders: Floats, number: int, cuts: InterruptedCuts) -> tuple[Complexes, Complexes]:
+    """Return what takes the forces of a tooth at its angles to the harmonics of a turn, and what filters leave."""
+    geometry, speed = cuts.geometry[number], cuts.spindle_rpm[number] * 2 * np.pi / 60
+    teeth = geometry.teeth if isinstance(geometry, SlotMill) else 1
+    turn = 2 * np.pi / speed
+    block = float((cuts.end - cuts.begin).min())
+    order = np.arange(1 if cuts.whole_turns else min(HARMONICS, int(np.ceil(8 * turn / block))))
+    middle, wide = (borders[1:] + borders[:-1]) / 2, float(borders[1] - borders[0])
+    basis = np.exp(-1j * np.outer(order, middle)) * np.sinc(order * wide / (2 * np.pi))[:, None] * wide / (2 * np.pi)
+    basis *= np.where(order % teeth == 0, teeth, 0)[:, None]
+    # A mean of samples is a little more than the mean over the time between the first and the last.
+    half = np.pi * order * speed / (2 * np.pi) / cuts.rate_hz
+    order, basis, half = order[half < np.pi / 2], basis[half < np.pi / 2], half[half < np.pi / 2]
+    basis *= (1 / np.sinc(half / np.pi))[:, None]
+    passed = np.tile(np.eye(len(cuts.components), dtype=np.complex128), (order.size, 1, 1))
+    if cuts.passband is not None:
+        passed = np.asarray(cuts.passband(np.asarray(order * speed / (2 * np.pi), dtype=np.float64)))
+        heard = np.flatnonzero(np.abs(passed).max(axis=(1, 2)) > 0)
+        last = int(heard[-1]) + 1 if heard.size else 1
+        basis, passed = basis[:last], passed[:last]
+    return basis, passed
+
+
+def _looked_up(table: Floats, turns: Floats, whole: Floats | None = None) -> Floats:
+    """Return a periodic table at some turns, between its entries by lines; ``whole`` is what a turn adds to it."""
+    place = turns * GRID
+    low = np.floor(place).astype(np.int64)
+    share = (place - low).reshape(-1, *[1] * (table.ndim - 1))
+    values = []
+    for at in (low, low + 1):
+        laps, rest = np.divmod(at, GRID)
+        value = table[rest]
+        values.append(value if whole is None else value + laps.reshape(-1, *[1] * (table.ndim - 1)) * whole)
+    return np.asarray(values[0] + share * (values[1] - values[0]))
+
+
+class Fit:
+    """Weighted least squares of some rows, every component with a drift of its own."""
+
+    def __init__(self, rows: Rows, used: Bools) -> None:
+        self.rows, self.used = rows, used
+        self.weight = rows.weights[used]
+        self.force = rows.force[used] * self.weight
+        self.drift = []
+        for component in range(self.force.shape[1]):
+            table = rows.drift[used] * self.weight[:, component, None]
+            full = np.linalg.norm(table, axis=0) > 0
+            self.drift.append(np.linalg.qr(table[:, full])[0])
+        self.free_force = self.without_drift(self.force[:, :, None])[:, :, 0]
+
+    def without_drift(self, columns: Floats) -> Floats:
+        """Take out of columns what the drift explains. (n, components, k)."""
+        free = np.empty_like(columns)
+        for component, basis in enumerate(self.drift):
+            free[:, component] = columns[:, component] - basis @ (basis.T @ columns[:, component])
+        return free
+
+    def solve(self, columns: Floats) -> tuple[Floats, float, Floats, Floats]:
+        """Return the parameters, the squares left, what is left of each row, and the columns that told."""
+        table = self.without_drift(columns[self.used] * self.weight[:, :, None])
+        size = np.sqrt((table**2).sum(axis=(0, 1)))
+        scaled = table / np.maximum(size, np.finfo(np.float64).tiny)
+        flat = scaled.reshape(-1, scaled.shape[2])
+        normal = flat.T @ flat
+        # Columns of the brittle side may be one; a touch of the diagonal decides.
+        normal += 1e-11 * np.eye(normal.shape[0])
+        answer = np.linalg.solve(normal, flat.T @ self.free_force.reshape(-1))
+        left = self.free_force - scaled @ answer
+        return answer / np.maximum(size, np.finfo(np.float64).tiny), float((left**2).sum()), left, table
