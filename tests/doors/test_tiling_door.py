@@ -74,8 +74,9 @@ def chunks(store):
 def test_command(job, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["tile", str(job), "--pixel", "2 um", "--out", str(out), "--tile", "128"]) == 0
-    said = capsys.readouterr().out
-    assert "map: 401 x 401 pixels" in said
+    said = capsys.readouterr()
+    assert "map: 401 x 401 pixels" in said.out
+    assert "beats with cusps" not in said.err
     numbers = json.loads((out / "tiled.json").read_text(encoding="utf-8"))
     # Away from the axis and the rim a flat keeps the cusps of the closed form.
     sq = (0.5 - np.sqrt(0.25 - 0.01**2 / 4)) * np.sqrt(4 / 45) * 1e6
@@ -91,6 +92,8 @@ def test_command(job, tmp_path, capsys):
     assert main(["tile", str(job), "--pixel", "2 um", "--out", str(out), "--tile", "128"]) == 0
     assert chunks(out / "map.zarr") == before
     capsys.readouterr()
+    assert main(["tile", str(job), "--pixel", "4 um", "--out", str(tmp_path / "coarse")]) == 0
+    assert "the pixel of 4 um beats with cusps 10 um apart" in capsys.readouterr().err
     assert main(["tile", str(job), "--pixel", "3 um", "--out", str(out)]) == 2
     assert "holds the map of another motion, tool, surface or grid" in capsys.readouterr().err
 

@@ -65,6 +65,9 @@ def test_a_disc_in_tiles_is_the_disc_in_one_piece(motion, tmp_path, name):
     assert made.shape[0] > made.tile[0]
     assert np.array_equal(made.height_map().z, one.z, equal_nan=True)
     assert made.valid == np.count_nonzero(~np.isnan(one.z))
+    covered = np.hypot(one.x, one.y[:, None]) <= RADIUS
+    assert made.unreached == np.count_nonzero(np.isnan(one.z) & covered)
+    assert (made.unreached > 0) == (name == "high")
 
 
 def test_a_rectangle_in_tiles_is_the_rectangle_in_one_piece(motion, tmp_path):

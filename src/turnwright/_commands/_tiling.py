@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from turnwright._commands._shared import Door, JobFile, app, progress_of, warn
 
+if TYPE_CHECKING:
+    from turnwright.tiling import TiledMap
+
 __all__: list[str] = []
+
+PER_FEED = 4
+"""Pixels from cusp to cusp below which a map beats with them."""
 
 
 @app.command()
@@ -63,5 +69,18 @@ def tile(
     door.say(f"whole part: PV {rough.pv_nm:.4g} nm, Sq {rough.sq_nm:.4g} nm, Sa {rough.sa_nm:.4g} nm ({form} removed)")
     if form != asked:
         warn([f"the job removes {asked!r} before its roughness, a map in tiles takes a plane at most: a plane it was"])
-    warn(result.warnings)
+    warn([*_doubts(made, result.passes[-1].feed), *result.warnings])
     door.say(f"report: {out / 'report.html'}")
+
+
+def _doubts(made: TiledMap, feed: float) -> list[str]:
+    """Say what is missing from a map, and whether its pixel shows the cusps as they are."""
+    found = []
+    if made.unreached:
+        found.append(f"{made.unreached} pixels of the part are not reached by any pass")
+    if max(made.pixel) > feed / PER_FEED:
+        found.append(
+            f"the pixel of {max(made.pixel) * 1e3:.3g} um beats with cusps {feed * 1e3:.3g} um apart: its heights are "
+            f"right, slopes, pictures and spectrum want {feed / PER_FEED * 1e3:.3g} um or less"
+        )
+    return found

@@ -85,7 +85,7 @@ def write_tiled(job: Job, made: TiledMap, rough: Roughness, spectrum: Spectrum, 
         windows=windows,
         spectrum=draw.density(spectrum),
         rows=_rows(rough),
-        notes=[*rough.notes, *spectrum.notes],
+        notes=[f"{what}: {note}" for what, one in (("roughness", rough), ("spectrum", spectrum)) for note in one.notes],
         job=job.to_toml(),
         version=version_of_page(),
     )

@@ -2,7 +2,8 @@
 
 ``level_0`` holds the map, ``level_1`` and on its overviews, each with its ``z`` in files of one tile (uncompressed:
 the last digits of heights are noise), and ``x`` and ``y``. ``tiles`` holds one record for each tile, written when all
-else of the tile is; a tile without one does not count. Every file appears whole under its name, or not at all.
+else of the tile is; a tile without one does not count. In a folder and in an object store every file appears whole, or
+not at all.
 """
 
 from __future__ import annotations
@@ -26,14 +27,31 @@ from turnwright.tiling._layout import Layout
 if TYPE_CHECKING:
     import zarr
 
-__all__ = ["MOTION", "PLANE", "Files", "bytes_needed", "forget_motion", "named_place", "require_room", "told"]
+__all__ = [
+    "ASKED",
+    "EDGES",
+    "MOTION",
+    "PLANE",
+    "Files",
+    "bytes_needed",
+    "forget_motion",
+    "named_place",
+    "require_room",
+    "told",
+]
 
 FORMAT = 1
 MOTION = ".motion"
 """Where the arrays of the motion lie while workers need them."""
 
 PLANE = 12
-"""Numbers that `plane_sums` makes of a tile; the first row and the first column of its heights follow them."""
+"""Numbers that `plane_sums` makes of a tile."""
+
+ASKED = PLANE
+"""Where a record says how many pixels of the part the tile has."""
+
+EDGES = PLANE + 1
+"""Where the first row of its heights begins, and after it the first column."""
 
 FULL = frozenset(getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name))
 
@@ -111,7 +129,7 @@ class Files:
         for level in range(layout.levels):
             _require_level(group, layout, level)
         if "tiles" not in group:
-            numbers = PLANE + sum(layout.tile)
+            numbers = EDGES + sum(layout.tile)
             group.create_array(
                 "tiles", shape=(*layout.count, numbers), chunks=(1, 1, numbers), dtype="float64", compressors=None,
                 fill_value=np.nan,
@@ -135,7 +153,7 @@ class Files:
 
 def named_place(store: str | os.PathLike[str]) -> str:
     """Return the whole path of a folder, or a URL as it is."""
-    place = os.fspath(store)
+    place = os.fspath(store).removeprefix("file://")
     return place if "://" in place else str(Path(place).expanduser().absolute())
 
 
@@ -192,7 +210,7 @@ def bytes_needed(layout: Layout) -> int:
     tiles = sum(1 for _ in layout.tiles())
     pixels = layout.tile[0] * layout.tile[1]
     overviews = sum(4.0**-level for level in range(layout.levels))
-    return int(8 * tiles * (pixels * overviews + PLANE + sum(layout.tile)))
+    return int(8 * tiles * (pixels * overviews + EDGES + sum(layout.tile)))
 
 
 def forget_motion(place: str) -> None:

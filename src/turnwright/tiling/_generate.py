@@ -20,7 +20,7 @@ from turnwright.generation import Prepared, Tiles
 from turnwright.heightmap import HeightMap
 from turnwright.path import Motion
 from turnwright.progress import Progress, cores
-from turnwright.tiling._files import MOTION, PLANE, Files, forget_motion, named_place, require_room, told
+from turnwright.tiling._files import ASKED, EDGES, MOTION, PLANE, Files, forget_motion, named_place, require_room, told
 from turnwright.tiling._layout import DEFAULT, INNER, Layout, Tile, tile_sides
 from turnwright.tiling._map import TiledMap
 
@@ -62,8 +62,8 @@ class _Painter:
             self.orders[shape] = tiles, tiles.order % shape[1], tiles.order // shape[1]
         return self.orders[shape]
 
-    def heights(self, tile: Tile) -> Floats:
-        """Return the heights of a tile, nan where there are none. [mm]."""
+    def heights(self, tile: Tile) -> tuple[Floats, int]:
+        """Return the heights of a tile [mm], nan where there are none, and how many pixels of it are of the part."""
         x, y = self.axes[0][tile.columns], self.axes[1][tile.rows]
         tiles, columns, rows = self.order(tile.shape)
         px, py = x[columns], y[rows]
@@ -84,18 +84,20 @@ class _Painter:
         z = z.reshape(tile.shape)
         if inside is not None:
             z[~inside] = np.nan
-        return z if self.minus is None else HeightMap(x=x, y=y, z=z).minus(self.minus).z
+        asked = z.size if inside is None else int(np.count_nonzero(inside))
+        return (z if self.minus is None else HeightMap(x=x, y=y, z=z).minus(self.minus).z), asked
 
     def paint(self, tile: Tile) -> None:
         """Make a tile and its overviews, put them into the store, and then the record that it is there."""
         from turnwright._kernels import tiled as kernel  # noqa: PLC0415 - numba is costly to import
 
-        z = self.heights(tile)
+        z, asked = self.heights(tile)
         record = np.zeros(self.files.records.shape[2])
         kernel.plane_sums(z, record[:PLANE])
         wide = self.files.layout.tile[1]
-        record[PLANE : PLANE + z.shape[1]] = z[0]
-        record[PLANE + wide : PLANE + wide + z.shape[0]] = z[:, 0]
+        record[ASKED] = asked
+        record[EDGES : EDGES + z.shape[1]] = z[0]
+        record[EDGES + wide : EDGES + wide + z.shape[0]] = z[:, 0]
         rows, columns = tile.rows.start, tile.columns.start
         for level in range(INNER + 1):
             if level > 0:

@@ -14,7 +14,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.metrology import AreaSpectrum, Roughness, Spectrum
 from turnwright.metrology.spectrum import Window
 from turnwright.progress import Progress
-from turnwright.tiling._files import Files, named_place
+from turnwright.tiling._files import ASKED, Files, named_place
 from turnwright.tiling._roughness import tiled_roughness
 from turnwright.tiling._spectrum import tiled_area_psd, tiled_line_psd
 
@@ -83,6 +83,12 @@ class TiledMap:
     def valid(self) -> int:
         """Number of heights."""
         return int(np.nansum(self.files.read_records()[:, :, 0]))
+
+    @property
+    def unreached(self) -> int:
+        """Number of pixels of the part that no pass covers."""
+        records = self.files.read_records()
+        return int(np.nansum(records[:, :, ASKED] - records[:, :, 0]))
 
     def height_map(self, level: int = 0) -> HeightMap:
         """Return the whole map, or a whole overview, in memory.

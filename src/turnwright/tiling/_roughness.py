@@ -17,7 +17,7 @@ from turnwright._arrays import Floats
 from turnwright.errors import InputError
 from turnwright.metrology import Roughness
 from turnwright.tiling._bands import in_order
-from turnwright.tiling._files import PLANE
+from turnwright.tiling._files import EDGES, PLANE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -91,11 +91,11 @@ def _with_neighbours(files: Files, records: Floats, tile: Tile) -> Floats:
     below, right = tile.j + 1 < records.shape[0], tile.i + 1 < records.shape[1]
     # A tile beyond the part has no record, so that nan comes of it.
     if right:
-        z[:-1, -1] = records[tile.j, tile.i + 1, PLANE + wide : PLANE + wide + rows]
+        z[:-1, -1] = records[tile.j, tile.i + 1, EDGES + wide : EDGES + wide + rows]
     if below:
-        z[-1, :-1] = records[tile.j + 1, tile.i, PLANE : PLANE + columns]
+        z[-1, :-1] = records[tile.j + 1, tile.i, EDGES : EDGES + columns]
     if below and right:
-        z[-1, -1] = records[tile.j + 1, tile.i + 1, PLANE]
+        z[-1, -1] = records[tile.j + 1, tile.i + 1, EDGES]
     return z
 
 
