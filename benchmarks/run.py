@@ -23,6 +23,7 @@ from pathlib import Path
 from statistics import median
 from time import perf_counter
 
+import bench_cases
 import bench_program
 import numpy as np
 import thesis_backplotter
@@ -439,6 +440,13 @@ def bench_doors(table, scale):
     table.add(what="turnwright run, Li's sinusoidal grid, second run", ours=whole, limit=5)
 
 
+def bench_execution(table, scale):
+    cases = max(100, int(1000 * scale))
+    ours, theirs = bench_cases.overhead(cases)
+    table.add(what=f"{cases} empty cases, local pool of 2, store on: each", ours=ours, limit=0.02)
+    table.add(what="the same", ours=ours, yardstick="the standard pool, no store", theirs=theirs)
+
+
 def exact_bowl(axes, tool, bowl, radius, angle):
     """Heights left on a concave sphere in closed form: the centre of the nose runs on a sphere less by its radius."""
     c, x = axes["C"], axes["X"]
@@ -499,7 +507,16 @@ def main():
         f"{os.getloadavg()[0]:.1f} cores busy."
     )
     programs = (bench_program_files, bench_planning, bench_tracking, bench_metrology, bench_analysis)
-    for bench in (bench_place, bench_polar, bench_patch, bench_tiling, *programs, bench_doors, bench_thesis):
+    for bench in (
+        bench_place,
+        bench_polar,
+        bench_patch,
+        bench_tiling,
+        *programs,
+        bench_execution,
+        bench_doors,
+        bench_thesis,
+    ):
         bench(table, scale)
     if scale == 1:
         (HERE / "RESULTS.md").write_text(table.markdown(), encoding="utf-8")
