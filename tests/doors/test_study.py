@@ -258,6 +258,18 @@ def test_a_file_that_a_job_names_travels_through_the_store(threads, tmp_path, mo
         study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads)
 
 
+def test_a_scheduler_that_does_not_answer_is_one_sentence_and_leaves_nothing(job_file, tmp_path, capsys):
+    code = cli.main([
+        "study", str(job_file), "--out", str(tmp_path / "out"), "--cluster", "tcp://127.0.0.1:9",
+        "--vary", "tool.nose_radius=0.2..0.6 mm:3", "--measure", "sq_nm",
+    ])  # fmt: skip
+    said = capsys.readouterr().err
+    assert code == 2
+    assert "tcp://127.0.0.1:9" in said
+    assert len(said.strip().splitlines()) == 1
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["job.toml"]
+
+
 @pytest.mark.parametrize(
     ("vary", "design", "pictures"),
     [

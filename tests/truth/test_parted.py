@@ -8,7 +8,7 @@ import copy
 import numpy as np
 import pytest
 
-from turnwright.job import Job, predict
+from turnwright.job import Job, Stages, predict, run
 from turnwright.job._run import Watch, planned
 from turnwright.job._window import can_be_parted, predict_parted
 
@@ -101,3 +101,34 @@ def test_its_share_of_the_path_leaves_the_surface_of_the_whole_path(name):
 )
 def test_where_a_place_depends_on_the_whole_path_it_is_not_parted(changes):
     assert not can_be_parted(job_with(changes))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"part.stock": "20 um", "part.material": "IRG 26", "passes": [
+            {"name": "rough", "feed": "15 um/rev", "allowance": "4 um", "depth": "9 um"}, {"name": "finish"},
+        ]},
+        {"machine.name": "nanotech-350fg", "strategy.along": "normal", "strategy.spindle_speed": None},
+    ],
+    ids=["a pass", "three passes", "along the normal, at the highest speed"],
+)  # fmt: skip
+def test_the_stages_of_a_job_are_those_of_its_run(changes):
+    job = job_with(changes)
+    stages, result = Stages(job), run(job)
+    assert stages.access == result.access
+    assert [one.name for one in stages.passes] == [one.name for one in result.passes]
+    for one, other in zip(stages.passes, result.passes, strict=True):
+        assert (one.allowance, one.depth, one.feed, one.points) == (
+            other.allowance, other.depth, other.feed, other.points,
+        )  # fmt: skip
+        assert one.limits == other.limits
+    assert stages.minutes == pytest.approx(sum(one.limits.cycle_time_s for one in result.passes) / 60, rel=1e-15)
+    assert float(stages.path.clearance.min()) == result.least_clearance
+    if job.part.substance is not None:
+        assert stages.chips == tuple(one.chips for one in result.passes)
+    # A run looks at the program on disk: they are as far apart as its decimals are.
+    for one in result.predictions:
+        apart = np.nanmax(np.abs(stages.prediction(one.name).error.z - one.error.z)) * 1e6
+        assert apart <= result.rounding_limit_nm

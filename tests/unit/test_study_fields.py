@@ -37,7 +37,7 @@ def job():
 
 def with_one(job, name, given):
     varied = read_varied(job, name, given)
-    return Job.read(changed(job, data_of(job), [(varied.field, varied.unit, varied.values[0])]))
+    return Job.read(changed(data_of(job), [(varied.field, varied.unit, varied.values[0])]))
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_a_feed_over_time_is_divided_by_the_speed_of_the_same_case(job):
     feeds = []
     for row in rows:
         changes = [(one.field, one.unit, token) for one, token in zip(fields, row, strict=True)]
-        feeds.append(Job.read(changed(job, data_of(job), changes)).strategy.feed)
+        feeds.append(Job.read(changed(data_of(job), changes)).strategy.feed)
     assert feeds == [0.3 / 50, 0.3 / 150, 0.6 / 50, 0.6 / 150]
     with pytest.raises(InputError, match=r"states no single spindle speed to divide it by: state or vary"):
         design_cases(job, [read_varied(job, "strategy.feed", "0.3, 0.6 mm/min")])

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from turnwright.job import Job
 
-__all__ = ["Field", "Token", "changed", "data_of", "field_of", "short"]
+__all__ = ["Data", "Field", "Token", "changed", "data_of", "field_of"]
 
 Token: TypeAlias = float | int | str | bool
 """A value of a field: a number in the field's unit, a whole or plain number, a text or a flag."""
@@ -111,9 +111,16 @@ class Field:
             raise InputError(f"{self.name}{said}" if said.startswith(" ") else f"{self.name}: {said}") from error
 
 
-def data_of(job: Job) -> dict[str, Any]:
-    """Return the data of a job, as a job file reads."""
-    return job.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+class Data(NamedTuple):
+    """The data of a job, as a job file reads."""
+
+    stated: dict[str, Any]  # what the file states
+    whole: dict[str, Any]  # with the defaults of what it does not
+
+
+def data_of(job: Job) -> Data:
+    """Return the data of a job."""
+    return Data(job.model_dump(mode="json", exclude_unset=True, exclude_none=True), job.model_dump(mode="json"))
 
 
 def field_of(job: Job, name: str) -> Field:
@@ -303,15 +310,13 @@ def _unit_in(annotation: Any) -> unit | None:
     return None
 
 
-def changed(job: Job, base: Mapping[str, Any], changes: list[tuple[Field, str, Token]]) -> dict[str, Any]:
+def changed(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[str, Any]:
     """Return the data of a job with some fields changed.
 
     Parameters
     ----------
-    job
-        The job.
     base
-        Its data, see `data_of`.
+        The data of the job.
     changes
         Fields, the units of their values, and the values. A feed over time is divided by the spindle speed of the same
         case, rounded once.
@@ -323,12 +328,12 @@ def changed(job: Job, base: Mapping[str, Any], changes: list[tuple[Field, str, T
     """
     import copy  # noqa: PLC0415 - for this one call
 
-    data: dict[str, Any] = copy.deepcopy(dict(base))
+    data: dict[str, Any] = copy.deepcopy(base.stated)
     for field, units, token in sorted(changes, key=lambda one: one[0].over_time(one[1])):
         value = field.written(token, units)
         if field.over_time(units):
             value = f"{_per_turn(field, float(token), units, data)!r} mm/rev"
-        _put(job, data, field, value)
+        _put(base.whole, data, field, value)
     return data
 
 
@@ -349,10 +354,9 @@ def _per_turn(field: Field, token: float, units: str, data: Mapping[str, Any]) -
     )
 
 
-def _put(job: Job, data: dict[str, Any], field: Field, value: Token) -> None:
-    """Put a value where a field is, with whatever must be there first."""
+def _put(whole: Any, data: dict[str, Any], field: Field, value: Token) -> None:
+    """Put a value where a field is, with whatever must be there first, such as the lists that the file leaves out."""
     node: Any = data
-    whole: Any = job.model_dump(mode="json")  # holds the defaults of lists that the file does not state
     for number, step in enumerate(field.place):
         last = number == len(field.place) - 1
         whole = _below(whole, step)
@@ -394,12 +398,3 @@ def _nothing(field: Field, index: int) -> Token:
     if not field.units or field.units[0].startswith("1/"):
         return 0.0
     return f"0 {field.units[0]}"
-
-
-def short(value: float) -> str:
-    """Return a number as people read it.
-
-    >>> short(0.30000000000000004), short(1e7)
-    ('0.3', '1e+07')
-    """
-    return f"{value:.6g}"

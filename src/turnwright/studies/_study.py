@@ -38,9 +38,6 @@ REASON = "reason"
 FORM = 1
 """Version of what `Study.save` writes."""
 
-SOME = 12
-"""Different values up to which a drawn field counts as one of a grid."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Column:
@@ -462,7 +459,7 @@ def study(
     cases = []
     for row in rows:
         changes = [(one.field, one.unit, token) for one, token in zip(fields, row, strict=True)]
-        data = {"job": changed(job, base, changes), "files": files}
+        data = {"job": changed(base, changes), "files": files}
         cases.append(Case(key=case_key({**data, "measures": signs}), data=data))
     told: Callable[[int, int], None] = progress or (lambda _done, _total: None)
     several = local(min(workers or len(cases), len(cases)) if workers else None) if executor is None else None

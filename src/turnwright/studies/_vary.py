@@ -335,7 +335,7 @@ def design_cases(
         rows = _gridded(fields, count) if design == "grid" else _drawn(fields, design, count, seed)
     if not rows:
         raise InputError("the design has 0 cases: give at least 1")
-    changed(job, data_of(job), [(one.field, one.unit, token) for one, token in zip(fields, rows[0], strict=True)])
+    changed(data_of(job), [(one.field, one.unit, token) for one, token in zip(fields, rows[0], strict=True)])
     return fields, rows
 
 
