@@ -499,11 +499,29 @@ def test_a_dask_cluster_computes_each_case_once_and_its_loss_is_one_sentence(sto
         host="127.0.0.1", n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as made:
         with cluster(made.scheduler_address) as executor:
-            for count in (5, 20):
-                rows = conduct(ours.plain, cases(count), shared={"log": log}, executor=executor, store=store)
-                assert rows == [answer(n) for n in range(count)]
+            killed = []
+
+            def kill(done, total):
+                if done >= 8 and not killed:
+                    killed.append(begun(log)[-1])
+                    os.kill(killed[0][1], signal.SIGKILL)
+
+            conduct(ours.plain, cases(5), shared={"log": log}, executor=executor, store=store)
+            rows = conduct(
+                ours.plain,
+                cases(20),
+                shared={"log": log, "seconds": 0.1},
+                executor=executor,
+                store=store,
+                progress=kill,
+            )
+            assert rows == [answer(n) for n in range(20)]
+            until(lambda: executor.workers == 2)  # Dask brings it back
             told = conduct(ours.threads, cases(12), executor=executor)
-        assert sorted(n for n, _ in begun(log)) == list(range(20))
+            apart = Store.open(f"memory://{os.getpid()}-{id(store)}")  # each process has one of its own
+            conduct(ours.plain, cases(4), executor=executor, store=apart)
+            assert [apart.row(f"case-{n}") for n in range(4)] == [answer(n) for n in range(4)]
+        assert Counter(n for n, _ in begun(log)) == Counter(range(20)) + Counter({killed[0][0]: 1})
         assert store.keys() == {f"case-{n}" for n in range(20)}
         assert len({row["pid"] for row in told} - {os.getpid()}) == 2
         assert {row["cores"] for row in told} == {1}  # two on two cores, not four
@@ -529,7 +547,7 @@ def test_a_dask_cluster_computes_each_case_once_and_its_loss_is_one_sentence(sto
     kept = store.keys()
     assert len(kept) >= 24
     assert conduct(ours.plain, cases(90), shared={"log": log}, store=store) == [answer(n) for n in range(90)]
-    times = Counter(n for n, _ in begun(log))
+    times = Counter(n for n, _ in begun(log)) - Counter({killed[0][0]: 1})
     assert all(times[int(key.removeprefix("case-"))] == 1 for key in kept)
 
 
