@@ -6,6 +6,7 @@ from turnwright._commands import (  # noqa: F401 - each registers its commands
     _measuring,
     _studies,
     _tiling,
+    _tolerances,
 )
 from turnwright._commands._shared import Door, app, tell
 

@@ -15,6 +15,7 @@ from turnwright.report._measured import write_correction, write_diagnosis, write
 from turnwright.report._page import page_file, set_page, version_of_page
 from turnwright.report._study import write_study
 from turnwright.report._tiled import write_tiled
+from turnwright.report._tolerance import write_tolerance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -37,6 +38,7 @@ __all__ = [
     "write_report",
     "write_study",
     "write_tiled",
+    "write_tolerance",
 ]
 
 NM = 1e6

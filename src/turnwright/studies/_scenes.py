@@ -211,6 +211,9 @@ class Planned:
         How far from its tip the nose is used. [mm]
     blend
         How far apart one place of the nose cuts from another at the same place of the part. [mm]
+    core
+        How far from the axis the passes stand whose raked edge comes over it, per root of how far the tip stands aside.
+        [mm^0.5]
     servos
         Natural frequencies as shares of the stated ones, less 1, and the positions of the axis that goes with them, by
         letter. (k,), (k, n)
@@ -221,6 +224,7 @@ class Planned:
     across: float
     edge: float
     blend: float
+    core: float
     servos: Mapping[str, tuple[Floats, Floats]]
 
 
@@ -258,14 +262,15 @@ def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned
     low, high = float(path.sweep.min()), float(path.sweep.max())
     radius = tool.actual_radius
     edge = radius * math.sin(min(max(-low, high, 0.0), math.pi / 2))
-    lean = radius * (1 - math.cos(min(max(-low, high, 0.0), math.pi / 2))) * abs(math.sin(tool.rake))
+    sine = abs(math.sin(tool.rake))
+    lean = radius * (1 - math.cos(min(max(-low, high, 0.0), math.pi / 2))) * sine
     aside = max((float(np.abs(axis).max()) for letter, axis in real.axes.items() if letter == "Y"), default=0.0)
     # Where the nose does not fit, one place is cut by passes that touch the part elsewhere.
     tight = job.part.aimed.surface.in_pieces or float(path.clearance.min()) < -GOUGED or not _fits(job)
     told(4, 4)
     return Planned(
         motion=real, contact=contact, across=lean + aside + abs(tool.offset[1]), edge=edge + abs(tool.offset[0]),
-        blend=2 * edge if tight else 0.0, servos=servos,
+        blend=2 * edge if tight else 0.0, core=1.5 * math.sqrt(2 * radius / sine) if sine else 0.0, servos=servos,
     )  # fmt: skip
 
 
@@ -304,8 +309,8 @@ def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
         places = np.arctan2(*(one.ravel() for one in np.meshgrid(scene.rows[[0, -1]], scene.columns[[0, -1]])))
         half = math.pi if nearest == 0 else float(np.abs((places - middle + math.pi) % TURN - math.pi).max())
         many = 1
-    along = plan.blend + FEEDS * plan.motion.feed + reach.along
     across = plan.across + reach.across
+    along = plan.blend + plan.core * math.sqrt(across) + FEEDS * plan.motion.feed + reach.along
     near = np.flatnonzero((plan.contact >= nearest - along) & (plan.contact <= farthest + along))
     keep = np.zeros(c.size, dtype=np.bool_)
     if near.size == 0:

@@ -1,0 +1,212 @@
+"""The command of tolerances, its table and page, budgets that cannot be, and a study that goes on where it stopped."""
+
+import csv
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import tomli_w
+from typer.testing import CliRunner
+
+import turnwright as tw
+from turnwright._commands import Door, app
+from turnwright._stop import Stop
+from turnwright.errors import InputError, JobError
+from turnwright.execution import Store
+from turnwright.studies import ErrorBudget, Spread, _draws
+
+JOB = {
+    "part": {"name": "mirror", "radius": "3 mm", "surface": {"family": "sphere", "radius": "40 mm"}},
+    "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
+    "machine": {"name": "nanotech-350fg"},
+    "strategy": {"kind": "slow tool servo", "feed": "10 um/rev", "spindle_speed": "200 rpm", "points_per_rev": 90},
+    "simulation": {
+        "patches": [{"name": "half-way out", "centre": ["1.5 mm", "0 mm"], "size": ["40 um", "40 um"], "pixel": "1 um"}]
+    },
+    "tolerances": {"form_pv": "100 nm", "sq": "12 nm"},
+}
+
+BUDGET = """
+name = "of the shop"
+noise = "1 nm"
+artefacts = ["concave sphere"]
+[errors]
+"tool offset x" = { spread = "normal(0, 3) um", source = "assumed" }
+"drift z" = { spread = "uniform(-20, 20) nm", source = "log of the shop" }
+"""
+
+
+@pytest.fixture
+def job():
+    return tw.Job.read(JOB)
+
+
+def study_of(job, **more):
+    with ThreadPoolExecutor(2) as executor:
+        return tw.tolerance(job, budget=ErrorBudget.read(table()), count=24, executor=executor, **more)
+
+
+def table(**changed):
+    budget = {
+        "noise": "1 nm",
+        "artefacts": ["concave sphere"],
+        "errors": {
+            "tool offset x": {"spread": "normal(0, 3) um", "source": "assumed"},
+            "drift z": {"spread": "uniform(-20, 20) nm", "source": "assumed"},
+        },
+    }
+    return budget | changed
+
+
+def test_an_artefact_is_worth_what_it_finds(job, tmp_path):
+    found = study_of(job, store=tmp_path)
+    assert found.count == 24
+    assert not found.reasons
+    before, after = found.outcomes["as planned"], found.outcomes["corrected"]
+    assert after.probability.value > before.probability.value + 0.5
+    assert before.probability.value == np.mean(
+        (found.columns["form_pv_nm"] <= 100) & (found.columns["sq_nm@half-way out"] <= 12)
+    )
+    assert before.sensitivities[0].group == "tool offset"
+    assert before.advice.startswith("tighten tool offset first")
+    assert found.percentiles("form_pv_nm")[0.5].value == np.median(found.columns["form_pv_nm"])
+    with pytest.raises(InputError, match="there is no measure 'pv' among form_pv_nm"):
+        found.percentiles("pv")
+
+
+def test_a_study_goes_on_where_it_stopped(job, tmp_path, monkeypatch):
+    store = Store.open(tmp_path)
+    first = study_of(job, store=store, correction=False)
+    rows = len(store.keys())
+    assert rows == 25  # the cases, and what was planned
+
+    def never(*_):
+        raise AssertionError("computed twice")
+
+    monkeypatch.setattr(_draws.Bench, "judged", never)
+    again = study_of(job, store=store, correction=False)
+    assert len(store.keys()) == rows
+    assert np.array_equal(first.columns["form_pv_nm"], again.columns["form_pv_nm"])
+
+
+def test_a_case_that_fails_is_a_reason(job, tmp_path, monkeypatch):
+    whole = _draws.Bench.judged
+
+    def sometimes(self, real):
+        if real.tool.offset[0] > 0.003:
+            raise InputError("the tool is off by too much: set it anew")
+        return whole(self, real)
+
+    monkeypatch.setattr(_draws.Bench, "judged", sometimes)
+    found = study_of(job, store=tmp_path, correction=False)
+    assert 0 < len(found.reasons) < 12
+    assert found.count == 24 - len(found.reasons)
+    assert set(found.reasons) == {"the tool is off by too much: set it anew"}
+
+
+def test_the_command_writes_a_table_and_a_page(tmp_path):
+    (tmp_path / "job.toml").write_text(tomli_w.dumps(JOB))
+    (tmp_path / "budget.toml").write_text(BUDGET)
+    words = [
+        "tolerance", str(tmp_path / "job.toml"), "--budget", str(tmp_path / "budget.toml"), "--cases", "16",
+        "--workers", "1", "--confirm", "--out", str(tmp_path / "out"),
+    ]  # fmt: skip
+    with Stop() as stop:
+        result = CliRunner().invoke(app, words, obj=Door(stop), catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert "of 16 parts keep all tolerances" in result.output
+    assert "confirmed: " in result.output
+    with (tmp_path / "out" / "cases.csv").open() as lines:
+        rows = list(csv.reader(lines))
+    assert len(rows) == 17
+    assert rows[0][:2] == ["tool offset x [mm]", "drift z [mm]"]
+    assert "corrected form_pv [nm]" in rows[0]
+    page = (tmp_path / "out" / "report.html").read_text()
+    for one in ("tighten tool offset first", "log of the shop", "tolerance 100 nm", "concave sphere", "form error PV"):
+        assert one in page
+    assert sorted(one.name for one in (tmp_path / "out").iterdir()) == ["cases.csv", "report.html"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"errors": {}}, "a budget has 0 errors, it needs at least 1: say what cannot be set exactly"),
+        ({"error": {}}, "'error' is not a key of a budget, the keys are artefacts, errors, name, noise, settling: "),
+        ({"noise": "1"}, "noise or settling: '1' has no unit, it must be a length: write it such as '8 um'"),
+        ({"artefacts": ["cone"]}, "artefacts are ['cone'], they can be tilted flat, concave sphere: name each once"),
+        (
+            {"errors": {"tool ofset x": {"spread": "normal(0, 1) um", "source": "a"}}},
+            "tool ofset x: a budget knows no error 'tool ofset x': did you mean 'tool offset x'?",
+        ),
+        (
+            {"errors": {"drift z": {"spread": "normal(0, -1) nm", "source": "a"}}},
+            "drift z: normal(0, -1e-06) cannot be, it needs a deviation above 0",
+        ),
+        (
+            {"errors": {"drift z": {"spread": "gauss(0, 1) nm", "source": "a"}}},
+            "drift z: the distribution 'gauss' is not one of normal, uniform, triangular, truncated normal: choose one",
+        ),
+        (
+            {"errors": {"drift z": {"spread": "uniform(0, 1, 2) nm", "source": "a"}}},
+            "drift z: uniform has 3 numbers, it needs 2 finite ones (low, high): complete or correct them",
+        ),
+        (
+            {"errors": {"drift z": {"spread": "uniform(0, 1) deg", "source": "a"}}},
+            "drift z: '0 deg' is an angle, it must be a length: write it such as '8 um'",
+        ),
+        ({"errors": {"drift z": {"spread": "1 nm", "source": "a"}}}, "drift z: '1 nm' is no distribution: "),
+        (
+            {"errors": {"drift z": {"spread": "normal(0, 1) nm", "source": " "}}},
+            "drift z: normal has no source: say where it is known from, or 'assumed: ...' and why",
+        ),
+        (
+            {"errors": {"mounting Z2": {"spread": "normal(0, 1) nm", "source": "a"}}},
+            "mounting Z2 is piston or tilt, the first fringe term that counts is Z4: leave it out",
+        ),
+        (
+            {
+                "errors": {
+                    "waviness P3": {"spread": "normal(0, 1) nm", "source": "a"},
+                    "waviness c3": {"spread": "normal(0, 1) nm/rad^3", "source": "a"},
+                }
+            },
+            "the waviness is stated by P and by c, one of both can be right: leave the other out",
+        ),
+        ({"errors": {"drift z": 3}}, "drift z is 3, it needs a spread and its source: write"),
+    ],
+)  # fmt: skip
+def test_a_budget_that_cannot_be_is_a_sentence(changed, said):
+    with pytest.raises(InputError) as caught:
+        ErrorBudget.read(table(**changed))
+    assert str(caught.value).startswith(said)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_budget_file_that_cannot_be_read(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        ErrorBudget.load(tmp_path / "none.toml")
+    (tmp_path / "bad.toml").write_text("errors = [")
+    with pytest.raises(InputError, match=r"bad\.toml: .* is not TOML"):
+        ErrorBudget.load(tmp_path / "bad.toml")
+
+
+def test_a_budget_reads_back_what_it_writes(tmp_path):
+    typical = ErrorBudget.typical()
+    (tmp_path / "again.toml").write_text(tomli_w.dumps(typical.to_table()))
+    assert ErrorBudget.load(tmp_path / "again.toml") == typical
+    assert all(one.source for one in typical.errors.values())
+    assert set(typical.only("drift").errors) == {"drift x", "drift z"}
+    with pytest.raises(InputError, match="no error of the budget is of luck, its groups are tool offset"):
+        typical.only("luck")
+    # The part's own draws do not depend on whether artefacts are drawn too.
+    alone, both = (typical.draw(5, seed=2, correction=one) for one in (False, True))
+    assert all(np.array_equal(values, both[name]) for name, values in alone.items())
+    assert Spread.read("normal(0, 2) um", "mm", source="a").largest == pytest.approx(0.002 * 5.998, rel=1e-3)
+
+
+def test_a_job_without_tolerances_is_refused(job):
+    bare = tw.Job.read({key: value for key, value in JOB.items() if key != "tolerances"})
+    with pytest.raises(JobError, match="the job states 0 tolerances that can be judged"):
+        tw.tolerance(bare, count=20)
+    with pytest.raises(InputError, match="the study has 3 cases, it needs at least 10"):
+        tw.tolerance(job, count=3)

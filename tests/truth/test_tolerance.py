@@ -1,0 +1,279 @@
+"""Tolerances: chances and shares against SciPy and closed forms, the thinned program against the whole, drift and mount
+against closed forms, and the short way to a corrected part against the long one.
+
+Oracles: scipy.stats, closed forms of linear and Ishigami functions, a sphere turned as a rigid body, and programs that
+were planned, moved or tracked whole.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+from tolerance_jobs import job_of
+
+import turnwright as tw
+from turnwright.execution import Store
+from turnwright.generation import generate_points
+from turnwright.job import correct
+from turnwright.studies import ErrorBudget, Spread
+from turnwright.studies import _draws as draws_of
+from turnwright.studies._scenes import Reach, kept, lines_of, moved, planned, scene_motion, scenes_of, stored
+from turnwright.studies._sensitivity import (
+    MapModel,
+    chance,
+    grouped,
+    neighbour_indices,
+    percentile,
+    sobol_indices,
+    unit_points,
+)
+from turnwright.studies._tolerance import _Sums
+from turnwright.tracking import track
+
+NM = 1e6
+
+
+@pytest.mark.parametrize(("good", "of"), [(0, 200), (1, 30), (150, 200), (200, 200)])
+def test_the_interval_of_a_chance_is_that_of_scipy(good, of):
+    exact = stats.binomtest(good, of).proportion_ci(0.95, "exact")
+    assert chance(good, of) == pytest.approx((good / of, exact.low, exact.high), abs=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5, 0.95])
+def test_the_interval_of_a_percentile_misses_it_no_more_often_than_it_says(share):
+    # Draws that are their own order: the end of an interval is the number of a draw.
+    one = percentile(np.arange(1.0, 201.0), share)
+    first = 0 if math.isinf(one.low) else int(one.low)
+    last = 201 if math.isinf(one.high) else int(one.high)
+    below = stats.binom(200, share)
+    # The percentile lies beyond a draw where at most so many draws lie below it.
+    misses = below.cdf(first - 1) + below.sf(last - 1)
+    assert 0.02 < misses <= 0.05
+    assert below.cdf(first) > 0.025  # and the next draw would not do
+    assert below.sf(last - 2) > 0.025
+
+
+def ishigami(x):
+    return np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+
+
+def test_the_indices_of_ishigami():
+    unit = np.pi * (2 * unit_points(6, 13, 0) - 1)
+    found = sobol_indices(ishigami, [[0], [1], [2], [0, 2]], unit[:, :3], unit[:, 3:])
+    variance = 7**2 / 8 + 0.1 * np.pi**4 / 5 + 0.1**2 * np.pi**8 / 18 + 0.5
+    one, two = (1 + 0.1 * np.pi**4 / 5) ** 2 / 2 / variance, 7**2 / 8 / variance
+    both = 0.1**2 * np.pi**8 * 8 / 225 / variance
+    assert found.first == pytest.approx([one, two, 0.0, one + both], abs=0.006)
+    assert found.total == pytest.approx([one + both, two, both, one + both], abs=0.006)
+    other = stats.sobol_indices(
+        func=lambda x: ishigami(x.T), n=8192, dists=3 * [stats.uniform(-np.pi, 2 * np.pi)], rng=1
+    )
+    assert found.first[:3] == pytest.approx(other.first_order, abs=0.01)
+    assert found.total[:3] == pytest.approx(other.total_order, abs=0.01)
+
+
+def test_the_indices_of_given_cases():
+    x = np.random.default_rng(3).normal(size=(6000, 5))
+    weights = np.array([3.0, 2.0, 1.0, 0.5, 0.0])
+    truth = weights**2 / (weights @ weights)
+    groups = [[0], [1], [2], [3], [4], [0, 2]]
+    found = neighbour_indices(x, x @ weights, groups)
+    assert found == pytest.approx([*truth, truth[0] + truth[2]], abs=0.04)
+    # And of a result that grows neither way: the square of one input.
+    assert neighbour_indices(x, x[:, 1] ** 2, [[1], [0]]) == pytest.approx([1.0, 0.0], abs=0.04)
+
+
+def test_sums_of_marks_tell_the_chance_of_a_linear_problem():
+    # Two heights whose difference is normal: PV is its magnitude.
+    rng = np.random.default_rng(1)
+    inputs = {"tool offset x": Spread.read("normal(2, 3) um", "mm", source="test"), "drift z": Spread.read(
+        "normal(0, 5) um", "mm", source="test")}  # fmt: skip
+    marks = np.array([[1.0, -2.0], [2.0, -0.5]])  # nm per deviation, of each height
+    scaled = rng.normal(size=(400, 2))
+    maps = np.array([0.2, 0.0]) + scaled @ marks.T
+    model = MapModel.fitted(scaled, maps, np.ones(2))
+    assert model.foretold() == pytest.approx((1.0, 1.0), abs=1e-12)
+    groups = grouped(list(inputs), lambda name: name)
+    pv = np.ptp(maps, axis=1)
+    study = _Sums(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=np.ones(2), pv=pv, seed=0)
+    drawn = {name: one.mean + one.deviation * scaled[:, k] for k, (name, one) in enumerate(inputs.items())}
+    apart = marks[0] - marks[1]
+
+    def keeps(deviations, limit=2.0):
+        spread = stats.norm(0.2, math.hypot(*(apart * deviations)))
+        return spread.cdf(limit) - spread.cdf(-limit)
+
+    before = keeps((1, 1))
+    (first, _), (second, _) = study.halved(model, 2.0, drawn, np.ones(400, dtype=bool), before)
+    assert first == pytest.approx(keeps((0.5, 1)), abs=2e-3)
+    assert second == pytest.approx(keeps((1, 0.5)), abs=2e-3)
+    # Finish that is lost beyond one deviation of the first: weights tell what half the spread does to it.
+    fine = abs(scaled[:, 0]) < 1
+    (first, _), (second, _) = study.halved(model, None, drawn, fine, float(fine.mean()))
+    assert first == pytest.approx(stats.norm.cdf(2) - stats.norm.cdf(-2), abs=0.03)
+    assert second == pytest.approx(fine.mean(), abs=0.03)
+
+
+def test_half_a_spread_is_weighted_by_its_density():
+    for text in ("normal(1, 2) um", "uniform(-1, 3) um", "triangular(-1, 0, 2) um", "truncated normal(0, 1, -1, 2) um"):
+        spread = Spread.read(text, "mm", source="test")
+        values = spread.quantile((np.arange(20_000) + 0.5) / 20_000)
+        weight = spread.density_halved(values)
+        assert weight.mean() == pytest.approx(1.0, abs=2e-3)  # a density again
+        assert np.sqrt(weight @ (values - spread.mean) ** 2 / weight.sum()) == pytest.approx(
+            spread.deviation / 2, rel=5e-3
+        )
+
+
+DEVIATIONS = [
+    {},
+    {"tool offset x": 0.004, "tool offset y": -0.006, "radius error": 0.003, "waviness P4": 2e-5, "squareness": 3e-6},
+    {"tool offset x": -0.005, "tool offset y": 0.005, "waviness P7": 2e-5, "drift x": 3e-4, "drift z": -2e-4},
+]
+
+
+@pytest.mark.parametrize("kind", ["mirror", "lens array", "raked over the axis"])
+def test_the_thinned_program_leaves_what_the_whole_one_leaves(kind):
+    job = job_of(kind)
+    reach = Reach(along=0.03, across=0.012, servos={})
+    plan = planned(job, reach)
+    duration = float(plan.motion.time[-1])
+    for scene in scenes_of(job):
+        keep = kept(plan, scene, reach)
+        # A coarse program is needed whole for its lines, never for a patch.
+        assert keep.mean() < (0.9 if kind == "mirror" or not scene.polar else 1.01)
+        head, rows = stored(plan, keep, reach)
+        assert head["duration"] == duration
+        for draw in DEVIATIONS:
+            real = draws_of.deviated(job.tool.tool, job.machine.machine, draw)
+            few = moved(scene_motion(head, rows, job.machine.machine, {}), *real.drift, duration, 5.0)
+            left = scene.generated(few, real.tool, real.machine, head["near"])
+            whole = moved(plan.motion, *real.drift, duration, 5.0)
+            z = generate_points(whole, real.tool, x=left.x.ravel(), y=left.y.ravel(), machine=real.machine)
+            assert np.array_equal(np.isnan(z), np.isnan(left.z.ravel()))
+            assert np.nanmax(np.abs(z - left.z.ravel())) * NM < 1e-4
+
+
+def test_few_lines_tell_the_form_of_many():
+    job = job_of("mirror")
+    budget = ErrorBudget.typical()
+    real = draws_of.deviated(job.tool.tool, job.machine.machine, {"tool offset x": 0.003, "tool offset y": 0.002,
+        "waviness P6": 2e-5})  # fmt: skip
+    reach = draws_of.reach_of(budget, job)
+    plan = planned(job, reach)
+    few = lines_of(job)
+    many = few._replace(columns=np.linspace(few.columns[0], few.columns[-1], 301), rows=np.linspace(0, 2 * np.pi, 180,
+        endpoint=False))  # fmt: skip
+    numbers = []
+    for scene in (few, many):
+        left = scene.generated(plan.motion, real.tool, real.machine, 0.1)
+        error = left.z - job.part.part.surface.sag(left.x.ravel(), left.y.ravel()).reshape(left.z.shape)
+        form = draws_of.form_error(job, left, error)
+        rms = math.sqrt(np.average(form**2, weights=np.broadcast_to(scene.columns, form.shape)))
+        numbers.append((np.ptp(form), rms))
+    assert numbers[0] == pytest.approx(numbers[1], rel=0.04)
+
+
+def bench_of(job, budget, folder, *, correction=False):
+    store = Store.open(folder)
+    return draws_of.Bench.of(draws_of.laid_out(job, budget, store, correction=correction), store)
+
+
+def one_budget(settling=None, **spreads):
+    errors = {name.replace("_", " "): Spread.read(text, "mm", source="test") for name, text in spreads.items()}
+    return ErrorBudget(errors=errors, noise=1e-6, settling=settling)
+
+
+@pytest.mark.parametrize("settling", [None, 20.0])
+def test_drift_leaves_its_own_history(tmp_path, settling):
+    job = job_of("flat")
+    bench = bench_of(job, one_budget(settling, drift_z="normal(0, 100) nm"), tmp_path)
+    cut = bench.cuts[""]
+    still, drifting = (
+        cut.made(cut.views[0], bench.real({"drift z": by}), settling)[1] for by in (0.0, 5e-4)
+    )  # fmt: skip
+    # Passes come in at an even feed, and each radius is as low as the last pass over it.
+    strategy, head = job.strategy, cut.views[0].head
+    lead = head["duration"] * strategy.spindle_speed / 60 * strategy.feed
+    share = (lead - cut.views[0].scene.columns) / lead
+    if settling is not None:
+        share = (1 - np.exp(-share * head["duration"] / settling)) / (1 - math.exp(-head["duration"] / settling))
+    # A height belongs to a pass within half a feed, or the time of half a turn.
+    slack = 5e-4 * strategy.feed / lead * (1 if settling is None else head["duration"] / settling)
+    assert np.abs(drifting - still - 5e-4 * share).max() < 1.05 * slack
+
+
+def test_a_part_springs_back_and_stands_upright(tmp_path):
+    job = job_of("mirror")
+    bench = bench_of(job, one_budget(mounting_Z5="normal(0, 100) nm"), tmp_path)
+    cut = bench.cuts[""]
+    view, free = cut.views[0], bench.real({})
+    left, straight = cut.made(view, free, None)
+    bent = cut.made(view, bench.real({"mounting Z5": 2e-4, "mounting Z9": 1e-4}), None)[1]
+    x, y = left.x / 3.0, left.y / 3.0
+    q = x**2 + y**2
+    expected = -2e-4 * (x**2 - y**2) - 1e-4 * (6 * q**2 - 6 * q + 1)
+    assert np.abs(bent - straight - expected).max() < 1e-15
+    # A sphere that leaned by two small angles stands upright again: its centre has turned about the vertex.
+    about_x, about_y = 3e-5, -2e-5
+    tilted = cut.made(view, bench.real({"chuck tilt x": about_x, "chuck tilt y": about_y}), None)
+    size = 40.0
+    centre = np.array(
+        [-size * math.sin(about_y), size * math.sin(about_x), size * math.cos(math.hypot(about_x, about_y))]
+    )
+    turned = centre[2] - np.sqrt(size**2 - (left.x - centre[0]) ** 2 - (left.y - centre[1]) ** 2)
+    upright = size - np.sqrt(size**2 - left.x**2 - left.y**2)
+    assert np.abs(tilted[1] - straight - (turned - upright)).max() * NM < 0.01
+    # What measuring leaves free takes it away.
+    assert np.abs(draws_of.form_error(job, *tilted) - draws_of.form_error(job, left, straight)).max() * NM < 0.01
+
+
+def test_servos_between_the_nodes_are_tracked_ones(tmp_path):
+    job = job_of("servo", tmp_path)
+    reach = Reach(along=0.01, across=0.002, servos={"X": 0.2, "Z": 0.2, "C": 0.2})
+    plan = planned(job, reach)
+    scene = lines_of(job)
+    head, rows = stored(plan, kept(plan, scene, reach), reach)
+    assert set(head["nodes"]) == {"X", "Z"}
+    machine = job.machine.machine
+    faster = {"Z": 0.13, "X": -0.17}
+    axes = dict(machine.axes)
+    for letter, share in faster.items():
+        response = axes[letter].response
+        quick = replace(response, frequency_hz=response.frequency_hz * (1 + share))
+        axes[letter] = replace(axes[letter], response=quick)
+    cut, tool = job.passes[-1], job.tool.tool
+    spiral = job.servo(cut).spiral(job.part.aimed, tool)
+    motion = tw.drive(tw.place(spiral, job.part.aimed, tool), job.servo(cut), machine)
+    whole = track(motion, replace(machine, axes=axes), chord=1e-7)
+    left = scene.generated(scene_motion(head, rows, machine, faster), tool, machine, head["near"])
+    slow = scene.generated(scene_motion(head, rows, machine, {}), tool, machine, head["near"])
+    exact = generate_points(whole, tool, x=left.x.ravel(), y=left.y.ravel(), machine=machine).reshape(left.z.shape)
+    assert np.abs(slow.z - exact).max() * NM > 2  # it matters
+    assert np.abs(left.z - exact).max() * NM < 0.01 * np.abs(slow.z - exact).max() * NM + 0.01
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_the_short_way_to_a_corrected_part_is_the_long_one(tmp_path, number):
+    job = job_of("fine mirror")  # cusps that move with the tool are no error of either way
+    budget = ErrorBudget.typical()
+    (tmp_path / "one").mkdir()
+    bench = bench_of(job, budget, tmp_path / "one", correction=True)
+    drawn = budget.draw(3, seed=5, correction=True)
+    draw = {name: float(values[number]) for name, values in drawn.items()}
+    real = bench.real(draw)
+    found = bench.found(draw, [5, number])
+    planned_only, _ = bench.judged(real)
+    short, _ = bench.judged(draws_of.residual(real, job.tool.tool, job.machine.machine, found))
+    # The long way: a job file with what was found, planned, placed and driven anew, cut with the real tool.
+    (tmp_path / "better").mkdir()
+    better = correct(job, found, out=tmp_path / "better").job
+    assert better.tool.tool.offset == found.tool.offset
+    again = bench_of(better, budget, tmp_path / "two")
+    long, _ = again.judged(real)
+    assert short["form_pv_nm"] == pytest.approx(long["form_pv_nm"], rel=0.02, abs=1.0)
+    assert short["form_rms_nm"] == pytest.approx(long["form_rms_nm"], rel=0.02, abs=0.1)
+    assert planned_only["form_rms_nm"] > 1.5 * long["form_rms_nm"]
+    assert short["sq_nm@half-way out"] == pytest.approx(long["sq_nm@half-way out"], abs=0.02)
