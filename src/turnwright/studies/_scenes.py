@@ -214,6 +214,8 @@ class Planned:
     core
         How far from the axis the passes stand whose raked edge comes over it, per root of how far the tip stands aside.
         [mm^0.5]
+    upright
+        Whether the whole edge stays in one plane, as without rake and Y.
     servos
         Natural frequencies as shares of the stated ones, less 1, and the positions of the axis that goes with them, by
         letter. (k,), (k, n)
@@ -225,7 +227,16 @@ class Planned:
     edge: float
     blend: float
     core: float
+    upright: bool
     servos: Mapping[str, tuple[Floats, Floats]]
+
+    def near(self, reach: Reach) -> float:
+        """Return how near to the axis a place must be for passes from beyond it to matter. [mm].
+
+        Farther out they would have to use more of the nose than any does.
+        """
+        beyond = max(-float(self.motion.axes["X"].min()), 0.0)
+        return self.edge + beyond + self.blend + reach.along + FEEDS * self.motion.feed
 
 
 def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned:
@@ -270,7 +281,8 @@ def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned
     told(4, 4)
     return Planned(
         motion=real, contact=contact, across=lean + aside + abs(tool.offset[1]), edge=edge + abs(tool.offset[0]),
-        blend=2 * edge if tight else 0.0, core=1.5 * math.sqrt(2 * radius / sine) if sine else 0.0, servos=servos,
+        blend=2 * edge if tight else 0.0, core=1.5 * math.sqrt(2 * radius / sine) if sine else 0.0,
+        upright=not tool.rake and "Y" not in real.axes, servos=servos,
     )  # fmt: skip
 
 
@@ -312,6 +324,8 @@ def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
     across = plan.across + reach.across
     along = plan.blend + plan.core * math.sqrt(across) + FEEDS * plan.motion.feed + reach.along
     near = np.flatnonzero((plan.contact >= nearest - along) & (plan.contact <= farthest + along))
+    # Along lines a tip that stands aside cuts at another place, not at another azimuth; see `Scene.generated`.
+    level = plan.near(reach) + along if scene.polar and plan.upright else math.inf
     keep = np.zeros(c.size, dtype=np.bool_)
     if near.size == 0:
         return keep
@@ -322,7 +336,8 @@ def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
         a = (c[start : stop + 1] - middle) * turns
         low, high = np.minimum(a[:-1], a[1:]), np.maximum(a[:-1], a[1:])
         served = np.maximum(plan.contact[start:stop] - along, max(nearest, 1e-9))
-        window = half + np.where(across < served, np.arcsin(np.minimum(across / served, 1.0)), math.pi)
+        aside = np.where(plan.contact[start:stop] > level, plan.across, across)
+        window = half + np.where(aside < served, np.arcsin(np.minimum(aside / served, 1.0)), math.pi)
         wide = window * turns
         crosses = np.floor(high + wide) >= np.ceil(low - wide)
         if not scene.polar:
@@ -343,11 +358,9 @@ def stored(plan: Planned, keep: Bools, reach: Reach) -> tuple[dict[str, Any], Fl
     for letter, (shares, positions) in plan.servos.items():
         nodes[letter] = shares.tolist()
         rows += list(positions[:, keep])
-    # From farther out than this no pass comes from beyond the axis: it would use more of the nose than any does.
-    beyond = max(-float(motion.axes["X"].min()), 0.0)
     head = {
         "letters": letters, "nodes": nodes, "duration": float(motion.time[-1] - motion.time[0]),
-        "near": plan.edge + beyond + plan.blend + reach.along + FEEDS * motion.feed,
+        "near": plan.near(reach),
     }  # fmt: skip
     return head, np.stack(rows)
 
