@@ -72,6 +72,13 @@ def until(true, seconds=20.0):
     return time.monotonic() - start
 
 
+def assert_once_but_for(many, count, log):
+    """Each of so many cases was computed once, but for what a killed worker had in hand."""
+    times = Counter(n for n, _ in begun(log))
+    assert sorted(times) == list(range(count))
+    assert times.total() <= count + many
+
+
 def rows_of(store):
     return list((Path(store.place) / "rows").iterdir())
 
@@ -143,8 +150,8 @@ def test_a_killed_worker_costs_only_the_case_in_its_hand(store, log):
             ours.plain, cases(30), shared={"log": log, "seconds": 0.05}, executor=made, store=store, progress=kill
         )
     assert rows == [answer(n) for n in range(30)]
-    times = Counter(n for n, _ in begun(log))
-    assert times == Counter(range(30)) + Counter({killed[0][0]: 1})
+    assert not alive(killed[0][1])
+    assert_once_but_for(1, 30, log)
 
 
 def test_a_case_that_always_kills_is_a_row_and_the_others_finish(store, log):
@@ -516,15 +523,18 @@ def test_a_dask_cluster_computes_each_case_once_and_its_loss_is_one_sentence(sto
                 progress=kill,
             )
             assert rows == [answer(n) for n in range(20)]
+            assert not alive(killed[0][1])
             until(lambda: executor.workers == 2)  # Dask brings it back
             told = conduct(ours.threads, cases(12), executor=executor)
             apart = Store.open(f"memory://{os.getpid()}-{id(store)}")  # each process has one of its own
             conduct(ours.plain, cases(4), executor=executor, store=apart)
             assert [apart.row(f"case-{n}") for n in range(4)] == [answer(n) for n in range(4)]
-        assert Counter(n for n, _ in begun(log)) == Counter(range(20)) + Counter({killed[0][0]: 1})
+        assert_once_but_for(1, 20, log)
         assert store.keys() == {f"case-{n}" for n in range(20)}
-        assert len({row["pid"] for row in told} - {os.getpid()}) == 2
+        assert len({pid for _, pid in begun(log)} - {os.getpid()}) >= 2
         assert {row["cores"] for row in told} == {1}  # two on two cores, not four
+
+        once = len(begun(log))
 
         def lose(done, total):
             if done >= 24:
@@ -547,8 +557,8 @@ def test_a_dask_cluster_computes_each_case_once_and_its_loss_is_one_sentence(sto
     kept = store.keys()
     assert len(kept) >= 24
     assert conduct(ours.plain, cases(90), shared={"log": log}, store=store) == [answer(n) for n in range(90)]
-    times = Counter(n for n, _ in begun(log)) - Counter({killed[0][0]: 1})
-    assert all(times[int(key.removeprefix("case-"))] == 1 for key in kept)
+    twice = {n for n, times in Counter(n for n, _ in begun(log)[once:]).items() if times > 1}
+    assert not twice & {int(key.removeprefix("case-")) for key in kept}
 
 
 def test_a_cluster_without_its_package_is_one_sentence(monkeypatch):

@@ -232,7 +232,7 @@ class _Conductor:
     def _send(self, case: Case) -> None:
         try:
             future = self.executor.submit(_carry_out, case.key, dict(case.data), *self.order)
-        except (BrokenExecutor, RuntimeError) as error:
+        except Exception as error:  # an executor of somebody else may end in any way
             raise self._lost(error) from error
         self.running[future] = case
 

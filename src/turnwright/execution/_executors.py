@@ -274,7 +274,8 @@ class Cluster(Executor):
     def workers(self) -> int:
         """Cases that the cluster carries out at a time; workers come and go, so it is asked now and then."""
         if time.monotonic() - self._asked > _ASK_AGAIN_S:
-            self._workers = max(1, sum(self._client.nthreads().values()))
+            with suppress(OSError):  # a lost scheduler is told of by the cases that it had
+                self._workers = max(1, sum(self._client.nthreads().values()))
             self._asked = time.monotonic()
         return self._workers
 
