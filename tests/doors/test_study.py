@@ -97,7 +97,7 @@ def test_the_command_leaves_a_table_a_page_and_a_study_that_can_be_loaded(job_fi
     assert loaded.fields[0].own == 0.5
     assert loaded.fields[1].own == pytest.approx(1.0)
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert page.count("<svg") == 3
+    assert page.count("<svg") == 6  # a map and profiles of each number
     assert "Best cases by sq_nm" in page
     assert not re.search(r"\bnan\b", page)
 
@@ -154,8 +154,12 @@ def test_it_is_saved_and_loaded_to_the_last_bit(job, threads, tmp_path):
     assert "feed 1 mm per rev is at least the width of the edge" in found.reasons[1]
     assert np.isnan(found["sq_nm"][1])
     assert found["binding"][1] == ""
-    with pytest.raises(StudyError, match="holds no study"):
+    with pytest.raises(StudyError, match=r"holds no whole study \(No such file or directory\): name one"):
         Study.load(tmp_path / "nowhere")
+    table = tmp_path / "study.csv"
+    table.write_text("".join(table.read_text(encoding="utf-8").splitlines(keepends=True)[:-1]), encoding="utf-8")
+    with pytest.raises(StudyError, match=r"\(ValueError: 2 cases were written, 1 are there\): name one"):
+        Study.load(tmp_path)
 
 
 def test_what_run_would_refuse_has_its_numbers_and_its_reason(threads):
@@ -274,7 +278,7 @@ def test_a_scheduler_that_does_not_answer_is_one_sentence_and_leaves_nothing(job
     ("vary", "design", "pictures"),
     [
         ({"strategy.feed": "5, 10, 20 um/rev"}, {}, 2),
-        ({"strategy.sense": "1, -1", "strategy.feed": "5, 10 um/rev"}, {}, 2),
+        ({"strategy.sense": "1, -1", "strategy.feed": "5, 10 um/rev"}, {}, 4),
         ({"tool.nose_radius": "0.2..0.6 mm", "strategy.feed": "5..900 um/rev"}, {"design": "halton", "count": 9}, 1),
     ],
 )

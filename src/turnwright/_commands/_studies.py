@@ -58,7 +58,7 @@ def study(
         str, typer.Option(help='"grid", or "random", "sobol", "halton", "latin hypercube" with --cases.')
     ] = "grid",
     cases: Annotated[int | None, typer.Option(min=1, help="How many cases to draw.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Makes a drawn design the same again.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Another one draws other cases.")] = 0,
     workers: Workers = None,
     cluster: Cluster = None,
     store: KeptAt = None,

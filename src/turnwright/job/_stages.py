@@ -45,6 +45,8 @@ class Stages:
     job
         What is asked for.
 
+    Examples
+    --------
     >>> from turnwright.job import Job
     >>> job = Job.read({
     ...     "part": {"surface": {"family": "plane"}, "radius": "2 mm"},

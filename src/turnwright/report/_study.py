@@ -82,7 +82,7 @@ def write_study(found: Study, path: str | PathLike[str]) -> File:
 
 
 def _pictures(found: Study, numbers: Sequence[str]) -> list[Picture]:
-    """Return maps over two fields, lines over one, and all against all otherwise."""
+    """Return maps over two fields with profiles, lines over one, and all against all otherwise."""
     from turnwright.report import _study_figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
     if not numbers or not found.fields:
@@ -90,7 +90,7 @@ def _pictures(found: Study, numbers: Sequence[str]) -> list[Picture]:
     if len(found.fields) == 1:
         return [draw.line_over(found, name) for name in numbers]
     if len(found.fields) == 2 and found.is_grid and min(one.different.size for one in found.fields) > 1:
-        return [draw.map_over(found, name) for name in numbers]
+        return [picture(found, name) for name in numbers for picture in (draw.map_over, draw.profiles_of)]
     return [draw.scatter(found, numbers)]
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats
     from turnwright.studies import Column, Study
 
-__all__ = ["line_over", "map_over", "scatter"]
+__all__ = ["line_over", "map_over", "profiles_of", "scatter"]
 
 WIDE = 30.0
 """Largest over smallest value from which on colours and lines are even in the logarithm."""
@@ -127,6 +127,39 @@ def map_over(study: Study, measure: str) -> Picture:
     if not found.ok.all():
         said += " Hatched: what run would refuse, or what gives no number."
     return Picture(canvas.svg, said)
+
+
+def profiles_of(study: Study, measure: str) -> Picture:
+    """Draw profiles through a map: a measure over the first field, at some values of the second.
+
+    Parameters
+    ----------
+    study
+        A grid over two fields.
+    measure
+        Its name.
+    """
+    across, along = study.fields
+    found = study.grid(measure, over=(along.name, across.name))
+    column, x = study.column(measure), _places(across)
+    picks = np.unique(np.linspace(0, found.rows.size - 1, min(found.rows.size, len(SERIES))).round().astype(int))
+    with _canvas(4.6, 3.9) as canvas:
+        axes = canvas.figure.add_subplot()
+        for pick, colour, line in zip(picks, SERIES, ("-", "--", "-."), strict=False):
+            value = found.rows[pick]
+            label = f"{_short(value) if not _text(along) else value} {along.unit}".rstrip()
+            good = found.ok[pick]
+            axes.plot(x, found.values[pick], line, color=colour, linewidth=1.3, label=label)
+            axes.plot(x[good], found.values[pick][good], "o", color=colour, markersize=3.2)
+            axes.plot(x[~good], found.values[pick][~good], "x", color=INK, markersize=5)
+        if _wide(found.values[picks]):
+            _logarithmic(axes, "y")
+        axes.set_ylabel(column.heading)
+        axes.grid(visible=True)
+        _axis(axes, across, "x")
+        axes.legend(title=along.name, ncols=len(picks), loc="lower center", bbox_to_anchor=(0.5, 1.0), handlelength=2.4)
+    said = f"{column.heading} over {across.name} at {len(picks)} values of {along.name}."
+    return Picture(canvas.svg, said + ("" if found.ok[picks].all() else " Crosses: what run would refuse."))
 
 
 def _within(value: float, limits: tuple[float, float]) -> bool:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from turnwright._arrays import Bools, Floats, frozen
 from turnwright._whole import write_whole
-from turnwright.errors import InputError, StudyError
+from turnwright.errors import InputError, JobError, StudyError
 from turnwright.execution import Case, Store, case_key, conduct, local
 from turnwright.job import Job
 from turnwright.studies._evaluate import REFUSED, SECONDS, carry_out, files_of, kept_files
@@ -294,6 +294,7 @@ class Study:
         said = {
             "form": FORM,
             "design": self.design,
+            "cases": len(self),
             "fields": [{"name": one.name, "unit": one.unit, "kind": one.kind, "own": one.own} for one in self.fields],
             "measures": [{"name": one.name, "unit": one.unit, "kind": one.kind} for one in self.measures],
         }
@@ -313,32 +314,42 @@ class Study:
         folder = Path(folder)
         try:
             said = json.loads((folder / "study.json").read_text(encoding="utf-8"))
-            with (folder / "study.csv").open(encoding="utf-8", newline="") as lines:
-                head, *rows = csv.reader(lines)
-        except (OSError, ValueError) as error:
+            if said["form"] != FORM:
+                raise StudyError(
+                    f"the study in {str(folder)!r} has the form {said['form']}, this program reads {FORM}: update it"
+                )
+            cells = _cells(folder / "study.csv", said["cases"])
+            return cls(
+                job=Job.load(folder / "job.toml"),
+                design=said["design"],
+                fields=tuple(_column(one, cells) for one in said["fields"]),
+                measures=tuple(_column(one, cells) for one in said["measures"]),
+                reasons=tuple(cells[REASON]),
+                seconds=_array("number", cells["seconds"]),
+            )
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            if isinstance(error, StudyError | JobError):
+                raise
+            what = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
             raise StudyError(
-                f"the folder {str(folder)!r} holds no study ({error}): name one that turnwright study wrote"
+                f"the folder {str(folder)!r} holds no whole study ({what}): name one that turnwright study wrote"
             ) from error
-        if said.get("form") != FORM:
-            raise StudyError(
-                f"the study in {str(folder)!r} has the form {said.get('form')}, this program reads {FORM}: update it"
-            )
-        cells = dict(zip(head, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(head, ())
 
-        def read(one: Mapping[str, Any]) -> Column:
-            column = Column(name=one["name"], unit=one["unit"], values=np.empty(0), own=one.get("own"))
-            return Column(
-                name=column.name, unit=column.unit, values=_array(one["kind"], cells[column.heading]), own=column.own
-            )
 
-        return cls(
-            job=Job.load(folder / "job.toml"),
-            design=said["design"],
-            fields=tuple(read(one) for one in said["fields"]),
-            measures=tuple(read(one) for one in said["measures"]),
-            reasons=tuple(cells[REASON]),
-            seconds=_array("number", cells["seconds"]),
-        )
+def _cells(file: Path, count: int) -> dict[str, tuple[str, ...]]:
+    """Return the columns of a table that has so many rows."""
+    with file.open(encoding="utf-8", newline="") as lines:
+        head, *rows = csv.reader(lines)
+    if len(rows) != count:
+        raise ValueError(f"{count} cases were written, {len(rows)} are there")
+    return dict(zip(head, zip(*rows, strict=True), strict=True))
+
+
+def _column(said: Mapping[str, Any], cells: Mapping[str, Sequence[str]]) -> Column:
+    """Return a column as it was saved."""
+    name, unit = said["name"], said["unit"]
+    values = _array(said["kind"], cells[f"{name} [{unit}]" if unit else name])
+    return Column(name=name, unit=unit, values=values, own=said.get("own"))
 
 
 def _cell(value: Any) -> str:
@@ -375,7 +386,7 @@ def study(
     measure: str | Own | Sequence[str | Own],
     design: str | Sequence[Mapping[str, Any]] = "grid",
     count: int | None = None,
-    seed: int | None = None,
+    seed: int = 0,
     executor: Executor | None = None,
     store: str | PathLike[str] | Store | None = None,
     workers: int | None = None,
@@ -402,7 +413,7 @@ def study(
     design
         "grid", "random", "sobol", "halton", "latin hypercube", or a list of cases, each a mapping from field to value.
     count, seed
-        Of a design that is drawn.
+        Of a design that is drawn. The same seed draws the same cases, so that a study can go on.
     executor
         Who carries the cases out: any `concurrent.futures.Executor`. Processes of this machine if not given.
     store
