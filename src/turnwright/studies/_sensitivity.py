@@ -225,12 +225,17 @@ class MapModel:
             Which cases to fit, some of them more than once; all once if not given.
         """
         columns = cls.columns(inputs, squares=inputs.shape[0] >= 4 * (2 * inputs.shape[1] + 1))
-        if inputs.shape[0] < 2 * columns.shape[1]:
+        if inputs.shape[0] < cls.fewest(inputs.shape[1]):
             return None
         own, seen = (columns, maps) if chosen is None else (columns[chosen], maps[chosen])
         share = np.asarray(np.linalg.lstsq(own, seen, rcond=None)[0], dtype=np.float64)
         q = np.linalg.qr(columns)[0]
         return cls(share=share, weight=weight, leverage=(q**2).sum(axis=1), left=maps - columns @ share, maps=maps)
+
+    @staticmethod
+    def fewest(inputs: int) -> int:
+        """Return how many cases tell the marks of so many inputs."""
+        return 2 * (1 + inputs)
 
     @staticmethod
     def columns(inputs: Floats, *, squares: bool) -> Floats:

@@ -224,7 +224,8 @@ def tolerance(
     correction
         Whether to tell what the artefacts are worth too.
     confirm
-        Whether to carry out as many cases again with half the spread of what is to be tightened first.
+        Whether to carry out as many cases again with half the spread of what is to be tightened first, if the cases
+        are enough to tell.
     executor
         Who carries the cases out; processes of this machine if not given.
     workers
@@ -289,7 +290,7 @@ def tolerance(
         told("sensitivity", 1, 1)
         tightening = None
         kind = CORRECTED if correction else AS_PLANNED
-        if confirm:
+        if confirm and outcomes[kind].foretold is not None:
             tightening = _confirmed(study, inputs, draws, outcomes[kind], limits, kind)
     return ToleranceStudy(
         job=job, budget=budget, seed=seed, draws=MappingProxyType(kept), columns=MappingProxyType(columns),
@@ -410,7 +411,13 @@ def _outcome(
         each=MappingProxyType({name: chance(int(one.sum()), one.size) for name, one in keeps.items()}),
         sensitivities=tuple(sensitivities),
         foretold=None if model is None else model.foretold(),
-        advice=_advice(sensitivities, probability.value, float(np.quantile(pv, 0.95))),
+        advice=_advice(
+            sensitivities,
+            probability.value,
+            float(np.quantile(pv, 0.95)),
+            cases=every.size,
+            fewest=MapModel.fewest(len(inputs)),
+        ),
     )
 
 
@@ -429,13 +436,12 @@ def _first(sensitivities: Sequence[Sensitivity], before: float) -> Sensitivity:
     return max(sensitivities, key=worth)
 
 
-def _advice(sensitivities: Sequence[Sensitivity], before: float, percentile_nm: float) -> str:
+def _advice(
+    sensitivities: Sequence[Sensitivity], before: float, percentile_nm: float, *, cases: int, fewest: int
+) -> str:
     best = _first(sensitivities, before)
     if best.probability is None or best.percentile_nm is None:
-        return (
-            f"{best.group} has the largest share of the spread in form error PV, about {best.given:.0%}: tighten it "
-            "first; more cases tell what that is worth"
-        )
+        return f"{cases} cases are too few to tell what to tighten first: draw at least {fewest}"
     return (
         f"tighten {best.group} first: with half its spread the probability goes from {before:.1%} to about "
         f"{best.probability:.1%}, and 95 of 100 parts keep {best.percentile_nm:.3g} nm PV in place of "
