@@ -368,7 +368,8 @@ def cluster(address: str) -> Iterator[Cluster]:
             "a cluster needs distributed, which is not installed: pip install 'turnwright[cluster]'"
         ) from None
     _knock(address)
-    with _quiet("distributed.client"):  # it tells of a lost scheduler by a traceback, this by a sentence
+    # They tell of a lost scheduler by tracebacks, this by a sentence.
+    with _quiet("distributed"), _quiet("distributed.client"):
         try:
             client = distributed.Client(address, timeout=_REACH_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
