@@ -103,6 +103,21 @@ def test_where_a_place_depends_on_the_whole_path_it_is_not_parted(changes):
     assert not can_be_parted(job_with(changes))
 
 
+def test_access_is_that_of_the_file_as_it_is_now(tmp_path):
+    file, at = tmp_path / "sag.csv", np.linspace(-2, 2, 41)
+    job = {"part.surface": {"family": "gridded", "file": str(file), "units": "mm", "sag_units": "mm"}}
+
+    def limit(radius):
+        rows = ["," + ",".join(f"{x:.1f}" for x in at)]
+        rows += [f"{y:.1f}," + ",".join(f"{(x * x + y * y) / (2 * radius):.12f}" for x in at) for y in at]
+        file.write_text("\n".join(rows), encoding="utf-8")
+        return Stages(job_with(job)).access.nose_radius_limit
+
+    # A paraboloid bears its radius at the vertex.
+    assert limit(10.0) == pytest.approx(10, rel=1e-3)
+    assert limit(20.0) == pytest.approx(20, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     "changes",
     [

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Any
 
 from turnwright.access import check_access
 from turnwright.errors import InputError
@@ -27,9 +28,19 @@ __all__ = ["Stages"]
 
 
 @lru_cache(maxsize=8)
-def _access(part: PartTable, tool: ToolTable, sense: int) -> Access:
-    """Return the access of a tool; cases that differ in feed and speed share it."""
+def _access(part: PartTable, tool: ToolTable, sense: int, _files: tuple[tuple[int, int], ...]) -> Access:
+    """Return the access of a tool; cases that differ in feed and speed share it, while the files they name stay."""
     return check_access(part.aimed, tool.tool, sense=sense)
+
+
+def _stamps(value: Any) -> Iterator[tuple[int, int]]:
+    """Yield when each file in the data of a job was changed, and its size."""
+    if isinstance(value, File):
+        known = value.stat()
+        yield known.st_mtime_ns, known.st_size
+    elif isinstance(value, dict | list | tuple):
+        for one in value.values() if isinstance(value, dict) else value:
+            yield from _stamps(one)
 
 
 class Stages:
@@ -70,10 +81,12 @@ class Stages:
         self.job = job
         self._predictions: dict[str, Prediction] = {}
 
-    @property
+    @cached_property
     def access(self) -> Access:
         """Whether the tool reaches the part."""
-        return _access(self.job.part, self.job.tool, self.job.strategy.sense)
+        part, tool = self.job.part, self.job.tool
+        files = tuple(_stamps((part.model_dump(), tool.model_dump())))
+        return _access(part, tool, self.job.strategy.sense, files)
 
     @cached_property
     def _finishing(self) -> tuple[float, Path, Motion, Motion | None]:
