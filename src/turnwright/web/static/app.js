@@ -1,0 +1,390 @@
+/* The page itself: what it starts with, its bars and panes, keys, files in and out, light and dark. */
+
+import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
+import { get } from "./api.js";
+import { currentToml, mount as mountForm, readToml, redo, takeJob, undo } from "./form.js";
+import { mount as mountVerdict } from "./verdict.js";
+import { mount as mountRuns, refresh, start } from "./runs.js";
+import { on, say, set, state } from "./state.js";
+import { Icon, Mark, Tool, fileName, saveText, useStore } from "./ui.js";
+
+const $ = (id) => document.getElementById(id);
+
+// ------------------------------------------------------------------------------------------------------ what is kept
+
+/** What this browser remembers of the page's shape; it works as well without. */
+const kept = {
+  read(key, otherwise) {
+    try {
+      return localStorage.getItem(`turnwright.${key}`) ?? otherwise;
+    } catch {
+      return otherwise;
+    }
+  },
+  write(key, value) {
+    try {
+      if (value === null) localStorage.removeItem(`turnwright.${key}`);
+      else localStorage.setItem(`turnwright.${key}`, value);
+    } catch {
+      // A browser that keeps nothing: the page looks as it does at first.
+    }
+  },
+};
+
+// ---------------------------------------------------------------------------------------------------- light and dark
+
+const dark = matchMedia("(prefers-color-scheme: dark)");
+
+function applyTheme() {
+  const theme = kept.read("theme", dark.matches ? "dark" : "light");
+  document.documentElement.dataset.theme = theme;
+  set({ theme });
+}
+
+function switchTheme() {
+  const next = state.theme === "dark" ? "light" : "dark";
+  kept.write("theme", next === (dark.matches ? "dark" : "light") ? null : next);
+  applyTheme();
+}
+
+// ------------------------------------------------------------------------------------------------------ files in, out
+
+async function takeExample(name) {
+  try {
+    const example = await get(`/examples/${encodeURIComponent(name)}`);
+    const known = state.examples.find((one) => one.name === name);
+    takeJob({ job: example.data, toml: example.toml, errors: example.errors ?? [], title: known?.title ?? name });
+    say("");
+  } catch (error) {
+    say(error.message, "bad");
+  }
+}
+
+const EMPTY = {
+  part: { name: "new part", surface: { family: "sphere", radius: "60 mm" }, radius: "5 mm" },
+  tool: { nose_radius: "0.5 mm", included: "60 deg", clearance: "10 deg" },
+  machine: { name: "generic" },
+  strategy: { kind: "slow tool servo", feed: "8 um/rev", points_per_rev: 360 },
+};
+
+const takeEmpty = () => takeJob({ job: structuredClone(EMPTY), title: "new job" });
+
+async function takeFile(file) {
+  try {
+    if (!(await readToml(await file.text(), { title: file.name.replace(/\.toml$/i, ""), fresh: true }))) {
+      say(`${file.name}: ${state.errors[0]?.sentence ?? "it is not a job file."}`, "bad");
+    }
+  } catch (error) {
+    say(error.message, "bad");
+  }
+}
+
+function openFile() {
+  const input = document.createElement("input");
+  input.type = "file";
+  input.accept = ".toml,text/plain";
+  input.addEventListener("change", () => input.files[0] && takeFile(input.files[0]));
+  input.click();
+}
+
+async function saveFile() {
+  if (!state.job) return;
+  saveText(await currentToml(), `${fileName(state.job.part?.name || state.title)}.toml`);
+}
+
+/** Job files may be dropped anywhere; what an instrument wrote goes to the panel that measures. */
+function takeDrops() {
+  const over = (event) => {
+    if (![...event.dataTransfer.types].includes("Files")) return;
+    event.preventDefault();
+    document.body.classList.add("dropping");
+  };
+  addEventListener("dragenter", over);
+  addEventListener("dragover", over);
+  addEventListener("dragleave", (event) => event.relatedTarget === null && document.body.classList.remove("dropping"));
+  addEventListener("drop", async (event) => {
+    event.preventDefault();
+    document.body.classList.remove("dropping");
+    const file = event.dataTransfer.files[0];
+    if (!file) return;
+    if (/\.toml$/i.test(file.name)) return takeFile(file);
+    set({ drawer: "measure" });
+    const { take } = await import("./measure.js");
+    take(file);
+  });
+}
+
+// -------------------------------------------------------------------------------------------------------- the top bar
+
+function Top({ panes }) {
+  const { job, errors, check, checking, examples, title, theme, runs } = useStore(["job", "errors", "check", "checking", "examples", "title", "theme", "runs"]);
+  const going = runs.filter((run) => run.state === "running" || run.state === "queued").length;
+  const refused = check?.preview?.refused?.length > 0;
+  const word = !job ? null
+    : errors.length ? { ok: false, text: errors.length === 1 ? "1 field to mend" : `${errors.length} fields to mend` }
+    : !check ? { ok: null, text: "looking …" }
+    : check.access.ok && !refused ? { ok: true, text: "reaches the part" }
+    : { ok: false, text: check.access.ok ? "would be refused" : "does not reach the part" };
+  return html`<${Fragment}>
+    <span class="brand"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="M2 15q5 6 10 0t10 0" /><path d="m8.5 2.500h7l-2.300 9a1.2 1.250 0 0 1-2.400 0z" /></svg>Turnwright</span>
+    <${Tool} icon="left" name="Job pane" keys="[" aria-pressed="true" onClick=${() => panes.flip("left")} />
+    <label class="picker"><span class="sr">Example</span><select id="examples" onChange=${(event) => { if (event.target.value) takeExample(event.target.value); event.target.value = ""; }}>
+      <option value="" selected>Examples</option>${examples.map((one) => html`<option value=${one.name}>${one.title}</option>`)}</select></label>
+    <${Tool} icon="open" name="Open a job file" keys="Ctrl+O" onClick=${openFile} />
+    <${Tool} icon="save" name="Save the job file" keys="Ctrl+S" disabled=${!job} onClick=${saveFile} />
+    <h1 title=${job?.part?.name || title}>${job?.part?.name || title}</h1>
+    ${word && html`<span class=${`pill ${word.ok === null ? "" : word.ok ? "good" : "bad"}${checking ? " waiting" : ""}`} id="pill"><${Mark} ok=${word.ok} />${word.text}</span>`}
+    <span class="gap"></span>
+    <button type="button" class="button" disabled=${!job || errors.length > 0} onClick=${() => start("compare")} title="Plan it by every strategy that the machine can do"><${Icon} name="compare" />Compare</button>
+    <button type="button" class="button accent" id="run" disabled=${!job || errors.length > 0} onClick=${() => start("run")} title="Plan, write the program, predict the surface  (Ctrl+Enter)"><${Icon} name="run" />Run${going > 0 && html` <span class="count">${going}</span>`}</button>
+    <${Tool} icon=${theme === "dark" ? "sun" : "moon"} name=${theme === "dark" ? "Light" : "Dark"} keys="T" onClick=${switchTheme} />
+    <${Tool} icon="help" name="Help and keys" keys="?" onClick=${() => $("help").showModal()} />
+    <${Tool} icon="right" name="Results pane" keys="]" aria-pressed="true" onClick=${() => panes.flip("right")} />
+  </${Fragment}>`;
+}
+
+// -------------------------------------------------------------------------------------------------------- the drawer
+
+const TABS = [
+  { name: "maps", title: "Maps", module: "./mapview.js" },
+  { name: "profile", title: "Profile", module: "./charts.js", mount: "mountProfile" },
+  { name: "motion", title: "Motion & spectrum", module: "./charts.js", mount: "mountMotion" },
+  { name: "compare", title: "Compare", module: "./compare.js" },
+  { name: "program", title: "Program", module: "./program.js" },
+  { name: "measure", title: "Measure & correct", module: "./measure.js" },
+];
+
+const mounted = new Set();
+
+async function openTab(name) {
+  for (const tab of TABS) $(`panel-${tab.name}`).hidden = tab.name !== name;
+  const tab = TABS.find((one) => one.name === name);
+  if (!tab || mounted.has(name)) return;
+  mounted.add(name);
+  const module = await import(tab.module);
+  module[tab.mount ?? "mount"]($(`panel-${name}`));
+}
+
+function Tabs({ panes }) {
+  const { drawer } = useStore(["drawer"]);
+  const row = useRef(null);
+  const keys = (event) => {
+    const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (!by) return;
+    const at = TABS.findIndex(({ name }) => name === drawer);
+    const next = TABS[(at + by + TABS.length) % TABS.length].name;
+    set({ drawer: next });
+    row.current.querySelector(`#tab-${next}`).focus();
+  };
+  return html`<div class="panehead"><div class="tabs" role="tablist" aria-label="Lower area" ref=${row} onKeyDown=${keys}>
+    ${TABS.map(({ name, title }, index) => html`<button type="button" role="tab" id=${`tab-${name}`} aria-controls=${`panel-${name}`} aria-selected=${drawer === name ? "true" : "false"}
+      tabindex=${drawer === name || (!drawer && index === 0) ? 0 : -1} title=${`${title}  (${index + 1})`} onClick=${() => set({ drawer: drawer === name ? null : name })}>${title}</button>`)}</div>
+    <span class="gap"></span>
+    <${Tool} icon="tall" name="Taller or lower" keys="0" onClick=${() => panes.tall()} />
+    <${Tool} icon=${drawer ? "down" : "up"} name=${drawer ? "Close the lower area" : "Open the lower area"} keys="Esc" onClick=${() => set({ drawer: drawer ? null : "maps" })} /></div>`;
+}
+
+// --------------------------------------------------------------------------------------------------------- the panes
+
+const SIZES = { left: [240, 560, 330], right: [240, 560, 320], drawer: [140, 900, 300] };
+const NARROW = matchMedia("(max-width: 1100px)");
+
+function makePanes() {
+  const bench = $("bench");
+  const sizes = Object.fromEntries(Object.entries(SIZES).map(([name, [, , first]]) => [name, Number(kept.read(name, first)) || first]));
+  const splitters = Object.fromEntries([...bench.querySelectorAll("[data-splits]")].map((one) => [one.dataset.splits, one]));
+
+  const resize = (name, wanted) => {
+    const [least, most] = SIZES[name];
+    const room = name === "drawer" ? bench.clientHeight - 120 : bench.clientWidth - 360;
+    const size = Math.round(Math.max(least, Math.min(most, room, wanted)));
+    sizes[name] = size;
+    bench.style.setProperty(`--${name}`, `${size}px`);
+    const splitter = splitters[name];
+    for (const [key, value] of [["valuenow", size], ["valuemin", least], ["valuemax", most]]) splitter.setAttribute(`aria-${key}`, value);
+  };
+
+  const show = (name, open) => {
+    bench.dataset[name] = open ? "open" : "closed";
+    // On a tablet there is room for one of them beside the scene.
+    if (open && NARROW.matches) bench.dataset[name === "left" ? "right" : "left"] = "closed";
+  };
+
+  for (const [name, splitter] of Object.entries(splitters)) {
+    const along = name === "drawer" ? "clientY" : "clientX";
+    const sense = name === "left" ? 1 : -1;
+    splitter.addEventListener("pointerdown", (event) => {
+      event.preventDefault();
+      splitter.setPointerCapture(event.pointerId);
+      const [from, size] = [event[along], sizes[name]];
+      const move = (moved) => resize(name, size + sense * (moved[along] - from));
+      splitter.addEventListener("pointermove", move);
+      splitter.addEventListener("lostpointercapture", () => {
+        splitter.removeEventListener("pointermove", move);
+        kept.write(name, String(sizes[name]));
+      }, { once: true });
+    });
+    splitter.addEventListener("keydown", (event) => {
+      const [less, more] = name === "drawer" ? ["ArrowDown", "ArrowUp"] : name === "left" ? ["ArrowLeft", "ArrowRight"] : ["ArrowRight", "ArrowLeft"];
+      const by = { [less]: -20, [more]: 20 }[event.key];
+      if (!by) return;
+      event.preventDefault();
+      resize(name, sizes[name] + by);
+      kept.write(name, String(sizes[name]));
+    });
+    splitter.addEventListener("dblclick", () => resize(name, SIZES[name][2]));
+    resize(name, sizes[name]);
+  }
+
+  const narrow = () => {
+    bench.dataset.right = NARROW.matches ? "closed" : "open";
+    bench.dataset.left = "open";
+  };
+  NARROW.addEventListener("change", narrow);
+  narrow();
+  addEventListener("resize", () => Object.entries(sizes).forEach(([name, size]) => resize(name, size)));
+  return {
+    flip: (name) => show(name, bench.dataset[name] === "closed"),
+    show,
+    tall: () => {
+      const high = Math.round(bench.clientHeight * 0.68);
+      resize("drawer", sizes.drawer > high - 40 ? SIZES.drawer[2] : high);
+      if (!state.drawer) set({ drawer: "maps" });
+    },
+  };
+}
+
+// ------------------------------------------------------------------------------------------------------- empty state
+
+const STEPS = [
+  ["Describe", "Surface, tool, machine and strategy, as fields with units on the left or as TOML. Every field says what it means."],
+  ["See", "The part, the spiral and the tool in contact, and in an instant whether the tool reaches every place."],
+  ["Run", "The program is written, read back from disk, and cut on the computer: the surface it leaves, to the nanometre."],
+  ["Correct", "Drop what the instrument measured. What is wrong with tool, machine or mount comes with its uncertainty, and the next program without it."],
+];
+
+function Welcome() {
+  const { examples } = useStore(["examples"]);
+  return html`<div class="welcome">
+    <h2>From a prescription to a proven program</h2>
+    <p class="lead">Plan a diamond-turned part, see what the tool will leave, and turn a measurement back into a better job.</p>
+    <ol class="steps">${STEPS.map(([title, text]) => html`<li><h3>${title}</h3><p>${text}</p></li>`)}</ol>
+    <h3>Begin with an example</h3>
+    <ul class="examples">${examples.map((one) => html`<li><button type="button" onClick=${() => takeExample(one.name)}><strong>${one.title}</strong><span>${one.summary}</span></button></li>`)}</ul>
+    <p class="or"><button type="button" class="button" onClick=${openFile}><${Icon} name="open" />Open a job file</button>
+      <button type="button" class="button" onClick=${takeEmpty}><${Icon} name="plus" />Begin with a small sphere</button>
+      <span class="quiet">or drop a job file anywhere on the page</span></p>
+  </div>`;
+}
+
+// -------------------------------------------------------------------------------------------------------------- keys
+
+const KEYS = [
+  ["Ctrl+Enter", "run the job"],
+  ["Ctrl+O, Ctrl+S", "open, save the job file"],
+  ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo (in a field: its text)"],
+  ["1 … 6", "maps, profile, motion, compare, program, measure"],
+  ["0, Esc", "lower area taller or lower, closed"],
+  ["[, ]", "job pane, results pane"],
+  ["T", "light or dark"],
+  ["Tab, Shift+Tab", "through fields and buttons; a field then explains itself"],
+  ["↑, ↓ in a field", "its last digit up or down, with Shift ten times"],
+  ["← →  ↑ ↓", "on a splitter: move it; on a map or the scene: move the view"],
+  ["+, −", "on a map or the scene: closer, farther"],
+];
+
+function Help() {
+  return html`<${Fragment}>
+    <header><h2 id="help-title">Help</h2><span class="gap"></span><${Tool} icon="close" name="Close" onClick=${() => $("help").close()} /></header>
+    <div class="columns"><section><h3>Where things are</h3>
+      <p><strong>Left, the job.</strong> What is cut, with what, on what, how. A number alone gets the unit that stands in the field; any other unit can be written with it.</p>
+      <p><strong>Middle, the scene.</strong> The finished surface with z out of the part toward the tool, coloured by the map you choose; the spiral of the finishing pass; the tool where the slider puts it.</p>
+      <p><strong>Right, the results.</strong> Of the job as typed under Plan, of what was computed under Runs. A bar ends at its limit where the mark stands.</p>
+      <p><strong>Below, the evidence.</strong> Maps to single cusps (errors are cut minus design, positive where material is left), profiles along a line, axis motion against limits, strategies side by side, the program's text, measurements.</p></section>
+    <section><h3>Keys</h3><table class="small keys"><tbody>${KEYS.map(([keys, text]) => html`<tr><th scope="row">${keys.split(", ").map((one, index) => html`${index ? " " : ""}<kbd>${one}</kbd>`)}</th><td>${text}</td></tr>`)}</tbody></table></section></div>
+  </${Fragment}>`;
+}
+
+function takeKeys(panes) {
+  addEventListener("keydown", (event) => {
+    const typing = event.target.closest?.("input:not([type=checkbox]):not([type=range]), textarea, select, [contenteditable]");
+    if (event.ctrlKey || event.metaKey) {
+      const act = { Enter: () => start("run"), s: saveFile, o: openFile }[event.key];
+      if (act) {
+        event.preventDefault();
+        return act();
+      }
+      if (!typing && event.key.toLowerCase() === "z") {
+        event.preventDefault();
+        return event.shiftKey ? redo() : undo();
+      }
+      return undefined;
+    }
+    if (typing || event.altKey || $("help").open) return undefined;
+    if (/^[1-6]$/.test(event.key)) return set({ drawer: TABS[Number(event.key) - 1].name });
+    const act = { 0: panes.tall, "[": () => panes.flip("left"), "]": () => panes.flip("right"), t: switchTheme, "?": () => $("help").showModal(), Escape: () => set({ drawer: null }) }[event.key];
+    return act?.();
+  });
+}
+
+// -------------------------------------------------------------------------------------------------------------- foot
+
+function Foot() {
+  const { notice, about, checking } = useStore(["notice", "about", "checking"]);
+  const [now, tick] = useState(0);
+  useEffect(() => {
+    // What went well need not stay.
+    if (notice?.kind !== "info") return undefined;
+    const timer = setTimeout(() => say(""), 6000);
+    return () => clearTimeout(timer);
+  }, [notice]);
+  useEffect(() => on("job", () => tick((times) => times + 1)), []);
+  return html`<span class=${notice ? `said ${notice.kind}` : "quiet"}>${notice ? notice.sentence : now || checking ? "Lengths in mm, error = cut minus design along z; the part's z points toward the tool." : "Ready."}</span>
+    ${notice?.kind === "bad" && html`<${Tool} icon="close" name="Dismiss" onClick=${() => say("")} />`}
+    <span class="gap"></span><span class="quiet">${about ? `Turnwright ${about.version}` : ""}</span>`;
+}
+
+// ------------------------------------------------------------------------------------------------------------- start
+
+let scene = null;
+
+/** The scene is large: it is fetched when there is something to see. */
+async function showScene() {
+  $("welcome").hidden = Boolean(state.job);
+  if (!state.job || scene) return;
+  scene = import("./scene.js");
+  (await scene).mount($("scene"));
+}
+
+async function begin() {
+  applyTheme();
+  dark.addEventListener("change", applyTheme);
+  const panes = makePanes();
+  render(html`<${Top} panes=${panes} />`, $("top"));
+  render(html`<${Tabs} panes=${panes} />`, $("tabs"));
+  render(html`<${Welcome} />`, $("welcome"));
+  render(html`<${Help} />`, $("help"));
+  render(html`<${Foot} />`, $("foot"));
+  mountForm($("form"));
+  mountVerdict($("right"));
+  mountRuns();
+  takeKeys(panes);
+  takeDrops();
+  on("drawer", ({ drawer }) => {
+    $("bench").dataset.drawer = drawer ? "open" : "closed";
+    openTab(drawer).catch((error) => say(`This part of the page did not load (${error.message}): reload it.`, "bad"));
+  }, { now: true });
+  on("job", () => showScene().catch((error) => say(`The scene did not load (${error.message}): reload the page.`, "bad")), { now: true });
+  on("run", ({ run }) => run && panes.show("right", true));
+  const ask = async (path, key) => {
+    try {
+      set({ [key]: await get(path) });
+    } catch (error) {
+      say(error.message, "bad");
+    }
+  };
+  await Promise.all([ask("/about", "about"), ask("/schema", "schema"), ask("/examples", "examples")]);
+  addEventListener("focus", refresh);
+}
+
+begin();

@@ -1,0 +1,696 @@
+/* The job on the left: fields made from the job's schema, or the same job as TOML; every change is checked at once. */
+
+import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
+import { post } from "./api.js";
+import { on, say, set, state } from "./state.js";
+import { Icon, Tool, useStore } from "./ui.js";
+
+const PAUSE = 150; // ms without a key before a job is checked
+const PAUSE_TOML = 400; // ms without a key before text is read
+const STEPS_BACK = 200;
+const CLIENT = crypto.getRandomValues(new Uint32Array(2)).join("-");
+const OPEN_AT_FIRST = new Set(["part", "tool", "machine", "strategy"]);
+
+// ---------------------------------------------------------------------------------------------- the job and its past
+
+const past = [];
+const future = [];
+let lastEdit = { key: "", when: 0 };
+
+/** Take a job as a whole: from an example, a file or the text; `fresh` forgets what could be undone. */
+export function takeJob({ job, toml, title, errors = [], fresh = true }) {
+  if (fresh) {
+    past.length = future.length = 0;
+  } else {
+    remember("whole job");
+  }
+  set({ job, errors, ...(toml === undefined ? {} : { toml }), ...(title === undefined ? {} : { title }) });
+  checkSoon(0);
+  if (toml === undefined) writeSoon();
+}
+
+function remember(key) {
+  const now = Date.now();
+  // Letters typed into one field are one step back.
+  if (key !== lastEdit.key || now - lastEdit.when > 1500) {
+    past.push(state.job);
+    if (past.length > STEPS_BACK) past.shift();
+  }
+  lastEdit = { key, when: now };
+  future.length = 0;
+}
+
+function edit(path, value) {
+  remember(path.join("."));
+  set({ job: setAt(state.job ?? {}, path, value) });
+  checkSoon();
+  writeSoon();
+}
+
+function step(from, to) {
+  if (!from.length) return;
+  to.push(state.job);
+  lastEdit = { key: "", when: 0 };
+  set({ job: from.pop() });
+  checkSoon(0);
+  writeSoon();
+}
+
+export const undo = () => step(past, future);
+export const redo = () => step(future, past);
+
+function getAt(data, path) {
+  return path.reduce((value, key) => (value === null || value === undefined ? undefined : value[key]), data);
+}
+
+/** A copy with one value changed; undefined takes the key away, and the tables that this leaves empty. */
+function setAt(data, [key, ...rest], value) {
+  if (key === undefined) return value;
+  const list = Array.isArray(data) || (data === undefined && typeof key === "number");
+  const copy = list ? [...(data ?? [])] : { ...data };
+  const inner = rest.length ? setAt(copy[key], rest, value) : value;
+  const empty = inner === undefined || (rest.length && isTable(inner) && !Object.keys(inner).length && !list);
+  if (empty && list && rest.length === 0) copy.splice(key, 1);
+  else if (empty) delete copy[key];
+  else copy[key] = inner;
+  return copy;
+}
+
+const isTable = (value) => value !== null && typeof value === "object" && !Array.isArray(value);
+
+// ------------------------------------------------------------------------------------------ the server's word on it
+
+let checkTimer = 0;
+let checking = null;
+
+function checkSoon(pause = PAUSE) {
+  clearTimeout(checkTimer);
+  checkTimer = setTimeout(checkNow, pause);
+}
+
+async function checkNow() {
+  checking?.abort();
+  const mine = (checking = new AbortController());
+  if (!state.job) return;
+  set({ checking: true });
+  try {
+    const answer = await post("/job/check", { data: state.job, client: CLIENT }, { signal: mine.signal });
+    set({ errors: answer.errors, checking: false, ...(answer.access ? { check: answer } : {}) });
+  } catch (error) {
+    // A later question took the place of this one: its answer comes.
+    if (error.name === "AbortError" || mine !== checking || error.status === 409) return;
+    set({ checking: false });
+    say(error.message, "bad");
+  }
+}
+
+let writeTimer = 0;
+
+function writeSoon() {
+  clearTimeout(writeTimer);
+  writeTimer = setTimeout(writeNow, PAUSE_TOML);
+}
+
+/** The job as text, of what the form holds now. */
+export async function writeNow() {
+  clearTimeout(writeTimer);
+  writeTimer = 0;
+  const job = state.job;
+  if (!job) return;
+  try {
+    const { toml } = await post("/job/write", { data: job });
+    if (toml !== null && toml !== undefined && job === state.job) set({ toml });
+  } catch (error) {
+    say(error.message, "bad");
+  }
+}
+
+/** The job as text, waiting for what is still to be written. */
+export async function currentToml() {
+  if (writeTimer) await writeNow();
+  return state.toml;
+}
+
+/** Read a job file's text into the form; say whether it could be read. */
+export async function readToml(text, { title, fresh = false } = {}) {
+  const { data, errors = [] } = await post("/job/parse", { toml: text });
+  if (!Object.keys(data).length) {
+    set({ errors, toml: text });
+    return false;
+  }
+  takeJob({ job: data, toml: text, title, errors, fresh });
+  return true;
+}
+
+// ----------------------------------------------------------------------------------------------- reading the schema
+
+function resolve(node) {
+  let found = node ?? {};
+  while (found.$ref || found.allOf?.length === 1) {
+    const { $ref, allOf, ...own } = found;
+    const next = $ref ? $ref.slice(2).split("/").reduce((at, key) => at[key], state.schema) : allOf[0];
+    found = { ...next, ...own };
+  }
+  const options = found.anyOf ?? found.oneOf;
+  if (!options) return found;
+  const values = options.filter((option) => option.type !== "null");
+  if (values.length === 1) {
+    const { anyOf, oneOf, ...own } = found;
+    const only = resolve(values[0]);
+    return { ...only, ...own, title: own.title ?? only.title, description: own.description ?? only.description };
+  }
+  return found;
+}
+
+/** The tables among which a key chooses: {key, options: {value: node}}, or null. */
+function unionOf(node) {
+  const options = (node.oneOf ?? node.anyOf ?? []).map(resolve).filter((option) => option.type !== "null");
+  for (const option of options) {
+    const deeper = option.properties ? null : unionOf(option);
+    if (deeper) return deeper;
+  }
+  const tables = options.filter((option) => option.properties);
+  if (!tables.length) return null;
+  const named = (table, key) => constOf(resolve(table.properties[key]));
+  const key = node.discriminator?.propertyName
+    ?? Object.keys(tables[0].properties).find((name) => tables.every((table) => table.properties[name] && named(table, name) !== undefined));
+  if (!key) return null;
+  return { key, options: Object.fromEntries(tables.map((table) => [named(table, key), table])) };
+}
+
+function constOf(node) {
+  if (node.const !== undefined) return node.const;
+  return node.enum?.length === 1 ? node.enum[0] : undefined;
+}
+
+function kindOf(node) {
+  if (unionOf(node)) return "union";
+  if (node.enum) return "choice";
+  if (node.type === "boolean") return "switch";
+  if (node.properties) return "table";
+  if (node.type === "object") return "map";
+  if (node.type === "array") {
+    if (node.prefixItems) return "tuple";
+    const items = resolve(node.items ?? {});
+    if (items.enum) return "choices";
+    if (items.properties || unionOf(items)) return "list";
+    return items.type === "array" ? "rows" : "series";
+  }
+  return "text";
+}
+
+const BLOCKS = new Set(["table", "union", "list", "map"]);
+
+function plain(key) {
+  const text = String(key).replaceAll("_", " ");
+  return text.charAt(0).toUpperCase() + text.slice(1);
+}
+
+const titleOf = (node, key) => plain(node.title && !/table$/i.test(node.title) ? node.title : key);
+const shownUnit = (node) => node.display ?? node.unit ?? "";
+
+function defaultText(node) {
+  const value = node.default;
+  if (value === undefined || value === null || (isTable(value) && !Object.keys(value).length)) return "";
+  if (Array.isArray(value)) return value.every((one) => typeof one !== "object") ? value.join(", ") : "";
+  return typeof value === "object" ? "" : String(value);
+}
+
+// ------------------------------------------------------------------------------------------------------- the errors
+
+/** The place of an error as the store counts, from 0; the server counts as people do, from 1. */
+const normal = (field) => String(field ?? "").replace(/\[(\d+)\]/g, (_, place) => `.${place - 1}`).replace(/^\./, "");
+
+function errorsAt(path) {
+  const here = path.join(".");
+  return state.errors.filter((error) => normal(error.field) === here).map((error) => error.sentence);
+}
+
+/** Errors at or below a place. */
+function errorsWithin(path) {
+  const here = path.join(".");
+  return state.errors.filter((error) => normal(error.field) === here || normal(error.field).startsWith(`${here}.`));
+}
+
+function Wrong({ id, sentences }) {
+  if (!sentences.length) return null;
+  return html`<p class="wrong" id=${id}>${sentences.map((sentence) => html`<span>${sentence}</span>`)}</p>`;
+}
+
+// ----------------------------------------------------------------------------------------------- what a field means
+
+let explain = () => {};
+
+function telling(node, path) {
+  const tell = () => explain({ node, path });
+  return { onFocusIn: tell, onPointerEnter: tell };
+}
+
+function Explained() {
+  const [told, tell] = useState(null);
+  useEffect(() => {
+    explain = tell;
+    return () => (explain = () => {});
+  }, []);
+  if (!told) {
+    return html`<aside class="explain" aria-live="off"><p class="quiet">Point at a field, or go to it with Tab: what it means is told here.</p></aside>`;
+  }
+  const { node, path } = told;
+  const unit = shownUnit(node);
+  const text = defaultText(node);
+  return html`<aside class="explain" id="explained" aria-live="off">
+    <h3>${titleOf(node, path.at(-1))} ${unit && html`<span class="unit">[${unit}]</span>`}</h3>
+    <p>${node.description || node.title || "No more is said of it."}</p>
+    <p class="quiet"><code>${path.map((key) => (typeof key === "number" ? key + 1 : key)).join(".")}</code>${text && html` · if left out: ${text}`}</p>
+  </aside>`;
+}
+
+// ------------------------------------------------------------------------------------------------------- the fields
+
+const idOf = (path) => `field-${path.join("-").replace(/[^A-Za-z0-9-]/g, "_")}`;
+const NUMBER = /^[-+−]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$/i;
+
+/** What a text stands for: with the unit that the field is shown in where only a number was typed. */
+function readText(text, node) {
+  const typed = text.trim().replace("−", "-");
+  if (typed === "") return undefined;
+  const unit = shownUnit(node);
+  if (unit && NUMBER.test(typed)) return `${typed} ${unit}`;
+  if (unit) return typed;
+  const options = node.anyOf ?? node.oneOf;
+  if (node.type === "number" || node.type === "integer" || options) {
+    if (NUMBER.test(typed)) return Number(typed);
+    if (options && typed.includes(",")) return typed.split(",").map((part) => part.trim());
+  }
+  return typed;
+}
+
+function showValue(value) {
+  if (value === undefined || value === null) return "";
+  return Array.isArray(value) ? value.join(", ") : typeof value === "object" ? JSON.stringify(value) : String(value);
+}
+
+/** The text with its first number one step of its last digit up or down. */
+function nudged(text, steps) {
+  const match = /[-+−]?\d*\.?\d+(?:e[-+]?\d+)?/i.exec(text);
+  if (!match) return text;
+  const [mantissa, power = ""] = match[0].replace("−", "-").split(/(?=e)/i);
+  const decimals = mantissa.split(".")[1]?.length ?? 0;
+  const moved = (Number(mantissa) + steps * 10 ** -decimals).toFixed(decimals);
+  return text.slice(0, match.index) + moved + power + text.slice(match.index + match[0].length);
+}
+
+function TextInput({ node, path, value, label, wrong, hint, list }) {
+  const [text, write] = useState(showValue(value));
+  const own = useRef(value);
+  useEffect(() => {
+    // Text being typed stays as it is; a value from elsewhere replaces it.
+    if (showValue(value) !== showValue(own.current)) write(showValue(value));
+    own.current = value;
+  }, [showValue(value)]);
+  const change = (typed) => {
+    write(typed);
+    own.current = readText(typed, node);
+    edit(path, own.current);
+  };
+  const keys = (event) => {
+    const steps = { ArrowUp: 1, ArrowDown: -1 }[event.key];
+    if (!steps || list || !/\d/.test(text)) return;
+    event.preventDefault();
+    change(nudged(text, steps * (event.shiftKey ? 10 : 1)));
+  };
+  return html`<input id=${idOf(path)} type="text" autocomplete="off" spellcheck=${false} value=${text}
+    placeholder=${hint ?? (defaultText(node) || shownUnit(node))} list=${list}
+    aria-label=${label} aria-invalid=${wrong ? "true" : null} aria-describedby=${wrong ? `${idOf(path)}-wrong` : "explained"}
+    onInput=${(event) => change(event.target.value)} onKeyDown=${keys}
+    onBlur=${() => write(showValue(own.current))} />`;
+}
+
+function Row({ node, path, required, children, removable = null }) {
+  const sentences = errorsAt(path);
+  return html`<div class=${sentences.length ? "field bad" : "field"} ...${telling(node, path)}>
+    <label for=${idOf(path)}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" title="needed" aria-hidden="true">•</span>`}</label>
+    <div class="value">${children}${removable}</div>
+    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${sentences} />
+  </div>`;
+}
+
+function Choice({ node, path, value, required }) {
+  const options = node.enum;
+  const missing = value === undefined;
+  const unset = defaultText(node);
+  return html`<${Row} node=${node} path=${path} required=${required}>
+    <select id=${idOf(path)} aria-invalid=${errorsAt(path).length ? "true" : null}
+      onChange=${(event) => edit(path, event.target.value === "" ? undefined : options[Number(event.target.value)])}>
+      ${(missing || !required) && html`<option value="" selected=${missing}>${unset ? `${unset} (default)` : required ? "choose" : "–"}</option>`}
+      ${options.map((option, index) => html`<option value=${index} selected=${option === value}>${String(option)}</option>`)}
+    </select>
+  </${Row}>`;
+}
+
+function Switch({ node, path, value }) {
+  const on_ = value ?? node.default ?? false;
+  return html`<${Row} node=${node} path=${path}>
+    <span class="switch"><input id=${idOf(path)} type="checkbox" role="switch" checked=${on_}
+      onChange=${(event) => edit(path, event.target.checked)} /><span aria-hidden="true">${on_ ? "yes" : "no"}</span></span>
+  </${Row}>`;
+}
+
+function Tuple({ node, path, value, required }) {
+  const items = node.prefixItems.map(resolve);
+  const letters = items.length <= 3 && items.every((item) => item.title === undefined) ? ["x", "y", "z"] : items.map((_, index) => index + 1);
+  const below = items.flatMap((_, index) => errorsAt([...path, index]));
+  const change = (index, one) => {
+    const list = items.map((_, at) => value?.[at] ?? "");
+    list[index] = one ?? "";
+    edit(path, list.every((entry) => entry === "") ? undefined : list);
+  };
+  return html`<div class=${errorsWithin(path).length ? "field bad" : "field"} ...${telling(node, path)} role="group" aria-label=${titleOf(node, path.at(-1))}>
+    <label for=${idOf([...path, 0])}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
+    <div class="value many">${items.map((item, index) => html`<${Part} key=${index} node=${item} path=${[...path, index]} value=${value?.[index]}
+      label=${`${titleOf(node, path.at(-1))} ${letters[index]}`} change=${(one) => change(index, one)} hint=${`${letters[index]} ${shownUnit(item)}`} />`)}</div>
+    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${[...errorsAt(path), ...below]} />
+  </div>`;
+}
+
+/** One box of several that make one value. */
+function Part({ node, path, value, label, change, hint }) {
+  const [text, write] = useState(showValue(value));
+  const own = useRef(value);
+  useEffect(() => {
+    if (showValue(value) !== showValue(own.current)) write(showValue(value));
+    own.current = value;
+  }, [showValue(value)]);
+  const changed = (typed) => {
+    write(typed);
+    own.current = readText(typed, node);
+    change(own.current);
+  };
+  return html`<input id=${idOf(path)} type="text" autocomplete="off" spellcheck=${false} value=${text} placeholder=${hint} aria-label=${label}
+    aria-invalid=${errorsAt(path).length ? "true" : null} onInput=${(event) => changed(event.target.value)}
+    onKeyDown=${(event) => {
+      const steps = { ArrowUp: 1, ArrowDown: -1 }[event.key];
+      if (!steps || !/\d/.test(text)) return;
+      event.preventDefault();
+      changed(nudged(text, steps * (event.shiftKey ? 10 : 1)));
+    }} onBlur=${() => write(showValue(own.current))} />`;
+}
+
+/** Values in a line, parted by commas. */
+function Series({ node, path, value, required }) {
+  const item = resolve(node.items);
+  const [text, write] = useState(showValue(value));
+  const own = useRef(value);
+  useEffect(() => {
+    if (showValue(value) !== showValue(own.current)) write(showValue(value));
+    own.current = value;
+  }, [showValue(value)]);
+  const change = (typed) => {
+    write(typed);
+    const parts = typed.split(/[,\n]/).map((part) => part.trim()).filter((part) => part !== "");
+    own.current = parts.length ? parts.map((part) => (NUMBER.test(part) ? Number(part) : part)) : undefined;
+    edit(path, own.current);
+  };
+  const sentences = errorsWithin(path).map((error) => error.sentence);
+  return html`<div class=${sentences.length ? "field wide bad" : "field wide"} ...${telling({ ...node, unit: shownUnit(item) }, path)}>
+    <label for=${idOf(path)}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
+    <div class="value"><textarea id=${idOf(path)} rows=${Math.min(4, 1 + Math.floor(text.length / 44))} spellcheck=${false} value=${text}
+      placeholder="values parted by commas" aria-invalid=${sentences.length ? "true" : null} onInput=${(event) => change(event.target.value)} /></div>
+    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${sentences} />
+  </div>`;
+}
+
+/** Rows of values, a row a line. */
+function Rows({ node, path, value, required }) {
+  const shown = (rows) => (rows ?? []).map((row) => (Array.isArray(row) ? row.join(", ") : showValue(row))).join("\n");
+  const [text, write] = useState(shown(value));
+  const own = useRef(value);
+  useEffect(() => {
+    if (shown(value) !== shown(own.current)) write(shown(value));
+    own.current = value;
+  }, [shown(value)]);
+  const item = resolve(node.items);
+  const columns = (item.prefixItems ?? []).map((one) => shownUnit(resolve(one)) || "number");
+  const change = (typed) => {
+    write(typed);
+    const rows = typed.split("\n").filter((line) => line.trim());
+    own.current = rows.length ? rows.map((line) => line.split(",").map((part) => (NUMBER.test(part.trim()) ? Number(part) : part.trim()))) : undefined;
+    edit(path, own.current);
+  };
+  const sentences = errorsWithin(path).map((error) => error.sentence);
+  return html`<div class=${sentences.length ? "field wide bad" : "field wide"} ...${telling(node, path)}>
+    <label for=${idOf(path)}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
+    <div class="value"><textarea id=${idOf(path)} rows=${Math.min(6, Math.max(2, text.split("\n").length))} spellcheck=${false} value=${text}
+      placeholder=${`one a line: ${columns.join(", ")}`} onInput=${(event) => change(event.target.value)} /></div>
+    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${sentences} />
+  </div>`;
+}
+
+/** Several of a few words. */
+function Choices({ node, path, value }) {
+  const options = resolve(node.items).enum;
+  const chosen = new Set(value ?? (Array.isArray(node.default) ? node.default : []));
+  const flip = (option) => {
+    const next = options.filter((one) => (one === option ? !chosen.has(one) : chosen.has(one)));
+    edit(path, next.length ? next : undefined);
+  };
+  return html`<div class="field wide" ...${telling(node, path)} role="group" aria-label=${titleOf(node, path.at(-1))}>
+    <span class="label">${titleOf(node, path.at(-1))}</span>
+    <div class="value flags">${options.map((option) => html`<label class="flag"><input type="checkbox" checked=${chosen.has(option)} onChange=${() => flip(option)} />${String(option)}</label>`)}</div>
+    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsWithin(path).map((error) => error.sentence)} />
+  </div>`;
+}
+
+/** Named values: the terms of a series, the constants of a formula. */
+function Named({ node, path, value, required }) {
+  const entries = Object.entries(value ?? {});
+  const item = resolve(typeof node.additionalProperties === "object" ? node.additionalProperties : Object.values(node.patternProperties ?? {})[0] ?? {});
+  const write = (list) => edit(path, list.length ? Object.fromEntries(list) : undefined);
+  const readOne = (text) => (NUMBER.test(text.trim()) ? Number(text) : text.trim());
+  return html`<div class="field wide" ...${telling(node, path)} role="group" aria-label=${titleOf(node, path.at(-1))}>
+    <span class="label">${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</span>
+    <div class="value terms">
+      ${entries.map(([key, one], index) => html`<div class="term" key=${index}>
+        <input type="text" value=${key} aria-label=${`name of term ${index + 1}`} onChange=${(event) => write(entries.map((entry, at) => (at === index ? [event.target.value.trim(), one] : entry)))} />
+        <input type="text" id=${idOf([...path, key])} value=${showValue(one)} placeholder=${shownUnit(item)} aria-label=${`value of ${key}`} aria-invalid=${errorsWithin([...path, key]).length ? "true" : null}
+          onInput=${(event) => write(entries.map((entry, at) => (at === index ? [key, readOne(event.target.value)] : entry)))} />
+        <${Tool} icon="close" name=${`Remove ${key}`} onClick=${() => write(entries.filter((_, at) => at !== index))} />
+      </div>`)}
+      <button type="button" class="add" onClick=${() => write([...entries, [freeKey(value), ""]])}><${Icon} name="plus" />Add a term</button>
+    </div>
+    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsWithin(path).map((error) => error.sentence)} />
+  </div>`;
+}
+
+function freeKey(value) {
+  let index = 1;
+  while (value && String(index) in value) index += 1;
+  return String(index);
+}
+
+function Field({ node: raw, path, value, required }) {
+  const node = resolve(raw);
+  if (constOf(node) !== undefined) return null;
+  const kind = kindOf(node);
+  const given = { node, path, value, required };
+  if (kind === "choice") return html`<${Choice} ...${given} />`;
+  if (kind === "switch") return html`<${Switch} ...${given} />`;
+  if (kind === "tuple") return html`<${Tuple} ...${given} />`;
+  if (kind === "series") return html`<${Series} ...${given} />`;
+  if (kind === "rows") return html`<${Rows} ...${given} />`;
+  if (kind === "choices") return html`<${Choices} ...${given} />`;
+  if (kind === "map") return html`<${Named} ...${given} />`;
+  if (kind === "union") return html`<${Union} ...${given} />`;
+  if (kind === "list") return html`<${List} ...${given} />`;
+  if (kind === "table") return html`<${Sub} ...${given} />`;
+  const known = node.examples?.length ? `${idOf(path)}-known` : null;
+  return html`<${Row} ...${given}>
+    <${TextInput} ...${given} label=${titleOf(node, path.at(-1))} wrong=${errorsAt(path).length > 0} list=${known} />
+    ${known && html`<datalist id=${known}>${node.examples.map((one) => html`<option value=${String(one)} />`)}</datalist>`}
+  </${Row}>`;
+}
+
+/** The fields of a table: what is needed or stated at once, the rest on demand. */
+function Fields({ node, path, value, skip }) {
+  const [all, showAll] = useState(false);
+  const needed = new Set(node.required ?? []);
+  const names = Object.keys(node.properties).filter((name) => name !== skip && constOf(resolve(node.properties[name])) === undefined);
+  const stated = (name) => needed.has(name) || value?.[name] !== undefined || errorsWithin([...path, name]).length > 0;
+  const few = names.filter((name) => !stated(name)).length <= 2;
+  const shown = names.filter((name) => all || few || stated(name));
+  const hidden = names.length - shown.length;
+  return html`<${Fragment}>
+    ${shown.map((name) => html`<${Field} key=${name} node=${node.properties[name]} path=${[...path, name]} value=${value?.[name]} required=${needed.has(name)} />`)}
+    ${(hidden > 0 || all) && html`<button type="button" class="more" aria-expanded=${all ? "true" : "false"} onClick=${() => showAll(!all)}>
+      <${Icon} name=${all ? "up" : "down"} />${all ? "Only what is stated" : `${hidden} more: ${names.filter((name) => !shown.includes(name)).map((name) => plain(name).toLowerCase()).join(", ")}`}
+    </button>`}
+  </${Fragment}>`;
+}
+
+/** A table within a table. */
+function Sub({ node, path, value }) {
+  return html`<div class="sub" role="group" aria-label=${titleOf(node, path.at(-1))}>
+    <h4 ...${telling(node, path)}>${titleOf(node, path.at(-1))}</h4>
+    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsAt(path)} />
+    <${Fields} node=${node} path=${path} value=${value} />
+  </div>`;
+}
+
+/** A table of one of several families: the choice swaps the fields, and keeps what both have. */
+function Union({ node, path, value, required, bare = false }) {
+  const { key, options } = unionOf(node);
+  if (Array.isArray(value)) {
+    return html`<${List} node=${{ ...node, type: "array", items: node }} path=${path} value=${value} />`;
+  }
+  const chosen = options[value?.[key]];
+  const swap = (name) => {
+    if (!name) return edit(path, undefined);
+    const fields = options[name].properties;
+    const kept = Object.entries(isTable(value) ? value : {}).filter(([field]) => field in fields && field !== key);
+    return edit(path, { [key]: name, ...Object.fromEntries(kept) });
+  };
+  const choice = resolve(chosen?.properties?.[key] ?? {});
+  const about = { ...node, title: plain(key), description: chosen?.description ?? choice.description ?? node.description };
+  const body = html`<${Fragment}>
+    <div class="field" ...${telling(about, [...path, key])}>
+      <label for=${idOf([...path, key])}>${plain(key)}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
+      <div class="value"><select id=${idOf([...path, key])} onChange=${(event) => swap(event.target.value)}>
+        ${(!required || !chosen) && html`<option value="" selected=${!chosen}>${required ? "choose" : "–"}</option>`}
+        ${Object.keys(options).map((name) => html`<option value=${name} selected=${name === value?.[key]}>${name}</option>`)}
+      </select></div>
+      <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${[...errorsAt(path), ...errorsAt([...path, key])]} />
+    </div>
+    ${chosen && html`<${Fields} key=${value[key]} node=${chosen} path=${path} value=${value} skip=${key} />`}
+  </${Fragment}>`;
+  if (bare) return body;
+  return html`<div class="sub" role="group" aria-label=${titleOf(node, path.at(-1))}><h4 ...${telling(about, path)}>${plain(path.at(-1))}</h4>${body}</div>`;
+}
+
+/** Tables in order: passes, patches, terms of a sum. */
+function List({ node, path, value }) {
+  const item = resolve(node.items);
+  const rows = value ?? [];
+  const one = plain(path.at(-1)).toLowerCase().replace(/(ss|ch)es$/, "$1").replace(/s$/, "");
+  const move = (from, to) => {
+    const next = [...rows];
+    next.splice(to, 0, ...next.splice(from, 1));
+    edit(path, next);
+  };
+  const begin = () => {
+    const last = rows.at(-1);
+    return edit(path, [...rows, last === undefined ? {} : "name" in last ? { ...last, name: `${last.name} ${rows.length + 1}`.slice(0, 30) } : { ...last }]);
+  };
+  return html`<div class="list">
+    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsAt(path)} />
+    ${!rows.length && html`<p class="quiet">${defaultText(node) || "None."}</p>`}
+    ${rows.map((row, index) => html`<div class="item" key=${index}>
+      <div class="head"><span>${row?.name || `${plain(one)} ${index + 1}`}</span>
+        <${Tool} icon="up" name=${`Move ${one} ${index + 1} up`} disabled=${index === 0} onClick=${() => move(index, index - 1)} />
+        <${Tool} icon="down" name=${`Move ${one} ${index + 1} down`} disabled=${index === rows.length - 1} onClick=${() => move(index, index + 1)} />
+        <${Tool} icon="bin" name=${`Remove ${one} ${index + 1}`} onClick=${() => edit(path, rows.length > 1 ? rows.filter((_, at) => at !== index) : undefined)} />
+      </div>
+      <${Wrong} id=${`${idOf([...path, index])}-wrong`} sentences=${errorsAt([...path, index])} />
+      ${unionOf(item)
+        ? html`<${Union} node=${item} path=${[...path, index]} value=${row} required bare />`
+        : html`<${Fields} node=${item} path=${[...path, index]} value=${row} />`}
+    </div>`)}
+    <button type="button" class="add" onClick=${begin}><${Icon} name="plus" />Add a ${one}</button>
+  </div>`;
+}
+
+// ------------------------------------------------------------------------------------------------------- the groups
+
+/** What a folded group holds, in a few words. */
+function summary(node, value) {
+  if (value === undefined) return "default";
+  if (Array.isArray(value)) return value.length === 0 ? "none" : value.map((one) => one?.name ?? (typeof one === "string" ? one : "")).filter(Boolean).join(", ") || String(value.length);
+  if (!isTable(value)) return showValue(value);
+  return Object.values(value).filter((one) => typeof one === "string" || typeof one === "number").slice(0, 3).join(" · ");
+}
+
+function Group({ name, node: raw, value, required }) {
+  const node = resolve(raw);
+  const [open, setOpen] = useState(OPEN_AT_FIRST.has(name));
+  const path = [name];
+  const wrong = errorsWithin(path).length;
+  const kind = kindOf(node);
+  const given = { node, path, value, required };
+  return html`<details class="group" open=${open} onToggle=${(event) => setOpen(event.target.open)}>
+    <summary ...${telling(node, path)}>
+      <span class="name">${plain(name)}</span>
+      <span class="gist">${open ? "" : summary(node, value)}</span>
+      ${wrong > 0 && html`<span class="count" aria-label=${`${wrong} errors`}>${wrong}</span>`}
+    </summary>
+    ${open && html`<div class="fields">
+      ${kind === "table" && html`<${Fragment}><${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsAt(path)} /><${Fields} ...${given} /></${Fragment}>`}
+      ${kind === "union" && html`<${Union} ...${given} bare />`}
+      ${kind !== "table" && kind !== "union" && html`<${Field} ...${given} />`}
+    </div>`}
+  </details>`;
+}
+
+function Fieldset() {
+  const { job, schema, errors } = useStore(["job", "schema", "errors"]);
+  if (!schema) return html`<p class="quiet pad">Reading what a job is made of …</p>`;
+  if (!job) {
+    return html`<div class="pad quiet"><p>No job yet. Take an example, open a job file, or begin with an empty one: its fields come up here, each with its unit and its meaning.</p></div>`;
+  }
+  const root = resolve(schema);
+  const needed = new Set(root.required ?? []);
+  const tops = new Set(Object.keys(root.properties));
+  const homeless = errors.filter((error) => !tops.has(normal(error.field).split(".")[0]));
+  return html`<div class="groups">
+    ${homeless.length > 0 && html`<div class="pad"><${Wrong} id="job-wrong" sentences=${homeless.map((error) => error.sentence)} /></div>`}
+    ${Object.entries(root.properties).map(([name, node]) => html`<${Group} key=${name} name=${name} node=${node} value=${job[name]} required=${needed.has(name)} />`)}
+  </div>`;
+}
+
+// --------------------------------------------------------------------------------------------------------- the text
+
+function Text() {
+  const { toml, job, errors } = useStore(["toml", "job", "errors"]);
+  const [draft, setDraft] = useState(null);
+  const timer = useRef(0);
+  const change = (text) => {
+    setDraft(text);
+    clearTimeout(timer.current);
+    timer.current = setTimeout(async () => {
+      try {
+        await readToml(text);
+      } catch (error) {
+        say(error.message, "bad");
+      }
+    }, PAUSE_TOML);
+  };
+  return html`<div class="toml">
+    <textarea aria-label="The job as TOML" spellcheck=${false} autocapitalize="off" wrap="off" value=${draft ?? toml}
+      placeholder=${job ? "" : "Paste a job file here."} onInput=${(event) => change(event.target.value)} onBlur=${() => setDraft(null)} />
+    ${errors.length > 0 && html`<div class="pad"><${Wrong} id="toml-wrong" sentences=${errors.map((error) => error.sentence)} /></div>`}
+  </div>`;
+}
+
+// ---------------------------------------------------------------------------------------------------------- the pane
+
+function Pane() {
+  const [text, showText] = useState(false);
+  const { job, errors } = useStore(["job", "errors"]);
+  useEffect(() => on("job", () => {}), []);
+  const tab = (name, chosen, choose) => html`<button type="button" role="tab" aria-selected=${chosen ? "true" : "false"} tabindex=${chosen ? 0 : -1} onClick=${choose}
+    onKeyDown=${(event) => ["ArrowLeft", "ArrowRight"].includes(event.key) && showText(!text)}>${name}</button>`;
+  return html`<${Fragment}>
+    <div class="panehead">
+      <div class="tabs" role="tablist" aria-label="The job as">${tab("Fields", !text, () => showText(false))}${tab("TOML", text, () => showText(true))}</div>
+      <span class="gap"></span>
+      ${errors.length > 0 && html`<span class="count" title=${errors.map((error) => error.sentence).join("\n")}>${errors.length} to mend</span>`}
+      <${Tool} icon="undo" name="Undo" keys="Ctrl+Z" disabled=${!job || !past.length} onClick=${undo} />
+      <${Tool} icon="redo" name="Redo" keys="Ctrl+Shift+Z" disabled=${!job || !future.length} onClick=${redo} />
+    </div>
+    <div class="scroll">${text ? html`<${Text} />` : html`<${Fieldset} />`}</div>
+    ${!text && job && html`<${Explained} />`}
+  </${Fragment}>`;
+}
+
+export function mount(element) {
+  render(html`<${Pane} />`, element);
+  return { destroy: () => render(null, element) };
+}

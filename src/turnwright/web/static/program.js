@@ -1,0 +1,172 @@
+/* The program's text, as long as it may be: only the lines in sight are fetched and drawn. */
+
+import { html, render, useEffect, useLayoutEffect, useRef, useState } from "./vendor/preact.js";
+import { get } from "./api.js";
+import { on, say, set, state } from "./state.js";
+import { Downloads, count, number, useStore } from "./ui.js";
+
+const ROW = 18; // px of a line
+const CHUNK = 500; // lines asked for at a time
+const KEPT = 60; // chunks in memory
+const TALLEST = 4_000_000; // px; browsers end at some ten million
+
+let chunks = new Map();
+let asked = new Set();
+let run = null;
+
+async function fetchChunk(first, done) {
+  if (chunks.has(first) || asked.has(first)) return;
+  asked.add(first);
+  const mine = run;
+  try {
+    const answer = await get(`/runs/${mine}/program`, { first, count: CHUNK });
+    if (mine !== run) return;
+    chunks.set(first, answer);
+    if (chunks.size > KEPT) chunks.delete(chunks.keys().next().value);
+    done(answer.total);
+  } catch (error) {
+    say(error.message, "bad");
+  } finally {
+    asked.delete(first);
+  }
+}
+
+function lineAt(number_) {
+  const chunk = chunks.get(number_ - (number_ % CHUNK));
+  return chunk ? { text: chunk.lines[number_ % CHUNK], place: chunk.places[number_ % CHUNK] } : null;
+}
+
+/** What a line says, by kind, so that it reads at a glance. */
+function Words({ text }) {
+  const comment = text.search(/[(;]/);
+  const [code, rest] = comment < 0 ? [text, ""] : [text.slice(0, comment), text.slice(comment)];
+  return html`${code.split(/(?<=\s)/).map((word) => html`<span class=${/^[GM]\d/.test(word) ? "code" : /^N\d/.test(word) ? "label" : ""}>${word}</span>`)}${rest && html`<span class="remark">${rest}</span>`}`;
+}
+
+function Text({ total, grow }) {
+  const box = useRef(null);
+  const [first, goTo] = useState(0);
+  const [rows, setRows] = useState(20);
+  const [, again] = useState(0);
+  const { block } = useStore(["block"]);
+  const own = useRef(false);
+  const tall = Math.min(total * ROW, TALLEST);
+  const last = Math.max(0, total - rows);
+
+  useLayoutEffect(() => {
+    const size = new ResizeObserver(() => setRows(Math.max(1, Math.floor(box.current.clientHeight / ROW))));
+    size.observe(box.current);
+    return () => size.disconnect();
+  }, []);
+  useEffect(() => {
+    const told = (lines) => {
+      grow(lines);
+      again((times) => times + 1);
+    };
+    for (let at = first - (first % CHUNK); at < Math.min(total, first + rows + CHUNK / 5); at += CHUNK) fetchChunk(at, told);
+  }, [first, rows, total]);
+
+  const move = (line) => {
+    const next = Math.max(0, Math.min(last, Math.round(line)));
+    goTo(next);
+    // The bar follows; its own event is not a wish of the reader's.
+    own.current = true;
+    box.current.scrollTop = last ? (next / last) * (tall - box.current.clientHeight) : 0;
+  };
+  const scrolled = () => {
+    if (own.current) return (own.current = false);
+    return goTo(Math.round((box.current.scrollTop / Math.max(1, tall - box.current.clientHeight)) * last));
+  };
+  useEffect(() => {
+    if (block !== null && (block < first || block >= first + rows)) move(block - rows / 2);
+  }, [block]);
+  const point = (line) => {
+    const place = lineAt(line)?.place;
+    set({ block: line, ...(place ? { cursor: [place[0], place[1]] } : {}) });
+  };
+  const keys = (event) => {
+    const here = block ?? first;
+    const to = { ArrowDown: here + 1, ArrowUp: here - 1, PageDown: here + rows, PageUp: here - rows, Home: 0, End: total - 1 }[event.key];
+    if (to === undefined) return;
+    event.preventDefault();
+    point(Math.max(0, Math.min(total - 1, to)));
+  };
+  const wheel = (event) => {
+    event.preventDefault();
+    move(first + Math.sign(event.deltaY) * Math.max(1, Math.round(Math.abs(event.deltaY) / ROW)));
+  };
+  useEffect(() => {
+    const element = box.current;
+    element.addEventListener("wheel", wheel, { passive: false });
+    return () => element.removeEventListener("wheel", wheel);
+  });
+  useLayoutEffect(() => {
+    box.current.querySelector(".spacer").style.height = `${tall}px`;
+  }, [tall]);
+  const shown = Array.from({ length: Math.min(rows + 1, total - first) }, (_, index) => first + index);
+  return html`<div class="program" ref=${box} tabindex="0" role="listbox" aria-label="Lines of the program" aria-activedescendant=${block === null ? null : `line-${block}`} onScroll=${scrolled} onKeyDown=${keys}>
+    <div class="spacer"><ol class="lines">${shown.map((line) => {
+      const found = lineAt(line);
+      return html`<li key=${line} id=${`line-${line}`} role="option" aria-selected=${line === block ? "true" : "false"} onClick=${() => point(line)}><span class="at">${line + 1}</span><code>${found ? html`<${Words} text=${found.text} />` : "…"}</code></li>`;
+    })}</ol></div>
+  </div>`;
+}
+
+function Panel() {
+  const { run: id, result, block, runs } = useStore(["run", "result", "block", "runs"]);
+  const [total, setTotal] = useState(0);
+  const [follow, setFollow] = useState(false);
+  const kind = runs.find((one) => one.id === id)?.kind;
+  useEffect(() => {
+    run = id;
+    chunks = new Map();
+    asked = new Set();
+    setTotal(0);
+    if (id && result) fetchChunk(0, setTotal);
+  }, [id, result]);
+  useEffect(() => {
+    if (!follow || !result) return undefined;
+    let timer = 0;
+    const stop = on("cursor", ({ cursor }) => {
+      clearTimeout(timer);
+      // A line that was clicked has set the cursor itself.
+      const place = state.block === null ? null : lineAt(state.block)?.place;
+      if (!cursor || (place && place[0] === cursor[0] && place[1] === cursor[1])) return;
+      timer = setTimeout(async () => {
+        try {
+          const { line } = await get(`/runs/${run}/program`, { near: cursor.join(",") });
+          if (Number.isInteger(line)) set({ block: line });
+        } catch (error) {
+          say(error.message, "bad");
+        }
+      }, 120);
+    });
+    return () => {
+      clearTimeout(timer);
+      stop();
+    };
+  }, [follow, id, result]);
+  if (!id || !result || kind === "compare") {
+    return html`<div class="teach"><h3>The program, line by line</h3><p>When a run is done, its program stands here, every line of it. Click a line and its place lights up on the part; point at the part and its line comes up.</p></div>`;
+  }
+  const place = block === null ? null : lineAt(block)?.place;
+  return html`<div class="programs">
+    <div class="bar">
+      <label>Go to line <input type="text" inputmode="numeric" class="short" aria-label="Go to line" onChange=${(event) => {
+        const line = Number(event.target.value.replace(/\D/g, "")) - 1;
+        if (line >= 0) set({ block: Math.min(total - 1, line) });
+      }} /></label>
+      <span class="quiet">of ${count(total)}</span>
+      <label class="flag"><input type="checkbox" checked=${follow} onChange=${(event) => setFollow(event.target.checked)} />follow the pointer on the part</label>
+      <span class="gap"></span>
+      ${place && html`<span class="number">line ${count(block + 1)}: x ${number(place[0], 5)} mm, y ${number(place[1], 5)} mm, z ${number(place[2], 5)} mm</span>`}
+      <${Downloads} path=${`/runs/${id}`} names=${[["program", "Program"]]} />
+    </div>
+    ${total > 0 ? html`<${Text} key=${id} total=${total} grow=${setTotal} />` : html`<p class="quiet pad">Reading the program …</p>`}
+  </div>`;
+}
+
+export function mount(element) {
+  render(html`<${Panel} />`, element);
+  return { destroy: () => render(null, element) };
+}

@@ -1,0 +1,150 @@
+/* The runs: started, followed while they last, looked at when they are done. */
+
+import { html, useState } from "./vendor/preact.js";
+import { events, get, post, remove } from "./api.js";
+import { say, set, state } from "./state.js";
+import { Bar, Mark, Tool, clock, duration, useStore } from "./ui.js";
+
+const GOING = new Set(["queued", "running"]);
+const EVERY = 5000; // ms between looks at the list while something goes on
+
+const heard = new Map(); // id -> how to stop hearing it
+
+function change(id, values) {
+  set({ runs: state.runs.map((run) => (run.id === id ? { ...run, ...values } : run)) });
+}
+
+function follow(run) {
+  if (heard.has(run.id) || run.state !== "running") return;
+  const stop = events(run.id, {
+    progress: (progress) => change(run.id, { progress }),
+    state: (told) => {
+      change(run.id, told);
+      if (GOING.has(told.state)) return;
+      heard.delete(run.id);
+      refresh();
+      ended(run.id, told);
+    },
+  });
+  heard.set(run.id, stop);
+}
+
+function ended(id, { state: how, sentence }) {
+  const run = state.runs.find((one) => one.id === id);
+  if (how === "failed") say(`${run?.name ?? "The run"}: ${sentence}`, "bad");
+  if (how === "done") {
+    say(`${run?.name ?? "The run"} is done.`);
+    if (id === state.run) look(id);
+  }
+}
+
+let timer = 0;
+
+/** Ask for the list anew, and again while something goes on. */
+export async function refresh() {
+  clearTimeout(timer);
+  try {
+    const runs = await get("/runs");
+    const before = new Map(state.runs.map((run) => [run.id, run]));
+    set({ runs: runs.map((run) => ({ ...run, progress: run.progress ?? before.get(run.id)?.progress })) });
+    for (const run of runs) {
+      follow(run);
+      const was = before.get(run.id);
+      // One that ended between two looks was not heard.
+      if (was && GOING.has(was.state) && !GOING.has(run.state) && !heard.has(run.id)) ended(run.id, run);
+    }
+  } catch (error) {
+    say(error.message, "bad");
+  }
+  if (state.runs.some((run) => GOING.has(run.state))) timer = setTimeout(refresh, state.runs.some((run) => run.state === "queued") ? 1000 : EVERY);
+}
+
+/** Start a run or a comparison of the job as it stands. */
+export async function start(kind = "run") {
+  if (!state.job) return;
+  if (state.errors.length) return say(`The job is not whole: ${state.errors[0].sentence}`, "bad");
+  try {
+    const { id } = await post("/runs", { data: state.job, kind, name: state.job.part?.name || state.title || "job" });
+    set({ run: id, result: null, maps: [], map: null, window: null, line: null, block: null });
+    await refresh();
+  } catch (error) {
+    say(error.message, "bad");
+  }
+}
+
+/** Fetch what a run found, and show it. */
+export async function look(id) {
+  const run = state.runs.find((one) => one.id === id);
+  if (id !== state.run) set({ run: id, result: null, maps: [], map: null, window: null, line: null, block: null });
+  if (!run || run.state !== "done") return;
+  try {
+    if (run.kind === "compare") {
+      const comparison = await get(`/runs/${id}/comparison`);
+      if (id === state.run) set({ comparison, drawer: "compare" });
+      return;
+    }
+    const [result, maps] = await Promise.all([get(`/runs/${id}/result`), get(`/runs/${id}/maps`)]);
+    if (id !== state.run) return;
+    const known = maps.some(({ name }) => name === state.map);
+    set({ result, maps, map: known ? state.map : maps[0]?.name ?? null, drawer: ["profile", "motion", "program", "measure"].includes(state.drawer) ? state.drawer : "maps" });
+  } catch (error) {
+    say(error.message, "bad");
+  }
+}
+
+async function drop(run) {
+  try {
+    if (GOING.has(run.state)) {
+      await post(`/runs/${run.id}/cancel`);
+    } else {
+      await remove(`/runs/${run.id}`);
+      if (state.run === run.id) set({ run: null, result: null, comparison: null, maps: [], map: null });
+    }
+    await refresh();
+  } catch (error) {
+    say(error.message, "bad");
+  }
+}
+
+const SAID = { queued: "waits", running: "runs", done: "done", failed: "failed", cancelled: "cancelled" };
+
+function Run({ run, chosen }) {
+  const [sure, ask] = useState(false);
+  const going = GOING.has(run.state);
+  const { progress } = run;
+  const share = progress?.total ? progress.done / progress.total : 0;
+  return html`<li class=${chosen ? "run chosen" : "run"} data-state=${run.state}>
+    <button type="button" class="line" aria-pressed=${chosen ? "true" : "false"} onClick=${() => look(run.id)}>
+      <${Mark} ok=${run.state === "done" ? true : run.state === "failed" ? false : null} />
+      <span class="what"><strong>${run.name}</strong><small>${run.kind === "run" ? "" : `${run.kind}, `}${SAID[run.state] ?? run.state}${run.created ? `, ${clock(run.created)}` : ""}</small></span>
+    </button>
+    ${sure
+      ? html`<span class="sure"><button type="button" class="button bad" onClick=${() => drop(run)}>Delete</button><button type="button" class="button" onClick=${() => ask(false)}>Keep</button></span>`
+      : html`<${Tool} icon=${going ? "stop" : "bin"} name=${going ? `Cancel ${run.name}` : `Delete ${run.name}`} onClick=${() => (going ? drop(run) : ask(true))} />`}
+    ${going && html`<div class="progress"><${Bar} share=${share} kind="going" />
+      <span role="status">${run.state === "queued" ? "behind the runs before it" : progress ? `${progress.stage}, ${Math.round(share * 100)} %` : "begins"}</span>
+      <span class="gap"></span>${Number.isFinite(progress?.left_s) && html`<span class="number">${duration(progress.left_s)} left</span>`}</div>`}
+    ${run.state === "failed" && run.sentence && html`<p class="wrong">${run.sentence}</p>`}
+  </li>`;
+}
+
+/** The list of runs. */
+export function Queue() {
+  const { runs, run } = useStore(["runs", "run"]);
+  if (!runs.length) {
+    return html`<p class="quiet pad">Nothing has run. <strong>Run</strong> plans the whole job, writes the program, reads it back and predicts the surface it leaves; <strong>Compare</strong> plans it by every strategy that the machine can do.</p>`;
+  }
+  return html`<ul class="runs">${runs.map((one) => html`<${Run} key=${one.id} run=${one} chosen=${one.id === run} />`)}</ul>`;
+}
+
+/** Follow the runs; the list itself is drawn by the results pane. */
+export function mount() {
+  refresh();
+  return {
+    destroy: () => {
+      clearTimeout(timer);
+      for (const stop of heard.values()) stop();
+      heard.clear();
+    },
+  };
+}

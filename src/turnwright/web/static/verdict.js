@@ -1,0 +1,163 @@
+/* The results on the right: what can be said of the job as it stands, and what the run looked at found. */
+
+import { Fragment, html, render, useEffect, useState } from "./vendor/preact.js";
+import { on, set } from "./state.js";
+import { Bar, Downloads, Gauge, Icon, Mark, bytes, count, duration, height, length, number, percent, quantity, useStore } from "./ui.js";
+import { Queue } from "./runs.js";
+
+function Card({ title, side = null, children }) {
+  return html`<section class="card"><header><h3>${title}</h3><span class="gap"></span>${side}</header>${children}</section>`;
+}
+
+function Figure({ label, children, note = "" }) {
+  return html`<div class="figure"><dt>${label}</dt><dd>${children}${note && html`<small>${note}</small>`}</dd></div>`;
+}
+
+const point = (where) => set({ cursor: where });
+
+// ---------------------------------------------------------------------------------------------------------- the plan
+
+const UNITS = { "nose radius": "mm", "included angle": "rad", clearance: "rad", rake: "rad" };
+
+function Finding({ finding }) {
+  const unit = UNITS[finding.name];
+  const share = finding.limit ? finding.value / finding.limit : Number.NaN;
+  return html`<li class=${finding.ok ? "finding" : "finding bad"}>
+    <div class="line"><${Mark} ok=${finding.ok} /><strong>${finding.name}</strong><span class="gap"></span>
+      ${finding.limit !== null && unit && html`<span class="number">${quantity(finding.value, unit)} <span class="quiet">of ${quantity(finding.limit, unit)}</span></span>`}
+      ${finding.where && html`<button type="button" class="tool" title="Show where" aria-label=${`Show where the ${finding.name} is least`} onClick=${() => point(finding.where)}><${Icon} name="place" /></button>`}
+    </div>
+    ${Number.isFinite(share) && html`<${Gauge} share=${share} bad=${!finding.ok} label=${`${finding.name}: share of its limit`} />`}
+    <p class=${finding.ok ? "quiet" : ""}>${finding.sentence}</p>
+  </li>`;
+}
+
+function Plan() {
+  const { job, check, errors, checking } = useStore(["job", "check", "errors", "checking"]);
+  if (!job) return html`<p class="quiet pad">Once there is a job, this is where it is judged: whether the tool reaches every place, how long the program is, what limits it.</p>`;
+  if (!check) return html`<p class="quiet pad">${errors.length ? "The fields marked on the left come first." : "Looking at the job …"}</p>`;
+  const { access, preview, chips = {}, warnings = [] } = check;
+  const stale = errors.length > 0 || checking;
+  const refused = preview?.refused ?? [];
+  const ok = access.ok && refused.length === 0;
+  return html`<div class=${stale ? "cards stale" : "cards"} aria-busy=${checking ? "true" : "false"}>
+    ${errors.length > 0 && html`<section class="card bad"><header><h3>The job as typed is not whole</h3></header>
+      <ul class="sentences">${errors.slice(0, 4).map((error) => html`<li>${error.sentence}</li>`)}</ul></section>`}
+    <section class=${ok ? "card verdict good" : "card verdict bad"} id="verdict" aria-live="polite">
+      <${Mark} ok=${ok} /><div><h3>${ok ? "The tool reaches the part" : access.ok ? "A run would refuse the job" : "The tool does not reach the part"}</h3>
+      ${refused.map((sentence) => html`<p>${sentence}</p>`)}</div>
+    </section>
+    <${Card} title="Access"><ul class="findings">${access.findings.map((finding) => html`<${Finding} key=${finding.name} finding=${finding} />`)}</ul></${Card}>
+    ${preview && html`<${Length} preview=${preview} />`}
+    ${Object.keys(chips).length > 0 && html`<${Card} title="Chips"><ul class="sentences">${Object.entries(chips).map(([name, sentence]) => html`<li><strong>${name}</strong> ${String(sentence)}</li>`)}</ul></${Card}>`}
+    ${warnings.length > 0 && html`<${Warnings} warnings=${warnings} />`}
+  </div>`;
+}
+
+function Length({ preview }) {
+  const names = Object.keys(preview.points);
+  const points = Object.values(preview.points).reduce((sum, one) => sum + one, 0);
+  const seconds = Object.values(preview.shortest_s).reduce((sum, one) => sum + (one ?? Number.NaN), 0);
+  const longest = Math.max(...Object.values(preview.shortest_s).map((one) => one ?? 0));
+  return html`<${Card} title="Program">
+    <dl class="figures">
+      <${Figure} label="at least">${duration(seconds)}</${Figure}>
+      <${Figure} label="points">${count(points)}</${Figure}>
+    </dl>
+    ${names.length > 1 && html`<table class="small"><thead><tr><th>pass</th><th class="number">points</th><th class="number">at least</th><th></th></tr></thead>
+      <tbody>${names.map((name) => html`<tr><th scope="row">${name}</th><td class="number">${count(preview.points[name])}</td><td class="number">${duration(preview.shortest_s[name])}</td>
+        <td class="bar"><${Bar} share=${(preview.shortest_s[name] ?? 0) / longest} /></td></tr>`)}</tbody></table>`}
+    <p class="quiet">By block rate and spindle alone; a run says what the slides need.</p>
+  </${Card}>`;
+}
+
+function Warnings({ warnings }) {
+  return html`<section class="card warn"><header><${Mark} ok=${false} warn /><h3>${warnings.length === 1 ? "1 warning" : `${warnings.length} warnings`}</h3></header>
+    <ul class="sentences">${warnings.map((sentence) => html`<li>${sentence}</li>`)}</ul></section>`;
+}
+
+// ----------------------------------------------------------------------------------------------------------- the run
+
+const DOWNLOADS = [
+  ["program", "Program"],
+  ["report", "Report"],
+  ["job", "Job"],
+  ["archive", "Archive"],
+  ["result", "Result"],
+];
+
+function Outcome() {
+  const { result, run, runs, job } = useStore(["result", "run", "runs", "job"]);
+  const entry = runs.find((one) => one.id === run);
+  if (!entry || !result?.passes) return null;
+  const last = result.passes.at(-1);
+  const seconds = result.passes.reduce((sum, cut) => sum + cut.limits.cycle_time_s, 0);
+  const tolerances = entry.tolerances ?? job?.tolerances ?? {};
+  return html`<div class="cards" id="outcome">
+    <section class=${result.ok ? "card verdict good" : "card verdict bad"}><${Mark} ok=${result.ok} />
+      <div><h3>${result.ok ? "Cut as planned, within all limits" : "Not within all limits"}</h3><p class="quiet">${result.part}, on ${result.machine}</p></div></section>
+    ${result.warnings.length > 0 && html`<${Warnings} warnings=${result.warnings} />`}
+    <${Card} title="Surface left">
+      <table class="small"><thead><tr><th>where</th><th class="number">PV</th><th class="number">Sq</th><th class="number">Sa</th></tr></thead>
+      <tbody>${result.predictions.map(({ name, roughness }) => html`<tr class="pick" onClick=${() => set({ map: name, drawer: "maps" })}>
+        <th scope="row"><button type="button" class="link" onClick=${() => set({ map: name, drawer: "maps" })}>${name}</button></th>
+        <td class="number">${height(roughness.pv_nm)}</td><td class="number">${height(roughness.sq_nm)}</td><td class="number">${height(roughness.sa_nm)}</td></tr>`)}</tbody></table>
+      ${Object.keys(tolerances).length > 0 && html`<p class="quiet">Asked for: ${Object.entries(tolerances).map(([name, value]) => `${name.replaceAll("_", " ")} ${value}`).join(", ")}.</p>`}
+    </${Card}>
+    <${Budget} result=${result} />
+    <${Card} title="Cycle" side=${html`<span class="quiet">${result.dialect}</span>`}>
+      <dl class="figures">
+        <${Figure} label="cutting time">${duration(seconds)}</${Figure}>
+        <${Figure} label="limited by">${last.limits.binding ?? "nothing"}</${Figure}>
+        <${Figure} label="points">${count(result.passes.reduce((sum, cut) => sum + cut.points, 0))}</${Figure}>
+        <${Figure} label="spindle">${number(last.spindle_rpm)} rpm</${Figure}>
+      </dl>
+      <${Limits} limits=${last.limits} name=${last.name} />
+    </${Card}>
+    <${Card} title="Program"><p class="quiet">${count(result.program.lines)} lines in ${result.program.files.length === 1 ? "one file" : `${result.program.files.length} files`}, ${bytes(result.program.bytes)}; read back from disk within ${height(result.rounding_nm)} of the planned motion, decimals allow ${height(result.rounding_limit_nm)}.</p>
+      <${Downloads} path=${`/runs/${run}`} names=${DOWNLOADS} /></${Card}>
+  </div>`;
+}
+
+function Limits({ limits, name }) {
+  const used = Object.entries(limits.utilisation).sort(([, a], [, b]) => b - a);
+  return html`<${Fragment}><h4>${name}: share of each limit</h4>
+    <ul class="gauges">${used.slice(0, 6).map(([what, share]) => html`<li><span>${what}</span><${Gauge} share=${share} bad=${share > 1 + 1e-6} label=${what} /><span class="number">${percent(share)}</span></li>`)}</ul>
+    ${limits.findings.length > 0 && html`<ul class="sentences">${limits.findings.map((finding) => html`<li>${finding.sentence ?? String(finding)}</li>`)}</ul>`}</${Fragment}>`;
+}
+
+const SHARES = { cusp_nm: "cusps", cusp_away_nm: "cusps elsewhere", chord_nm: "chords between points", rounding_nm: "decimals of the program", tracking_nm: "servos" };
+
+/** Where the error comes from, largest first. */
+function Budget({ result }) {
+  const entries = result.shares
+    ? Object.entries(SHARES).filter(([key]) => Number.isFinite(result.shares[key])).map(([key, name]) => [name, result.shares[key]])
+    : [["decimals of the program", result.rounding_nm], ...result.predictions.filter(({ tracking }) => tracking).map(({ name, tracking }) => [`servos, ${name}`, tracking.pv_nm ?? tracking[0]])];
+  const whole = result.predictions.find(({ name }) => name === "whole part") ?? result.predictions[0];
+  if (!result.shares && whole) entries.push([`all that is left, ${whole.name}`, whole.roughness.pv_nm]);
+  const most = Math.max(...entries.map(([, value]) => value));
+  return html`<${Card} title="Error budget" side=${html`<span class="quiet">peak to valley</span>`}>
+    <ul class="gauges">${entries.sort(([, a], [, b]) => b - a).map(([name, value]) => html`<li><span>${name}</span><${Bar} share=${value / most} /><span class="number">${height(value)}</span></li>`)}</ul></${Card}>`;
+}
+
+// ---------------------------------------------------------------------------------------------------------- the pane
+
+function Pane() {
+  const [tab, show] = useState("plan");
+  const { runs, run } = useStore(["runs", "run"]);
+  // Whoever starts a run or looks at one wants to see it.
+  useEffect(() => on("run", ({ run: id }) => id && show("runs")), []);
+  const busy = runs.filter((one) => one.state === "queued" || one.state === "running").length;
+  const head = (name, title) => html`<button type="button" role="tab" aria-selected=${tab === name ? "true" : "false"} tabindex=${tab === name ? 0 : -1} onClick=${() => show(name)}
+    onKeyDown=${(event) => ["ArrowLeft", "ArrowRight"].includes(event.key) && show(tab === "plan" ? "runs" : "plan")}>${title}</button>`;
+  return html`<${Fragment}>
+    <div class="panehead"><div class="tabs" role="tablist" aria-label="Results">
+      ${head("plan", "Plan")}${head("runs", busy ? html`Runs <span class="count going">${busy}</span>` : runs.length ? `Runs (${runs.length})` : "Runs")}</div></div>
+    <div class="scroll">${tab === "plan" ? html`<${Plan} />` : html`<${Fragment}><${Queue} />${run && html`<${Outcome} />`}</${Fragment}>`}</div>
+  </${Fragment}>`;
+}
+
+export function mount(element) {
+  render(html`<${Pane} />`, element);
+  return { destroy: () => render(null, element) };
+}
