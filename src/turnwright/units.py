@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from turnwright.errors import UnitError
 
 if TYPE_CHECKING:
-    from pydantic import GetCoreSchemaHandler
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic_core import CoreSchema
 
 __all__ = ["convert", "parse", "say_length", "unit", "write"]
@@ -280,3 +280,8 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
             self.read,
             serialization=core_schema.plain_serializer_function_ser_schema(self.show),
         )
+
+    def __get_pydantic_json_schema__(self, _core: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        schema: dict[str, Any] = {"type": "string", "unit": self.units[0]}
+        limits = {"above": self.above, "least": self.least}
+        return schema | {name: value for name, value in limits.items() if value > -math.inf}

@@ -4,6 +4,7 @@ from turnwright._commands import (  # noqa: F401 - each registers its commands
     _cutting,
     _materials,
     _measuring,
+    _serving,
     _studies,
     _tiling,
     _tolerances,

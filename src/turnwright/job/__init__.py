@@ -7,7 +7,7 @@ from turnwright.job._measure import Measured, explain, measure
 from turnwright.job._plan import Plan, Trial, plan
 from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.job._run import StageProgress, finishing_motion, predict, preview, run
-from turnwright.job._schema import Job
+from turnwright.job._schema import Job, faults
 from turnwright.job._shares import Shares, shares
 from turnwright.job._stages import Stages
 from turnwright.job._terms import Finish, finish
@@ -33,6 +33,7 @@ __all__ = [
     "compare",
     "correct",
     "explain",
+    "faults",
     "finish",
     "finishing_motion",
     "measure",

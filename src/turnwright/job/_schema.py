@@ -43,6 +43,7 @@ from turnwright.job._table import (
     refuse,
     sentences,
 )
+from turnwright.job._table import faults as faults_of
 from turnwright.machine import Machine
 from turnwright.material import Material
 from turnwright.motion import require_variable
@@ -59,7 +60,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.strategy import Strategy
 
-__all__ = ["Job", "PassTable"]
+__all__ = ["Job", "PassTable", "faults"]
 
 Name: TypeAlias = Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]{0,29}$")]
 """What a controller takes as the name of a sub-program, and any computer as that of a file."""
@@ -610,3 +611,14 @@ class Job(Table):
     def dump(self, path: str | PathLike[str]) -> None:
         """Write the job as a file, which appears when it is whole. See `to_toml`."""
         write_whole(File(path), self.to_toml())
+
+
+def faults(error: ValidationError) -> list[tuple[str, str]]:
+    """Return the place of each thing that is wrong with a job, such as ``passes[1].feed``, and its sentence.
+
+    Parameters
+    ----------
+    error
+        What pydantic found, as ``Job.model_validate`` raises it.
+    """
+    return list(dict.fromkeys(faults_of(error, Job, {**FAMILIES, **KINDS})))

@@ -170,8 +170,14 @@ def sentences(error: ValidationError, root: type[Table], tags: Mapping[str, type
     tags
         Tables by the key that chooses them, which pydantic puts into the place of an error.
     """
-    found = (_sentence(*_place(root, problem["loc"], tags), problem) for problem in error.errors(include_url=False))
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(sentence for _, sentence in faults(error, root, tags)))
+
+
+def faults(error: ValidationError, root: type[Table], tags: Mapping[str, type[Table]]) -> Iterator[tuple[str, str]]:
+    """Yield the place of each thing that is wrong, such as ``passes[1].feed``, and its sentence. See `sentences`."""
+    for problem in error.errors(include_url=False):
+        path, owner = _place(root, problem["loc"], tags)
+        yield path, _sentence(path, owner, problem)
 
 
 _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {

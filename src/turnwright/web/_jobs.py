@@ -1,0 +1,204 @@
+"""What the warm processes make of a job that is typed: everything here is called there, never in the server."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from pydantic import ValidationError
+
+from turnwright import access as _access
+from turnwright._toml import read_toml
+from turnwright.errors import InputError, TurnwrightError
+from turnwright.job import Job, faults, preview
+from turnwright.web._limits import MOST_POINTS
+from turnwright.web._references import located
+
+__all__ = ["check", "machines", "parse", "plain", "read", "require", "warm", "write"]
+
+MEMORY_BYTES = 6 * 2**30
+"""What a warm process may take beyond what it starts with."""
+
+
+def warm() -> None:
+    """Load what the first question needs, and limit the memory of this process."""
+    limit_memory(MEMORY_BYTES)
+    job = Job.read(SMALL)
+    preview(job)
+
+
+SMALL = {
+    "part": {"surface": {"family": "sphere", "radius": "50 mm"}, "radius": "1 mm"},
+    "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
+    "machine": {"name": "generic"},
+    "strategy": {"kind": "slow tool servo", "feed": "50 um/rev", "points_per_rev": 60},
+}
+
+
+def limit_memory(extra: int) -> None:
+    """Let this process take no more address space than it has and so many bytes; where the system can limit it."""
+    with suppress(ImportError, OSError, ValueError):
+        import resource  # noqa: PLC0415 - there is none on Windows
+
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        most = pages * resource.getpagesize() + extra
+        resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
+
+
+def read(data: dict[str, Any], folder: str) -> tuple[Job | None, list[dict[str, str]]]:
+    """Return the job that a page describes, or what is wrong with it.
+
+    Parameters
+    ----------
+    data
+        As JSON has it.
+    folder
+        Of the server, where references lead.
+    """
+    real, problems = located(data, Path(folder))
+    problems += _unknown_machine(real)
+    if problems:
+        return None, problems
+    try:
+        return Job.model_validate(real, context={"folder": folder}), []
+    except ValidationError as error:
+        return None, [{"field": field, "sentence": sentence} for field, sentence in faults(error)]
+    except (RecursionError, OverflowError) as error:
+        return None, [{"field": "", "sentence": f"the job cannot be read ({error}): make it flat, with usual numbers"}]
+
+
+def machines() -> list[str]:
+    """Return the names of the machines that come with Turnwright."""
+    folder = resources.files("turnwright") / "machines"
+    return sorted(Path(one.name).stem for one in folder.iterdir() if one.name.endswith(".toml"))
+
+
+def _unknown_machine(data: dict[str, Any]) -> list[dict[str, str]]:
+    """Refuse a machine by anything but its name: a name with an ending would be looked for as a file."""
+    table = data.get("machine")
+    name = table.get("name") if isinstance(table, dict) else None
+    known = machines()
+    if name is None or not isinstance(name, str) or name in known:
+        return []
+    return [
+        {
+            "field": "machine.name",
+            "sentence": f"{name[:60]!r} is not one of {', '.join(known)}: choose one of them",
+        }
+    ]
+
+
+def require(data: dict[str, Any], folder: str) -> Job:
+    """Return the job that a page describes.
+
+    Raises
+    ------
+    InputError
+        With all that is wrong with it, in one text.
+    """
+    job, problems = read(data, folder)
+    if job is None:
+        raise InputError("; ".join(one["sentence"] for one in problems[:5]))
+    return job
+
+
+def parse(toml: str, folder: str) -> dict[str, Any]:
+    """Return a job file as data, and what is wrong with it."""
+    try:
+        data = plain(_as_tables(read_toml(toml.encode("utf-8", "surrogatepass"), "the job")))
+    except InputError as error:
+        return {"data": {}, "errors": [{"field": "", "sentence": str(error)}]}
+    return {"data": data, "errors": read(data, folder)[1]}
+
+
+SURFACES = ("surface", "lenslet", "surround", "base")
+
+
+def _as_tables(value: Any, depth: int = 0) -> Any:
+    """Write the short forms of a surface, a list for a sum and a height for a plane, as the tables they mean."""
+    if depth > 60:
+        return value
+    if isinstance(value, list):
+        return [_as_tables(one, depth + 1) for one in value]
+    if not isinstance(value, dict):
+        return value
+    found = {key: _as_tables(one, depth + 1) for key, one in value.items()}
+    for key in SURFACES:
+        if isinstance(found.get(key), list):
+            found[key] = {"family": "sum", "terms": found[key]}
+    if "family" in found and isinstance(found.get("surround"), str):
+        found["surround"] = {"family": "plane", "placed": {"shift": ["0 mm", "0 mm", found["surround"]]}}
+    return found
+
+
+def write(data: dict[str, Any], folder: str) -> dict[str, Any]:
+    """Return a job as a file, and what is wrong with it."""
+    _, problems = read(data, folder)
+    try:
+        toml = tomli_w.dumps(_without_none(data))
+    except (TypeError, ValueError, RecursionError, AttributeError) as error:
+        problems = problems or [{"field": "", "sentence": f"the job cannot be written as TOML ({error}): correct it"}]
+        return {"toml": "", "errors": problems}
+    return {"toml": toml, "errors": problems}
+
+
+def _without_none(value: Any) -> Any:
+    """Leave out what is not stated: TOML has no word for nothing."""
+    if isinstance(value, dict):
+        return {key: _without_none(one) for key, one in value.items() if one is not None}
+    if isinstance(value, list):
+        return [_without_none(one) for one in value if one is not None]
+    return value
+
+
+def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
+    """Say whether the tool reaches the part, how long the program will be, and what becomes of the material."""
+    found: dict[str, Any] = {"errors": [], "access": None, "preview": None, "chips": {}, "warnings": []}
+    job, found["errors"] = read(data, folder)
+    if job is None:
+        return found
+    try:
+        plan = preview(job)
+    except TurnwrightError as error:
+        found["errors"] = [{"field": "strategy", "sentence": str(error)}]
+        with suppress(TurnwrightError):
+            found["access"] = plain(_access.check_access(job.part.aimed, job.tool.tool, sense=job.strategy.sense))
+        return found
+    found["access"] = plain(plan.access)
+    found["preview"] = plain({"points": plan.points, "shortest_s": plan.shortest_s, "refused": plan.refused})
+    found["chips"] = dict(plan.chips)
+    found["warnings"] = [one.sentence for one in plan.access.findings if not one.ok and one.name in job.accept]
+    points = sum(plan.points.values())
+    if points > MOST_POINTS:
+        found["errors"] = [{"field": "strategy", "sentence": too_many(points)}]
+    return found
+
+
+def too_many(points: int) -> str:
+    """Say that a job is too long for a page."""
+    return (
+        f"the program has {points} points, a page takes {MOST_POINTS}: take a larger feed or fewer points, or run the "
+        "job by the command line"
+    )
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it: infinite and missing numbers become ``None``."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = {one.name: getattr(value, one.name) for one in fields(value)}
+    elif isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if isinstance(value, bool | str | int) or value is None else str(value)
