@@ -222,6 +222,28 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1) -> Access:
     )
 
 
+class Reach(NamedTuple):
+    """What single places of a part ask of a tool, see `check_access`. Each (n,)."""
+
+    curvature: Floats  # in the rake plane, positive concave; the nose must be rounder [1/mm]
+    sweep: Floats  # where on the nose the edge touches [rad]
+    clearance: Floats  # that the heel needs, negative where the surface rises along the cutting direction [rad]
+
+
+def reach_at(part: Part, tool: Tool, *, x: Floats, y: Floats, sense: int = 1) -> Reach:
+    """Return what `check_access` looks at, place by place.
+
+    Parameters
+    ----------
+    part, tool, sense
+        See `check_access`.
+    x, y
+        Places on the part, not on its axis where the surface has no slope there. Each (n,) [mm]
+    """
+    curvature, sweep, climb = _shape(part, tool, sense, np.hypot(x, y), np.arctan2(y, x))
+    return Reach(curvature, sweep, -climb)
+
+
 def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) -> _Shape:
     """Return the surface as the edge meets it. Each (n,)."""
     c, s = np.cos(angle), np.sin(angle)

@@ -196,6 +196,10 @@ class Prepared:
         """Prepare for the points between two ``distances`` from the axis [mm], with so many rings at most."""
         return _prepared(_cut(motion, tool, machine), *distances, most_rings)
 
+    def narrowed(self, distances: tuple[float, float], most_rings: int) -> Prepared:
+        """Prepare what is prepared already for a smaller range of distances [mm], at a small part of the cost."""
+        return _prepared(self.cut, *distances, most_rings)
+
     def sides(self, steps: tuple[float, float]) -> tuple[int, int]:
         """Return how many points of a grid with such steps [mm] go in one tile, along rows and columns."""
         return _tile_side(self.cut, steps[0]), _tile_side(self.cut, steps[1])

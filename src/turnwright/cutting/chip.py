@@ -199,6 +199,27 @@ class RoundChip:
         return np.where((s >= 0) & (s <= self.sweep[1]), self.feed * np.sin(s), 0.0)
 
 
+def expected_thickest(tool: Tool, *, feed: float, depth: float, bend: ArrayLike) -> Floats:
+    """Return the thickest chip to expect on a surface of some curvature, before any path is known.
+
+    To the nose a curved surface is a flat, and the nose a circle as much rounder as the surface is: `RoundChip` of it.
+
+    Parameters
+    ----------
+    tool
+        What cuts.
+    feed, depth
+        Of the pass. [mm/rev], [mm]
+    bend
+        Curvature along the radius, positive concave. Any shape [1/mm]
+    """
+    flat = tool.actual_radius / np.cos(tool.rake)
+    # Where the surface is as hollow as the nose, the chip is as thick as the cut is deep and no wider curve matters.
+    radius = 1 / np.maximum(1 / flat - np.asarray(bend, dtype=np.float64), 1 / (1e3 * flat))
+    reach = np.sqrt(np.maximum(depth * (2 * radius - depth), 0.0))
+    return np.asarray(radius - np.hypot(np.maximum(reach - feed, 0.0), radius - depth))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChipMap:
     """The uncut chip at the points of a motion.

@@ -44,6 +44,7 @@ __all__ = [
     "WHOLE",
     "StageProgress",
     "Watch",
+    "finished",
     "planned",
     "predict",
     "preview",
@@ -397,10 +398,28 @@ def finishing_motion(job: Job, *, progress: StageProgress | None = None) -> tupl
     with TemporaryDirectory(prefix="turnwright-") as folder:
         result = run(job, progress=progress, out=folder)
         watch = Watch(progress)
-        with watch.stage("read program") as tell:
-            motion = read_back(job, result.program.files[0], result.passes[-1].name, tell)
-        ideal, real = _followed(job, motion, job.simulation.tracking, None, watch)
-    return real or ideal, result
+        motion = finished(job, result.program.files[0], result.passes[-1].name, watch)
+    return motion, result
+
+
+def finished(job: Job, file: File, name: str, watch: Watch) -> Motion:
+    """Return how the axes move in the finishing pass of a program on disk: what its predictions are made from.
+
+    Parameters
+    ----------
+    job
+        What the program was written for.
+    file
+        The main program.
+    name
+        Of the finishing pass.
+    watch
+        Who keeps the time.
+    """
+    with watch.stage("read program") as tell:
+        motion = read_back(job, file, name, tell)
+    ideal, real = _followed(job, motion, job.simulation.tracking, None, watch)
+    return real or ideal
 
 
 def _accepted(job: Job, what: str, error: GougeError | LimitError) -> list[str]:

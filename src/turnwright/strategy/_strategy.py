@@ -7,14 +7,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright.path import Spiral
+
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.part import Part
-    from turnwright.path import Path, Spiral
+    from turnwright.path import Path
     from turnwright.progress import Progress
     from turnwright.tool import Tool
 
-__all__ = ["Strategy"]
+__all__ = ["Strategy", "glimpsed"]
+
+
+def glimpsed(turned: float, turns: int, per_turn: int) -> Floats:
+    """Return where points of single turns stand that show a cut, counted in turns from its first point. (n,)."""
+    whole = max(turned - 1, 0.0)
+    first = np.round(np.linspace(0, whole, max(min(turns, int(whole) + 1), 1)))
+    at = first[:, None] + np.arange(per_turn + 1) / per_turn
+    return np.unique(np.append(at[at < turned], turned))
 
 
 class Strategy(ABC):
@@ -37,6 +47,26 @@ class Strategy(ABC):
     @abstractmethod
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
         """Return where the tool is sent over the part, in plan view."""
+
+    def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
+        """Return some of the points of `spiral`, enough for a picture: single turns, evenly apart from first to last.
+
+        Parameters
+        ----------
+        part, tool
+            See `spiral`.
+        turns
+            How many, at most.
+        per_turn
+            Points of each, at most.
+        """
+        whole = self.spiral(part, tool)
+        turned = np.abs(whole.angle - whole.angle[0]) / (2 * np.pi)
+        wanted = glimpsed(float(turned[-1]), turns, per_turn)
+        near = np.clip(np.searchsorted(turned, wanted), 1, turned.size - 1)
+        near = np.unique(near - (wanted - turned[near - 1] < turned[near] - wanted))
+        y = None if whole.y is None else whole.y[near]
+        return Spiral(angle=whole.angle[near], radius=whole.radius[near], y=y)
 
     @abstractmethod
     def axes(self, path: Path) -> dict[str, Floats]:

@@ -62,6 +62,10 @@ class FastToolServo(Strategy):
         """Return the spiral of the plan."""
         return self.plan.spiral(part, tool, progress=progress)
 
+    def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
+        """Return some of the points of the spiral of the plan."""
+        return self.plan.glimpse(part, tool, turns=turns, per_turn=per_turn)
+
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: those of the plan with Z at rest [mm], and W all the rest [mm]."""
         axes = planned(self.plan, path)

@@ -12,7 +12,7 @@ import numpy as np
 from turnwright._arrays import positive
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
-from turnwright.strategy._strategy import Strategy
+from turnwright.strategy._strategy import Strategy, glimpsed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -211,6 +211,19 @@ class SlowToolServo(Strategy):
             radius=radius if self.inside_out else radius[::-1],
             radius_rate=np.full(radius.size, outward * self.feed / TURN),
         )
+
+    def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
+        """Return some of the points of `spiral`; where the same azimuths return in every turn, without making all."""
+        if self.points_per_rev is None:
+            return super(SlowToolServo, self).glimpse(part, tool, turns=turns, per_turn=per_turn)
+        end, step = -tool.offset[0] - self.overrun, TURN / self.points_per_rev
+        size = (part.radius + self._lead(part, tool) - end) / self.feed * self.points_per_rev
+        last = max(math.ceil(size - 1e-6), 0)
+        _check_count(last)
+        wanted = glimpsed(last / self.points_per_rev, turns, per_turn)
+        at = np.unique(np.round(wanted * self.points_per_rev))
+        turned = (at if self.inside_out else last - at) * step
+        return Spiral(angle=self.sense * (at * step), radius=end + self.feed / TURN * turned)
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm]."""
