@@ -258,8 +258,7 @@ class InterruptedRows(Rows):
         tables = []
         for (strips, _), (basis, passed) in zip(self.teeth, self.basis, strict=True):
             each = strips.columns(limit, self.edge, self.power, self.reference)
-            spectrum = np.tensordot(basis, each, axes=(1, 0))
-            spectrum = np.einsum("kij,kjp->kip", passed, spectrum)
+            spectrum = np.einsum("kij,kjp->kip", passed, basis(each))
             full = np.zeros((GRID // 2 + 1, *spectrum.shape[1:]), dtype=np.complex128)
             full[: spectrum.shape[0]] = spectrum
             tables.append(np.fft.irfft(full, GRID, axis=0) * GRID)
@@ -373,40 +372,57 @@ def _typical(strips: Sequence[_Strips]) -> float:
     return float(np.exp((area[chip > 0] @ np.log(chip[chip > 0])) / area[chip > 0].sum()))
 
 
-def _harmonics(borders: Floats, number: int, cuts: InterruptedCuts) -> tuple[Complexes, Complexes]:
+class _Harmonics:
+    """What takes the forces of a tooth at its angles to the first harmonics of a turn."""
+
+    def __init__(self, borders: Floats, factor: Complexes) -> None:
+        """Take the borders of the angles, and what each harmonic is multiplied by."""
+        from scipy.signal import ZoomFFT  # noqa: PLC0415 - costly to import
+
+        wide, count = float(borders[1] - borders[0]), factor.size
+        # The angles are no share of a turn, so that a plain transform has none of the harmonics.
+        self.transform = ZoomFFT(borders.size - 1, [0, count], count, fs=2 * np.pi / wide)
+        order, first = np.arange(count), float(borders[0] + borders[1]) / 2
+        self.factor = factor * np.exp(-1j * order * first) * np.sinc(order * wide / (2 * np.pi)) * wide / (2 * np.pi)
+
+    def __call__(self, each: Floats) -> Complexes:
+        """Return the harmonics of columns. (angles, components, k) to (harmonics, components, k)."""
+        return np.asarray(self.factor[:, None, None] * self.transform(each, axis=0))
+
+
+def _harmonics(borders: Floats, number: int, cuts: InterruptedCuts) -> tuple[_Harmonics, Complexes]:
     """Return what takes the forces of a tooth at its angles to the harmonics of a turn, and what filters leave."""
     geometry, speed = cuts.geometry[number], cuts.spindle_rpm[number] * 2 * np.pi / 60
     teeth = geometry.teeth if isinstance(geometry, SlotMill) else 1
     turn = 2 * np.pi / speed
     block = float((cuts.end - cuts.begin).min())
     order = np.arange(1 if cuts.whole_turns else min(HARMONICS, int(np.ceil(8 * turn / block))))
-    middle, wide = (borders[1:] + borders[:-1]) / 2, float(borders[1] - borders[0])
-    basis = np.exp(-1j * np.outer(order, middle)) * np.sinc(order * wide / (2 * np.pi))[:, None] * wide / (2 * np.pi)
-    basis *= np.where(order % teeth == 0, teeth, 0)[:, None]
-    # A mean of samples is a little more than the mean over the time between the first and the last.
     half = np.pi * order * speed / (2 * np.pi) / cuts.rate_hz
-    order, basis, half = order[half < np.pi / 2], basis[half < np.pi / 2], half[half < np.pi / 2]
-    basis *= (1 / np.sinc(half / np.pi))[:, None]
+    order, half = order[half < np.pi / 2], half[half < np.pi / 2]
     passed = np.tile(np.eye(len(cuts.components), dtype=np.complex128), (order.size, 1, 1))
     if cuts.passband is not None:
         passed = np.asarray(cuts.passband(np.asarray(order * speed / (2 * np.pi), dtype=np.float64)))
         heard = np.flatnonzero(np.abs(passed).max(axis=(1, 2)) > 0)
         last = int(heard[-1]) + 1 if heard.size else 1
-        basis, passed = basis[:last], passed[:last]
-    return basis, passed
+        order, half, passed = order[:last], half[:last], passed[:last]
+    # A mean of samples is a little more than the mean over the time between the first and the last.
+    factor = np.where(order % teeth == 0, teeth, 0) / np.sinc(half / np.pi)
+    return _Harmonics(borders, factor.astype(np.complex128)), passed
 
 
 def _looked_up(table: Floats, turns: Floats, whole: Floats | None = None) -> Floats:
     """Return a periodic table at some turns, between its entries by lines; ``whole`` is what a turn adds to it."""
     place = turns * GRID
     low = np.floor(place).astype(np.int64)
-    share = (place - low).reshape(-1, *[1] * (table.ndim - 1))
-    values = []
-    for at in (low, low + 1):
-        laps, rest = np.divmod(at, GRID)
-        value = table[rest]
-        values.append(value if whole is None else value + laps.reshape(-1, *[1] * (table.ndim - 1)) * whole)
-    return np.asarray(values[0] + share * (values[1] - values[0]))
+    column = (-1, *[1] * (table.ndim - 1))
+    found, after = (np.take(table, at, axis=0, mode="wrap") for at in (low, low + 1))
+    after -= found
+    if whole is not None:
+        after += ((low + 1) % GRID == 0).reshape(column) * whole
+        found += (low // GRID).reshape(column) * whole
+    after *= (place - low).reshape(column)
+    found += after
+    return found
 
 
 class Fit:
