@@ -151,7 +151,7 @@ const TABS = [
   { name: "motion", title: "Motion & spectrum", module: "./charts.js", mount: "mountMotion" },
   { name: "compare", title: "Compare", module: "./compare.js" },
   { name: "program", title: "Program", module: "./program.js" },
-  { name: "measure", title: "Measure & correct", module: "./measure.js" },
+  { name: "measure", title: "Measure", module: "./measure.js" },
 ];
 
 const mounted = new Set();

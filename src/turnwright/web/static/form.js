@@ -206,6 +206,9 @@ function plain(key) {
   return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
+/** What the file refers to: only what the server itself keeps. */
+const REFERENCE = "A file that this server keeps: examples/NAME, or runs/ID/NAME of one that a run has left.";
+
 const titleOf = (node, key) => plain(node.title && !/table$/i.test(node.title) ? node.title : key);
 const shownUnit = (node) => node.display ?? node.unit ?? "";
 
@@ -223,7 +226,12 @@ const normal = (field) => String(field ?? "").replace(/\[(\d+)\]/g, (_, place) =
 
 function errorsAt(path) {
   const here = path.join(".");
-  return state.errors.filter((error) => normal(error.field) === here).map((error) => error.sentence);
+  return state.errors.filter((error) => normal(error.field) === here).map(sentenceOf);
+}
+
+/** The sentence without the name of its field, beside which it stands. */
+function sentenceOf({ field, sentence }) {
+  return field && sentence.startsWith(`${field}: `) ? sentence.slice(field.length + 2) : sentence;
 }
 
 /** Errors at or below a place. */
@@ -260,7 +268,7 @@ function Explained() {
   const text = defaultText(node);
   return html`<aside class="explain" id="explained" aria-live="off">
     <h3>${titleOf(node, path.at(-1))} ${unit && html`<span class="unit">[${unit}]</span>`}</h3>
-    <p>${node.description || node.title || "No more is said of it."}</p>
+    ${node.format === "reference" && html`<p>${REFERENCE}</p>`}${node.description && html`<p>${node.description}</p>`}
     <p class="quiet"><code>${path.map((key) => (typeof key === "number" ? key + 1 : key)).join(".")}</code>${text && html` · if left out: ${text}`}</p>
   </aside>`;
 }
@@ -411,7 +419,7 @@ function Series({ node, path, value, required }) {
     own.current = parts.length ? parts.map((part) => (NUMBER.test(part) ? Number(part) : part)) : undefined;
     edit(path, own.current);
   };
-  const sentences = errorsWithin(path).map((error) => error.sentence);
+  const sentences = errorsWithin(path).map(sentenceOf);
   return html`<div class=${sentences.length ? "field wide bad" : "field wide"} ...${telling({ ...node, unit: shownUnit(item) }, path)}>
     <label for=${idOf(path)}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
     <div class="value"><textarea id=${idOf(path)} rows=${Math.min(4, 1 + Math.floor(text.length / 44))} spellcheck=${false} value=${text}
@@ -437,7 +445,7 @@ function Rows({ node, path, value, required }) {
     own.current = rows.length ? rows.map((line) => line.split(",").map((part) => (NUMBER.test(part.trim()) ? Number(part) : part.trim()))) : undefined;
     edit(path, own.current);
   };
-  const sentences = errorsWithin(path).map((error) => error.sentence);
+  const sentences = errorsWithin(path).map(sentenceOf);
   return html`<div class=${sentences.length ? "field wide bad" : "field wide"} ...${telling(node, path)}>
     <label for=${idOf(path)}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
     <div class="value"><textarea id=${idOf(path)} rows=${Math.min(6, Math.max(2, text.split("\n").length))} spellcheck=${false} value=${text}
@@ -457,7 +465,7 @@ function Choices({ node, path, value }) {
   return html`<div class="field wide" ...${telling(node, path)} role="group" aria-label=${titleOf(node, path.at(-1))}>
     <span class="label">${titleOf(node, path.at(-1))}</span>
     <div class="value flags">${options.map((option) => html`<label class="flag"><input type="checkbox" checked=${chosen.has(option)} onChange=${() => flip(option)} />${String(option)}</label>`)}</div>
-    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsWithin(path).map((error) => error.sentence)} />
+    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsWithin(path).map(sentenceOf)} />
   </div>`;
 }
 
@@ -478,7 +486,7 @@ function Named({ node, path, value, required }) {
       </div>`)}
       <button type="button" class="add" onClick=${() => write([...entries, [freeKey(value), ""]])}><${Icon} name="plus" />Add a term</button>
     </div>
-    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsWithin(path).map((error) => error.sentence)} />
+    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsWithin(path).map(sentenceOf)} />
   </div>`;
 }
 
@@ -515,8 +523,13 @@ function Fields({ node, path, value, skip }) {
   const [all, showAll] = useState(false);
   const needed = new Set(node.required ?? []);
   const names = Object.keys(node.properties).filter((name) => name !== skip && constOf(resolve(node.properties[name])) === undefined);
+  // What it is called comes first, what stands in frames of its own last.
+  const rank = (name) => (name === "name" ? 0 : BLOCKS.has(kindOf(resolve(node.properties[name]))) && name !== "surface" ? 2 : 1);
+  names.sort((a, b) => rank(a) - rank(b));
   const stated = (name) => needed.has(name) || value?.[name] !== undefined || errorsWithin([...path, name]).length > 0;
-  const few = names.filter((name) => !stated(name)).length <= 2;
+  // One plain field less is not worth a fold.
+  const rest = names.filter((name) => !stated(name));
+  const few = rest.length === 1 && !BLOCKS.has(kindOf(resolve(node.properties[rest[0]])));
   const shown = names.filter((name) => all || few || stated(name));
   const hidden = names.length - shown.length;
   return html`<${Fragment}>

@@ -37,12 +37,12 @@ function Plan() {
   if (!job) return html`<p class="quiet pad">Once there is a job, this is where it is judged: whether the tool reaches every place, how long the program is, what limits it.</p>`;
   if (!check) return html`<p class="quiet pad">${errors.length ? "The fields marked on the left come first." : "Looking at the job …"}</p>`;
   const { access, preview, chips = {}, warnings = [] } = check;
-  const stale = errors.length > 0 || checking;
+  const stale = errors.length > 0;
   const refused = preview?.refused ?? [];
   const ok = access.ok && refused.length === 0;
-  return html`<div class=${stale ? "cards stale" : "cards"} aria-busy=${checking ? "true" : "false"}>
-    ${errors.length > 0 && html`<section class="card bad"><header><h3>The job as typed is not whole</h3></header>
-      <ul class="sentences">${errors.slice(0, 4).map((error) => html`<li>${error.sentence}</li>`)}</ul></section>`}
+  return html`<${Fragment}>${errors.length > 0 && html`<section class="card bad"><header><h3>The job as typed is not whole</h3></header>
+      <ul class="sentences">${errors.slice(0, 4).map((error) => html`<li>${error.sentence}</li>`)}</ul><p class="quiet">Below stands what was last whole.</p></section>`}
+    <div class=${stale ? "cards stale" : "cards"} aria-busy=${checking ? "true" : "false"}>
     <section class=${ok ? "card verdict good" : "card verdict bad"} id="verdict" aria-live="polite">
       <${Mark} ok=${ok} /><div><h3>${ok ? "The tool reaches the part" : access.ok ? "A run would refuse the job" : "The tool does not reach the part"}</h3>
       ${refused.map((sentence) => html`<p>${sentence}</p>`)}</div>
@@ -51,7 +51,7 @@ function Plan() {
     ${preview && html`<${Length} preview=${preview} />`}
     ${Object.keys(chips).length > 0 && html`<${Card} title="Chips"><ul class="sentences">${Object.entries(chips).map(([name, sentence]) => html`<li><strong>${name}</strong> ${String(sentence)}</li>`)}</ul></${Card}>`}
     ${warnings.length > 0 && html`<${Warnings} warnings=${warnings} />`}
-  </div>`;
+    </div></${Fragment}>`;
 }
 
 function Length({ preview }) {
@@ -66,7 +66,7 @@ function Length({ preview }) {
     </dl>
     ${names.length > 1 && html`<table class="small"><thead><tr><th>pass</th><th class="number">points</th><th class="number">at least</th><th></th></tr></thead>
       <tbody>${names.map((name) => html`<tr><th scope="row">${name}</th><td class="number">${count(preview.points[name])}</td><td class="number">${duration(preview.shortest_s[name])}</td>
-        <td class="bar"><${Bar} share=${(preview.shortest_s[name] ?? 0) / longest} /></td></tr>`)}</tbody></table>`}
+        <td class="meter"><${Bar} share=${(preview.shortest_s[name] ?? 0) / longest} /></td></tr>`)}</tbody></table>`}
     <p class="quiet">By block rate and spindle alone; a run says what the slides need.</p>
   </${Card}>`;
 }

@@ -1,0 +1,273 @@
+/* A measurement brought back: where it lies on the part, how far off it is and why, and the job without that. */
+
+import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
+import Plot from "./vendor/uplot.js";
+import { get, getPacked, post, upload } from "./api.js";
+import { say, set, state } from "./state.js";
+import { look, refresh } from "./runs.js";
+import { Bar, Downloads, Icon, Mark, bytes, count, height, number, percent, quantity, useStore } from "./ui.js";
+
+const AGAIN = 700; // ms between looks at a measurement that is worked on
+const GOING = new Set(["queued", "running"]);
+
+let timer = 0;
+let sending = () => {};
+
+/** Take an instrument's file, for the part of the run looked at. */
+export async function take(file, run = measuredRun()) {
+  if (!run) return say("Run the job first: a measurement is judged against the part that a run has planned.", "bad");
+  const limit = state.about?.limits.upload_bytes;
+  if (limit && file.size > limit) return say(`${file.name} has ${bytes(file.size)}, the limit is ${bytes(limit)}: crop it.`, "bad");
+  set({ measurement: null });
+  sending({ name: file.name, share: 0 });
+  try {
+    const { id } = await upload("/measurements", { run, name: file.name }, file, (sent, total) => sending({ name: file.name, share: sent / total }));
+    await follow(id);
+  } catch (error) {
+    say(error.message, "bad");
+  } finally {
+    sending(null);
+  }
+}
+
+function measuredRun() {
+  const fit = (run) => run.state === "done" && run.kind !== "compare";
+  const looked = state.runs.find((run) => run.id === state.run && fit(run));
+  return (looked ?? state.runs.find(fit))?.id ?? null;
+}
+
+async function follow(id) {
+  clearTimeout(timer);
+  try {
+    const measurement = { id, ...(await get(`/measurements/${id}`)) };
+    set({ measurement });
+    if (GOING.has(measurement.state)) timer = setTimeout(() => follow(id), AGAIN);
+    if (measurement.state === "failed") say(measurement.sentence ?? "The file could not be read.", "bad");
+  } catch (error) {
+    say(error.message, "bad");
+  }
+}
+
+// ------------------------------------------------------------------------------------------------------ bringing it in
+
+function Drop({ sent, types }) {
+  const [over, setOver] = useState(false);
+  const { runs } = useStore(["runs", "run"]);
+  const input = useRef(null);
+  const fit = runs.filter((run) => run.state === "done" && run.kind !== "compare");
+  const [chosen, choose] = useState(null);
+  const run = chosen ?? measuredRun();
+  if (sent) return html`<div class="drop"><h3>${sent.name}</h3><${Bar} share=${sent.share} kind="going" /><p>${sent.share < 1 ? `on its way, ${percent(sent.share)}` : "being read"}</p></div>`;
+  return html`<div class=${over ? "drop over" : "drop"} onDragOver=${() => setOver(true)} onDragLeave=${() => setOver(false)} onDrop=${() => setOver(false)}>
+    <h3>What did the instrument see?</h3>
+    <p>Drop a measured map here. It is found on the part, cleaned of spikes, and compared with the design; what is wrong with tool, machine or mount is told with its uncertainty, and a job without it is one click away.</p>
+    ${fit.length > 0
+      ? html`<p><label>Part of <select aria-label="The run that cut the part" onChange=${(event) => choose(event.target.value)}>${fit.map((one) => html`<option value=${one.id} selected=${one.id === run}>${one.name}</option>`)}</select></label></p>
+        <p><button type="button" class="button accent" onClick=${() => input.current.click()}><${Icon} name="open" />Choose a file</button>
+        <input type="file" hidden ref=${input} accept=${(types ?? []).join(",")} onChange=${(event) => event.target.files[0] && take(event.target.files[0], run)} /></p>`
+      : html`<p><strong>Run the job first:</strong> a measurement is judged against the part that a run has planned.</p>`}
+    ${types && html`<p><small>${types.join(" ")}</small></p>`}
+  </div>`;
+}
+
+// ------------------------------------------------------------------------------------------------------- what was seen
+
+function Numbers({ title, rows }) {
+  const given = rows.filter(([, value]) => value !== undefined && value !== null && value !== "");
+  if (!given.length) return null;
+  return html`<section class="card"><header><h3>${title}</h3></header><dl class="pairs">${given.map(([name, value]) => html`<dt>${name}</dt><dd class="number">${value}</dd>`)}</dl></section>`;
+}
+
+function Seen({ measurement }) {
+  const { alignment = {}, roughness, form_pv_nm, form_rms_nm, spikes } = measurement;
+  const axes = ["x", "y", "z"];
+  return html`<div class="scroll">
+    <div class="cards">
+      <section class="card"><header><h3>${measurement.name ?? "Measurement"}</h3></header>
+        <p class="quiet">${(alignment.sentences ?? []).join(" ")}</p></section>
+      <${Numbers} title="Off the design" rows=${[
+        ["form, PV", height(form_pv_nm)], ["form, RMS", height(form_rms_nm)],
+        ["roughness Sq", roughness && height(roughness.sq_nm)], ["roughness Sa", roughness && height(roughness.sa_nm)],
+        ["spikes taken out", Number.isInteger(spikes) ? count(spikes) : null],
+      ]} />
+      <${Numbers} title="Where it lay" rows=${[
+        ...(alignment.shift ?? []).map((value, at) => [`shift ${axes[at]}`, quantity(value, "mm")]),
+        ["rotation", Number.isFinite(alignment.rotation) ? quantity(alignment.rotation, "rad") : null],
+        ...(alignment.tilt ?? []).map((value, at) => [`tilt ${axes[at]}`, quantity(value, "rad")]),
+        ["left after the fit, RMS", Number.isFinite(alignment.rms_nm) ? height(alignment.rms_nm) : null],
+      ]} />
+      ${measurement.zernike?.length > 0 && html`<section class="card"><header><h3>Zernike terms</h3><span class="gap"></span><span class="quiet">fringe, nm</span></header><${Zernike} terms=${measurement.zernike} /></section>`}
+      ${measurement.psd && html`<section class="card"><header><h3>Power spectral density</h3></header><${Spectrum} psd=${measurement.psd} /></section>`}
+    </div>
+  </div>`;
+}
+
+/** Terms as bars about zero; piston and tilt are of the mount and not drawn. */
+function Zernike({ terms }) {
+  const drawn = terms.filter(({ index }) => index > 3);
+  const most = Math.max(...drawn.map(({ nm }) => Math.abs(nm)), 1e-9);
+  const [wide, tall, foot] = [264, 110, 16];
+  const each = wide / drawn.length;
+  const zero = (tall - foot) / 2;
+  return html`<svg class="bars" viewBox=${`0 0 ${wide} ${tall}`} role="img" aria-label=${`Fringe Zernike terms; the largest is ${drawn.length ? drawn.reduce((a, b) => (Math.abs(b.nm) > Math.abs(a.nm) ? b : a)).index : "none"}`}>
+    ${drawn.map(({ index, nm, name }, at) => {
+      const size = (Math.abs(nm) / most) * (zero - 10);
+      return html`<g><title>${`${index}${name ? `, ${name}` : ""}: ${height(nm)}`}</title><rect class=${nm < 0 ? "down" : "up"} x=${at * each + 0.8} width=${each - 1.6} y=${nm < 0 ? zero : zero - size} height=${size} />
+        ${(index % 5 === 0 || index === 4) && html`<text x=${(at + 0.5) * each} y=${tall - 4} text-anchor="middle">${index}</text>`}</g>`;
+    })}
+    <line class="zero" x1="0" x2=${wide} y1=${zero} y2=${zero} />
+    <text x="0" y="9">±${height(most)}</text>
+  </svg>`;
+}
+
+function inkOf(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+}
+
+function Spectrum({ psd }) {
+  const box = useRef(null);
+  const { theme } = useStore(["theme"]);
+  useEffect(() => {
+    const [x, y] = [psd.frequency, psd.density];
+    const keep = x.map((value, index) => [value, y[index]]).filter(([a, b]) => a > 0 && b > 0);
+    const axis = (label) => ({ label, stroke: inkOf("--quiet"), grid: { stroke: inkOf("--line"), width: 1 }, ticks: { stroke: inkOf("--line") }, font: "11px system-ui", labelFont: "11px system-ui", labelSize: 16, size: 34 });
+    const plot = new Plot({
+      width: box.current.clientWidth, height: 170, legend: { show: false }, cursor: { y: false },
+      scales: { x: { time: false, distr: 3 }, y: { distr: 3 } },
+      axes: [axis(`frequency [${psd.frequency_unit ?? "1/mm"}]`), { ...axis(`PSD [${psd.density_unit ?? "nm² mm"}]`), size: 46 }],
+      series: [{}, { stroke: inkOf("--accent"), width: 1.5 }],
+    }, [keep.map(([a]) => a), keep.map(([, b]) => b)], box.current);
+    const size = new ResizeObserver(() => box.current && plot.setSize({ width: box.current.clientWidth, height: 170 }));
+    size.observe(box.current);
+    return () => {
+      size.disconnect();
+      plot.destroy();
+    };
+  }, [psd, theme]);
+  return html`<div class="chart" ref=${box} role="img" aria-label="Power spectral density over spatial frequency"></div>`;
+}
+
+// ----------------------------------------------------------------------------------------------------------- the maps
+
+const MAPS = [["measured", "Measured"], ["residual", "Unexplained"], ["predicted", "After correction"]];
+
+function Map_({ measurement }) {
+  const [name, show] = useState("measured");
+  const box = useRef(null);
+  const has = measurement.maps ?? MAPS.map(([key]) => key);
+  useEffect(() => {
+    let view = null;
+    let gone = false;
+    import("./mapview.js").then((module) => {
+      if (gone) return;
+      view = module.mount(box.current, {
+        title: MAPS.find(([key]) => key === name)[1],
+        load: (window, options) => getPacked(`/measurements/${measurement.id}/map`, { name, ...window }, options),
+      });
+    });
+    return () => {
+      gone = true;
+      view?.destroy();
+    };
+  }, [measurement.id, name]);
+  return html`<div>
+    <div class="panehead"><div class="tabs" role="tablist" aria-label="Map">${MAPS.map(([key, title]) => html`<button type="button" role="tab" aria-selected=${key === name ? "true" : "false"} disabled=${!has.includes(key)} onClick=${() => show(key)}>${title}</button>`)}</div></div>
+    <div class="map" ref=${box}></div>
+  </div>`;
+}
+
+// ------------------------------------------------------------------------------------------------------- the findings
+
+function Findings({ measurement }) {
+  const findings = measurement.findings ?? [];
+  const [chosen, choose] = useState(() => new Set(findings.filter((one) => one.chosen).map((one) => one.cause)));
+  const [made, setMade] = useState(null);
+  const { runs } = useStore(["runs"]);
+  const run = runs.find((one) => one.id === made);
+  const flip = (cause) => {
+    const next = new Set(chosen);
+    if (!next.delete(cause)) next.add(cause);
+    choose(next);
+  };
+  const correct = async () => {
+    try {
+      const { id } = await post(`/measurements/${measurement.id}/correct`, { causes: [...chosen] });
+      setMade(id);
+      await refresh();
+    } catch (error) {
+      say(error.message, "bad");
+    }
+  };
+  useEffect(() => {
+    if (run?.state === "done") follow(measurement.id);
+  }, [run?.state]);
+  return html`<div>
+    <div class="panehead"><strong>Why it is off</strong></div>
+    <div class="scroll pad">
+      ${!findings.length && html`<p class="quiet">Nothing was found that tool, machine or mount would leave.</p>`}
+      ${findings.map((one) => html`<div class="cause" key=${one.name ?? one.cause}>
+        <input type="checkbox" id=${`cause-${one.name ?? one.cause}`} checked=${chosen.has(one.cause)} disabled=${!one.correctable} onChange=${() => flip(one.cause)} title="correct this" />
+        <label for=${`cause-${one.name ?? one.cause}`}>${one.name ?? one.cause}</label>
+        <span class="number">${quantity(one.value, one.unit)} <span class="quiet">± ${quantity(one.uncertainty, one.unit, 2)}</span></span>
+        <p>${one.sentence}</p></div>`)}
+      ${measurement.lenslets?.length > 0 && html`<${Lenslets} lenslets=${measurement.lenslets} />`}
+    </div>
+    <div class="bar pad">
+      <button type="button" class="button accent" disabled=${!chosen.size || (run && GOING.has(run.state))} onClick=${correct}>Correct ${chosen.size === 1 ? "this" : `these ${chosen.size || ""}`}</button>
+      ${run && GOING.has(run.state) && html`<span class="quiet">${run.progress ? `${run.progress.stage}, ${percent(run.progress.done / (run.progress.total || 1))}` : "waits"}</span>`}
+      ${run?.state === "done" && html`<${Fragment}><${Mark} ok /><button type="button" class="link" onClick=${() => look(run.id)}>corrected job</button></${Fragment}>`}
+    </div>
+    ${run?.state === "done" && html`<div class="pad"><${Downloads} path=${`/measurements/${measurement.id}`} names=${[["job", "Corrected job"], ["program", "Corrected program"], ["report", "Report"]]} /></div>`}
+    ${run?.state === "failed" && html`<p class="wrong pad">${run.sentence}</p>`}
+  </div>`;
+}
+
+/** Where each lens sits against where it should: a table, and arrows drawn large. */
+function Lenslets({ lenslets }) {
+  const seen = lenslets.filter((one) => one.centre && one.dislocation);
+  const reach = Math.max(...seen.map(({ centre }) => Math.max(...centre.map(Math.abs))), 1e-9) * 1.15;
+  const most = Math.max(...seen.map(({ dislocation }) => Math.hypot(...dislocation)), 1e-12);
+  const scale = (0.16 * reach) / most;
+  const arrow = ({ centre: [x, y], dislocation: [dx, dy] }) => {
+    const [ex, ey] = [x + dx * scale, y + dy * scale];
+    const angle = Math.atan2(dy, dx);
+    const head = 0.035 * reach;
+    const wing = (turn) => `${ex - head * Math.cos(angle + turn)},${-(ey - head * Math.sin(angle + turn))}`;
+    return `M${x},${-y}L${ex},${-ey}M${wing(0.5)}L${ex},${-ey}L${wing(-0.5)}`;
+  };
+  return html`<section><h3>Lenses</h3>
+    ${seen.length > 0 && html`<svg class="quiver" viewBox=${`${-reach} ${-reach} ${2 * reach} ${2 * reach}`} role="img" aria-label=${`Dislocation of ${seen.length} lenses, at most ${quantity(most, "mm")}`}>
+      ${seen.map((one) => html`<g><circle class="cell" cx=${one.centre[0]} cy=${-one.centre[1]} r=${0.012 * reach} vector-effect="non-scaling-stroke" /><path class="arrow" vector-effect="non-scaling-stroke" d=${arrow(one)} /></g>`)}
+    </svg><p class="quiet">Longest arrow ${quantity(most, "mm")}.</p>`}
+    <table class="small"><thead><tr><th>lens</th><th class="number">dx</th><th class="number">dy</th><th class="number">dz</th><th class="number">radius</th><th class="number">Sq</th></tr></thead>
+      <tbody>${lenslets.map((one, index) => html`<tr><th scope="row">${one.name ?? index + 1}</th>${[0, 1, 2].map((axis) => html`<td class="number">${one.dislocation?.[axis] === undefined ? "–" : quantity(one.dislocation[axis], "mm")}</td>`)}
+        <td class="number">${Number.isFinite(one.radius) ? quantity(one.radius, "mm", 4) : "–"}</td><td class="number">${height(one.sq_nm)}</td></tr>`)}</tbody></table></section>`;
+}
+
+// ---------------------------------------------------------------------------------------------------------- the panel
+
+function Panel() {
+  const { measurement, about } = useStore(["measurement", "about"]);
+  const [sent, setSent] = useState(null);
+  useEffect(() => {
+    sending = setSent;
+    return () => (sending = () => {});
+  }, []);
+  const types = about?.limits.map_types;
+  if (!measurement || sent || measurement.state === "failed") return html`<${Drop} sent=${sent} types=${types} />`;
+  if (GOING.has(measurement.state)) {
+    const { progress } = measurement;
+    return html`<div class="drop"><h3>${measurement.name ?? "Measurement"}</h3><${Bar} share=${progress?.total ? progress.done / progress.total : 0} kind="going" /><p role="status">${progress?.stage ?? "waits"}</p></div>`;
+  }
+  return html`<div class="measure" id="measured"><${Seen} measurement=${measurement} /><${Map_} measurement=${measurement} /><${Findings} key=${measurement.id} measurement=${measurement} /></div>`;
+}
+
+export function mount(element) {
+  render(html`<${Panel} />`, element);
+  return {
+    destroy: () => {
+      clearTimeout(timer);
+      render(null, element);
+    },
+  };
+}
