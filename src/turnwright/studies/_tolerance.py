@@ -57,6 +57,9 @@ HEIGHTS, BOOTSTRAP_HEIGHTS = 1500, 300
 BOOTSTRAPS = 40
 """Times that the cases are drawn again for the intervals of the indices."""
 
+POOR = 0.5
+"""Share of the variance below which sums of marks are a poor model."""
+
 EFFECTIVE = 20
 """Cases that must count after they are weighted, else their finish is taken as it is."""
 
@@ -411,12 +414,15 @@ def _outcome(
         each=MappingProxyType({name: chance(int(one.sum()), one.size) for name, one in keeps.items()}),
         sensitivities=tuple(sensitivities),
         foretold=None if model is None else model.foretold(),
-        advice=_advice(
-            sensitivities,
-            probability.value,
-            float(np.quantile(pv, 0.95)),
-            cases=every.size,
-            fewest=MapModel.fewest(len(inputs)),
+        advice=_with_doubt(
+            _advice(
+                sensitivities,
+                probability.value,
+                float(np.quantile(pv, 0.95)),
+                cases=every.size,
+                fewest=MapModel.fewest(len(inputs)),
+            ),
+            model,
         ),
     )
 
@@ -447,6 +453,13 @@ def _advice(
         f"{best.probability:.1%}, and 95 of 100 parts keep {best.percentile_nm:.3g} nm PV in place of "
         f"{percentile_nm:.3g} nm"
     )
+
+
+def _with_doubt(advice: str, model: MapModel | None) -> str:
+    """Return what is advised, and that it is a rough guess where it rests on a poor model."""
+    if model is None or (share := model.foretold()[0]) >= POOR:
+        return advice
+    return f"{advice}; a rough guess, for sums of marks foretell only {max(share, 0.0):.0%} of the spread of a case"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
