@@ -9,6 +9,7 @@ const PAUSE = 150; // ms without a key before a job is checked
 const PAUSE_TOML = 400; // ms without a key before text is read
 const STEPS_BACK = 200;
 const CLIENT = crypto.getRandomValues(new Uint32Array(2)).join("-");
+const NONE_YET = { passes: "One finishing pass, as the strategy says." };
 const OPEN_AT_FIRST = new Set(["part", "tool", "machine", "strategy"]);
 
 // ---------------------------------------------------------------------------------------------- the job and its past
@@ -373,7 +374,7 @@ function Tuple({ node, path, value, required }) {
     list[index] = one ?? "";
     edit(path, list.every((entry) => entry === "") ? undefined : list);
   };
-  return html`<div class=${errorsWithin(path).length ? "field bad" : "field"} ...${telling(node, path)} role="group" aria-label=${titleOf(node, path.at(-1))}>
+  return html`<div class=${`field${items.length > 2 ? " wide" : ""}${errorsWithin(path).length ? " bad" : ""}`} ...${telling(node, path)} role="group" aria-label=${titleOf(node, path.at(-1))}>
     <label for=${idOf([...path, 0])}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
     <div class="value many">${items.map((item, index) => html`<${Part} key=${index} node=${item} path=${[...path, index]} value=${value?.[index]}
       label=${`${titleOf(node, path.at(-1))} ${letters[index]}`} change=${(one) => change(index, one)} hint=${`${letters[index]} ${shownUnit(item)}`} />`)}</div>
@@ -518,6 +519,8 @@ function Field({ node: raw, path, value, required }) {
   </${Row}>`;
 }
 
+const isApart = (node) => BLOCKS.has(kindOf(node)) || node.format === "reference";
+
 /** The fields of a table: what is needed or stated at once, the rest on demand. */
 function Fields({ node, path, value, skip }) {
   const [all, showAll] = useState(false);
@@ -529,13 +532,13 @@ function Fields({ node, path, value, skip }) {
   const stated = (name) => needed.has(name) || value?.[name] !== undefined || errorsWithin([...path, name]).length > 0;
   // One plain field less is not worth a fold.
   const rest = names.filter((name) => !stated(name));
-  const few = rest.length === 1 && !BLOCKS.has(kindOf(resolve(node.properties[rest[0]])));
+  const few = rest.length === 1 && !isApart(resolve(node.properties[rest[0]]));
   const shown = names.filter((name) => all || few || stated(name));
   const hidden = names.length - shown.length;
   return html`<${Fragment}>
     ${shown.map((name) => html`<${Field} key=${name} node=${node.properties[name]} path=${[...path, name]} value=${value?.[name]} required=${needed.has(name)} />`)}
     ${(hidden > 0 || all) && html`<button type="button" class="more" aria-expanded=${all ? "true" : "false"} onClick=${() => showAll(!all)}>
-      <${Icon} name=${all ? "up" : "down"} />${all ? "Only what is stated" : `${hidden} more: ${names.filter((name) => !shown.includes(name)).map((name) => plain(name).toLowerCase()).join(", ")}`}
+      <${Icon} name=${all ? "up" : "down"} /><span>${all ? "Only what is stated" : `${hidden} more: ${names.filter((name) => !shown.includes(name)).map((name) => plain(name).toLowerCase()).join(", ")}`}</span>
     </button>`}
   </${Fragment}>`;
 }
@@ -583,7 +586,7 @@ function Union({ node, path, value, required, bare = false }) {
 function List({ node, path, value }) {
   const item = resolve(node.items);
   const rows = value ?? [];
-  const one = plain(path.at(-1)).toLowerCase().replace(/(ss|ch)es$/, "$1").replace(/s$/, "");
+  const one = plain(path.at(-1)).toLowerCase().replace(/(ss|ch)es$|s$/, "$1");
   const move = (from, to) => {
     const next = [...rows];
     next.splice(to, 0, ...next.splice(from, 1));
@@ -595,7 +598,7 @@ function List({ node, path, value }) {
   };
   return html`<div class="list">
     <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsAt(path)} />
-    ${!rows.length && html`<p class="quiet">${defaultText(node) || "None."}</p>`}
+    ${!rows.length && html`<p class="quiet">${NONE_YET[path.join(".")] ?? "None."}</p>`}
     ${rows.map((row, index) => html`<div class="item" key=${index}>
       <div class="head"><span>${row?.name || `${plain(one)} ${index + 1}`}</span>
         <${Tool} icon="up" name=${`Move ${one} ${index + 1} up`} disabled=${index === 0} onClick=${() => move(index, index - 1)} />

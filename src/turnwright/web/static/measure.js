@@ -31,12 +31,13 @@ export async function take(file, run = measuredRun()) {
 }
 
 function measuredRun() {
-  const fit = (run) => run.state === "done" && run.kind !== "compare";
+  const fit = (run) => run.state === "done" && run.kind === "run";
   const looked = state.runs.find((run) => run.id === state.run && fit(run));
   return (looked ?? state.runs.find(fit))?.id ?? null;
 }
 
-async function follow(id) {
+/** Show a measurement, and follow it while it is worked on. */
+export async function follow(id) {
   clearTimeout(timer);
   try {
     const measurement = { id, ...(await get(`/measurements/${id}`)) };
@@ -54,7 +55,7 @@ function Drop({ sent, types }) {
   const [over, setOver] = useState(false);
   const { runs } = useStore(["runs", "run"]);
   const input = useRef(null);
-  const fit = runs.filter((run) => run.state === "done" && run.kind !== "compare");
+  const fit = runs.filter((run) => run.state === "done" && run.kind === "run");
   const [chosen, choose] = useState(null);
   const run = chosen ?? measuredRun();
   if (sent) return html`<div class="drop"><h3>${sent.name}</h3><${Bar} share=${sent.share} kind="going" /><p>${sent.share < 1 ? `on its way, ${percent(sent.share)}` : "being read"}</p></div>`;
@@ -149,7 +150,11 @@ function Spectrum({ psd }) {
 
 // ----------------------------------------------------------------------------------------------------------- the maps
 
-const MAPS = [["measured", "Measured"], ["residual", "Unexplained"], ["predicted", "After correction"]];
+const MAPS = [
+  ["measured", "Measured", "measured − design"],
+  ["residual", "Unexplained", "what no cause explains"],
+  ["predicted", "After correction", "predicted − design"],
+];
 
 function Map_({ measurement }) {
   const [name, show] = useState("measured");
@@ -158,12 +163,15 @@ function Map_({ measurement }) {
   useEffect(() => {
     let view = null;
     let gone = false;
-    import("./mapview.js").then((module) => {
+    import("./mapview.js").then(({ MapView }) => {
       if (gone) return;
-      view = module.mount(box.current, {
-        title: MAPS.find(([key]) => key === name)[1],
-        load: (window, options) => getPacked(`/measurements/${measurement.id}/map`, { name, ...window }, options),
+      view = new MapView(box.current, {
+        load: (window, signal) => getPacked(`/measurements/${measurement.id}/map`, { name }, { signal }),
+        finer: false,
+        label: MAPS.find(([key]) => key === name)[2],
+        calls: { pointed: (cursor) => set({ cursor }) },
       });
+      view.open();
     });
     return () => {
       gone = true;

@@ -83,6 +83,11 @@ export async function look(id) {
       if (id === state.run) set({ comparison, drawer: "compare" });
       return;
     }
+    if (run.kind !== "run") {
+      set({ drawer: "measure" });
+      const { follow: show } = await import("./measure.js");
+      return show(run.kind === "correct" ? run.of : id);
+    }
     const [result, maps] = await Promise.all([get(`/runs/${id}/result`), get(`/runs/${id}/maps`)]);
     if (id !== state.run) return;
     const known = maps.some(({ name }) => name === state.map);
