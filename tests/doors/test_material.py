@@ -156,6 +156,18 @@ def test_check_names_feed_and_what_the_material_does_not_say(tmp_path, capsys):
     assert "ductile up to a feed of" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("stock", ["10 nm", "0.6 mm"])
+def test_a_stock_whose_chips_cannot_be_foretold_does_not_stop_a_check(tmp_path, capsys, stock):
+    """Cusps of 25 nm are higher than 10 nm of stock, and 0.6 mm are beyond the nose; a run judges the former."""
+    file = job(tmp_path, stock=stock)
+    assert main(["check", str(file)]) == 0
+    assert "finish: what its chips will be is not foretold, a run finds them: " in capsys.readouterr().out
+    if stock == "10 nm":
+        chips = tw.run(Job.load(file)).passes[0].chips
+        assert chips.verdict == "ductile"
+        assert chips.thickest <= 10e-6 * (1 + 1e-9)  # no chip is thicker than the stock on a bowl as flat as this
+
+
 def test_a_first_turn_that_breaks_the_rim_asks_for_a_lead_in(tmp_path):
     """Oracle: no turn before bounds the first, so on a flat the chip is as thick as the cut is deep, 10 um."""
     file = job(tmp_path, feed="1 um/rev")

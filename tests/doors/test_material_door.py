@@ -269,6 +269,29 @@ def test_a_wrong_record_is_one_sentence(tmp_path, case):
     assert sentence in str(caught.value)
 
 
+SAID = {
+    "dt": (0.0, "0.0 for the step of its samples, it must be a finite number above 0"),
+    "rate_hz": (-5.0, "-5.0 for the rate of its samples"),
+    "samplerate": ("fast", "fast for the rate of its samples"),
+}
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_a_rate_that_is_none_is_named(tmp_path, name):
+    value, sentence = SAID[name]
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("Fx", data=np.arange(5.0)).attrs.update({"unit": "N", name: value})
+    with pytest.raises(InputError, match=sentence):
+        read_forces(tmp_path / "a.h5")
+
+
+def test_a_spectrum_is_no_force(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("Fx", data=np.arange(5) + 1j).attrs.update({"unit": "N", "rate_hz": 5.0})
+    with pytest.raises(InputError, match="holds no channel of forces"):
+        read_forces(tmp_path / "a.h5")
+
+
 @pytest.mark.parametrize("name", ["forces.h5", "forces.tdms"])
 def test_a_damaged_record_is_one_sentence_or_reads(tmp_path, name):
     """Bytes changed and the end cut off at many places: never a traceback."""

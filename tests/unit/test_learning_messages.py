@@ -34,10 +34,11 @@ def taps(turns=2):
     return [tap(direction) for direction in np.eye(3) for _ in range(turns)]
 
 
-def sensor(n=64):
-    response = np.tile(np.eye(3, dtype=complex), (n, 1, 1))
+def sensor(n=64, gain=None, heard=None):
+    gain = np.eye(3) if gain is None else gain
+    response = np.tile((gain if heard is None else heard).astype(complex), (n, 1, 1))
     return Dynamometer(
-        frequency_hz=10.0 * np.arange(n), response=response, static_gain=np.eye(3), gain_uncertainty=np.zeros((3, 3))
+        frequency_hz=10.0 * np.arange(n), response=response, static_gain=gain, gain_uncertainty=np.zeros((3, 3))
     )
 
 
@@ -84,6 +85,18 @@ WRONG = {
                             gain_uncertainty=np.eye(3)),
         "do not go up in even steps",
     ),
+    "a gain of two axes": (lambda: sensor(gain=np.diag([1.0, 1.0, 0.0])), "singular values from 0 to 1, the limit is 1e-06"),
+    "a gain of nothing": (lambda: sensor(gain=np.zeros((3, 3))), "channels do not tell 3 forces apart"),
+    "a small gain": (
+        lambda: Dynamometer(frequency_hz=np.arange(64), response=np.ones((64, 3, 3)), static_gain=np.eye(2),
+                            gain_uncertainty=np.eye(3)),
+        "static_gain has the shape (2, 2)",
+    ),
+    "a deaf frequency": (
+        lambda: sensor(heard=np.zeros((3, 3))).forces(record(channels=("a", "b", "c")), bandwidth_hz=100,
+                                                      noise_to_signal=0),
+        "noise_to_signal is 0: state one above 0",
+    ),
     "one channel": (
         lambda: sensor().forces(record(), bandwidth_hz=100, noise_to_signal=0), "the record has 1 channels"
     ),
@@ -119,6 +132,7 @@ WRONG = {
     "no reference": (lambda: ri80([[1.0]], np.nan), "the reference holds no finite intensity"),
     "a dark reference": (lambda: ri80([[1.0]], 0.0), "the reference is 0 of intensity"),
     "nothing measured": (lambda: ri80([[np.nan]], 1.0), "none of 1 places has an intensity"),
+    "an endless intensity": (lambda: ri80([[np.inf, 1.0]], 1.0), "1 places have an infinite intensity"),
     "no amplitude": (lambda: Vibration(amplitude=0, frequency_hz=1), "amplitude of a vibration is 0 mm"),
     "no phase": (lambda: Vibration(amplitude=1, frequency_hz=1, phase=np.nan), "phase of a vibration is nan"),
     "no chip": (lambda: MinimumChip(thickness=0), "the minimum chip thickness is 0 mm"),
@@ -147,3 +161,7 @@ def test_what_is_wrong_is_one_sentence(case):
         attempt()
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_no_force_along_an_axis_is_uncertain_beyond_measure():
+    assert sensor().relative_uncertainty([1.0, 2.0, 0.0]).tolist() == [0.0, 0.0, np.inf]

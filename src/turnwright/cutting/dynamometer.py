@@ -46,6 +46,9 @@ KNOWN = 1.4
 COHERENT = 0.8
 """Coherence below which a tap test tells nothing."""
 
+APART = 1e-6
+"""Smallest singular value of the gain over the largest, below which channels do not tell forces apart."""
+
 FLAT = 0.25
 """The response below this share of the first resonance is that of a spring, and is fitted as one."""
 
@@ -127,7 +130,7 @@ class Dynamometer:
     Raises
     ------
     InputError
-        If the arrays do not fit, or the steps are not even.
+        If the arrays do not fit, the steps are not even, or the channels do not tell three forces apart.
     """
 
     frequency_hz: Floats
@@ -152,6 +155,14 @@ class Dynamometer:
         object.__setattr__(self, "response", response)
         for name in ("static_gain", "gain_uncertainty"):
             object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=2))
+            if getattr(self, name).shape != (AXES, AXES):
+                raise InputError(f"{name} has the shape {getattr(self, name).shape}: give 3 by 3 numbers")
+        said = np.linalg.svd(self.static_gain, compute_uv=False)
+        if not said[-1] > APART * said[0]:
+            raise InputError(
+                f"the static_gain of a dynamometer has singular values from {said[-1]:.3g} to {said[0]:.3g}, the limit "
+                f"is {APART:g} of the largest: its channels do not tell 3 forces apart, so give those of three axes"
+            )
 
     @classmethod
     def from_taps(cls, taps: Sequence[TapTest], *, flat_hz: float | None = None) -> Dynamometer:
@@ -300,7 +311,7 @@ class Dynamometer:
         return np.asarray(window[:, None, None] * (self._inverse(response, noise_to_signal) @ response))
 
     def relative_uncertainty(self, force: ArrayLike) -> Floats:
-        """Return how uncertain the gain makes each component of a steady force, as a share of it. (3,).
+        """Return how uncertain the gain makes each component of a steady force, as a share of it; inf for 0 N. (3,).
 
         Parameters
         ----------
@@ -310,8 +321,8 @@ class Dynamometer:
         steady = frozen(force, "force")
         spread = np.linalg.inv(self.static_gain)
         variance = (spread**2) @ (self.gain_uncertainty**2) @ steady**2
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.sqrt(variance) / np.abs(steady))
+        size = np.abs(steady)
+        return np.asarray(np.divide(np.sqrt(variance), size, out=np.full(AXES, np.inf), where=size > 0))
 
     def _require(self, bandwidth_hz: float, half: float) -> None:
         positive(bandwidth_hz, "bandwidth_hz", "Hz")
@@ -357,7 +368,13 @@ class Dynamometer:
         between(noise_to_signal, "noise_to_signal", 0.0, 1.0, "")
         weight = noise_to_signal * float(np.abs(np.diag(self.static_gain)).max())
         turned = response.conj().transpose(0, 2, 1)
-        return np.asarray(np.linalg.solve(turned @ response + weight**2 * np.eye(AXES), turned))
+        try:
+            return np.asarray(np.linalg.solve(turned @ response + weight**2 * np.eye(AXES), turned))
+        except np.linalg.LinAlgError as error:
+            raise InputError(
+                f"at some frequency the channels do not tell 3 forces apart and noise_to_signal is "
+                f"{noise_to_signal:g}: state one above 0, or lower the bandwidth"
+            ) from error
 
 
 def _even(count: int, step: float) -> Floats:

@@ -60,7 +60,7 @@ def ri80(intensity: ArrayLike | HeightMap, reference: ArrayLike | float, *, thre
     Raises
     ------
     InputError
-        If nothing is measured, or the reference is not positive.
+        If nothing is measured, an intensity is infinite, or the reference is not positive.
 
     Sources
     -------
@@ -77,6 +77,11 @@ def ri80(intensity: ArrayLike | HeightMap, reference: ArrayLike | float, *, thre
         raise InputError("the reference holds no finite intensity: give that of a surface without fracture")
     least = threshold * positive(float(known.mean()), "the reference", "of intensity")
     valid = ~np.isnan(values)
+    if np.isinf(values).any():
+        raise InputError(
+            f"{np.count_nonzero(np.isinf(values))} places have an infinite intensity, the limit is 0: put nan where "
+            "nothing was measured"
+        )
     if not valid.any():
         raise InputError(f"none of {values.size} places has an intensity, at least 1 is needed: give a measured map")
     weight = np.ones(values.shape)

@@ -41,6 +41,9 @@ UNEVEN = 0.1
 """Share of a step by which a time may be off, since times are printed rounded; a sample that is missing is half a step.
 """
 
+REAL = "iuf"
+"""Kinds of numbers that a force can be; a complex one belongs to a spectrum."""
+
 LARGEST = 1 << 30
 """Values in a record beyond which it is refused."""
 
@@ -188,9 +191,10 @@ def _csv(path: Path, data: bytes) -> _Raw:
     try:
         table = np.loadtxt(lines[1:], delimiter=mark, ndmin=2, dtype=np.float64, comments=None)
     except ValueError as error:
+        why = str(error).split(";")[0].rstrip(".")
         raise InputError(
-            f"{path} is not a table of numbers after its line of names ({str(error).splitlines()[0]}): use decimal "
-            "points and as many numbers in each line"
+            f"{path} is not a table of numbers after its line of names ({why}): use decimal points and as many numbers "
+            "in each line"
         ) from error
     if table.shape[1] != len(names):
         raise InputError(f"{path} has {len(names)} names and {table.shape[1]} columns: name each column")
@@ -227,12 +231,12 @@ def _tdms(path: Path, data: bytes, channels: Sequence[str] | None) -> _Raw:
                         continue
                     _require_room(path, len(channel), len(data))
                     values = np.asarray(channel[:])
-                    if values.ndim == 1 and np.issubdtype(values.dtype, np.number):
+                    if values.ndim == 1 and values.dtype.kind in REAL:
                         columns[name] = values.astype(np.float64)
                         unit = _first(channel.properties, UNITS)
                         units.update({name: str(unit)} if unit else {})
                         step = channel.properties.get("wf_increment")
-                        rates.update({1 / float(step)} if step else set())
+                        rates.update({_rate_of(path, None, step)} if step else ())
     except InputError:
         raise
     except Exception as error:
@@ -248,6 +252,21 @@ def _require_room(path: Path, samples: int, room: int) -> None:
 
 def _first(attributes: Mapping[str, Any], names: Sequence[str]) -> Any:
     return next((attributes[name] for name in names if name in attributes), None)
+
+
+def _rate_of(path: Path, rate: Any, step: Any) -> float:
+    """Return the rate that an attribute says, itself or as a step of time. [Hz]."""
+    said = step if rate is None else rate
+    try:
+        value = float(said)
+    except (TypeError, ValueError):
+        value = float("nan")
+    if not 0 < value < np.inf:
+        raise InputError(
+            f"{path} says {said} for the {'step' if rate is None else 'rate'} of its samples, it must be a finite "
+            "number above 0: correct it, or export the record as CSV with its times"
+        )
+    return 1 / value if rate is None else value
 
 
 def _only(path: Path, rates: set[float]) -> float | None:
@@ -299,7 +318,7 @@ def _hdf5(path: Path, channels: Sequence[str]) -> _Raw:
         said = [item.attrs, item.parent.attrs, item.file.attrs]
         if not isinstance(item, h5py.Dataset):
             return
-        if item.ndim != 1 or not np.issubdtype(item.dtype, np.number):
+        if item.ndim != 1 or item.dtype.kind not in REAL:
             return
         if channels and not {name, _last(name)} & set(channels) and _last(name).lower() not in TIMES:
             return
@@ -312,7 +331,7 @@ def _hdf5(path: Path, channels: Sequence[str]) -> _Raw:
         for one in said:
             rate, step = _first(one, RATES), _first(one, STEPS)
             if rate is not None or step is not None:
-                rates.add(float(rate) if rate is not None else 1 / float(step))
+                rates.add(_rate_of(path, rate, step))
                 break
 
     with h5py.File(path, "r") as file:

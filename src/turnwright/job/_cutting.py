@@ -167,7 +167,10 @@ def foretold(job: Job, access: Access, cut: PassTable, feed: float, stock: float
     bend = zxx * cosine**2 + 2 * zxy * sine * cosine + zyy * sine**2
     bend = bend / (1 + (zx * cosine + zy * sine) ** 2) ** 1.5
     depth = (stock - cut.allowance) / cut.repeats(stock)
-    return foretell(
-        job.tool.tool, material, feed=feed, depth=depth, bend=float(bend.min()), rakes=access.rake_range,
-        allowance=cut.allowance,
-    )  # fmt: skip
+    try:
+        return foretell(
+            job.tool.tool, material, feed=feed, depth=depth, bend=float(bend.min()), rakes=access.rake_range,
+            allowance=cut.allowance,
+        )  # fmt: skip
+    except InputError as error:
+        return f"what its chips will be is not foretold, a run finds them: {error}"
