@@ -4,6 +4,8 @@ Oracles: forces by brute force from the shapes that an edge leaves (edge_oracle,
 least squares by SciPy.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 from edge_oracle import (
@@ -29,14 +31,22 @@ NOSE, DEPTH = 1.0, 0.020
 FEEDS = np.linspace(0.5e-3, 5e-3, 24)
 
 
-def averages(glass, feeds=FEEDS, random=None, noise=0.0, edge=0.0, **more):
+@cache
+def steady(glass):
+    """Forces of all feeds by brute force; many cases are cut of one glass."""
+    force = np.array([turning(glass, NOSE, DEPTH, feed)[0] for feed in FEEDS])
+    force.flags.writeable = False
+    return force
+
+
+def averages(glass, random=None, noise=0.0, edge=0.0, **more):
     """Steady cuts without noise, or with some."""
-    force = np.array([turning(glass, NOSE, DEPTH, feed)[0] for feed in feeds])
+    force = steady(glass)
     if np.any(noise):
         force = force + noise * random.normal(size=force.shape)
     axial, feed_force, cutting = force.T
     given = {"axial": axial, "feed_force": feed_force, "cutting": cutting + edge} | more
-    return NoseCuts(nose_radius=np.full(feeds.size, NOSE), depth=np.full(feeds.size, DEPTH), feed=feeds, **given)
+    return NoseCuts(nose_radius=np.full(FEEDS.size, NOSE), depth=np.full(FEEDS.size, DEPTH), feed=FEEDS, **given)
 
 
 def test_forces_without_noise_give_back_what_they_were_made_of():
@@ -81,7 +91,7 @@ def test_stated_uncertainties_give_those_of_weighted_least_squares():
     random, glass = np.random.default_rng(4), Glass(1489.0, 816.0)
     sigma = np.array([2e-3, 1e-3, 3e-3])
     cuts = averages(glass, random=random, noise=sigma, uncertainty=np.tile(sigma, (FEEDS.size, 1)))
-    unit = [np.array([turning(Glass(*k), NOSE, DEPTH, feed)[0] for feed in FEEDS]) for k in ((1.0, 0.0), (0.0, 1.0))]
+    unit = [steady(Glass(*k)) for k in ((1.0, 0.0), (0.0, 1.0))]
     answer = least_squares(lambda k: ((k[0] * unit[0] + k[1] * unit[1] - cuts.force) / sigma).ravel(), (1000, 1000))
     scale = max(2 * answer.cost / (3 * FEEDS.size - 2), 1.0)
     spread = np.sqrt(scale * np.diag(np.linalg.inv(answer.jac.T @ answer.jac)))
