@@ -20,6 +20,7 @@ from turnwright import __version__
 from turnwright.errors import TurnwrightError
 from turnwright.web._guard import Guard
 from turnwright.web._models import Problem
+from turnwright.web._queue import Runs
 from turnwright.web._workers import Busy, Superseded, Workers
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ __all__ = ["create_app"]
 
 STATIC = Path(__file__).resolve().parent / "static"
 
-ROUTERS = ("_planning", "_views", "_windows")
+ROUTERS = ("_planning", "_views", "_runs", "_windows", "_measurements")
 """Modules that bring routes, each in its ``router``."""
 
 REFUSED: dict[int | str, dict[str, Any]] = {
@@ -82,9 +83,11 @@ def create_app(
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        app.state.runs.start()
         try:
             yield
         finally:
+            await app.state.runs.close()
             await asyncio.to_thread(workers.close)
             await asyncio.to_thread(import_module("turnwright.web._windows").close, app)
 
@@ -106,6 +109,7 @@ def create_app(
         },
     )
     app.state.folder, app.state.workers, app.state.at_a_time = folder, workers, at_a_time
+    app.state.runs = Runs(folder, at_a_time=at_a_time)
     for name in ROUTERS:
         app.include_router(import_module(f"turnwright.web.{name}").router)
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="page")

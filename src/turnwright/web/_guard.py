@@ -48,11 +48,6 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 
-REPORT_POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:; sandbox; frame-ancestors 'none'"
-)
-"""A report is one file with its styles and pictures in it, and no script."""
-
 HARMLESS = {"GET", "HEAD", "OPTIONS"}
 
 

@@ -1,6 +1,6 @@
 """What the server takes, known to it and to the processes that work for it."""
 
-__all__ = ["FINER", "MAP_TYPES", "MOST_POINTS"]
+__all__ = ["FINER", "LONGEST_H", "MAP_TYPES", "MOST_POINTS", "PARSE_BYTES", "PARSE_S"]
 
 FINER = 0.75
 """A window whose pixels are smaller than this share of those that a run has stored is generated."""
@@ -9,7 +9,16 @@ MOST_POINTS = 60_000_000
 """Points of all passes together in a job from a page: four times those of the freeform infrared lens."""
 
 MAP_TYPES = (
-    ".asc", ".al3d", ".csv", ".dat", ".datx", ".h5", ".npy", ".npz", ".opd", ".plux", ".sdf", ".sur", ".pro", ".txt",
-    ".x3p", ".xyz", ".zmp",
+    ".al3d", ".asc", ".csv", ".dat", ".datx", ".frt", ".grd", ".lext", ".npy", ".npz", ".opd", ".opdx", ".os3d", ".plu",
+    ".plux", ".sdf", ".sur", ".txt", ".vk3", ".vk4", ".vk6", ".vk7", ".x3p", ".xyz",
 )  # fmt: skip
 """Endings of measured files; what a file really is decides its reader."""
+
+PARSE_S = 300
+"""How long reading a measured file may take. [s]"""
+
+PARSE_BYTES = 8 * 2**30
+"""What a process that reads one may take beyond what it starts with."""
+
+LONGEST_H = 48
+"""How long a run may take. [h]"""

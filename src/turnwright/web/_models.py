@@ -9,15 +9,26 @@ from pydantic import BaseModel, ConfigDict, Field
 
 __all__ = [
     "About",
+    "Causes",
     "Check",
     "Data",
     "ExampleJob",
     "ExampleLine",
     "Fault",
+    "Id",
     "Limits",
+    "Line",
+    "Lines",
+    "Measurement",
+    "NewRun",
     "Parsed",
     "Preview",
     "Problem",
+    "Progress",
+    "Question",
+    "RunDetail",
+    "RunFile",
+    "RunLine",
     "Toml",
     "Written",
 ]
@@ -148,5 +159,106 @@ class Check(Model):
     warnings: list[str]
 
 
-RunKind = Literal["run", "compare", "correct", "measure"]
+RunKind = Literal["run", "compare", "measure", "correct"]
 RunState = Literal["queued", "running", "done", "failed", "cancelled"]
+Time = Annotated[str, Field(description="In UTC as ISO 8601 writes it.")]
+
+
+class NewRun(Data):
+    """A job to be carried out."""
+
+    kind: Literal["run", "compare"]
+    name: Annotated[str, MaxLen(120)] = Field(default="", description="That of the part if empty.")
+
+
+class Id(Model):
+    """What was begun."""
+
+    id: str
+
+
+class Progress(Model):
+    """How far a run is."""
+
+    stage: str
+    done: int
+    total: int
+    left_s: float | None = Field(description="Until this stage is done, guessed from how long it took so far.")
+
+
+class RunLine(Model):
+    """A run in a list."""
+
+    id: str
+    name: str
+    kind: RunKind
+    state: RunState
+    created: Time
+    started: Time | None
+    ended: Time | None
+    sentence: str = Field(description="How it ended.")
+    of: str = Field(description="The run that a measurement belongs to, or the measurement that a correction does.")
+    progress: Progress | None = Field(description="Of a run that is under way.")
+
+
+class RunFile(Model):
+    """A file that a run has left."""
+
+    name: str = Field(description="By which it is asked for.")
+    part: int = Field(description="Which of several of that name; a program may have sub-programs.")
+    file: str = Field(description="What it is called on disk.")
+    bytes: int
+
+
+class RunDetail(RunLine):
+    """A run."""
+
+    data: dict[str, Any] = Field(description="The job; of a correction, the corrected one.")
+    files: list[RunFile]
+
+
+class Lines(Model):
+    """Some lines of a program."""
+
+    lines: list[str]
+    total: int
+    places: list[tuple[float, float, float] | None] = Field(
+        description="Where the tip is after each line, in the part frame; null for one that moves nothing. [mm]"
+    )
+
+
+class Line(Model):
+    """The number of a line, from 0."""
+
+    line: int
+
+
+class Measurement(Model):
+    """A measured part; all but the first fields only when it is done."""
+
+    id: str
+    name: str
+    run: str
+    state: RunState
+    sentence: str
+    progress: Progress | None
+    form_pv_nm: float | None = None
+    form_rms_nm: float | None = None
+    spikes: int | None = None
+    measured_rms_nm: float | None = None
+    explained_rms_nm: float | None = None
+    unexplained_rms_nm: float | None = None
+    alignment: dict[str, Any] | None = None
+    roughness: dict[str, Any] | None = None
+    zernike: list[dict[str, Any]] = []
+    psd: dict[str, Any] | None = None
+    lenslets: list[dict[str, Any]] = []
+    findings: list[dict[str, Any]] = []
+    correction: str | None = Field(default=None, description="The last run that corrects by it.")
+    predicted: dict[str, Any] | None = Field(default=None, description="What that run says is left.")
+
+
+class Causes(Model):
+    """What a correction takes into account."""
+
+    causes: Annotated[list[Annotated[str, MaxLen(60)]], MaxLen(40)]

@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from turnwright.web._examples import example_files
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-__all__ = ["DEEPEST", "FILE_KEYS", "located", "referred"]
+__all__ = ["CORRECTION", "DEEPEST", "FILE_KEYS", "located", "referred"]
 
 FILE_KEYS = frozenset({"file", "correction", "waviness_file", "straightness_file"})
 """Keys of a job that name a file."""
@@ -24,6 +21,9 @@ DEEPEST = 40
 """Tables and lists within each other."""
 
 MOST_VALUES = 500_000
+
+CORRECTION = "correction"
+"""Folder in that of a run for a corrected job and the files that it names."""
 
 KEPT = re.compile(r"runs/([0-9a-f]{16})/([A-Za-z0-9_-]{1,60}\.[A-Za-z0-9]{1,8})")
 
@@ -83,7 +83,7 @@ def _path(value: object, field: str, key: str, folder: Path, problems: list[dict
             return str(example_files()[value])
         match = KEPT.fullmatch(value)
         if match:
-            file = folder / "runs" / match.group(1) / "out" / match.group(2)
+            file = folder / "runs" / match.group(1) / CORRECTION / match.group(2)
             if file.is_file() and not file.is_symlink():
                 return str(file)
     text = repr(value)
@@ -98,8 +98,16 @@ def _path(value: object, field: str, key: str, folder: Path, problems: list[dict
     return None
 
 
-def referred(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a job of this server with its paths as references, the way back from `located`."""
+def referred(data: dict[str, Any], run: str) -> dict[str, Any]:
+    """Return the job that a correction wrote, with the files beside it as references.
+
+    Parameters
+    ----------
+    data
+        As its file reads.
+    run
+        The id of the run that corrected.
+    """
     known = {str(path): name for name, path in example_files().items()}
 
     def walked(value: object, key: str) -> Any:
@@ -107,16 +115,8 @@ def referred(data: dict[str, Any], folder: Path) -> dict[str, Any]:
             return {name: walked(one, name) for name, one in value.items()}
         if isinstance(value, list):
             return [walked(one, key) for one in value]
-        if isinstance(value, str) and (key in FILE_KEYS or key == "material"):
-            return known.get(value) or next(_kept(value, folder), value)
+        if isinstance(value, str) and key in FILE_KEYS:
+            return known.get(value) or (f"runs/{run}/{value}" if KEPT.fullmatch(f"runs/{run}/{value}") else value)
         return value
 
     return walked(data, "")  # type: ignore[no-any-return]
-
-
-def _kept(path: str, folder: Path) -> Iterator[str]:
-    runs = folder / "runs"
-    if Path(path).is_relative_to(runs):
-        parts = Path(path).relative_to(runs).parts
-        if len(parts) == 3 and parts[1] == "out":
-            yield f"runs/{parts[0]}/{parts[2]}"

@@ -1,0 +1,245 @@
+"""``python -m turnwright.web._worker RUN FOLDER``: carry out one run of the workbench as the command line would.
+
+It tells its progress in a file and ends when whoever started it is gone, which it hears by the end of its input.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+import traceback
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from turnwright._stop import Stop
+from turnwright.errors import InputError, TurnwrightError
+from turnwright.web._limits import PARSE_BYTES, PARSE_S
+from turnwright.web._references import CORRECTION
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from turnwright.job import Job, Measured
+
+__all__ = ["main"]
+
+NICE = 10
+EVERY_S = 0.2
+GRACE_S = 2.0
+
+
+class _Teller:
+    """Writes progress, not more often than anybody looks."""
+
+    def __init__(self, file: Path, stop: Stop) -> None:
+        self.file, self.stop = file, stop
+        self.last, self.stage, self.since = 0.0, "", 0.0
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Say how far a stage is."""
+        self.stop.check()
+        now = time.monotonic()
+        new = stage != self.stage
+        if new:
+            self.stage, self.since = stage, now
+        if not new and now - self.last < EVERY_S:
+            return
+        self.last = now
+        left = (now - self.since) * (total - done) / done if 0 < done < total else None
+        line = {
+            "stage": stage,
+            "done": int(done),
+            "total": int(total),
+            "left_s": None if left is None else round(left, 1),
+        }
+        with self.file.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+
+def main() -> int:
+    """Carry out a run and say in one line how it ended."""
+    run, server = Path(sys.argv[1]), Path(sys.argv[2])
+    threading.Thread(target=_end_with_server, daemon=True).start()
+    with suppress(AttributeError, OSError):
+        os.nice(NICE)
+    state, sentence = "failed", ""
+    with Stop() as stop:
+        try:
+            tell = _Teller(run / "progress.jsonl", stop)
+            told = json.loads((run / "state.json").read_text(encoding="utf-8"))
+            with _new_folder(run) as out:
+                sentence = KINDS[told["kind"]](run, server, out, told, tell)
+            state = "done"
+        except KeyboardInterrupt:
+            state, sentence = "cancelled", "it was stopped"
+        except TurnwrightError as error:
+            sentence = str(error)
+        except MemoryError as error:
+            sentence = f"the memory is not enough ({error}): take fewer points or a coarser map"
+        except OSError as error:
+            where = f" ({error.strerror})" if error.strerror else ""
+            sentence = f"the disk or the system refuses{where}, nothing was kept: free some space, then try again"
+        except Exception as error:  # noqa: BLE001 - this is where everything ends
+            traceback.print_exc()
+            sentence = f"this is a defect of Turnwright ({type(error).__name__}), the log of the run tells more"
+        stop.deaf = True
+        _say(state, " ".join(sentence.split()))
+    return 0 if state == "done" else 1
+
+
+def _say(state: str, sentence: str) -> None:
+    with suppress(OSError):
+        print(json.dumps({"state": state, "sentence": sentence}), flush=True)  # noqa: T201 - the server reads it
+
+
+def _end_with_server() -> None:
+    """End this process when the server is gone, however it went."""
+    with suppress(OSError, ValueError):
+        while os.read(0, 1024):  # not sys.stdin, whose lock this thread would hold at the end
+            pass
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(GRACE_S)
+    os._exit(1)
+
+
+@contextmanager
+def _new_folder(run: Path) -> Iterator[Path]:
+    """Yield a folder that becomes ``out`` when all is well, and vanishes otherwise."""
+    out = run / f".out-{os.getpid()}"
+    out.mkdir()
+    try:
+        yield out
+        out.rename(run / "out")
+    finally:
+        shutil.rmtree(out, ignore_errors=True)
+
+
+def _job(run: Path, server: Path) -> Job:
+    from turnwright.web._jobs import require  # noqa: PLC0415 - costly, and who is told to stop shall be heard before
+
+    return require(json.loads((run / "job.json").read_text(encoding="utf-8")), str(server))
+
+
+def _run(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> str:
+    """As ``turnwright run``."""
+    return _cut(_job(run, server), out, tell)
+
+
+def _cut(job: Job, out: Path, tell: _Teller) -> str:
+    from turnwright import archive, report  # noqa: PLC0415
+    from turnwright import job as recipe  # noqa: PLC0415
+    from turnwright.web._program import index  # noqa: PLC0415
+
+    result = recipe.run(job, progress=tell, out=out)
+    tell("report", 0, 1)
+    archive.write_archive(result, out)
+    report.write_report(result, out)
+    tell("index of the program", 0, 1)
+    index(out, job.machine.machine)
+    minutes = sum(one.limits.cycle_time_s for one in result.passes) / 60
+    points = sum(one.points for one in result.passes)
+    return f"{points} points, {minutes:.1f} min" + (f", {len(result.warnings)} warnings" if result.warnings else "")
+
+
+def _compare(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> str:
+    """As ``turnwright compare``."""
+    from turnwright import archive, report  # noqa: PLC0415
+    from turnwright.job import compare  # noqa: PLC0415
+
+    found = compare(_job(run, server), progress=tell)
+    tell("report", 0, 1)
+    archive.write_comparison(found, out)
+    report.write_comparison(found, out)
+    return f"{sum(not one.refused for one in found.candidates)} of {len(found.candidates)} strategies can cut it"
+
+
+def _measured(run: Path, server: Path, tell: _Teller, name: str, job: Job | None = None) -> Measured:
+    """Read a measured file under limits, and register it."""
+    from turnwright.files import read_map  # noqa: PLC0415
+    from turnwright.job import measure  # noqa: PLC0415
+    from turnwright.web._jobs import limit_memory  # noqa: PLC0415
+
+    recipe = job or _job(run, server)
+    limit_memory(PARSE_BYTES)
+    tell("read the file", 0, 1)
+    with _deadline(PARSE_S, f"the file is not read after {PARSE_S} s, the limit: it is damaged, or too large"):
+        try:
+            heights = read_map(run / name)
+        except InputError as error:
+            raise InputError(str(error).replace(str(run / name), name)) from None
+    tell("read the file", 1, 1)
+    return measure(recipe, heights, progress=tell)
+
+
+@contextmanager
+def _deadline(seconds: float, sentence: str) -> Iterator[None]:
+    """End the process with a sentence unless the block is done in time: compiled code hears nothing else."""
+
+    def end() -> None:
+        _say("failed", sentence)
+        os._exit(1)
+
+    timer = threading.Timer(seconds, end)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _diagnose(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _Teller) -> str:
+    """As ``turnwright diagnose``, and what the page shows of it."""
+    from turnwright import archive, report  # noqa: PLC0415
+    from turnwright.job import explain  # noqa: PLC0415
+    from turnwright.web._shown import write_shown  # noqa: PLC0415
+
+    measured = [_measured(run, server, tell, told["file"])]
+    found = explain(measured, progress=tell)
+    tell("report", 0, 1)
+    archive.write_measured(measured[0], out)
+    archive.write_diagnosis(measured, found, out)
+    report.write_diagnosis(measured, found, out)
+    write_shown(measured[0], found, out)
+    return (
+        f"off by {found.measured_rms_nm:.4g} nm rms, of it explained {found.explained_rms_nm:.4g} nm, left "
+        f"{found.unexplained_rms_nm:.4g} nm"
+    )
+
+
+def _correct(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _Teller) -> str:
+    """As ``turnwright correct``, then as ``turnwright run`` of the job that it wrote."""
+    from turnwright import archive, report  # noqa: PLC0415
+    from turnwright.job import Job, correct, explain  # noqa: PLC0415
+    from turnwright.web._shown import write_predicted  # noqa: PLC0415
+
+    measured = [_measured(run, server, tell, told["file"])]
+    found = explain(measured, progress=tell)
+    better_folder = run / CORRECTION
+    shutil.rmtree(better_folder, ignore_errors=True)
+    better_folder.mkdir()
+    better = correct(measured[0].job, found, measured, out=better_folder, progress=tell)
+    tell("report of the correction", 0, 1)
+    archive.write_correction(measured, found, better, better_folder)
+    report.write_correction(measured, found, better, better_folder)
+    write_predicted(better, better_folder)
+    _cut(Job.load(better.file), out, tell)
+    pv, rms = better.numbers_nm["simulated" if better.predicted is None else "predicted"]
+    return f"predicted after the correction: PV {pv:.4g} nm, rms {rms:.4g} nm"
+
+
+KINDS: dict[str, Callable[[Path, Path, Path, dict[str, Any], _Teller], str]] = {
+    "run": _run,
+    "compare": _compare,
+    "measure": _diagnose,
+    "correct": _correct,
+}
+
+if __name__ == "__main__":
+    sys.exit(main())
