@@ -2,8 +2,12 @@
 
 import csv
 import json
+import os
 import re
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
@@ -188,6 +192,68 @@ def test_finished_cases_are_not_computed_again(job, threads, tmp_path):
     assert more["counted"].tolist() == [*first["counted"], 0.5]
     study(job, vary={"tool.nose_radius": "0.3, 0.4, 0.5 mm"}, measure="minutes", executor=threads, store=store)
     assert len(Store.open(store).keys()) == 6
+
+
+def scaled(stages, by=1.0):
+    return by * stages.job.tool.nose_radius
+
+
+def test_another_function_of_the_same_name_is_another_measure(job, threads, tmp_path):
+    def holding(by):
+        def times(stages):
+            return by * stages.job.tool.nose_radius
+
+        return times
+
+    class Times:
+        def __init__(self, by):
+            self.by = by
+
+        def __call__(self, stages):
+            return self.by * stages.job.tool.nose_radius
+
+    for kind in (holding, Times, lambda by: partial(scaled, by=by)):
+        for by in (2.0, 3.0):
+            found = study(
+                job, vary={"tool.nose_radius": "0.3 mm"}, measure=kind(by), executor=threads, store=tmp_path / "cases"
+            )
+            assert found.measures[0].values.tolist() == [by * 0.3]
+
+
+def test_a_measure_is_the_same_one_in_every_process(tmp_path):
+    file = tmp_path / "measures_of_mine.py"
+    text = (
+        "LIMIT = 3\n"
+        "def helper(x): return x + 1\n"
+        "def mine(stages):\n"
+        "    known = sum((lambda i: helper(i))(i) for i in range(LIMIT))\n"
+        "    return known if stages.job.tool.name in {'a', 'b', 'c', 'd'} else 0\n"
+    )
+    ask = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from measures_of_mine import mine; "
+        "from turnwright.studies._measures import measure_of; print(measure_of(None, mine).sign)"
+    )
+
+    def sign(seed):
+        return subprocess.run(
+            [sys.executable, "-c", ask, str(tmp_path)], capture_output=True, text=True, check=True,
+            env={**os.environ, "PYTHONHASHSEED": seed, "PYTHONDONTWRITEBYTECODE": "1"},
+        ).stdout  # fmt: skip
+
+    file.write_text(text)
+    first = sign("1")
+    assert sign("2") == first
+    for old, new in (("LIMIT = 3", "LIMIT = 4"), ("x + 1", "x + 2"), ("'d'", "'e'")):
+        file.write_text(text.replace(old, new))
+        assert sign("1") != first
+
+
+def test_a_measure_that_fails_is_told_as_the_one_who_wrote_it_can_mend(job, threads):
+    def wrong(_stages):
+        return 1 / 0
+
+    found = study(job, vary={"tool.nose_radius": "0.3 mm"}, measure=wrong, executor=threads)
+    assert found.reasons == ("the measure wrong fails (ZeroDivisionError: division by zero): correct it",)
 
 
 def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys, monkeypatch, threads):

@@ -103,7 +103,10 @@ def test_a_field_that_is_not_there_is_named_with_the_nearest(job, name, said):
         ("tool.nose_radius", "wide", "cannot be 'wide': write one number and one unit"),
         ("tool.nose_radius", "0..1 mm:3 log", "is even in the logarithm and reaches 0: stay above 0"),
         ("tool.nose_radius", "normal(0.5, 0) mm", "has no spread: give a deviation above 0"),
-        ("tool.nose_radius", "uniform(1, 0.5) mm", "ends before it begins"),
+        ("tool.nose_radius", "uniform(1, 0.5) mm", "does not ascend between two numbers: give the lower end first"),
+        ("tool.nose_radius", "uniform(1, 1e400) mm", "does not ascend between two numbers"),
+        ("tool.nose_radius", "normal(0.5, 1e400) mm", "has no spread: give a deviation above 0"),
+        ("strategy.points_per_rev", "100.2..100.8", "takes whole numbers, 100.2 to 100.8 holds none: widen the range"),
         ("tool.nose_radius", [], "is varied over 0 values: give at least 1"),
         ("tool.nose_radius", [None], "cannot be None: give numbers, or texts with a unit"),
         ("strategy.points_per_rev", "100..200:4", "takes whole numbers, '100..200:4' holds 133.333: choose"),
@@ -175,6 +178,19 @@ def test_a_drawn_design_keeps_to_its_ranges_and_distributions(job, design):
     assert design_cases(job, varied, design=design, count=500, seed=3)[1] == rows
 
 
+@pytest.mark.parametrize("design", ["random", "sobol", "halton", "latin hypercube"])
+def test_every_whole_number_of_a_range_is_drawn_as_often(job, design):
+    _, rows = design_cases(
+        job, [read_varied(job, "strategy.points_per_rev", "100..104")], design=design, count=4096, seed=1
+    )
+    values, often = np.unique([row[0] for row in rows], return_counts=True)
+    assert values.tolist() == [100, 101, 102, 103, 104]
+    # The chi-squared test as the oracle: SciPy's.
+    assert stats.chisquare(often).pvalue > 1e-3
+    field = read_varied(job, "strategy.points_per_rev", "100..104")
+    assert field.at(np.array([0.0, 1.0])) == [100, 104]
+
+
 @pytest.mark.parametrize(
     ("how", "said"),
     [
@@ -185,8 +201,15 @@ def test_a_drawn_design_keeps_to_its_ranges_and_distributions(job, design):
         ({"vary": {}}, "nothing is varied: name at least 1 field"),
         ({"vary": {"passes.0.feed": "1 um/rev", "passes.rough.feed": "2 um/rev"}}, "is varied 2 times, the limit is 1"),
         ({"vary": {"strategy.feed": "1..2 um/rev:2000", "tool.nose_radius": "1..2 mm:2000"}}, "4_000_000 cases"),
-        ({"design": [{"strategy.feed": "1 um/rev"}, {"tool.nose_radius": "1 mm"}]}, "case 1 of the list has tool.nose"),
-        ({"design": []}, "the list of cases is empty"),
+        (
+            {"vary": None, "design": [{"strategy.feed": "1 um/rev"}, {"tool.nose_radius": "1 mm"}]},
+            "case 1 of the list has tool.nose",
+        ),
+        ({"vary": None, "design": []}, "the list of cases is empty"),
+        ({"vary": None, "design": [3]}, "case 0 of the list is 3: write a mapping from fields to values"),
+        ({"design": [{"tool.nose_radius": "1 mm"}]}, "and strategy.feed is varied beside it: leave one out"),
+        ({"design": "random", "count": 2.5}, "has 2.5 cases, it needs from 1 to"),
+        ({"design": "halton", "count": 2, "seed": -1}, "the seed is -1, it must be a whole number from 0"),
         ({"measure": "sq"}, "'sq' is not a measure: did you mean sq_nm?"),
         ({"measure": []}, "nothing is measured: name at least 1 measure"),
         ({"measure": ["minutes", "minutes"]}, "minutes is measured 2 times"),

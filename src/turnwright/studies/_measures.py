@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,9 +10,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from turnwright.errors import InputError
+from turnwright.errors import InputError, TurnwrightError
 from turnwright.job import Stages
 from turnwright.machine import ROTARY
+from turnwright.studies._own import sign_of
 
 if TYPE_CHECKING:
     from turnwright.job import Job
@@ -62,12 +62,10 @@ class Measure:
 
     @property
     def sign(self) -> str:
-        """What a kept row depends on: the name, and of a measure of one's own its code."""
+        """What a kept row depends on: the name, and of a measure of one's own its code and what it holds."""
         if self.own is None:
             return self.name
-        code = getattr(self.own, "__code__", None)
-        said = repr(self.own) if code is None else f"{code.co_code!r} {code.co_consts!r} {code.co_names!r}"
-        return f"{self.name} {getattr(self.own, '__module__', '')} {hashlib.sha256(said.encode()).hexdigest()[:16]}"
+        return f"{self.name} {getattr(self.own, '__module__', '')} {sign_of(self.own)}"
 
 
 def _margin(stages: Stages, name: str) -> float:
@@ -204,7 +202,13 @@ def evaluate(stages: Stages, measures: Sequence[Measure]) -> dict[str, Value]:
 
 def _taken(stages: Stages, one: Measure) -> Value:
     if one.own is not None:
-        return one.own(stages)
+        try:
+            return one.own(stages)
+        except (TurnwrightError, MemoryError, OSError, ImportError):  # of a stage, or of the machine
+            raise
+        except Exception as error:
+            said = " ".join(str(error).split()) or "it gives no reason"
+            raise InputError(f"the measure {one.name} fails ({type(error).__name__}: {said}): correct it") from error
     name, _, where = one.name.partition("@")
     if name in ROUGHNESS:
         patch = where or stages.job.simulation.patches[0].name

@@ -473,7 +473,7 @@ def study(
         data = {"job": changed(base, changes), "files": files}
         cases.append(Case(key=case_key({**data, "measures": signs}), data=data))
     told: Callable[[int, int], None] = progress or (lambda _done, _total: None)
-    several = local(min(workers or len(cases), len(cases)) if workers else None) if executor is None else None
+    several = local(None if workers is None else min(workers, len(cases))) if executor is None else None
     with several or nullcontext(executor) as pool:
         found = conduct(carry_out, cases, shared=shared, executor=pool, store=place, progress=told)
     return Study(

@@ -82,10 +82,15 @@ class Varied:
         if self.drawn is not None:
             found = np.asarray(self.drawn.ppf(np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)), dtype=np.float64)
         elif self.low is not None and self.high is not None:
+            low, high = self.low, self.high
+            if self.field.kind == "whole":  # half a step beyond, so that the ends come as often as what is between
+                low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
             if self.log:
-                found = np.exp(math.log(self.low) + share * (math.log(self.high) - math.log(self.low)))
+                found = np.exp(math.log(low) + share * (math.log(high) - math.log(low)))
             else:
-                found = self.low + share * (self.high - self.low)
+                found = low + share * (high - low)
+            if self.field.kind == "whole":
+                found = np.clip(found, low + 0.5, high - 0.5)  # at the very ends
         else:
             picks = np.minimum((share * len(self.values)).astype(np.int64), len(self.values) - 1)
             return [self.values[pick] for pick in picks]
@@ -116,6 +121,8 @@ def read_varied(job: Job, name: str, given: Vary) -> Varied:
     tokens: list[Token] = [one for one in (found.low, found.high) if one is not None]
     for token in (*found.values, *(tokens if not found.values and field.kind != "whole" else ())):
         field.check(token, found.unit)
+    if field.kind == "whole" and math.floor(found.high or 0.0) < math.ceil(found.low or 0.0):
+        raise InputError(f"{name} takes whole numbers, {found.low:g} to {found.high:g} holds none: widen the range")
     if found.log and not (found.low or 0.0) > 0:
         raise InputError(f"{name}: a range that is even in the logarithm begins at {found.low:g}: begin above 0")
     return found
@@ -244,12 +251,13 @@ def _read_drawn(field: Field, kind: str, first: str, second: str, units: str) ->
     unit = _unit(field, units, f"1 {units}")
     one, two = float(first), float(second)
     if kind == "uniform":
-        if not two > one:
+        if not -math.inf < one < two < math.inf:
             raise InputError(
-                f"{field.name}: uniform({first}, {second}) ends before it begins: give the lower end first"
+                f"{field.name}: uniform({first}, {second}) does not ascend between two numbers: give the lower "
+                "end first"
             )
         return Varied(field=field, unit=unit, low=one, high=two)
-    if not two > 0:
+    if not (math.isfinite(one) and 0 < two < math.inf):
         raise InputError(f"{field.name}: normal({first}, {second}) has no spread: give a deviation above 0")
     return Varied(field=field, unit=unit, drawn=stats.norm(one, two))
 
@@ -322,6 +330,10 @@ def design_cases(
         If the design does not fit what is varied.
     """
     if not isinstance(design, str):
+        if varied:
+            raise InputError(
+                f"a list of cases says itself what is varied, and {varied[0].name} is varied beside it: leave one out"
+            )
         fields, rows = _listed(job, design)
     else:
         fields = tuple(varied)
@@ -359,11 +371,13 @@ def _gridded(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Token,
 def _drawn(fields: tuple[Varied, ...], design: str, count: int | None, seed: int | None) -> list[tuple[Token, ...]]:
     if design not in DESIGNS:
         raise InputError(f"design is {design!r}, it can be {', '.join(DESIGNS)}: choose one of them")
-    if count is None or not 1 <= count <= MOST_CASES:
+    if not isinstance(count, int | np.integer) or not 1 <= count <= MOST_CASES:
         raise InputError(
             f"the design {design!r} has {'no number of cases' if count is None else f'{count} cases'}, it needs from 1 "
             f"to {MOST_CASES:_}: state how many cases"
         )
+    if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
+        raise InputError(f"the seed is {seed!r}, it must be a whole number from 0: change it")
     shares = _shares(design, len(fields), count, seed)
     return list(zip(*(one.at(shares[:, number]) for number, one in enumerate(fields)), strict=True))
 
@@ -385,6 +399,9 @@ def _listed(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied
     """Return the cases of a list."""
     if not design:
         raise InputError("the list of cases is empty: give at least 1")
+    for number, case in enumerate(design):
+        if not isinstance(case, Mapping):
+            raise InputError(f"case {number} of the list is {case!r}: write a mapping from fields to values")
     names = list(design[0])
     for number, case in enumerate(design):
         if list(case) != names and set(case) != set(names):
