@@ -288,7 +288,7 @@ const KEYS = [
   ["[, ]", "job pane, results pane"],
   ["T", "light or dark"],
   ["Tab, Shift+Tab", "through fields and buttons; a field then explains itself"],
-  ["↑, ↓ in a field", "its last digit up or down, with Shift ten times"],
+  ["↑ ↓", "in a field: its last digit up or down, with Shift ten times"],
   ["← →  ↑ ↓", "on a splitter: move it; on a map or the scene: move the view"],
   ["+, −", "on a map or the scene: closer, farther"],
 ];

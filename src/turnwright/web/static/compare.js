@@ -76,7 +76,7 @@ function Pareto({ candidates, error, chosen, choose, best }) {
 }
 
 function Panel() {
-  const { comparison, runs, run, job } = useStore(["comparison", "runs", "run", "job"]);
+  const { comparison, runs, run, job, files } = useStore(["comparison", "runs", "run", "job", "files"]);
   const [sort, order] = useState({ key: "time", down: false });
   const [error, judge] = useState("pv_nm");
   const [chosen, choose] = useState(null);
@@ -104,7 +104,7 @@ function Panel() {
           <td title=${best.has(one) ? "no other is both as quick and as exact" : ""}>${best.has(one) && html`<${Mark} ok />`}</td>
           ${COLUMNS.map(({ key, show }) => (key === "name" ? html`<th scope="row">${show(one)}</th>` : html`<td class=${key === "binding" ? "" : "number"}>${show(one)}</td>`))}</tr>`)}</tbody></table>
       ${refused.length > 0 && html`<${Fragment}><h4>Cannot be done</h4><ul class="sentences">${refused.map((one) => html`<li><strong>${one.name}</strong> ${one.refused}</li>`)}</ul></${Fragment}>`}
-      ${kept && html`<${Downloads} path=${`/runs/${kept.id}`} names=${[["report", "Report"], ["job", "Job"]]} />`}
+      ${kept && html`<${Downloads} path=${`/runs/${kept.id}`} files=${files} />`}
     </div>
     <figure><figcaption>Time against <select aria-label="Error to judge by" onChange=${(event) => judge(event.target.value)}>${Object.entries(ERRORS).map(([key, title]) => html`<option value=${key} selected=${key === error}>${title}</option>`)}</select>: <span class="quiet">left and low is good; those on the line no other beats in both</span></figcaption>
       <${Pareto} candidates=${planned} error=${error} chosen=${chosen} choose=${choose} best=${best} /></figure>

@@ -4,8 +4,8 @@ import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/pr
 import Plot from "./vendor/uplot.js";
 import { get, getPacked, post, upload } from "./api.js";
 import { say, set, state } from "./state.js";
-import { look, refresh } from "./runs.js";
-import { Bar, Downloads, Icon, Mark, bytes, count, height, number, percent, quantity, useStore } from "./ui.js";
+import { editAgain, refresh } from "./runs.js";
+import { Bar, Downloads, Icon, Mark, Tool, bytes, count, height, number, percent, quantity, useStore } from "./ui.js";
 
 const AGAIN = 700; // ms between looks at a measurement that is worked on
 const GOING = new Set(["queued", "running"]);
@@ -31,7 +31,7 @@ export async function take(file, run = measuredRun()) {
 }
 
 function measuredRun() {
-  const fit = (run) => run.state === "done" && run.kind === "run";
+  const fit = (run) => run.state === "done" && ["run", "correct"].includes(run.kind);
   const looked = state.runs.find((run) => run.id === state.run && fit(run));
   return (looked ?? state.runs.find(fit))?.id ?? null;
 }
@@ -55,7 +55,7 @@ function Drop({ sent, types }) {
   const [over, setOver] = useState(false);
   const { runs } = useStore(["runs", "run"]);
   const input = useRef(null);
-  const fit = runs.filter((run) => run.state === "done" && run.kind === "run");
+  const fit = runs.filter((run) => run.state === "done" && ["run", "correct"].includes(run.kind));
   const [chosen, choose] = useState(null);
   const run = chosen ?? measuredRun();
   if (sent) return html`<div class="drop"><h3>${sent.name}</h3><${Bar} share=${sent.share} kind="going" /><p>${sent.share < 1 ? `on its way, ${percent(sent.share)}` : "being read"}</p></div>`;
@@ -79,41 +79,42 @@ function Numbers({ title, rows }) {
   return html`<section class="card"><header><h3>${title}</h3></header><dl class="pairs">${given.map(([name, value]) => html`<dt>${name}</dt><dd class="number">${value}</dd>`)}</dl></section>`;
 }
 
-function Seen({ measurement }) {
-  const { alignment = {}, roughness, form_pv_nm, form_rms_nm, spikes } = measurement;
-  const axes = ["x", "y", "z"];
-  return html`<div class="scroll">
-    <div class="cards">
-      <section class="card"><header><h3>${measurement.name ?? "Measurement"}</h3></header>
-        <p class="quiet">${(alignment.sentences ?? []).join(" ")}</p></section>
-      <${Numbers} title="Off the design" rows=${[
-        ["form, PV", height(form_pv_nm)], ["form, RMS", height(form_rms_nm)],
-        ["roughness Sq", roughness && height(roughness.sq_nm)], ["roughness Sa", roughness && height(roughness.sa_nm)],
-        ["spikes taken out", Number.isInteger(spikes) ? count(spikes) : null],
-      ]} />
-      <${Numbers} title="Where it lay" rows=${[
-        ...(alignment.shift ?? []).map((value, at) => [`shift ${axes[at]}`, quantity(value, "mm")]),
-        ["rotation", Number.isFinite(alignment.rotation) ? quantity(alignment.rotation, "rad") : null],
-        ...(alignment.tilt ?? []).map((value, at) => [`tilt ${axes[at]}`, quantity(value, "rad")]),
-        ["left after the fit, RMS", Number.isFinite(alignment.rms_nm) ? height(alignment.rms_nm) : null],
-      ]} />
-      ${measurement.zernike?.length > 0 && html`<section class="card"><header><h3>Zernike terms</h3><span class="gap"></span><span class="quiet">fringe, nm</span></header><${Zernike} terms=${measurement.zernike} /></section>`}
-      ${measurement.psd && html`<section class="card"><header><h3>Power spectral density</h3></header><${Spectrum} psd=${measurement.psd} /></section>`}
-    </div>
-  </div>`;
+const PLACES = [["x", "mm"], ["y", "mm"], ["z", "mm"], ["rotation", "rad"], ["tilt_x", "rad"], ["tilt_y", "rad"]];
+
+/** The numbers of a pose, each with its standard uncertainty, or that it was held. */
+function placed({ pose, std, held }) {
+  const values = { x: pose.shift[0], y: pose.shift[1], z: pose.shift[2], rotation: pose.rotation, tilt_x: pose.tilt[0], tilt_y: pose.tilt[1] };
+  return PLACES.map(([name, unit]) => [name.replace("_", " "), html`${quantity(values[name], unit)} <span class="quiet">${held.includes(name) ? "held" : Number.isFinite(std[name]) ? `± ${quantity(std[name], unit, 2)}` : ""}</span>`]);
 }
 
-/** Terms as bars about zero; piston and tilt are of the mount and not drawn. */
+function Seen({ measurement }) {
+  const { alignment, roughness } = measurement;
+  return html`<div><div class="panehead"><strong>${measurement.name}</strong><span class="gap"></span><${Tool} icon="close" name="Bring another measurement" onClick=${() => set({ measurement: null })} /></div>
+  <div class="scroll"><div class="cards">
+    <${Numbers} title="Off the design" rows=${[
+      ["form, PV", height(measurement.form_pv_nm)], ["form, RMS", height(measurement.form_rms_nm)],
+      ["beyond a change of pose", height(measurement.measured_rms_nm)], ["of it explained", height(measurement.explained_rms_nm)], ["left unexplained", height(measurement.unexplained_rms_nm)],
+      ["roughness Sq", roughness && height(roughness.sq_nm)], ["roughness Sa", roughness && height(roughness.sa_nm)],
+      ["spikes taken out", count(measurement.spikes)],
+    ]} />
+    ${alignment && html`<${Numbers} title="Where it lay" rows=${[...placed(alignment), ["points", count(alignment.count)], ["left after the fit, RMS", height(alignment.rms_nm)]]} />`}
+    ${alignment?.sentences.length > 0 && html`<section class="card"><ul class="sentences quiet">${alignment.sentences.map((sentence) => html`<li>${sentence}</li>`)}</ul></section>`}
+    ${measurement.zernike.length > 0 && html`<section class="card"><header><h3>Zernike terms</h3><span class="gap"></span><span class="quiet">fringe, without pose</span></header><${Zernike} terms=${measurement.zernike} /></section>`}
+    ${measurement.psd && html`<section class="card"><header><h3>Power spectral density</h3></header><${Spectrum} psd=${measurement.psd} /></section>`}
+  </div></div></div>`;
+}
+
+/** Terms as bars about zero; piston, tilt and power are large where the mount or the radius is off, so the bars begin beyond them. */
 function Zernike({ terms }) {
-  const drawn = terms.filter(({ index }) => index > 3);
-  const most = Math.max(...drawn.map(({ nm }) => Math.abs(nm)), 1e-9);
+  const drawn = terms.filter(({ index }) => index > 4);
+  const most = Math.max(...drawn.map(({ coefficient_nm }) => Math.abs(coefficient_nm)), 1e-9);
   const [wide, tall, foot] = [264, 110, 16];
   const each = wide / drawn.length;
   const zero = (tall - foot) / 2;
-  return html`<svg class="bars" viewBox=${`0 0 ${wide} ${tall}`} role="img" aria-label=${`Fringe Zernike terms; the largest is ${drawn.length ? drawn.reduce((a, b) => (Math.abs(b.nm) > Math.abs(a.nm) ? b : a)).index : "none"}`}>
-    ${drawn.map(({ index, nm, name }, at) => {
+  return html`<svg class="bars" viewBox=${`0 0 ${wide} ${tall}`} role="img" aria-label=${`Fringe Zernike terms; the largest is ${drawn.length ? drawn.reduce((a, b) => (Math.abs(b.coefficient_nm) > Math.abs(a.coefficient_nm) ? b : a)).index : "none"}`}>
+    ${drawn.map(({ index, coefficient_nm: nm, uncertainty_nm: doubt }, at) => {
       const size = (Math.abs(nm) / most) * (zero - 10);
-      return html`<g><title>${`${index}${name ? `, ${name}` : ""}: ${height(nm)}`}</title><rect class=${nm < 0 ? "down" : "up"} x=${at * each + 0.8} width=${each - 1.6} y=${nm < 0 ? zero : zero - size} height=${size} />
+      return html`<g><title>${`${index}: ${height(nm)} ± ${height(doubt, 2)}`}</title><rect class=${nm < 0 ? "down" : "up"} x=${at * each + 0.8} width=${each - 1.6} y=${nm < 0 ? zero : zero - size} height=${size} />
         ${(index % 5 === 0 || index === 4) && html`<text x=${(at + 0.5) * each} y=${tall - 4} text-anchor="middle">${index}</text>`}</g>`;
     })}
     <line class="zero" x1="0" x2=${wide} y1=${zero} y2=${zero} />
@@ -135,7 +136,7 @@ function Spectrum({ psd }) {
     const plot = new Plot({
       width: box.current.clientWidth, height: 170, legend: { show: false }, cursor: { y: false },
       scales: { x: { time: false, distr: 3 }, y: { distr: 3 } },
-      axes: [axis(`frequency [${psd.frequency_unit ?? "1/mm"}]`), { ...axis(`PSD [${psd.density_unit ?? "nm² mm"}]`), size: 46 }],
+      axes: [axis(`frequency [${psd.frequency_unit}]`), { ...axis(`PSD [${psd.unit}]`), size: 46 }],
       series: [{}, { stroke: inkOf("--accent"), width: 1.5 }],
     }, [keep.map(([a]) => a), keep.map(([, b]) => b)], box.current);
     const size = new ResizeObserver(() => box.current && plot.setSize({ width: box.current.clientWidth, height: 170 }));
@@ -157,9 +158,9 @@ const MAPS = [
 ];
 
 function Map_({ measurement }) {
+  const ready = Boolean(measurement.predicted);
   const [name, show] = useState("measured");
   const box = useRef(null);
-  const has = measurement.maps ?? MAPS.map(([key]) => key);
   useEffect(() => {
     let view = null;
     let gone = false;
@@ -179,7 +180,7 @@ function Map_({ measurement }) {
     };
   }, [measurement.id, name]);
   return html`<div>
-    <div class="panehead"><div class="tabs" role="tablist" aria-label="Map">${MAPS.map(([key, title]) => html`<button type="button" role="tab" aria-selected=${key === name ? "true" : "false"} disabled=${!has.includes(key)} onClick=${() => show(key)}>${title}</button>`)}</div></div>
+    <div class="panehead"><div class="tabs" role="tablist" aria-label="Map">${MAPS.map(([key, title]) => html`<button type="button" role="tab" aria-selected=${key === name ? "true" : "false"} disabled=${key === "predicted" && !ready} onClick=${() => show(key)}>${title}</button>`)}</div></div>
     <div class="map" ref=${box}></div>
   </div>`;
 }
@@ -187,11 +188,18 @@ function Map_({ measurement }) {
 // ------------------------------------------------------------------------------------------------------- the findings
 
 function Findings({ measurement }) {
-  const findings = measurement.findings ?? [];
+  const { findings, lenslets, predicted, correction } = measurement;
   const [chosen, choose] = useState(() => new Set(findings.filter((one) => one.chosen).map((one) => one.cause)));
-  const [made, setMade] = useState(null);
+  const [all, showAll] = useState(false);
   const { runs } = useStore(["runs"]);
-  const run = runs.find((one) => one.id === made);
+  const run = runs.find((one) => one.id === correction);
+  const [files, setFiles] = useState([]);
+  useEffect(() => {
+    // What is predicted comes with the end of the correction.
+    if (run?.state !== "done") return;
+    if (!predicted) follow(measurement.id);
+    get(`/runs/${run.id}`).then((detail) => setFiles(detail.files), (error) => say(error.message, "bad"));
+  }, [run?.state]);
   const flip = (cause) => {
     const next = new Set(chosen);
     if (!next.delete(cause)) next.add(cause);
@@ -199,57 +207,58 @@ function Findings({ measurement }) {
   };
   const correct = async () => {
     try {
-      const { id } = await post(`/measurements/${measurement.id}/correct`, { causes: [...chosen] });
-      setMade(id);
+      await post(`/measurements/${measurement.id}/correct`, { causes: [...chosen] });
+      setFiles([]);
       await refresh();
+      await follow(measurement.id);
     } catch (error) {
       say(error.message, "bad");
     }
   };
-  useEffect(() => {
-    if (run?.state === "done") follow(measurement.id);
-  }, [run?.state]);
+  const going = run && GOING.has(run.state);
+  const called = findings.filter((one) => one.called_for);
   return html`<div>
-    <div class="panehead"><strong>Why it is off</strong></div>
+    <div class="panehead"><strong>Why it is off</strong><span class="gap"></span>${findings.length > called.length && html`<label class="flag"><input type="checkbox" checked=${all} onChange=${(event) => showAll(event.target.checked)} />all that was looked for</label>`}</div>
     <div class="scroll pad">
-      ${!findings.length && html`<p class="quiet">Nothing was found that tool, machine or mount would leave.</p>`}
-      ${findings.map((one) => html`<div class="cause" key=${one.name ?? one.cause}>
-        <input type="checkbox" id=${`cause-${one.name ?? one.cause}`} checked=${chosen.has(one.cause)} disabled=${!one.correctable} onChange=${() => flip(one.cause)} title="correct this" />
-        <label for=${`cause-${one.name ?? one.cause}`}>${one.name ?? one.cause}</label>
-        <span class="number">${quantity(one.value, one.unit)} <span class="quiet">± ${quantity(one.uncertainty, one.unit, 2)}</span></span>
-        <p>${one.sentence}</p></div>`)}
-      ${measurement.lenslets?.length > 0 && html`<${Lenslets} lenslets=${measurement.lenslets} />`}
+      ${!called.length && html`<p class="quiet">No cause is called for: what is left is not of tool, machine or mount.</p>`}
+      ${(all ? findings : called).map((one) => html`<div class="cause" key=${one.name}>
+        <input type="checkbox" id=${`cause-${one.name}`} checked=${chosen.has(one.cause)} disabled=${!one.correctable && !one.called_for} onChange=${() => flip(one.cause)} aria-describedby=${`why-${one.name}`} title="Correct this" />
+        <label for=${`cause-${one.name}`}>${one.name}</label>
+        <span class="number">${quantity(one.simplest, one.unit)} <span class="quiet">± ${quantity(one.uncertainty, one.unit, 2)}</span></span>
+        <p id=${`why-${one.name}`}>${one.sentence}${one.rms_nm > 0 ? ` It makes ${height(one.rms_nm)} RMS of the form.` : ""}</p></div>`)}
+      ${lenslets.length > 0 && html`<${Lenslets} lenslets=${lenslets} />`}
     </div>
-    <div class="bar pad">
-      <button type="button" class="button accent" disabled=${!chosen.size || (run && GOING.has(run.state))} onClick=${correct}>Correct ${chosen.size === 1 ? "this" : `these ${chosen.size || ""}`}</button>
-      ${run && GOING.has(run.state) && html`<span class="quiet">${run.progress ? `${run.progress.stage}, ${percent(run.progress.done / (run.progress.total || 1))}` : "waits"}</span>`}
-      ${run?.state === "done" && html`<${Fragment}><${Mark} ok /><button type="button" class="link" onClick=${() => look(run.id)}>corrected job</button></${Fragment}>`}
+    <div class="decide">
+      <div class="bar"><button type="button" class="button accent" id="correct" disabled=${!chosen.size || going} onClick=${correct}>${chosen.size > 1 ? `Correct these ${chosen.size}` : "Correct this"}</button>
+      ${going && html`<span class="quiet" role="status">${run.progress ? `${run.progress.stage}, ${percent(run.progress.done / (run.progress.total || 1))}` : "waits"}</span>`}
+      ${predicted && run?.state === "done" && html`<span><${Mark} ok /> then ${Object.entries(predicted).map(([name, { pv_nm, rms_nm }]) => `${name}: PV ${height(pv_nm)}, RMS ${height(rms_nm)}`).at(-1)}</span>`}</div>
+      ${run?.state === "done" && html`<${Fragment}><${Downloads} path=${`/runs/${run.id}`} files=${files} only=${["job", "program", "table", "report", "correction"]} />
+        <button type="button" class="add" onClick=${() => editAgain(run.id)}><${Icon} name="left" />Take the corrected job into the fields</button></${Fragment}>`}
+      ${run?.state === "failed" && html`<p class="wrong">${run.sentence}</p>`}
     </div>
-    ${run?.state === "done" && html`<div class="pad"><${Downloads} path=${`/measurements/${measurement.id}`} names=${[["job", "Corrected job"], ["program", "Corrected program"], ["report", "Report"]]} /></div>`}
-    ${run?.state === "failed" && html`<p class="wrong pad">${run.sentence}</p>`}
   </div>`;
 }
 
 /** Where each lens sits against where it should: a table, and arrows drawn large. */
 function Lenslets({ lenslets }) {
-  const seen = lenslets.filter((one) => one.centre && one.dislocation);
-  const reach = Math.max(...seen.map(({ centre }) => Math.max(...centre.map(Math.abs))), 1e-9) * 1.15;
-  const most = Math.max(...seen.map(({ dislocation }) => Math.hypot(...dislocation)), 1e-12);
-  const scale = (0.16 * reach) / most;
-  const arrow = ({ centre: [x, y], dislocation: [dx, dy] }) => {
+  const seen = lenslets.filter((one) => one.centre.every(Number.isFinite)).map((one) => ({ ...one, off: one.centre.map((value, axis) => value - one.design[axis]) }));
+  const reach = Math.max(...lenslets.map(({ design }) => Math.max(...design.map(Math.abs))), 1e-9) * 1.25;
+  const most = Math.max(...seen.map(({ off }) => Math.hypot(...off)), 1e-12);
+  const scale = (0.2 * reach) / most;
+  const arrow = ({ design: [x, y], off: [dx, dy] }) => {
     const [ex, ey] = [x + dx * scale, y + dy * scale];
     const angle = Math.atan2(dy, dx);
-    const head = 0.035 * reach;
+    const head = 0.04 * reach;
     const wing = (turn) => `${ex - head * Math.cos(angle + turn)},${-(ey - head * Math.sin(angle + turn))}`;
     return `M${x},${-y}L${ex},${-ey}M${wing(0.5)}L${ex},${-ey}L${wing(-0.5)}`;
   };
-  return html`<section><h3>Lenses</h3>
+  return html`<section class="lenses"><h3>Lenses</h3>
     ${seen.length > 0 && html`<svg class="quiver" viewBox=${`${-reach} ${-reach} ${2 * reach} ${2 * reach}`} role="img" aria-label=${`Dislocation of ${seen.length} lenses, at most ${quantity(most, "mm")}`}>
-      ${seen.map((one) => html`<g><circle class="cell" cx=${one.centre[0]} cy=${-one.centre[1]} r=${0.012 * reach} vector-effect="non-scaling-stroke" /><path class="arrow" vector-effect="non-scaling-stroke" d=${arrow(one)} /></g>`)}
-    </svg><p class="quiet">Longest arrow ${quantity(most, "mm")}.</p>`}
-    <table class="small"><thead><tr><th>lens</th><th class="number">dx</th><th class="number">dy</th><th class="number">dz</th><th class="number">radius</th><th class="number">Sq</th></tr></thead>
-      <tbody>${lenslets.map((one, index) => html`<tr><th scope="row">${one.name ?? index + 1}</th>${[0, 1, 2].map((axis) => html`<td class="number">${one.dislocation?.[axis] === undefined ? "–" : quantity(one.dislocation[axis], "mm")}</td>`)}
-        <td class="number">${Number.isFinite(one.radius) ? quantity(one.radius, "mm", 4) : "–"}</td><td class="number">${height(one.sq_nm)}</td></tr>`)}</tbody></table></section>`;
+      ${seen.map((one) => html`<g><title>${`lens ${one.number}`}</title><circle class="cell" cx=${one.design[0]} cy=${-one.design[1]} r=${0.015 * reach} vector-effect="non-scaling-stroke" /><path class="arrow" vector-effect="non-scaling-stroke" d=${arrow(one)} /></g>`)}
+    </svg><p class="quiet">Found minus design, x to the right, y up; the longest arrow is ${quantity(most, "mm")}.</p>`}
+    <table class="small"><thead><tr><th>lens</th><th class="number">dx</th><th class="number">dy</th><th class="number">dz</th><th class="number">ΔR</th><th class="number">Sq</th></tr></thead>
+      <tbody>${lenslets.map((one) => html`<tr title=${one.finding}><th scope="row">${one.number}</th>${[0, 1].map((axis) => html`<td class="number">${quantity(one.centre[axis] === null ? Number.NaN : one.centre[axis] - one.design[axis], "mm")}</td>`)}
+        <td class="number">${quantity(one.height, "mm")}</td><td class="number">${quantity(one.radius_error, "mm")}</td><td class="number">${height(one.sq_nm)}</td></tr>`)}</tbody></table></section>`;
 }
 
 // ---------------------------------------------------------------------------------------------------------- the panel

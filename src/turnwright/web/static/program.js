@@ -113,7 +113,7 @@ function Text({ total, grow }) {
 }
 
 function Panel() {
-  const { run: id, result, block, runs } = useStore(["run", "result", "block", "runs"]);
+  const { run: id, result, block, runs, files } = useStore(["run", "result", "block", "runs", "files"]);
   const [total, setTotal] = useState(0);
   const [follow, setFollow] = useState(false);
   const kind = runs.find((one) => one.id === id)?.kind;
@@ -160,7 +160,7 @@ function Panel() {
       <label class="flag"><input type="checkbox" checked=${follow} onChange=${(event) => setFollow(event.target.checked)} />follow the pointer on the part</label>
       <span class="gap"></span>
       ${place && html`<span class="number">line ${count(block + 1)}: x ${number(place[0], 5)} mm, y ${number(place[1], 5)} mm, z ${number(place[2], 5)} mm</span>`}
-      <${Downloads} path=${`/runs/${id}`} names=${[["program", "Program"]]} />
+      <${Downloads} path=${`/runs/${id}`} files=${files} only=${["program", "table"]} />
     </div>
     ${total > 0 ? html`<${Text} key=${id} total=${total} grow=${setTotal} />` : html`<p class="quiet pad">Reading the program …</p>`}
   </div>`;

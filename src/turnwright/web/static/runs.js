@@ -2,6 +2,7 @@
 
 import { html, useState } from "./vendor/preact.js";
 import { events, get, post, remove } from "./api.js";
+import { takeJob } from "./form.js";
 import { say, set, state } from "./state.js";
 import { Bar, Mark, Tool, clock, duration, useStore } from "./ui.js";
 
@@ -65,7 +66,7 @@ export async function start(kind = "run") {
   if (state.errors.length) return say(`The job is not whole: ${state.errors[0].sentence}`, "bad");
   try {
     const { id } = await post("/runs", { data: state.job, kind, name: state.job.part?.name || state.title || "job" });
-    set({ run: id, result: null, maps: [], map: null, window: null, line: null, block: null });
+    set({ run: id, result: null, files: [], maps: [], map: null, window: null, line: null, block: null });
     await refresh();
   } catch (error) {
     say(error.message, "bad");
@@ -75,23 +76,35 @@ export async function start(kind = "run") {
 /** Fetch what a run found, and show it. */
 export async function look(id) {
   const run = state.runs.find((one) => one.id === id);
-  if (id !== state.run) set({ run: id, result: null, maps: [], map: null, window: null, line: null, block: null });
-  if (!run || run.state !== "done") return;
+  if (id !== state.run) set({ run: id, result: null, files: [], maps: [], map: null, window: null, line: null, block: null });
+  if (!run || run.state !== "done") return undefined;
   try {
+    if (run.kind === "measure") {
+      const { follow: show } = await import("./measure.js");
+      set({ drawer: "measure" });
+      return await show(id);
+    }
+    const { files } = await get(`/runs/${id}`);
     if (run.kind === "compare") {
       const comparison = await get(`/runs/${id}/comparison`);
-      if (id === state.run) set({ comparison, drawer: "compare" });
-      return;
-    }
-    if (run.kind !== "run") {
-      set({ drawer: "measure" });
-      const { follow: show } = await import("./measure.js");
-      return show(run.kind === "correct" ? run.of : id);
+      if (id === state.run) set({ comparison, files, drawer: "compare" });
+      return undefined;
     }
     const [result, maps] = await Promise.all([get(`/runs/${id}/result`), get(`/runs/${id}/maps`)]);
-    if (id !== state.run) return;
+    if (id !== state.run) return undefined;
     const known = maps.some(({ name }) => name === state.map);
-    set({ result, maps, map: known ? state.map : maps[0]?.name ?? null, drawer: ["profile", "motion", "program", "measure"].includes(state.drawer) ? state.drawer : "maps" });
+    set({ result, files, maps, map: known ? state.map : maps[0]?.name ?? null, drawer: ["profile", "motion", "program", "measure"].includes(state.drawer) ? state.drawer : "maps" });
+  } catch (error) {
+    say(error.message, "bad");
+  }
+  return undefined;
+}
+
+/** Take the job that a run carried out into the fields. */
+export async function editAgain(id) {
+  try {
+    const { data, name } = await get(`/runs/${id}`);
+    takeJob({ job: data, title: name, fresh: false });
   } catch (error) {
     say(error.message, "bad");
   }
@@ -103,7 +116,7 @@ async function drop(run) {
       await post(`/runs/${run.id}/cancel`);
     } else {
       await remove(`/runs/${run.id}`);
-      if (state.run === run.id) set({ run: null, result: null, comparison: null, maps: [], map: null });
+      if (state.run === run.id) set({ run: null, result: null, files: [], comparison: null, maps: [], map: null });
     }
     await refresh();
   } catch (error) {
@@ -128,7 +141,7 @@ function Run({ run, chosen }) {
       : html`<${Tool} icon=${going ? "stop" : "bin"} name=${going ? `Cancel ${run.name}` : `Delete ${run.name}`} onClick=${() => (going ? drop(run) : ask(true))} />`}
     ${going && html`<div class="progress"><${Bar} share=${share} kind="going" />
       <span role="status">${run.state === "queued" ? "behind the runs before it" : progress ? `${progress.stage}, ${Math.round(share * 100)} %` : "begins"}</span>
-      <span class="gap"></span>${Number.isFinite(progress?.left_s) && html`<span class="number">${duration(progress.left_s)} left</span>`}</div>`}
+      <span class="gap"></span>${Number.isFinite(progress?.left_s) && html`<span class="number">${duration(progress.left_s)} more</span>`}</div>`}
     ${run.state === "failed" && run.sentence && html`<p class="wrong">${run.sentence}</p>`}
   </li>`;
 }

@@ -30,6 +30,7 @@
    runs          [{id, name, kind, state, created, started, ended, sentence, progress?}]; progress {stage, done, total, left_s}   runs.js
    run           id of the run looked at | null                                           runs.js
    result        result.json of that run | null                                           runs.js
+   files         what that run has left: [{name, part, file, bytes}]                      runs.js
    comparison    comparison.json of the last comparison looked at | null                  runs.js
    maps          GET /api/runs/{id}/maps of that run: [{name, unit, ...}]                 runs.js
    map           name of the map looked at | null                                         runs.js (the first), mapview.js
@@ -59,6 +60,7 @@ export const state = {
   runs: [],
   run: null,
   result: null,
+  files: [],
   comparison: null,
   maps: [],
   map: null,

@@ -175,11 +175,18 @@ export function Bar({ share, kind = "" }) {
   return html`<svg class=${`share ${kind}`} viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true"><rect class="track" width="100" height="4" /><rect class="fill" width=${width} height="4" /></svg>`;
 }
 
-/** Links to files of a run or a measurement. */
-export function Downloads({ path, names }) {
-  return html`<p class="downloads">
-    ${names.map(([name, title]) => html`<a class="button" href=${address(`${path}/files/${name}`)} download><${Icon} name="save" />${title}</a>`)}
-  </p>`;
+const FILES = { program: "Program", table: "Table of the fast tool", report: "Report", job: "Job", correction: "Correction", archive: "Archive", result: "Numbers" };
+
+/** Links to the files of a run: [{name, part, file, bytes}]; many of one kind fold. */
+export function Downloads({ path, files, only = Object.keys(FILES) }) {
+  const link = ({ name, part, file, bytes: size }, title) => html`<a class="button" href=${address(`${path}/files/${name}`, part ? { part } : {})} download=${file} title=${`${file}, ${bytes(size)}`}><${Icon} name="save" />${title}</a>`;
+  return html`<div class="downloads">
+    ${only.map((kind) => {
+      const these = files.filter(({ name }) => name === kind);
+      if (these.length < 2) return these.map((one) => link(one, FILES[kind]));
+      return html`<details><summary class="button"><${Icon} name="save" />${FILES[kind]}, ${these.length} files</summary><div class="many">${these.map((one) => link(one, one.file))}</div></details>`;
+    })}
+  </div>`;
 }
 
 /** Save text as a file of the reader's. */

@@ -3,7 +3,7 @@
 import { Fragment, html, render, useEffect, useState } from "./vendor/preact.js";
 import { on, set } from "./state.js";
 import { Bar, Downloads, Gauge, Icon, Mark, bytes, count, duration, height, length, number, percent, quantity, useStore } from "./ui.js";
-import { Queue } from "./runs.js";
+import { Queue, editAgain } from "./runs.js";
 
 function Card({ title, side = null, children }) {
   return html`<section class="card"><header><h3>${title}</h3><span class="gap"></span>${side}</header>${children}</section>`;
@@ -78,21 +78,12 @@ function Warnings({ warnings }) {
 
 // ----------------------------------------------------------------------------------------------------------- the run
 
-const DOWNLOADS = [
-  ["program", "Program"],
-  ["report", "Report"],
-  ["job", "Job"],
-  ["archive", "Archive"],
-  ["result", "Result"],
-];
-
 function Outcome() {
-  const { result, run, runs, job } = useStore(["result", "run", "runs", "job"]);
+  const { result, run, runs, files } = useStore(["result", "run", "runs", "files"]);
   const entry = runs.find((one) => one.id === run);
   if (!entry || !result?.passes) return null;
   const last = result.passes.at(-1);
   const seconds = result.passes.reduce((sum, cut) => sum + cut.limits.cycle_time_s, 0);
-  const tolerances = entry.tolerances ?? job?.tolerances ?? {};
   return html`<div class="cards" id="outcome">
     <section class=${result.ok ? "card verdict good" : "card verdict bad"}><${Mark} ok=${result.ok} />
       <div><h3>${result.ok ? "Cut as planned, within all limits" : "Not within all limits"}</h3><p class="quiet">${result.part}, on ${result.machine}</p></div></section>
@@ -102,7 +93,6 @@ function Outcome() {
       <tbody>${result.predictions.map(({ name, roughness }) => html`<tr class="pick" onClick=${() => set({ map: name, drawer: "maps" })}>
         <th scope="row"><button type="button" class="link" onClick=${() => set({ map: name, drawer: "maps" })}>${name}</button></th>
         <td class="number">${height(roughness.pv_nm)}</td><td class="number">${height(roughness.sq_nm)}</td><td class="number">${height(roughness.sa_nm)}</td></tr>`)}</tbody></table>
-      ${Object.keys(tolerances).length > 0 && html`<p class="quiet">Asked for: ${Object.entries(tolerances).map(([name, value]) => `${name.replaceAll("_", " ")} ${value}`).join(", ")}.</p>`}
     </${Card}>
     <${Budget} result=${result} />
     <${Card} title="Cycle" side=${html`<span class="quiet">${result.dialect}</span>`}>
@@ -115,7 +105,8 @@ function Outcome() {
       <${Limits} limits=${last.limits} name=${last.name} />
     </${Card}>
     <${Card} title="Program"><p class="quiet">${count(result.program.lines)} lines in ${result.program.files.length === 1 ? "one file" : `${result.program.files.length} files`}, ${bytes(result.program.bytes)}; read back from disk within ${height(result.rounding_nm)} of the planned motion, decimals allow ${height(result.rounding_limit_nm)}.</p>
-      <${Downloads} path=${`/runs/${run}`} names=${DOWNLOADS} /></${Card}>
+      <${Downloads} path=${`/runs/${run}`} files=${files} />
+      <p><button type="button" class="add" onClick=${() => editAgain(run)}><${Icon} name="left" />Take this job into the fields</button></p></${Card}>
   </div>`;
 }
 
