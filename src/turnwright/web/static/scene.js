@@ -1,0 +1,914 @@
+/* The scene: the part coloured by any map, the spiral of the finishing pass, the tool where the slider puts it, and the
+   edge in contact as an inset, to scale and close by.
+
+   World and part frame are one: x, y, z in mm, z toward the tool; heights are drawn larger by a factor that is stated.
+   Nothing is drawn while nothing changes. */
+
+import {
+  AmbientLight, BufferAttribute, BufferGeometry, CanvasTexture, Color, DataTexture, DirectionalLight, DoubleSide, ExtrudeGeometry, Group, LinearFilter, LineBasicMaterial,
+  LineSegments, Mesh, MeshLambertMaterial, MeshStandardMaterial, OrbitControls, PerspectiveCamera, Raycaster, RGBAFormat, RingGeometry, MeshBasicMaterial, Scene, Shape, Sprite, SpriteMaterial,
+  SRGBColorSpace, UnsignedByteType, Vector2, Vector3, WebGLRenderer,
+} from "./vendor/three.js";
+import { getPacked, postPacked } from "./api.js";
+import { drawBar, fitted, inks, paint, said, scaleOf, tableOf, ticks, tickText } from "./colour.js";
+import { CLIENT, element, framed } from "./dom.js";
+import { on, say, set, state } from "./state.js";
+import { length, number } from "./ui.js";
+
+const RINGS = 160;
+const RAYS = 288;
+const PIXELS = 288;
+const POINTS = 6000;
+const SHOWN = 0.2;
+const STEEPEST = 0.9;
+const QUANTITIES = [
+  ["height", "Height"], ["slope", "Slope"], ["curvature", "Curvature"], ["clearance margin", "Clearance margin"], ["chip thickness", "Chip thickness"], ["error", "Error of the run"],
+];
+const VIEWS = { iso: [1, -1.5, 0.95], top: [0, -1e-4, 1], side: [0, -1, 0.02] };
+const ignored = (error) => error.name === "AbortError" || error.status === 409;
+
+/** A factor for heights that a person can say: 1, 2, 5, 10, 20 and so on. */
+function plain(factor) {
+  if (factor <= 1.3) return 1;
+  const power = 10 ** Math.floor(Math.log10(factor));
+  return [1, 2, 5, 10].reduce((best, one) => (Math.abs(Math.log(one * power / factor)) < Math.abs(Math.log(best / factor)) ? one * power : best), power);
+}
+
+class View {
+  constructor(box) {
+    this.box = box;
+    box.classList.add("scenebox");
+    this.build();
+    this.stage();
+    this.listen();
+  }
+
+  // ------------------------------------------------------------------------------------------------------ elements
+
+  build() {
+    this.canvas = element("canvas", {
+      class: "scene", tabindex: 0, role: "application",
+      "aria-label": "The part. Arrow keys turn it, with Shift they move it, plus and minus zoom, Home shows all of it, comma and full stop move the tool.",
+    });
+    this.choose = element("select", { "aria-label": "Colour the part by", onchange: () => set({ quantity: this.choose.value }) }, QUANTITIES.map(([value, title]) => element("option", { value }, [title])));
+    this.times = element("select", { "aria-label": "Heights drawn larger by", title: "Heights are drawn larger by this factor", onchange: () => this.exaggerate(this.times.value === "auto" ? null : Number(this.times.value)) });
+    const views = [["iso", "Oblique", "From the front, above (Home)"], ["top", "Top", "From above, along z"], ["side", "Side", "From the side, along y"]].map(([name, text, title]) => element("button", { type: "button", class: "button", title, onclick: () => this.look(name) }, [text]));
+    const flag = (name, title) => element("label", { class: "flag" }, [element("input", { type: "checkbox", checked: true, onchange: (event) => this.flip(name, event.target.checked) }), title]);
+    this.tools = element("div", { class: "scenebar" }, [
+      element("label", { class: "flag" }, ["Colour ", this.choose]), element("label", { class: "flag" }, ["z × ", this.times]), flag("path", "Path"), flag("tool", "Tool"), flag("inset", "Contact"), element("span", { class: "gap" }), ...views,
+    ]);
+    this.bar = element("canvas", { class: "scenecolours", role: "img", "aria-label": "Colour bar" });
+    this.inset = element("canvas", { class: "inset", role: "img", "aria-label": "The edge in contact with the part" });
+    this.note = element("p", { class: "scenenote" });
+    this.readout = element("output", { class: "readout" });
+    this.slider = element("input", { type: "range", min: 0, max: 1, step: "any", value: 0, "aria-label": "Place of the tool on the finishing path" });
+    this.where = element("output", { class: "where" });
+    this.scrub = element("div", { class: "scrub" }, [this.slider, this.where]);
+    this.wait = element("span", { class: "mapwait", hidden: true }, ["looking …"]);
+    this.insetbox = element("div", { class: "insetbox" }, [this.inset]);
+    this.stagebox = element("div", { class: "stage" }, [this.canvas, this.bar, this.insetbox, this.note, this.readout, this.wait]);
+    this.box.append(this.tools, this.stagebox, this.scrub);
+  }
+
+  // --------------------------------------------------------------------------------------------------------- stage
+
+  stage() {
+    this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true, preserveDrawingBuffer: false });
+    this.renderer.setPixelRatio(Math.min(2, devicePixelRatio || 1));
+    this.scene = new Scene();
+    this.camera = new PerspectiveCamera(32, 1, 0.01, 1000);
+    this.camera.up.set(0, 0, 1);
+    this.controls = new OrbitControls(this.camera, this.canvas);
+    this.controls.enableDamping = false;
+    this.controls.zoomSpeed = 1.4;
+    this.light = new DirectionalLight(0xffffff, 1.5);
+    this.soft = new AmbientLight(0xffffff, 2.1);
+    this.scene.add(this.light, this.soft);
+    this.part = new Group();
+    this.axes = new Group();
+    this.scene.add(this.part, this.axes);
+    this.ray = new Raycaster();
+    this.draw = framed(() => this.drawNow());
+    this.controls.addEventListener("change", () => this.draw());
+    this.sized = new ResizeObserver(() => {
+      const { clientWidth: width, clientHeight: height } = this.stagebox;
+      if (width < 10 || height < 10) return;
+      this.renderer.setSize(width, height, false);
+      this.camera.aspect = width / height;
+      this.frame();
+      if (!this.moved) this.look("iso");
+      this.draw();
+      this.drawInset();
+      this.drawColours();
+    });
+    this.sized.observe(this.stagebox);
+    this.visible = { path: true, tool: true, inset: true };
+    this.factor = null;
+    this.insetbox.hidden = true;
+  }
+
+  drawNow() {
+    // The light stands beside the camera, so that the shape reads from every side.
+    this.light.position.copy(this.camera.position).add(new Vector3(-0.8, 0.5, 1.1).multiplyScalar(this.camera.position.length() * 0.6));
+    for (const sprite of this.axes.children) {
+      if (!sprite.isSprite) continue;
+      const far = sprite.position.distanceTo(this.camera.position);
+      const high = (2 * far * Math.tan((this.camera.fov * Math.PI) / 360) * sprite.userData.pixels) / Math.max(1, this.stagebox.clientHeight);
+      sprite.scale.set(high * sprite.userData.aspect, high, 1);
+    }
+    this.renderer.render(this.scene, this.camera);
+    this.box.dataset.drawn = String((Number(this.box.dataset.drawn) || 0) + 1);
+  }
+
+  look(name) {
+    const radius = this.surface?.header.radius ?? 1;
+    const wide = Math.min(1, this.camera.aspect);
+    const away = (radius * { iso: 1.56, top: 1.46, side: 1.4 }[name]) / Math.tan((this.camera.fov * Math.PI) / 360) / wide;
+    this.controls.target.set(0, 0, name === "iso" ? -0.1 * radius : 0);
+    this.camera.position.copy(new Vector3(...VIEWS[name]).normalize().multiplyScalar(away)).add(this.controls.target);
+    Object.assign(this.camera, { near: away / 200, far: away * 20 });
+    this.frame();
+    Object.assign(this.controls, { minDistance: radius * 0.02, maxDistance: away * 6 });
+    this.controls.update();
+    this.draw();
+  }
+
+  /** The middle of the picture is that of the room which the colour bar and the inset leave. */
+  frame() {
+    const { clientWidth: width, clientHeight: height } = this.stagebox;
+    const taken = this.visible.inset && width > 560 ? this.insetbox.clientWidth - 90 : -60;
+    this.camera.setViewOffset(width, height, Math.max(0, taken) / 2.6, -0.02 * height, width, height);
+    this.camera.updateProjectionMatrix();
+  }
+
+  // ---------------------------------------------------------------------------------------------------- the surface
+
+  /** Ask for the part in the chosen colours; the answer to the last question counts. */
+  async askSurface() {
+    const { job, quantity, run } = state;
+    if (!job) return;
+    this.asking?.abort();
+    const mine = (this.asking = new AbortController());
+    const { signal } = mine;
+    this.wait.hidden = false;
+    const options = { signal };
+    try {
+      const shape = quantity === "error" ? "height" : quantity;
+      const [surface, error] = await Promise.all([
+        postPacked("/view/surface", { data: job, quantity: shape, pixels: PIXELS, client: CLIENT }, options),
+        quantity === "error" && run ? getPacked(`/runs/${run}/map`, { name: "whole part", nx: 512, ny: 512 }, options) : null,
+      ]);
+      if (signal.aborted) return;
+      this.setSurface(surface, error);
+      this.wrong = "";
+    } catch (error) {
+      if (ignored(error)) return;
+      this.wrong = error.message;
+    }
+    this.wait.hidden = true;
+    this.tellNote();
+  }
+
+  setSurface(surface, error) {
+    const fresh = this.surface?.header.radius !== surface.header.radius;
+    this.surface = surface;
+    this.error = error;
+    this.exaggerate(this.factor, false);
+    this.makePart();
+    this.colourPart();
+    this.makeAxes();
+    if (fresh) {
+      this.moved = false;
+      this.look("iso");
+    }
+    this.placeTool();
+    this.draw();
+  }
+
+  /** Heights at any place, between the four that are known. */
+  heightAt(x, y) {
+    const { header, arrays } = this.surface;
+    const [rows, columns] = arrays.z.shape;
+    const z = arrays.z.data;
+    const u = Math.max(0, Math.min(columns - 1.000001, ((x - header.x[0]) / (header.x[1] - header.x[0])) * (columns - 1)));
+    const v = Math.max(0, Math.min(rows - 1.000001, ((y - header.y[0]) / (header.y[1] - header.y[0])) * (rows - 1)));
+    const [i, j] = [Math.floor(u), Math.floor(v)];
+    const [s, t] = [u - i, v - j];
+    const at = j * columns + i;
+    return (1 - t) * ((1 - s) * z[at] + s * z[at + 1]) + t * ((1 - s) * z[at + columns] + s * z[at + columns + 1]);
+  }
+
+  /** The drawn height of a true one: larger about the middle of the part's own. */
+  up(z) {
+    return (z - this.middle) * this.scale;
+  }
+
+  /** The slope that nearly all of the part stays below. */
+  steepness() {
+    const { header, arrays } = this.surface;
+    const [rows, columns] = arrays.z.shape;
+    const z = arrays.z.data;
+    const step = (header.x[1] - header.x[0]) / (columns - 1);
+    const found = [];
+    for (let row = 1; row < rows - 1; row += 3) {
+      for (let column = 1; column < columns - 1; column += 3) {
+        const at = row * columns + column;
+        if (Math.hypot(column - columns / 2, row - rows / 2) < columns / 2 - 2) found.push(Math.hypot(z[at + 1] - z[at - 1], z[at + columns] - z[at - columns]) / (2 * step));
+      }
+    }
+    found.sort((a, b) => a - b);
+    return Math.max(found[Math.floor(0.95 * found.length)] ?? 0, 1e-9);
+  }
+
+  exaggerate(factor, redo = true) {
+    this.factor = factor;
+    const { radius, z_low: low, z_high: high } = this.surface.header;
+    const span = Math.max(high - low, 1e-12);
+    // As high as reads well, but no steeper than a shape is still seen as one.
+    const natural = Math.max(1, Math.min(1e7, plain(Math.min((SHOWN * 2 * radius) / span, STEEPEST / this.steepness()))));
+    this.scale = factor ?? natural;
+    this.middle = (low + high) / 2;
+    const choices = [...new Set([1, natural / 10, natural / 5, natural / 2, natural, natural * 2, natural * 5].filter((one) => one >= 1).map(plain))].sort((a, b) => a - b);
+    this.times.replaceChildren(
+      element("option", { value: "auto", selected: factor === null }, [`${natural.toLocaleString("en")} (fits)`]),
+      ...choices.map((one) => element("option", { value: one, selected: factor === one }, [one.toLocaleString("en")])),
+    );
+    if (!redo) return;
+    this.makePart();
+    this.colourPart();
+    this.makeAxes();
+    this.makePath();
+    this.placeTool();
+    this.draw();
+  }
+
+  makePart() {
+    const { header } = this.surface;
+    const radius = header.radius;
+    const places = new Float32Array((RINGS * RAYS + 1) * 3);
+    const uv = new Float32Array((RINGS * RAYS + 1) * 2);
+    const put = (at, x, y) => {
+      places.set([x, y, this.up(this.heightAt(x, y))], 3 * at);
+      uv.set([0.5 + x / (2 * radius), 0.5 + y / (2 * radius)], 2 * at);
+    };
+    put(0, 0, 0);
+    for (let ring = 0; ring < RINGS; ring++) {
+      const r = (radius * (ring + 1)) / RINGS;
+      for (let ray = 0; ray < RAYS; ray++) {
+        const angle = (2 * Math.PI * ray) / RAYS;
+        put(1 + ring * RAYS + ray, r * Math.cos(angle), r * Math.sin(angle));
+      }
+    }
+    const faces = [];
+    for (let ray = 0; ray < RAYS; ray++) {
+      const next = (ray + 1) % RAYS;
+      faces.push(0, 1 + ray, 1 + next);
+      for (let ring = 0; ring < RINGS - 1; ring++) {
+        const [a, b] = [1 + ring * RAYS, 1 + (ring + 1) * RAYS];
+        faces.push(a + ray, b + ray, b + next, a + ray, b + next, a + next);
+      }
+    }
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(places, 3));
+    geometry.setAttribute("uv", new BufferAttribute(uv, 2));
+    geometry.setIndex(faces);
+    geometry.computeVertexNormals();
+    if (!this.face) {
+      this.texture = new DataTexture(new Uint8Array(4), 1, 1, RGBAFormat, UnsignedByteType);
+      this.face = new Mesh(geometry, new MeshLambertMaterial({ map: this.texture, side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }));
+      this.wall = new Mesh(new BufferGeometry(), new MeshLambertMaterial({ side: DoubleSide }));
+      this.part.add(this.face, this.wall);
+    } else {
+      this.face.geometry.dispose();
+      this.face.geometry = geometry;
+    }
+    // The body below, so that a part looks like one.
+    const lowest = Math.min(...Array.from({ length: RAYS }, (_, ray) => places[3 * (1 + (RINGS - 1) * RAYS + ray) + 2]), this.up(header.z_low));
+    this.floor = lowest - 0.1 * radius;
+    const body = new Float32Array(RAYS * 12);
+    const sides = [];
+    for (let ray = 0; ray < RAYS; ray++) {
+      const from = 3 * (1 + (RINGS - 1) * RAYS + ray);
+      const [x, y, z] = places.subarray(from, from + 3);
+      body.set([x, y, z, x, y, this.floor], 6 * ray);
+      const next = (ray + 1) % RAYS;
+      sides.push(2 * ray, 2 * ray + 1, 2 * next + 1, 2 * ray, 2 * next + 1, 2 * next);
+    }
+    const wall = new BufferGeometry();
+    wall.setAttribute("position", new BufferAttribute(body.subarray(0, RAYS * 6), 3));
+    wall.setIndex(sides);
+    wall.computeVertexNormals();
+    this.wall.geometry.dispose();
+    this.wall.geometry = wall;
+  }
+
+  /** What is shown: values, their range, unit and label. */
+  shown() {
+    const of = this.error ?? this.surface;
+    const { header } = of;
+    if (!this.error) return { of, header, low: header.low, high: header.high, unit: header.unit, label: header.label };
+    const most = Math.max(Math.abs(header.p1), Math.abs(header.p99)) || 1e-9;
+    return { of, header, low: -most, high: most, unit: "mm", label: "cut − design" };
+  }
+
+  colourPart() {
+    const { of, header, low, high } = this.shown();
+    const [rows, columns] = of.arrays.values.shape;
+    const pixels = new Uint32Array(rows * columns);
+    paint(of.arrays.values.data, columns, rows, low, high > low ? high : low + 1e-12, tableOf(header.diverging, state.theme), pixels);
+    // Textures count rows from below, pictures from above.
+    const flipped = new Uint32Array(rows * columns);
+    for (let row = 0; row < rows; row++) flipped.set(pixels.subarray(row * columns, (row + 1) * columns), (rows - 1 - row) * columns);
+    this.texture?.dispose();
+    this.texture = new DataTexture(new Uint8Array(flipped.buffer), columns, rows, RGBAFormat, UnsignedByteType);
+    Object.assign(this.texture, { colorSpace: SRGBColorSpace, minFilter: LinearFilter, magFilter: LinearFilter, needsUpdate: true });
+    this.face.material.map = this.texture;
+    this.face.material.needsUpdate = true;
+    this.wall.material.color = new Color(inks().edge);
+    this.drawColours();
+  }
+
+  drawColours() {
+    if (!this.surface) return;
+    const { header, low, high, unit, label } = this.shown();
+    drawBar(this.bar, { low, high, unit, label, name: tableOf(header.diverging, state.theme), clipped: Boolean(this.error) });
+  }
+
+  tellNote() {
+    const parts = [];
+    if (this.wrong) parts.push(this.wrong);
+    else if (this.surface) {
+      const { header } = this.surface;
+      parts.push(this.scale === 1 ? "heights to scale" : `heights × ${this.scale.toLocaleString("en")}`);
+      if (this.toolTimes > 1.05) parts.push(`tool × ${number(this.toolTimes, 2)}`);
+      if (state.quantity !== "error" && header.note) parts.push(header.note);
+      if (state.quantity === "error" && !this.error) parts.push("no run is chosen: run the job to see its error");
+      if (this.path) parts.push(this.path.header.note);
+    }
+    this.note.textContent = parts.join("  ·  ");
+    this.note.classList.toggle("bad", Boolean(this.wrong));
+  }
+
+  // ---------------------------------------------------------------------------------------------------------- axes
+
+  label(text, colour, pixels = 15) {
+    const canvas = document.createElement("canvas");
+    const context = canvas.getContext("2d");
+    const font = `600 36px ${inks().font}`;
+    context.font = font;
+    canvas.width = Math.ceil(context.measureText(text).width) + 12;
+    canvas.height = 46;
+    Object.assign(context, { font, fillStyle: colour, textBaseline: "middle" });
+    context.fillText(text, 6, 24);
+    const texture = new CanvasTexture(canvas);
+    texture.colorSpace = SRGBColorSpace;
+    const sprite = new Sprite(new SpriteMaterial({ map: texture, transparent: true, alphaTest: 0.05 }));
+    Object.assign(sprite.userData, { pixels, aspect: canvas.width / canvas.height });
+    return sprite;
+  }
+
+  /** x, y and z with ticks in mm around the part, z with its own scale. */
+  makeAxes() {
+    for (const one of this.axes.children) {
+      one.geometry?.dispose();
+      one.material.map?.dispose();
+      one.material.dispose();
+    }
+    this.axes.clear();
+    const { radius, z_low: low, z_high: high } = this.surface.header;
+    const { ink, quiet } = inks();
+    const ground = this.floor;
+    const lines = [];
+    const reach = radius * 1.09;
+    const arrow = (from, to, head) => {
+      lines.push(...from, ...to);
+      for (const one of head) lines.push(...to, ...one);
+    };
+    const h = radius * 0.035;
+    arrow([0, -reach, ground], [reach, -reach, ground], [[reach - h, -reach + h / 2, ground], [reach - h, -reach - h / 2, ground]]);
+    arrow([-reach, 0, ground], [-reach, reach, ground], [[-reach + h / 2, reach - h, ground], [-reach - h / 2, reach - h, ground]]);
+    lines.push(-reach, -reach, ground, reach, -reach, ground, -reach, -reach, ground, -reach, reach, ground);
+    const marks = ticks(-radius, radius, 4);
+    const add = (text, x, y, z, colour, pixels) => {
+      const sprite = this.label(text, colour, pixels);
+      sprite.position.set(x, y, z);
+      this.axes.add(sprite);
+    };
+    const tick = radius * 0.025;
+    for (const mark of marks) {
+      lines.push(mark, -reach, ground, mark, -reach - tick, ground, -reach, mark, ground, -reach - tick, mark, ground);
+      if (Math.abs(mark) > 0.86 * radius && mark > 0) continue;
+      add(tickText(mark, marks), mark, -reach - 3.4 * tick, ground, quiet, 14);
+      add(tickText(mark, marks), -reach - 3.4 * tick, mark, ground, quiet, 14);
+    }
+    add("x  mm", reach + 3.2 * tick, -reach, ground, ink, 16);
+    add("y  mm", -reach, reach + 3.2 * tick, ground, ink, 16);
+    const tall = scaleOf("mm", high - low);
+    const heights = ticks(low * tall.factor, high * tall.factor, 3);
+    const [zx, zy] = [-reach, -reach];
+    const top = Math.max(this.up(high), this.up(low) + 0.12 * radius) + 0.1 * radius;
+    arrow([zx, zy, ground], [zx, zy, top], [[zx + h / 2, zy, top - h], [zx - h / 2, zy, top - h]]);
+    for (const mark of heights) {
+      const z = this.up(mark / tall.factor);
+      if (z < ground || z > top) continue;
+      lines.push(zx, zy, z, zx - tick, zy - tick * 0.3, z);
+      add(tickText(mark, heights), zx - 4.4 * tick, zy, z, quiet, 14);
+    }
+    add(`z  ${tall.unit}`, zx, zy, top + 0.055 * radius, ink, 16);
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(new Float32Array(lines), 3));
+    this.axes.add(new LineSegments(geometry, new LineBasicMaterial({ color: new Color(inks().edge) })));
+  }
+
+  // ------------------------------------------------------------------------------------------------- path and tool
+
+  async askPath() {
+    const { job } = state;
+    if (!job) return;
+    this.following?.abort();
+    const mine = (this.following = new AbortController());
+    try {
+      const path = await postPacked("/view/path", { data: job, points: POINTS, client: CLIENT }, { signal: mine.signal });
+      if (mine.signal.aborted) return;
+      this.path = path;
+      // At its first point the tool stands in the air, beside the part.
+      if (state.place === 0) set({ place: 0.42 });
+      if (this.surface) {
+        this.makePath();
+        this.placeTool();
+      }
+    } catch (error) {
+      if (ignored(error)) return;
+      this.path = null;
+      this.makePath();
+      this.placeTool();
+    }
+    this.tellNote();
+    this.draw();
+  }
+
+  makePath() {
+    if (this.spiral) {
+      this.part.remove(this.spiral);
+      this.spiral.geometry.dispose();
+      this.spiral.material.dispose();
+      this.spiral = null;
+    }
+    if (!this.path || !this.surface) return;
+    const { header, arrays } = this.path;
+    const contact = arrays.contact.data;
+    const places = new Float32Array(contact.length);
+    for (let at = 0; at < contact.length; at += 3) {
+      places[at] = contact[at];
+      places[at + 1] = contact[at + 1];
+      places[at + 2] = this.up(contact[at + 2]);
+    }
+    const index = [];
+    for (let turn = 0; turn + 1 < header.starts.length; turn++) {
+      for (let at = header.starts[turn]; at + 1 < header.starts[turn + 1]; at++) index.push(at, at + 1);
+    }
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(places, 3));
+    geometry.setIndex(index);
+    this.spiral = new LineSegments(geometry, new LineBasicMaterial({ color: new Color(state.theme === "dark" ? "#0b1216" : "#ffffff"), transparent: true, opacity: state.theme === "dark" ? 0.5 : 0.42 }));
+    this.spiral.visible = this.visible.path;
+    this.part.add(this.spiral);
+  }
+
+  /** Number of the drawn point nearest to the place of the slider. */
+  index() {
+    const fraction = this.path.arrays.fraction.data;
+    let [low, high] = [0, fraction.length - 1];
+    while (high - low > 1) {
+      const middle = (low + high) >> 1;
+      if (fraction[middle] < state.place) low = middle;
+      else high = middle;
+    }
+    return state.place - fraction[low] < fraction[high] - state.place ? low : high;
+  }
+
+  /** The insert in the plane of its edge: nose, flanks and a body that falls away at the clearance angle. */
+  makeTool() {
+    this.part.remove(this.tool);
+    const { nose_radius: nose, included, radius, clearance } = this.path.header;
+    // A nose of some micrometres on a part of some millimetres is drawn larger, and that is said.
+    const drawn = Math.max(nose, 0.035 * radius);
+    this.toolTimes = drawn / nose;
+    const half = Math.min((included ?? Math.PI) / 2, 1.5);
+    const shape = new Shape();
+    const steps = 24;
+    for (let step = 0; step <= steps; step++) {
+      const sweep = -half + (2 * half * step) / steps;
+      const [u, e] = [drawn * Math.sin(sweep), drawn * (1 - Math.cos(sweep))];
+      if (step) shape.lineTo(u, e);
+      else shape.moveTo(u, e);
+    }
+    const edge = drawn * (1 - Math.cos(half));
+    const tall = edge + 0.2 * radius;
+    const flank = Math.min((0.5 * (tall - edge)) / Math.tan(Math.max(half, 0.12)), 0.6 * drawn + 0.05 * radius);
+    const end = drawn * Math.sin(half) + flank;
+    const bend = edge + flank * Math.tan(half);
+    const high = Math.min(bend, tall);
+    shape.lineTo(end, high);
+    shape.lineTo(end, tall + 0.02 * radius);
+    shape.lineTo(-end, tall + 0.02 * radius);
+    shape.lineTo(-end, high);
+    shape.closePath();
+    const depth = Math.max(0.4 * drawn, 0.08 * radius);
+    const geometry = new ExtrudeGeometry(shape, { depth, bevelEnabled: false, steps: 1 });
+    // Shape and depth (u, e, back) become x radial, z up, y back along the cut; the heel rises at the clearance angle.
+    const position = geometry.getAttribute("position");
+    const rise = Math.tan(clearance ?? 0.1);
+    for (let at = 0; at < position.count; at++) {
+      const [u, e, back] = [position.getX(at), position.getY(at), position.getZ(at)];
+      position.setXYZ(at, u, -back, e < tall * 0.8 ? e + back * rise : e);
+    }
+    geometry.computeVertexNormals();
+    const diamond = new MeshStandardMaterial({ color: 0xd9a441, roughness: 0.35, metalness: 0.15, transparent: true, opacity: 0.88, side: DoubleSide, flatShading: true });
+    this.tool = new Group();
+    this.tool.add(new Mesh(geometry, diamond));
+    this.tool.visible = this.visible.tool;
+    this.part.add(this.tool);
+    this.toolKey = JSON.stringify([nose, included, radius, clearance]);
+  }
+
+  placeTool() {
+    const there = Boolean(this.path && this.surface);
+    this.scrub.hidden = !there;
+    if (this.tool) this.tool.visible = there && this.visible.tool;
+    this.insetbox.hidden = !there || !this.visible.inset;
+    if (!there) return;
+    const { nose_radius: nose, included, radius, clearance, sense, turns } = this.path.header;
+    if (this.toolKey !== JSON.stringify([nose, included, radius, clearance])) {
+      this.makeTool();
+      this.tellNote();
+    }
+    const { arrays } = this.path;
+    const at = this.index();
+    const [x, y, z] = arrays.position.data.subarray(3 * at, 3 * at + 3);
+    const [cx, cy, cz] = arrays.contact.data.subarray(3 * at, 3 * at + 3);
+    const angle = arrays.angle.data[at];
+    // An enlarged nose touches where the real one does: there it keeps its slope.
+    const sweep = arrays.sweep.data[at];
+    const grown = this.toolTimes * nose;
+    if (this.scale === 1 && this.toolTimes < 1.05) this.tool.position.set(x, y, this.up(z));
+    else {
+      const slope = Math.atan(Math.tan(sweep) * this.scale);
+      const held = Math.max(-(included ?? Math.PI) / 2, Math.min((included ?? Math.PI) / 2, slope));
+      const u = grown * Math.sin(held);
+      this.tool.position.set(cx - u * Math.cos(angle), cy - u * Math.sin(angle), this.up(cz) - grown * (1 - Math.cos(held)));
+    }
+    this.tool.rotation.z = angle;
+    this.tool.scale.y = sense;
+    const fraction = arrays.fraction.data[at];
+    this.slider.value = String(state.place);
+    this.slider.setAttribute("aria-valuetext", `turn ${number(fraction * turns, 4)} of ${number(turns, 4)}`);
+    this.where.textContent = `turn ${number(fraction * turns, 5)} of ${number(turns, 5)}   r ${arrays.radius.data[at].toFixed(3)} mm   ${((angle * 180) / Math.PI).toFixed(1)}°   sweep ${((sweep * 180) / Math.PI).toFixed(2)}°`.replaceAll("-", "−");
+    this.askSection(at);
+    this.draw();
+  }
+
+  // --------------------------------------------------------------------------------------------------------- inset
+
+  askSection(at) {
+    clearTimeout(this.sectionTimer);
+    if (!this.visible.inset) return;
+    this.sectionTimer = setTimeout(async () => {
+      this.cutting?.abort();
+      const mine = (this.cutting = new AbortController());
+      const { arrays } = this.path;
+      const place = { angle: arrays.angle.data[at], radius: arrays.radius.data[at], y: arrays.y.data[at] };
+      try {
+        const section = await postPacked("/view/section", { data: state.job, at: place, client: CLIENT }, { signal: mine.signal });
+        if (mine.signal.aborted) return;
+        this.section = section;
+        this.drawInset();
+      } catch (error) {
+        if (ignored(error)) return;
+        this.section = null;
+        this.drawInset();
+      }
+    }, 40);
+  }
+
+  drawInset() {
+    if (this.insetbox.hidden || !this.section) return;
+    const { context, width, height } = fitted(this.inset);
+    context.clearRect(0, 0, width, height);
+    if (width < 40) return;
+    const colours = inks();
+    const split = Math.round(height * 0.5);
+    this.drawTrue(context, colours, { left: 8, top: 20, width: width - 16, height: split - 26 });
+    this.drawClose(context, colours, { left: 44, top: split + 18, width: width - 52, height: height - split - 42 });
+  }
+
+  /** Part and nose, to scale. */
+  drawTrue(context, colours, box) {
+    const { header, arrays } = this.section;
+    const { contact, tip, nose_radius: nose } = header;
+    // As wide as the nose, but no wider than shows the contact.
+    const wide = Math.min(2.3 * nose, 2.3 * Math.abs(arrays.edge.data[0] - tip.radius));
+    const scale = box.width / wide;
+    const toScreen = (u, z) => [box.left + box.width / 2 + (u - tip.radius) * scale, box.top + box.height * 0.72 - (z - contact.z) * scale];
+    context.save();
+    context.beginPath();
+    context.rect(box.left, box.top, box.width, box.height);
+    context.clip();
+    const trace = (pairs) => {
+      context.beginPath();
+      let begun = false;
+      for (let at = 0; at < pairs.length; at += 2) {
+        if (Number.isNaN(pairs[at + 1])) continue;
+        const [x, y] = toScreen(pairs[at], pairs[at + 1]);
+        if (begun) context.lineTo(x, y);
+        else context.moveTo(x, y);
+        begun = true;
+      }
+    };
+    trace(arrays.surface.data);
+    context.strokeStyle = colours.accent;
+    context.lineWidth = 1.6;
+    context.stroke();
+    const ends = [...arrays.surface.data].filter((one, at) => at % 2 === 0 && !Number.isNaN(arrays.surface.data[at + 1]));
+    if (ends.length) {
+      context.lineTo(toScreen(ends.at(-1), 0)[0], box.top + box.height);
+      context.lineTo(toScreen(ends[0], 0)[0], box.top + box.height);
+    }
+    context.fillStyle = `${colours.accent}26`;
+    context.fill();
+    trace(arrays.edge.data);
+    context.fillStyle = "#d9a44166";
+    context.fill();
+    trace(arrays.edge.data);
+    context.strokeStyle = state.theme === "dark" ? "#f0c56b" : "#8a5a00";
+    context.lineWidth = 1.8;
+    context.stroke();
+    const [x, y] = toScreen(contact.u, contact.z);
+    context.fillStyle = colours.bad;
+    context.beginPath();
+    context.arc(x, y, 3, 0, 7);
+    context.fill();
+    context.restore();
+    Object.assign(context, { font: `11px ${colours.font}`, fillStyle: colours.ink, textBaseline: "alphabetic", textAlign: "left" });
+    context.fillText("Edge in contact, to scale", box.left, 13);
+    const bar = ticks(0, wide / 4, 1).at(-1) || wide / 4;
+    context.fillStyle = colours.quiet;
+    context.textAlign = "right";
+    const right = box.left + box.width;
+    context.fillText(length(bar, 2), right, 13);
+    context.fillRect(right - bar * scale, box.top - 3, bar * scale, 2);
+  }
+
+  /** The cusps beside the contact, heights in nanometres over the design. */
+  drawClose(context, colours, box) {
+    const { header, arrays } = this.section;
+    const near = arrays.near.data;
+    const span = near.at(-1);
+    const feed = header.feed;
+    const shown = Math.min(span, 2.6 * feed);
+    const cusp = Math.max((1.2 * feed * feed) / (8 * header.nose_radius), 1e-7);
+    const high = Math.max(cusp * 3.2, 4e-7);
+    const low = -high * 0.3;
+    const up = scaleOf("mm", high);
+    const toScreen = (u, gap) => [box.left + box.width / 2 + (u / shown) * (box.width / 2), box.top + box.height - ((gap - low) / (high - low)) * box.height];
+    const trace = (values, from = 0) => {
+      context.beginPath();
+      let begun = false;
+      for (let at = 0; at < near.length; at++) {
+        const gap = values[from + at];
+        if (Number.isNaN(gap) || Math.abs(near[at]) > shown * 1.02) {
+          continue;
+        }
+        const point = toScreen(near[at], Math.min(gap, high * 3));
+        if (begun) context.lineTo(...point);
+        else context.moveTo(...point);
+        begun = true;
+      }
+    };
+    Object.assign(context, { font: `11px ${colours.font}`, fillStyle: colours.ink, textBaseline: "alphabetic", textAlign: "left" });
+    context.fillText("Cusps at the contact", 8, box.top - 6);
+    context.textAlign = "right";
+    context.fillStyle = colours.quiet;
+    context.fillText(`feed ${length(feed)}`, box.left + box.width, box.top - 6);
+    context.save();
+    context.beginPath();
+    context.rect(box.left, box.top, box.width, box.height);
+    context.fillStyle = colours.sunken;
+    context.fill();
+    context.clip();
+    if (Number.isNaN(arrays.edge_gap.data[near.length >> 1])) {
+      Object.assign(context, { fillStyle: colours.quiet, textAlign: "center" });
+      context.fillText("outside the clear radius", box.left + box.width / 2, box.top + box.height / 2);
+      context.restore();
+      return;
+    }
+    trace(arrays.left_gap.data);
+    context.lineTo(...toScreen(shown, low));
+    context.lineTo(...toScreen(-shown, low));
+    context.closePath();
+    context.fillStyle = `${colours.accent}40`;
+    context.fill();
+    trace(arrays.left_gap.data);
+    Object.assign(context, { strokeStyle: colours.accent, lineWidth: 1.4 });
+    context.stroke();
+    trace(arrays.edge_gap.data);
+    Object.assign(context, { strokeStyle: state.theme === "dark" ? "#f0c56b" : "#8a5a00", lineWidth: 2 });
+    context.stroke();
+    context.setLineDash([4, 3]);
+    Object.assign(context, { strokeStyle: colours.quiet, lineWidth: 1 });
+    context.beginPath();
+    context.moveTo(...toScreen(-shown, 0));
+    context.lineTo(...toScreen(shown, 0));
+    context.stroke();
+    context.restore();
+    Object.assign(context, { strokeStyle: colours.line, lineWidth: 1, font: `10px ${colours.font}`, fillStyle: colours.quiet, textAlign: "right", textBaseline: "middle" });
+    context.strokeRect(box.left - 0.5, box.top - 0.5, box.width + 1, box.height + 1);
+    const marks = ticks(0, high * up.factor, 3);
+    for (const mark of marks) {
+      const [, y] = toScreen(0, mark / up.factor);
+      if (y > box.top + 6) context.fillText(tickText(mark, marks), box.left - 5, y);
+    }
+    context.fillText(up.unit, box.left - 5, box.top + 2);
+    const across = scaleOf("mm", shown);
+    const sides = ticks(-shown * across.factor, shown * across.factor, 4);
+    Object.assign(context, { textAlign: "center", textBaseline: "top" });
+    for (const mark of sides) {
+      const [x] = toScreen(mark / across.factor, 0);
+      if (x < box.left + box.width - 12) context.fillText(tickText(mark, sides), x, box.top + box.height + 4);
+    }
+    context.textAlign = "right";
+    context.fillText(across.unit, box.left + box.width + 4, box.top + box.height + 4);
+  }
+
+  // ------------------------------------------------------------------------------------------------ what is heard
+
+  flip(name, value) {
+    this.visible[name] = value;
+    if (name === "path" && this.spiral) this.spiral.visible = value;
+    this.placeTool();
+    this.draw();
+  }
+
+  /** The place on the part under the pointer. */
+  hit(event) {
+    const box = this.canvas.getBoundingClientRect();
+    const at = new Vector2(((event.clientX - box.left) / box.width) * 2 - 1, 1 - ((event.clientY - box.top) / box.height) * 2);
+    this.ray.setFromCamera(at, this.camera);
+    const [found] = this.face ? this.ray.intersectObject(this.face) : [];
+    return found ? [found.point.x, found.point.y] : null;
+  }
+
+  point([x, y]) {
+    const { of, unit } = this.shown();
+    const { header, arrays } = of;
+    const [rows, columns] = arrays.values.shape;
+    const column = Math.round(((x - header.x[0]) / (header.x[1] - header.x[0])) * (columns - 1));
+    const row = Math.round(((y - header.y[0]) / (header.y[1] - header.y[0])) * (rows - 1));
+    const value = arrays.values.data[row * columns + column];
+    this.readout.textContent = `x ${x.toFixed(3)} mm, y ${y.toFixed(3)} mm   ${said(value, unit, 4)}`.replaceAll("-", "−");
+  }
+
+  showCursor(cursor) {
+    if (this.ring) this.ring.visible = Boolean(cursor && this.surface);
+    if (!cursor || !this.surface) return this.draw();
+    const { radius } = this.surface.header;
+    if (!this.ring) {
+      this.ring = new Mesh(new RingGeometry(0.8, 1, 40), new MeshBasicMaterial({ color: 0xd8402a, depthTest: false, side: DoubleSide, transparent: true }));
+      this.ring.renderOrder = 5;
+      this.part.add(this.ring);
+    }
+    this.ring.scale.setScalar(0.022 * radius);
+    this.ring.position.set(cursor[0], cursor[1], this.up(this.heightAt(...cursor)) + 0.002 * radius);
+    return this.draw();
+  }
+
+  listen() {
+    const soon = framed(() => {
+      if (!this.last || !this.surface) return;
+      const place = this.hit(this.last);
+      if (place) this.point(place);
+      else this.readout.textContent = "";
+      this.own = place;
+      set({ cursor: place });
+    });
+    this.canvas.addEventListener("pointermove", (event) => {
+      if (event.buttons) return;
+      this.last = event;
+      soon();
+    });
+    this.canvas.addEventListener("pointerleave", () => {
+      this.last = null;
+      this.readout.textContent = "";
+      set({ cursor: null });
+    });
+    this.controls.addEventListener("start", () => (this.moved = true));
+    this.canvas.addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      const turn = (across, up) => this.turn(across, up);
+      const move = (dx, dy) => this.shift(dx, dy);
+      const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+      const act = way
+        ? () => (event.shiftKey ? move(way[0] * 0.1, way[1] * 0.1) : turn(way[0] * 0.12, way[1] * 0.09))
+        : { "+": () => this.near(0.85), "=": () => this.near(0.85), "-": () => this.near(1 / 0.85), Home: () => this.look("iso"), ",": () => this.step(-1), ".": () => this.step(1) }[event.key];
+      if (!act || !this.surface) return;
+      event.preventDefault();
+      event.stopPropagation();
+      this.moved = true;
+      act();
+    });
+    this.slider.addEventListener("input", () => set({ place: Number(this.slider.value) }));
+    this.slider.addEventListener("keydown", (event) => {
+      const by = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -84, PageUp: 84 }[event.key];
+      if (!by) return;
+      event.preventDefault();
+      this.step(by);
+    });
+    let waiting = null;
+    const ask = () => {
+      clearTimeout(waiting);
+      waiting = setTimeout(() => {
+        this.askSurface();
+        this.askPath();
+      }, this.surface ? 180 : 0);
+    };
+    this.unheard = [
+      // What cannot be read cannot be drawn: the scene waits for a job without errors.
+      on("job", ask, { now: true }),
+      on("errors", ({ errors }) => errors.length === 0 && this.wrong && ask()),
+      on("quantity", ({ quantity }) => {
+        this.choose.value = quantity;
+        if (this.surface) this.askSurface();
+      }),
+      on(["run", "maps"], ({ quantity }) => quantity === "error" && this.askSurface()),
+      on("place", () => this.placeTool()),
+      on("cursor", ({ cursor }) => this.showCursor(cursor)),
+      on("theme", () => requestAnimationFrame(() => {
+        if (!this.surface) return;
+        this.colourPart();
+        this.makeAxes();
+        this.makePath();
+        this.drawInset();
+        this.draw();
+      })),
+    ];
+    this.choose.value = state.quantity;
+  }
+
+  step(by) {
+    if (!this.path) return;
+    const fraction = this.path.arrays.fraction.data;
+    const at = Math.max(0, Math.min(fraction.length - 1, this.index() + by));
+    set({ place: fraction[at] });
+  }
+
+  turn(across, up) {
+    const from = this.camera.position.clone().sub(this.controls.target);
+    const away = from.length();
+    const azimuth = Math.atan2(from.y, from.x) + across;
+    const height = Math.max(-1.5, Math.min(1.5707, Math.asin(from.z / away) + up));
+    this.camera.position.set(away * Math.cos(height) * Math.cos(azimuth), away * Math.cos(height) * Math.sin(azimuth), away * Math.sin(height)).add(this.controls.target);
+    this.controls.update();
+    this.draw();
+  }
+
+  shift(dx, dy) {
+    const right = new Vector3().setFromMatrixColumn(this.camera.matrix, 0);
+    const above = new Vector3().setFromMatrixColumn(this.camera.matrix, 1);
+    const by = right.multiplyScalar(dx).add(above.multiplyScalar(dy)).multiplyScalar(this.surface.header.radius);
+    this.camera.position.add(by);
+    this.controls.target.add(by);
+    this.controls.update();
+    this.draw();
+  }
+
+  near(factor) {
+    const from = this.camera.position.clone().sub(this.controls.target).multiplyScalar(factor);
+    this.camera.position.copy(from.add(this.controls.target));
+    this.controls.update();
+    this.draw();
+  }
+
+  destroy() {
+    this.unheard.forEach((stop) => stop());
+    this.sized.disconnect();
+    this.asking?.abort();
+    this.following?.abort();
+    this.controls.dispose();
+    this.renderer.dispose();
+    this.box.replaceChildren();
+  }
+}
+
+/** Show the scene in a box. */
+export function mount(box) {
+  try {
+    const view = new View(box);
+    return { destroy: () => view.destroy() };
+  } catch (error) {
+    box.replaceChildren(element("div", { class: "teach" }, [
+      element("h3", {}, ["No 3-D here"]),
+      element("p", {}, [`This browser draws no WebGL (${error.message}). Maps, profiles and results work without it.`]),
+    ]));
+    return { destroy: () => box.replaceChildren() };
+  }
+}
