@@ -219,7 +219,7 @@ def test_a_wrong_experiment_is_one_sentence(tmp_path, capsys, case):
 
 
 TABLES = {
-    "nothing": ("", "has a column ''"),
+    "nothing": ("", "has 0 lines, it needs a line of names"),
     "a name without a unit": (averages().replace("width [mm]", "width"), "has a column 'width'"),
     "a unit of another kind": (averages().replace("[nm]", "[N]"), "thickness in 'N', the units are"),
     "a column too few": (averages().replace(",thrust [mN]", ""), "lacks thrust"),
@@ -267,6 +267,42 @@ def test_a_wrong_record_is_one_sentence(tmp_path, case):
     with pytest.raises(InputError, match=r"^[^\n]+$") as caught:
         read_forces(tmp_path / "r.csv")
     assert sentence in str(caught.value)
+
+
+def constant(chip):
+    """Forces per width that no longer grow, as all of a brittle range may be: no coefficient is in them."""
+    random = np.random.default_rng(0)
+    force = np.array([84.0, 45.0]) + 0.3 * random.normal(size=(chip.size, 2))
+    return "thickness [nm];width [mm];cutting [mN];thrust [mN]\n" + "\n".join(
+        f"{t:.1f};0.2;{c:.4f};{n:.4f}" for t, (c, n) in zip(chip, force, strict=True)
+    )
+
+
+def test_cuts_that_are_all_brittle_are_told_of(tmp_path, capsys):
+    """No line through 0 is in constant forces; whatever is made of them must not go without a word."""
+    (tmp_path / "cuts.csv").write_text(constant(np.linspace(500, 900, 35)))
+    assert main(["material", "fit", str(tmp_path / "cuts.csv"), "--out", str(tmp_path / "a.toml")]) == 0
+    assert "thinnest cuts are ductile beyond doubt" in capsys.readouterr().out
+    assert "measure thinner chips" in Material.load(tmp_path / "a.toml").notes
+
+
+NAMES = "thickness [nm],width [mm],cutting [mN],thrust [mN]\n"
+ODD = {
+    "no width": (NAMES + "100,0,1,1\n" * 9, "9 cuts have a thickness and a width of 0 mm"),
+    "names alone": (NAMES, "has 1 lines, it needs a line of names"),
+    "a long line": ("x" * 500 + "\n1\n", f"has a column '{'x' * 60}', the known ones"),
+}
+
+
+@pytest.mark.parametrize("case", ODD)
+def test_a_table_of_cuts_that_is_none_is_one_sentence(tmp_path, capsys, case):
+    text, sentence = ODD[case]
+    (tmp_path / "cuts.csv").write_text(text)
+    assert main(["material", "fit", str(tmp_path / "cuts.csv"), "--out", str(tmp_path / "a.toml")]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert "warning" not in said
+    assert not (tmp_path / "a.toml").exists()
 
 
 SAID = {

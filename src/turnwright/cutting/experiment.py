@@ -30,7 +30,7 @@ from turnwright.cutting.edge_cuts import (
 from turnwright.cutting.edge_learning import learn_along_edge
 from turnwright.cutting.forces import FlyCut, SlotMill
 from turnwright.cutting.learning import Cuts, LearnedMaterial, learn_material, measured_cuts
-from turnwright.cutting.records import NEWTONS, read_forces
+from turnwright.cutting.records import NEWTONS, read_forces, separator
 from turnwright.cutting.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
 from turnwright.errors import InputError
 
@@ -567,13 +567,16 @@ def _columns(path: Path, known: Mapping[str, Mapping[str, float]], needed: Seque
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is no text: give a CSV of averaged cuts, or a TOML file of an experiment") from error
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    heads = [one.strip() for one in (lines[0] if lines else "").split(",")]
+    if len(lines) < 2:
+        raise InputError(f"{path} has {len(lines)} lines, it needs a line of names and one for each cut: add them")
+    mark = separator(lines[0])
+    heads = [one.strip() for one in lines[0].split(mark)]
     found: dict[str, tuple[int, float]] = {}
     for i, head in enumerate(heads):
         match = re.fullmatch(r"(.+?)\s*[\[(]\s*(\S+)\s*[\])]", head)
         if match is None or match.group(1) not in known:
             raise InputError(
-                f"{path} has a column {head!r}, the known ones are {', '.join(known)}, each with its unit such as "
+                f"{path} has a column {head[:60]!r}, the known ones are {', '.join(known)}, each with its unit such as "
                 f"'{needed[0]} [nm]': correct the first line"
             )
         name, unit = match.groups()
@@ -584,11 +587,13 @@ def _columns(path: Path, known: Mapping[str, Mapping[str, float]], needed: Seque
     if missing:
         raise InputError(f"{path} lacks {', '.join(missing)}: add it with its unit, such as '{needed[0]} [nm]'")
     try:
-        table = np.loadtxt(lines[1:], delimiter=",", ndmin=2, dtype=np.float64, comments=None)
+        table = np.loadtxt(lines[1:], delimiter=mark, ndmin=2, dtype=np.float64, comments=None)
     except ValueError as error:
-        why = str(error).splitlines()[0]
-        raise InputError(f"{path} is not a table of numbers ({why}): use decimal points and commas between") from error
-    if table.shape[0] == 0 or table.shape[1] != len(heads):
+        why = str(error).split(";")[0].rstrip(".")
+        raise InputError(
+            f"{path} is not a table of numbers ({why}): use decimal points and as many numbers in each line"
+        ) from error
+    if table.shape[1] != len(heads):
         raise InputError(f"{path} has {len(heads)} names and numbers of shape {table.shape}: give as many in each line")
     return {name: table[:, i] * factor for name, (i, factor) in found.items()}
 

@@ -128,6 +128,9 @@ class Cuts:
                 f"the cuts have a thickness or width of {min(self.thickness.min(), self.width.min()):g} mm, the "
                 "limit is 0 mm: correct it"
             )
+        bare = int(np.count_nonzero((self.thickness > 0) & (self.width == 0)))
+        if bare:
+            raise InputError(f"{bare} cuts have a thickness and a width of 0 mm: state how wide they are")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -771,6 +774,12 @@ def _misfits(rows: _Rows, ductile: Bools, split: _Split | None) -> list[str]:
         said.append(
             f"the forces in the cut scatter {wild:.3g} times as much as in air, more than {WILD:g} times: check that "
             "no air is counted as cut, and that the chips are as stated"
+        )
+    few = int(np.count_nonzero(ductile & rows.engaged))
+    if split is not None and few <= FEWEST:
+        said.append(
+            f"only the {few} thinnest cuts are ductile beyond doubt, at least {FEWEST + 1} are needed to tell: if these "
+            "are brittle too, coefficients and critical thickness are wrong, so measure thinner chips"
         )
     if rows.edge or rows.power is not None or np.unique(rows.thickness[ductile]).size < FEWEST:
         return said

@@ -174,6 +174,11 @@ def _rate(path: Path, raw: _Raw, name: str) -> float:
 _NAME = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
 
 
+def separator(names: str) -> str:
+    """Return what stands between the names of a table: a tab, a semicolon or a comma."""
+    return next((one for one in ("\t", ";") if one in names), ",")
+
+
 def _csv(path: Path, data: bytes) -> _Raw:
     """Read text: a line of names, then a line of numbers for each sample."""
     try:
@@ -183,7 +188,7 @@ def _csv(path: Path, data: bytes) -> _Raw:
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if len(lines) < 3:
         raise InputError(f"{path} has {len(lines)} lines, a record needs a line of names and at least 2 samples")
-    mark = next((one for one in ("\t", ";", ",") if one in lines[0]), ",")
+    mark = separator(lines[0])
     heads = [_NAME.fullmatch(one) for one in lines[0].split(mark)]
     names = [head.group(1).strip('"') if head else "" for head in heads]
     if any(not name or _is_number(name) for name in names) or len(set(names)) != len(names):
