@@ -239,3 +239,6 @@ def test_what_a_map_refuses(tmp_path):
     (tmp_path / "taken" / "letter.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(tw.InputError, match="holds something else"):
         made(tmp_path / "taken")
+    with pytest.raises(tw.StudyError, match=r"letter.txt' cannot be used \((File exists|Not a directory)\), 0 of"):
+        made(tmp_path / "taken" / "letter.txt")
+    assert (tmp_path / "taken" / "letter.txt").read_text(encoding="utf-8") == "mine"

@@ -394,6 +394,39 @@ def test_the_free_memory_is_that_of_the_system():
     assert 0 < free <= os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
 
 
+@pytest.mark.parametrize(
+    ("folder", "limit", "used", "cached"),
+    [
+        ("sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
+        ("sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+    ],
+)
+def test_what_a_container_has_read_is_free_memory(folder, limit, used, cached, tmp_path):
+    # The working set of a container, as Kubernetes counts it: its usage less its inactive files.
+    (tmp_path / "proc").mkdir()
+    (tmp_path / "proc" / "meminfo").write_text("MemTotal: 64000000 kB\nMemAvailable: 50000000 kB\n")
+    assert _executors._free_memory_gb(tmp_path) == 50.0
+    group = tmp_path / folder
+    group.mkdir(parents=True)
+    (group / limit).write_text("8000000000\n")
+    (group / used).write_text("7500000000\n")
+    (group / "memory.stat").write_text(f"anon 500000000\n{cached} 6500000000\nactive_file 500000000\n")
+    assert _executors._free_memory_gb(tmp_path) == 7.0
+    (group / limit).write_text("max\n")
+    assert _executors._free_memory_gb(tmp_path) == 50.0
+
+
+def test_a_store_that_cannot_be_read_is_one_sentence(store):
+    (Path(store.place) / "rows" / "a.json").mkdir()  # root may read whatever is a file
+    with pytest.raises(StudyError, match=r"cannot be read \(Is a directory\), what is finished stays"):
+        store.row("a")
+    (Path(store.place) / "rows" / "a.json").rmdir()
+    (Path(store.place) / "rows").rmdir()
+    (Path(store.place) / "rows").write_text("")
+    with pytest.raises(StudyError, match=r"cannot be read \(Not a directory\)"):
+        store.keys()
+
+
 @pytest.mark.parametrize("wrong", [{"workers": 0}, {"memory_gb": 0.0}, {"memory_gb": math.nan}])
 def test_a_pool_of_nothing_is_refused(wrong):
     with pytest.raises(InputError, match="use "), local(**wrong):

@@ -88,6 +88,8 @@ class Store:
             row = json.loads(self._read("rows", f"{_checked(key)}.json"))
         except (FileNotFoundError, ValueError):
             return None
+        except OSError as error:
+            raise self._trouble(error, "read") from error
         return row if isinstance(row, dict) else None
 
     def put_row(self, key: str, row: Row) -> None:
@@ -196,6 +198,8 @@ class Store:
             listed = files.ls(f"{root}/{part}", detail=False)
         except FileNotFoundError:
             return set()
+        except OSError as error:
+            raise self._trouble(error, "read") from error
         return {name for one in listed if not (name := str(one).rsplit("/", 1)[-1]).startswith(".")}
 
     def _read(self, part: str, name: str) -> bytes:
@@ -237,7 +241,7 @@ class Store:
                 files.rm(made)
             raise
 
-    def _trouble(self, error: OSError) -> StudyError:
+    def _trouble(self, error: OSError, what: str = "written") -> StudyError:
         if error.errno in FULL:
             return StudyError(
                 f"the store {self.place!r} is full ({error.strerror}), what is finished stays: free some space there "
@@ -245,7 +249,7 @@ class Store:
             )
         reason = error.strerror or str(error).splitlines()[0]
         return StudyError(
-            f"the store {self.place!r} cannot be written ({reason}), what is finished stays: check its name and rights"
+            f"the store {self.place!r} cannot be {what} ({reason}), what is finished stays: check its name and rights"
         )
 
 

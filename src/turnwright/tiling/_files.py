@@ -252,12 +252,15 @@ def require_room(place: str, layout: Layout) -> None:
 
 @contextmanager
 def told(place: str, done: int, total: int) -> Iterator[None]:
-    """Turn what a full disk does into a sentence."""
+    """Turn what the system says of a disk into a sentence."""
     try:
         yield
     except OSError as error:
         if error.errno not in FULL:
-            raise
+            raise StudyError(
+                f"{place!r} cannot be used ({error.strerror or error}), {done} of {total} tiles are finished, which "
+                "stay: check name and rights"
+            ) from error
         raise StudyError(
             f"the disk of {place!r} is full with {done} of {total} tiles finished, which stay: free some space and "
             "start again"
