@@ -778,7 +778,7 @@ def _misfits(rows: _Rows, ductile: Bools, split: _Split | None) -> list[str]:
     few = int(np.count_nonzero(ductile & rows.engaged))
     if split is not None and few <= FEWEST:
         said.append(
-            f"only the {few} thinnest cuts are ductile beyond doubt, at least {FEWEST + 1} are needed to tell: if these "
+            f"only the {few} thinnest cuts are ductile beyond doubt, at least {FEWEST + 1} are needed to tell: if they "
             "are brittle too, coefficients and critical thickness are wrong, so measure thinner chips"
         )
     if rows.edge or rows.power is not None or np.unique(rows.thickness[ductile]).size < FEWEST:
