@@ -5,7 +5,7 @@ import Plot from "./vendor/uplot.js";
 import { get, getPacked, post, upload } from "./api.js";
 import { say, set, state } from "./state.js";
 import { editAgain, refresh } from "./runs.js";
-import { Bar, Downloads, Icon, Mark, Tool, bytes, count, height, number, percent, quantity, useStore } from "./ui.js";
+import { Bar, Downloads, Icon, Mark, Tool, bytes, count, doubted, height, percent, quantity, useStore } from "./ui.js";
 
 const AGAIN = 700; // ms between looks at a measurement that is worked on
 const GOING = new Set(["queued", "running"]);
@@ -84,7 +84,7 @@ const PLACES = [["x", "mm"], ["y", "mm"], ["z", "mm"], ["rotation", "rad"], ["ti
 /** The numbers of a pose, each with its standard uncertainty, or that it was held. */
 function placed({ pose, std, held }) {
   const values = { x: pose.shift[0], y: pose.shift[1], z: pose.shift[2], rotation: pose.rotation, tilt_x: pose.tilt[0], tilt_y: pose.tilt[1] };
-  return PLACES.map(([name, unit]) => [name.replace("_", " "), html`${quantity(values[name], unit)} <span class="quiet">${held.includes(name) ? "held" : Number.isFinite(std[name]) ? `± ${quantity(std[name], unit, 2)}` : ""}</span>`]);
+  return PLACES.map(([name, unit]) => [name.replace("_", " "), held.includes(name) ? html`${doubted(values[name], null, unit)} <span class="quiet">held</span>` : doubted(values[name], std[name], unit)]);
 }
 
 function Seen({ measurement }) {
@@ -98,7 +98,7 @@ function Seen({ measurement }) {
       ["spikes taken out", count(measurement.spikes)],
     ]} />
     ${alignment && html`<${Numbers} title="Where it lay" rows=${[...placed(alignment), ["points", count(alignment.count)], ["left after the fit, RMS", height(alignment.rms_nm)]]} />`}
-    ${alignment?.sentences.length > 0 && html`<section class="card"><ul class="sentences quiet">${alignment.sentences.map((sentence) => html`<li>${sentence}</li>`)}</ul></section>`}
+    ${alignment?.sentences.length > 1 && html`<section class="card"><ul class="sentences quiet">${alignment.sentences.slice(1).map((sentence) => html`<li>${sentence}</li>`)}</ul></section>`}
     ${measurement.zernike.length > 0 && html`<section class="card"><header><h3>Zernike terms</h3><span class="gap"></span><span class="quiet">fringe, without pose</span></header><${Zernike} terms=${measurement.zernike} /></section>`}
     ${measurement.psd && html`<section class="card"><header><h3>Power spectral density</h3></header><${Spectrum} psd=${measurement.psd} /></section>`}
   </div></div></div>`;
@@ -224,8 +224,8 @@ function Findings({ measurement }) {
       ${(all ? findings : called).map((one) => html`<div class="cause" key=${one.name}>
         <input type="checkbox" id=${`cause-${one.name}`} checked=${chosen.has(one.cause)} disabled=${!one.correctable && !one.called_for} onChange=${() => flip(one.cause)} aria-describedby=${`why-${one.name}`} title="Correct this" />
         <label for=${`cause-${one.name}`}>${one.name}</label>
-        <span class="number">${quantity(one.simplest, one.unit)} <span class="quiet">± ${quantity(one.uncertainty, one.unit, 2)}</span></span>
-        <p id=${`why-${one.name}`}>${one.sentence}${one.rms_nm > 0 ? ` It makes ${height(one.rms_nm)} RMS of the form.` : ""}</p></div>`)}
+        <span class="number">${doubted(one.simplest, one.uncertainty, one.unit)}</span>
+        <p id=${`why-${one.name}`}>${one.sentence}</p></div>`)}
       ${lenslets.length > 0 && html`<${Lenslets} lenslets=${lenslets} />`}
     </div>
     <div class="decide">

@@ -79,6 +79,23 @@ export function quantity(value, unit, digits = 3) {
   return `${number(value, digits)}${unit ? GAP + unit : ""}`;
 }
 
+const SCALES = {
+  mm: [[1, "mm"], [1e3, "µm"], [1e6, "nm"]],
+  rad: [[180 / Math.PI, "°"], [1e3, "mrad"], [1e6, "µrad"]],
+};
+
+/** A value with its uncertainty, both in one unit, and no digit more than the uncertainty allows. */
+export function doubted(value, doubt, unit) {
+  if (!Number.isFinite(value)) return NONE;
+  if (!Number.isFinite(doubt) || doubt <= 0) return Math.abs(value) < 1e-9 && unit in SCALES ? `0${GAP}${SCALES[unit].at(-1)[1]}` : quantity(value, unit);
+  const size = Math.max(Math.abs(value), doubt);
+  const steps = SCALES[unit] ?? [[1, unit]];
+  const [factor, shown] = steps.find(([one]) => size * one >= 0.1) ?? steps.at(-1);
+  const decimals = Math.min(6, Math.max(0, 1 - Math.floor(Math.log10(doubt * factor))));
+  const text = whole(value * factor, decimals);
+  return `${/[1-9]/.test(text) ? text : text.replace("−", "")} ± ${whole(doubt * factor, decimals)}${shown ? GAP + shown : ""}`;
+}
+
 /** A time as a person says it. */
 export function duration(seconds) {
   if (!Number.isFinite(seconds)) return NONE;

@@ -128,7 +128,7 @@ function Budget({ result }) {
   if (!result.shares && whole) entries.push([`all that is left, ${whole.name}`, whole.roughness.pv_nm]);
   const most = Math.max(...entries.map(([, value]) => value));
   return html`<${Card} title="Error budget" side=${html`<span class="quiet">peak to valley</span>`}>
-    <ul class="gauges">${entries.sort(([, a], [, b]) => b - a).map(([name, value]) => html`<li><span>${name}</span><${Bar} share=${value / most} /><span class="number">${height(value)}</span></li>`)}</ul></${Card}>`;
+    <ul class="gauges named">${entries.sort(([, a], [, b]) => b - a).map(([name, value]) => html`<li><span>${name}</span><${Bar} share=${value / most} /><span class="number">${height(value)}</span></li>`)}</ul></${Card}>`;
 }
 
 // ---------------------------------------------------------------------------------------------------------- the pane
