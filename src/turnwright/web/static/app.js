@@ -127,7 +127,7 @@ function Top({ panes }) {
     : { ok: false, text: check.access.ok ? "would be refused" : "does not reach the part" };
   return html`<${Fragment}>
     <span class="brand"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="M2 15q5 6 10 0t10 0" /><path d="m8.5 2.500h7l-2.300 9a1.2 1.250 0 0 1-2.400 0z" /></svg>Turnwright</span>
-    <${Tool} icon="left" name="Job pane" keys="[" aria-pressed="true" onClick=${() => panes.flip("left")} />
+    <${Tool} icon="left" name="Job pane" keys="[" aria-controls="left" onClick=${() => panes.flip("left")} />
     <label class="picker"><span class="sr">Example</span><select id="examples" onChange=${(event) => { if (event.target.value) takeExample(event.target.value); event.target.value = ""; }}>
       <option value="" selected>Examples</option>${examples.map((one) => html`<option value=${one.name}>${one.title}</option>`)}</select></label>
     <${Tool} icon="open" name="Open a job file" keys="Ctrl+O" onClick=${openFile} />
@@ -139,7 +139,7 @@ function Top({ panes }) {
     <button type="button" class="button accent" id="run" disabled=${!job || errors.length > 0} onClick=${() => start("run")} title="Plan, write the program, predict the surface  (Ctrl+Enter)"><${Icon} name="run" />Run${going > 0 && html` <span class="count">${going}</span>`}</button>
     <${Tool} icon=${theme === "dark" ? "sun" : "moon"} name=${theme === "dark" ? "Light" : "Dark"} keys="T" onClick=${switchTheme} />
     <${Tool} icon="help" name="Help and keys" keys="?" onClick=${() => $("help").showModal()} />
-    <${Tool} icon="right" name="Results pane" keys="]" aria-pressed="true" onClick=${() => panes.flip("right")} />
+    <${Tool} icon="right" name="Results pane" keys="]" aria-controls="right" onClick=${() => panes.flip("right")} />
   </${Fragment}>`;
 }
 

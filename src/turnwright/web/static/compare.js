@@ -9,16 +9,16 @@ const ERRORS = { pv_nm: "PV", rms_nm: "RMS", sq_nm: "Sq" };
 const COLUMNS = [
   { key: "name", title: "strategy", value: ({ name }) => name, show: ({ name }) => name },
   { key: "time", title: "time", value: ({ limits }) => limits.cycle_time_s, show: ({ limits }) => duration(limits.cycle_time_s) },
-  { key: "points", title: "points", value: ({ limits }) => limits.points, show: ({ limits }) => count(limits.points) },
-  { key: "turns", title: "turns", value: ({ turns }) => turns, show: ({ turns }) => number(turns, 4) },
-  { key: "size", title: "program", value: ({ size_bytes }) => size_bytes, show: ({ size_bytes }) => bytes(size_bytes) },
+  { key: "binding", title: "limited by", value: ({ limits }) => limits.binding ?? "", show: ({ limits }) => limits.binding ?? "nothing" },
   { key: "pv_nm", title: "PV", value: ({ shares }) => shares.pv_nm, show: ({ shares }) => height(shares.pv_nm) },
   { key: "rms_nm", title: "RMS", value: ({ shares }) => shares.rms_nm, show: ({ shares }) => height(shares.rms_nm) },
   { key: "sq_nm", title: "Sq", value: ({ shares }) => shares.sq_nm, show: ({ shares }) => height(shares.sq_nm) },
+  { key: "points", title: "points", value: ({ limits }) => limits.points, show: ({ limits }) => count(limits.points) },
+  { key: "turns", title: "turns", value: ({ turns }) => turns, show: ({ turns }) => number(turns, 4) },
+  { key: "size", title: "program", value: ({ size_bytes }) => size_bytes, show: ({ size_bytes }) => bytes(size_bytes) },
   { key: "cusp_nm", title: "cusps", value: ({ shares }) => shares.cusp_nm, show: ({ shares }) => height(shares.cusp_nm) },
   { key: "chord_nm", title: "chords", value: ({ shares }) => shares.chord_nm, show: ({ shares }) => height(shares.chord_nm) },
   { key: "tracking_nm", title: "servos", value: ({ shares }) => shares.tracking_nm, show: ({ shares }) => height(shares.tracking_nm) },
-  { key: "binding", title: "limited by", value: ({ limits }) => limits.binding ?? "", show: ({ limits }) => limits.binding ?? "nothing" },
 ];
 
 /** The candidates that no other beats: none is both as quick and as exact. */

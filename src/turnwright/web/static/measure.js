@@ -1,9 +1,9 @@
 /* A measurement brought back: where it lies on the part, how far off it is and why, and the job without that. */
 
 import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
-import Plot from "./vendor/uplot.js";
 import { get, getPacked, post, upload } from "./api.js";
 import { say, set, state } from "./state.js";
+import { chart } from "./charts.js";
 import { editAgain, refresh } from "./runs.js";
 import { Bar, Downloads, Icon, Mark, Tool, bytes, count, doubted, height, percent, quantity, useStore } from "./ui.js";
 
@@ -114,7 +114,7 @@ function Zernike({ terms }) {
   return html`<svg class="bars" viewBox=${`0 0 ${wide} ${tall}`} role="img" aria-label=${`Fringe Zernike terms; the largest is ${drawn.length ? drawn.reduce((a, b) => (Math.abs(b.coefficient_nm) > Math.abs(a.coefficient_nm) ? b : a)).index : "none"}`}>
     ${drawn.map(({ index, coefficient_nm: nm, uncertainty_nm: doubt }, at) => {
       const size = (Math.abs(nm) / most) * (zero - 10);
-      return html`<g><title>${`${index}: ${height(nm)} ± ${height(doubt, 2)}`}</title><rect class=${nm < 0 ? "down" : "up"} x=${at * each + 0.8} width=${each - 1.6} y=${nm < 0 ? zero : zero - size} height=${size} />
+      return html`<g><title>${`${index}: ${height(nm)} ± ${height(doubt, 2)}`}</title><rect x=${at * each + 0.8} width=${each - 1.6} y=${nm < 0 ? zero : zero - size} height=${size} />
         ${(index % 5 === 0 || index === 4) && html`<text x=${(at + 0.5) * each} y=${tall - 4} text-anchor="middle">${index}</text>`}</g>`;
     })}
     <line class="zero" x1="0" x2=${wide} y1=${zero} y2=${zero} />
@@ -122,31 +122,23 @@ function Zernike({ terms }) {
   </svg>`;
 }
 
-function inkOf(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-}
-
 function Spectrum({ psd }) {
   const box = useRef(null);
-  const { theme } = useStore(["theme"]);
   useEffect(() => {
-    const [x, y] = [psd.frequency, psd.density];
-    const keep = x.map((value, index) => [value, y[index]]).filter(([a, b]) => a > 0 && b > 0);
-    const axis = (label) => ({ label, stroke: inkOf("--quiet"), grid: { stroke: inkOf("--line"), width: 1 }, ticks: { stroke: inkOf("--line") }, font: "11px system-ui", labelFont: "11px system-ui", labelSize: 16, size: 34 });
-    const plot = new Plot({
-      width: box.current.clientWidth, height: 170, legend: { show: false }, cursor: { y: false },
-      scales: { x: { time: false, distr: 3 }, y: { distr: 3 } },
-      axes: [axis(`frequency [${psd.frequency_unit}]`), { ...axis(`PSD [${psd.unit}]`), size: 46 }],
-      series: [{}, { stroke: inkOf("--accent"), width: 1.5 }],
-    }, [keep.map(([a]) => a), keep.map(([, b]) => b)], box.current);
-    const size = new ResizeObserver(() => box.current && plot.setSize({ width: box.current.clientWidth, height: 170 }));
-    size.observe(box.current);
+    const good = psd.frequency.map((one, index) => [one, psd.density[index]]).filter(([frequency, density]) => frequency > 0 && density > 0);
+    const drawn = chart(box.current, {
+      label: "Power spectral density over spatial frequency",
+      x: { label: "frequency", unit: psd.frequency_unit, values: good.map(([frequency]) => frequency) },
+      series: [{ label: "density", unit: psd.unit, values: good.map(([, density]) => density) }],
+      logX: true,
+      logY: true,
+    });
     return () => {
-      size.disconnect();
-      plot.destroy();
+      drawn.destroy();
+      box.current?.replaceChildren();
     };
-  }, [psd, theme]);
-  return html`<div class="chart" ref=${box} role="img" aria-label="Power spectral density over spatial frequency"></div>`;
+  }, [psd]);
+  return html`<div class="psd" ref=${box}></div>`;
 }
 
 // ----------------------------------------------------------------------------------------------------------- the maps
