@@ -53,7 +53,17 @@ def _level(data: object) -> object:
 
 
 class Placement(Table):
-    """Where a surface is put in the part frame: tilted, then rotated, then shifted."""
+    """Where a surface is put in the part frame: tilted, then rotated, then shifted.
+
+    Parameters
+    ----------
+    shift
+        Along x, y and z, after tilt and rotation. [mm]
+    rotation
+        About z, counter-clockwise seen from the tool. [rad]
+    tilt
+        About x and about y, before the rotation. [rad]
+    """
 
     shift: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
     rotation: Angle = 0.0
@@ -61,7 +71,15 @@ class Placement(Table):
 
 
 class Family(Table):
-    """What all prescriptions share."""
+    """What all prescriptions share.
+
+    Parameters
+    ----------
+    family
+        Which kind of surface it is.
+    placed
+        Where it is put in the part frame; about the axis if left out.
+    """
 
     placed: Placement | None = None
 
@@ -87,6 +105,12 @@ class Series(Family):
     """A family with coefficients, as text with a unit or as plain numbers in the ``units`` of the formula.
 
     Once read, every coefficient is in mm to its power, and ``units`` says so.
+
+    Parameters
+    ----------
+    units
+        Which unit of length the formula of the coefficients is written in, so that they can be plain numbers;
+        without it each coefficient is text with its own unit.
     """
 
     units: Literal["mm"] | None = None
@@ -367,7 +391,13 @@ class SineGridTable(Family):
 
 
 class ExpressionTable(Family):
-    """See `turnwright.Expression`; ``units`` says that the formula is written in mm."""
+    """See `turnwright.Expression`; ``units`` says that the formula is written in mm.
+
+    Parameters
+    ----------
+    units
+        The formula is written in mm.
+    """
 
     family: Literal["expression"]
     formula: Text
@@ -380,7 +410,17 @@ class ExpressionTable(Family):
 
 
 class GriddedTable(Family):
-    """See `turnwright.Gridded`; the file is a CSV table with x in its first row and y in its first column."""
+    """See `turnwright.Gridded`; the file is a CSV table with x in its first row and y in its first column.
+
+    Parameters
+    ----------
+    file
+        CSV table with x in its first row and y in its first column.
+    units
+        Of x and y.
+    sag_units
+        Of the heights.
+    """
 
     family: Literal["gridded"]
     file: ExistingFile
@@ -407,7 +447,13 @@ class GriddedTable(Family):
 
 
 class SumTable(Family):
-    """Heights added; a list of tables where one surface is wanted means the same."""
+    """Heights added; a list of tables where one surface is wanted means the same.
+
+    Parameters
+    ----------
+    terms
+        The surfaces whose heights are added.
+    """
 
     family: Literal["sum"]
     terms: tuple[AnySurface, ...]
@@ -417,7 +463,27 @@ class SumTable(Family):
 
 
 class LensArrayTable(Family):
-    """See `turnwright.LensArray`, its ``square`` and ``hexagonal``."""
+    """See `turnwright.LensArray`, its ``square`` and ``hexagonal``.
+
+    Parameters
+    ----------
+    layout
+        How the lenslets stand.
+    pitch
+        Distance between neighbours. [mm]
+    rows
+        Of a square array.
+    columns
+        Of a square array.
+    rings
+        Around the lenslet in the middle of a hexagonal array.
+    within
+        Only lenslets that lie whole within this radius. [mm]
+    offset
+        Where the middle of the array stands. [mm]
+    centres
+        Of listed lenslets, one by one. [mm]
+    """
 
     family: Literal["lens array"]
     layout: Literal["square", "hexagonal", "listed"]

@@ -95,7 +95,14 @@ def _material(text: str, info: ValidationInfo) -> str:
 
 
 class PartTable(Table):
-    """What is asked for: see `turnwright.Part`."""
+    """What is asked for: see `turnwright.Part`.
+
+    Parameters
+    ----------
+    correction
+        File of a table of heights that is added to the surface the tool is sent to, as `correct` writes it, so
+        that an error that repeats does not come back; the part is judged by its design as before.
+    """
 
     surface: AnySurface
     radius: Size
@@ -159,7 +166,22 @@ Waviness = Annotated[
 
 
 class ToolDeviations(Table):
-    """What the actual tool has otherwise than the one planned with."""
+    """What the actual tool has otherwise than the one planned with.
+
+    Parameters
+    ----------
+    waviness
+        Radial deviation of the edge, positive outward: coefficients of the sweep on the nose, of its square and
+        so on, such as "0.2 um/rad", "-1 um/rad^2".
+    waviness_file
+        File with the columns sweep and deviation, each with its unit in the head, in place of the coefficients.
+    radius_error
+        Actual minus nominal nose radius. [mm]
+    offset
+        Where the tip really is minus where it should be: along X, in height, along Z. [mm]
+    rake
+        Angle of the rake face against the vertical, positive leaning back from the cutting direction. [rad]
+    """
 
     waviness: Waviness | None = None
     waviness_file: ExistingFile | None = None
@@ -210,7 +232,15 @@ class ToolTable(ToolDeviations):
 
 
 class MachineDeviations(Table):
-    """What the actual machine has otherwise than the one planned with."""
+    """What the actual machine has otherwise than the one planned with.
+
+    Parameters
+    ----------
+    squareness
+        How far X and Z are off a right angle: the error of Z is this times X. [rad]
+    straightness_file
+        File with the columns x and error, each with its unit in the head: the error of Z over X.
+    """
 
     squareness: Slope | None = None
     straightness_file: ExistingFile | None = None
@@ -230,7 +260,20 @@ class MachineDeviations(Table):
 
 
 class MachineTable(MachineDeviations):
-    """The lathe, by the name of one that comes with Turnwright or by its own file: see `turnwright.Machine.load`."""
+    """The lathe, by the name of one that comes with Turnwright or by its own file: see `turnwright.Machine.load`.
+
+    Parameters
+    ----------
+    name
+        One of the lathes that come with Turnwright; or else give a file.
+    file
+        A machine file of one's own, in place of the name.
+    dialect
+        The language of the controller, where it is not the machine's usual one.
+    interpolation
+        What the controller makes of the points, where it offers more than one way; the machine's own if left
+        out.
+    """
 
     name: Text | None = None
     file: ExistingFile | None = None
@@ -263,7 +306,18 @@ class MachineTable(MachineDeviations):
 
 
 class PassTable(Choices):
-    """One pass: what it states otherwise than the strategy, and how much it leaves and takes off."""
+    """One pass: what it states otherwise than the strategy, and how much it leaves and takes off.
+
+    Parameters
+    ----------
+    name
+        What the pass is called, in the program and in all results.
+    allowance
+        Material that is left above the finished surface when the pass is done; the last pass leaves none. [mm]
+    depth
+        Thickness taken off at a time: the pass is repeated, each time deeper, until its allowance is reached;
+        all at once if left out. [mm]
+    """
 
     name: Name
     allowance: Thickness = 0.0
@@ -280,7 +334,19 @@ class PassTable(Choices):
 
 
 class Patch(Table):
-    """A rectangle on the part to be predicted."""
+    """A rectangle on the part to be predicted.
+
+    Parameters
+    ----------
+    name
+        What the place is called.
+    centre
+        Its middle on the part. [mm]
+    size
+        Along x and y. [mm]
+    pixel
+        Distance between heights; a quarter of the feed or less shows the cusps. [mm]
+    """
 
     name: Name
     centre: tuple[Length, Length]
@@ -312,7 +378,15 @@ class Patch(Table):
 
 
 class WholePart(Table):
-    """The polar grid over the whole part."""
+    """The polar grid over the whole part.
+
+    Parameters
+    ----------
+    radii
+        Rings from the axis to the clear radius.
+    angles
+        Heights around each ring.
+    """
 
     radii: Annotated[int, Strict(), Ge(2)] = 400
     angles: Annotated[int, Strict(), Ge(3)] = 360
@@ -327,7 +401,17 @@ class WholePart(Table):
 
 
 class SimulationTable(Table):
-    """What to predict, and whether the axes move as the machine's servos let them."""
+    """What to predict, and whether the axes move as the machine's servos let them.
+
+    Parameters
+    ----------
+    tracking
+        Whether the axes move as the machine's servos let them; otherwise they go where they are sent.
+    whole_part
+        The polar map of the whole part.
+    patches
+        Small places at a fine pixel, of which the roughness is told.
+    """
 
     tracking: Annotated[bool, Strict()] = False
     whole_part: WholePart = WholePart()
@@ -354,6 +438,42 @@ class MeasurementTable(Table):
 
     A map that the instrument shows from the other side is ``mirrored`` left to right, one whose heights grow into the
     material is ``inverted``.
+
+    Parameters
+    ----------
+    pixel_size
+        Distance between the instrument's pixels, for a file that does not say it: one size, or one along x and
+        one along y. [mm]
+    mirrored
+        Whether the map shows the part from the other side, left for right.
+    inverted
+        Whether its heights grow into the material.
+    spikes
+        How single wrong heights are told from the part and taken out.
+    trim
+        Width of the edge of the map that is left out. [mm]
+    shift
+        Roughly where the middle of the map lies on the part, along x, y and z. [mm]
+    rotation
+        Roughly how the map is turned on the part. [rad]
+    reach
+        How far the map may lie from where it is said to lie. [mm]
+    clocking
+        How far it may be turned from there. [rad]
+    free
+        Which of its place and angles are found; the others stay as they are stated.
+    reference
+        What the form error is told against.
+    causes
+        Which causes are looked for; all that a single map can tell if left out.
+    fixed
+        What fiducials fix, so that it counts as an error of the part.
+    waviness
+        Powers of the sweep that the waviness of the edge is found in.
+    worth
+        Least effect on the form for which a cause is corrected. [mm]
+    cutoff
+        Shortest wavelength to which the part itself is corrected; found from part and feed if left out. [mm]
     """
 
     pixel_size: Size | tuple[Size, Size] | None = None
@@ -395,21 +515,51 @@ class MeasurementTable(Table):
 
 
 class Tolerances(Table):
-    """What the part must keep; what it does not keep becomes a warning."""
+    """What the part must keep; what it does not keep becomes a warning.
+
+    Parameters
+    ----------
+    form_pv
+        Peak to valley of the error over the whole part. [mm]
+    sq
+        Root mean square roughness of each patch. [mm]
+    """
 
     form_pv: Size | None = None
     sq: Size | None = None
 
 
 class Actual(Table):
-    """What to simulate with where it differs from what is planned with."""
+    """What to simulate with where it differs from what is planned with.
+
+    Parameters
+    ----------
+    tool
+        What the real tool has otherwise than the one planned with.
+    machine
+        What the real machine has otherwise than the one planned with.
+    """
 
     tool: ToolDeviations = ToolDeviations()
     machine: MachineDeviations = MachineDeviations()
 
 
 class ProgramTable(Table):
-    """How the program is written."""
+    """How the program is written.
+
+    Parameters
+    ----------
+    name
+        Of the files of the program, without their ending.
+    max_lines
+        Most lines in one file; the limit of the controller if left out.
+    fast_tool
+        How the table of a fast tool is read: by position of the spindle, or by time.
+    fast_tool_rate
+        Heights per second of a table by time. [Hz]
+    precorrect
+        Whether the program is corrected beforehand for what the servos will make of it.
+    """
 
     name: Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9_-]{1,30}$")] = "part"
     max_lines: Annotated[int, Strict(), Ge(100)] | None = None

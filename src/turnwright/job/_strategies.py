@@ -57,7 +57,29 @@ def _profile(table: Choices | StrategyTable) -> SpeedProfile | None:
 
 
 class Choices(Table):
-    """What a pass may state otherwise than the strategy."""
+    """What a pass may state otherwise than the strategy.
+
+    Parameters
+    ----------
+    feed
+        Advance of X per revolution of the spindle, in this pass. [mm/rev]
+    spindle_speed
+        In this pass; that of the strategy if left out. [rpm]
+    spindle_speeds
+        Speeds, each with the radius at which it is reached, in this pass.
+    points_per_rev
+        Program points in a revolution, in this pass.
+    arc_length
+        Distance between program points along the spiral, in this pass. [mm]
+    max_step
+        Largest angle between program points, in this pass. [rad]
+    chord
+        Largest height between the exact path and straight lines between the points, in this pass. [mm]
+    lead_in
+        How far beyond the clear radius the tip starts, in this pass. [mm]
+    scallop
+        Largest height of cusps, in this pass. [mm]
+    """
 
     feed: Feed | None = None
     spindle_speed: Speed | None = None
@@ -76,7 +98,23 @@ class Choices(Table):
 
 
 class StrategyTable(Table):
-    """A way of cutting."""
+    """A way of cutting.
+
+    Parameters
+    ----------
+    kind
+        Which way of cutting it is.
+    sense
+        1 where the azimuth of the part under the tool grows, -1 where it falls.
+    inside_out
+        Whether the part is cut from the centre to the rim.
+    along
+        How the tool is brought into contact: by moving its height alone, or along the normal of the surface.
+    spindle_speed
+        Of the spindle; the highest that keeps every limit of the machine if left out. [rpm]
+    spindle_speeds
+        Speeds over the radius, each with the radius at which it is reached, in place of one speed.
+    """
 
     kind: str
     sense: Literal[1, -1] = 1
@@ -178,6 +216,14 @@ class HybridTable(SlowTable):
     """See `turnwright.HybridToolServo`: the spiral is that of a slow tool servo.
 
     Without a ``base`` the share of the slide is found from the limits of the machine's W axis.
+
+    Parameters
+    ----------
+    base
+        The surface that the slide follows; the fast tool adds the rest. Found from the limits of the fast tool
+        if left out.
+    blocks_per_rev
+        Blocks of the slide in a revolution.
     """
 
     kind: Literal["hybrid tool servo"]  # type: ignore[assignment] # each kind has a name of its own

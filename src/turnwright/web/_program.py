@@ -40,7 +40,7 @@ BEST = 6
 
 REMARK = re.compile(r"\([^()]*\)|;.*$")
 WORD = re.compile(r"([CXYZ])\s*([+-]?(?:\d+\.?\d*|\.\d+))")
-PASS = re.compile(rb"PASS: ")
+PASS = re.compile(rb"PASS: ([^,)\n]*)")
 
 
 def index(out: Path, machine: Machine) -> None:
@@ -56,7 +56,8 @@ def index(out: Path, machine: Machine) -> None:
     files = _files(out)
     total = sum(_count(file) for file in files)
     stride = min(max(1, total // FINEST), COARSEST)
-    number, starts, which, passes = 0, [], [], []
+    number, starts, which = 0, [], []
+    passes: dict[bytes, int] = {}  # where each begins, so that a place is looked for in the last one only
     for place, file in enumerate(files):
         first, begun = number, 0
         for ends, block, offset in _ends(file):
@@ -65,15 +66,15 @@ def index(out: Path, machine: Machine) -> None:
             keep = at[:-1] % stride == 0
             starts.append(begins[:-1][keep])
             which.append(np.full(int(keep.sum()), place))
-            # Where a pass begins, so that a place is looked for in the last one only.
-            passes += [first + int(np.searchsorted(ends, offset + match.start())) for match in PASS.finditer(block)]
+            for match in PASS.finditer(block):
+                passes.setdefault(match.group(1).strip(), first + int(np.searchsorted(ends, offset + match.start())))
             first, begun = int(at[-1]), int(begins[-1])
         number = first
     offsets, owners = np.concatenate(starts), np.concatenate(which)
     tips = _tips_at(files, offsets, owners, _Axes(machine))
     np.savez(
         out / INDEX, offsets=offsets, owners=owners, tips=tips, total=number, stride=stride,
-        finish=max(passes, default=0),
+        finish=max(passes.values(), default=0),
     )  # fmt: skip
 
 

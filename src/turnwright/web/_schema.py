@@ -153,6 +153,7 @@ def _clean(text: str) -> str:
     """Return a text of a docstring as people read it: without marks, shapes and units of arrays."""
     text = re.sub(r"\s*\[[A-Za-z0-9+]+\]_", "", text)
     text = re.sub(r":[a-z]+:`([^`]*)`", r"\1", text)
+    text = re.sub(r"``None``", "left out", text)
     text = re.sub(r"``([^`]*)``", r"\1", text)
     text = re.sub(r"`(?:turnwright\.)?([^`]*)`", r"\1", text)
     return re.sub(r"\s*(?:\([a-z0-9, ]+\)\s*)?\[[^\]]*\]\.?\s*$", "", text).strip()

@@ -1,0 +1,341 @@
+"""The server of the workbench. Oracles: the command line, read_nc, the job classes, another JSON schema validator."""
+
+import json
+import re
+import time
+import tomllib
+
+import jsonschema
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from job_files import changed, written
+from test_measuring import DISH, OFFSET, seen
+
+import turnwright as tw
+from turnwright.cli import main
+from turnwright.job import Job, preview
+from turnwright.units import convert, parse
+from turnwright.web import create_app
+from turnwright.web._examples import examples
+from turnwright.web._packed import unpack
+from turnwright.web._references import FILE_KEYS, located
+
+HERE = "http://127.0.0.1:8765"
+PATIENCE_S = 120
+
+# A run of some seconds that a test interrupts.
+LONG = changed(("strategy.feed", "1 um/rev"), ("strategy.points_per_rev", 3600), ("simulation.patches", []))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("workbench")
+
+
+@pytest.fixture(scope="module")
+def client(folder):
+    with TestClient(create_app(folder, at_a_time=2), base_url=HERE) as client:
+        yield client
+
+
+def ended(client, name, *, state="done"):
+    """Wait for the end of a run as a page does, by its events."""
+    told = []
+    with client.stream("GET", f"/api/runs/{name}/events") as stream:
+        assert stream.headers["content-type"].startswith("text/event-stream")
+        lines = [line for line in stream.iter_lines() if line]
+    for kind, data in zip(lines[::2], lines[1::2], strict=True):
+        told.append((kind.removeprefix("event: "), json.loads(data.removeprefix("data: "))))
+    run = client.get(f"/api/runs/{name}").json()
+    assert run["state"] == state, run["sentence"]
+    assert told[-1] == ("state", {"state": state, "sentence": run["sentence"]})
+    return told
+
+
+@pytest.fixture(scope="module")
+def dish(folder, client):
+    """A job by the server and by the command line."""
+    job = changed(*DISH)
+    name = client.post("/api/runs", json={"data": job, "kind": "run"}).json()["id"]
+    file = written(folder, *DISH)
+    assert main(["run", str(file), "--out", str(folder / "by-hand")]) == 0
+    return name, folder / "by-hand", ended(client, name)
+
+
+def test_the_server_says_what_it_is(client):
+    told = client.get("/api/about").json()
+    assert told["version"] == tw.__version__
+    assert "infrared_lens" in told["examples"]
+    assert told["limits"]["upload_bytes"] == 2 * 2**30
+
+
+def test_the_page_may_load_only_from_the_server(client):
+    answer = client.get("/")
+    assert answer.status_code == 200
+    assert "default-src 'self'" in answer.headers["content-security-policy"]
+    assert "unsafe" not in answer.headers["content-security-policy"]
+    assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+def test_every_example_is_a_job_in_the_schema(client):
+    schema = client.get("/api/schema").json()
+    check = jsonschema.Draft202012Validator(schema)
+    listed = client.get("/api/examples").json()
+    assert [one["name"] for one in listed] == list(examples())
+    for one in listed:
+        told = client.get(f"/api/examples/{one['name']}").json()
+        assert told["errors"] == []
+        assert [error.message for error in check.iter_errors(told["data"])] == []
+        # The text and the data say the same, and a page can send either back.
+        assert tomllib.loads(told["toml"])["tool"] == told["data"]["tool"]
+        assert client.post("/api/job/parse", json={"toml": told["toml"]}).json() == {
+            "data": told["data"],
+            "errors": [],
+        }
+        back = client.post("/api/job/write", json={"data": told["data"]}).json()
+        assert back["errors"] == []
+        assert tomllib.loads(back["toml"]) == told["data"]
+
+
+def leaves(schema, node, where=""):
+    if "$ref" in node:
+        node = schema["$defs"][node["$ref"].rpartition("/")[2]]
+    for name, field in node.get("properties", {}).items():
+        yield node["title"], f"{where}{name}", field
+
+
+def test_every_field_of_the_schema_explains_itself(client):
+    schema = client.get("/api/schema").json()
+    fields = [leaf for node in [schema, *schema["$defs"].values()] for leaf in leaves(schema, node)]
+    assert len(fields) > 150
+    assert [f"{table}.{name}" for table, name, field in fields if not field["description"] or not field["title"]] == []
+    for table, name, field in fields:
+        if "unit" in field:
+            # What is shown measures the same as what is meant.
+            assert convert(1.0, field["unit"], field["display"]) > 0, (table, name)
+
+
+def test_errors_stand_where_the_field_is(client):
+    job = changed(("tool.nose_radius", "0.5"), ("strategy.fed", "1 um/rev"), ("part.surface.radius", "0,5 mm"))
+    told = client.post("/api/job/check", json={"data": job}).json()
+    assert {one["field"] for one in told["errors"]} == {"tool.nose_radius", "strategy.fed", "part.surface.radius"}
+    assert told["access"] is None
+    broken = client.post("/api/job/parse", json={"toml": "[part"}).json()
+    assert broken["data"] == {}
+    assert "not TOML" in broken["errors"][0]["sentence"]
+
+
+def test_a_check_says_what_the_job_classes_say(client):
+    job = changed(("tool.included", "20 deg"), ("part.surface.radius", "2 mm"))
+    told = client.post("/api/job/check", json={"data": job}).json()
+    plan = preview(Job.read(job))
+    assert told["access"]["ok"] is plan.access.ok is False
+    assert told["access"]["nose_radius_limit"] == pytest.approx(plan.access.nose_radius_limit)
+    assert [one["sentence"] for one in told["access"]["findings"]] == [one.sentence for one in plan.access.findings]
+    assert told["preview"]["points"] == dict(plan.points)
+    assert told["preview"]["refused"] == list(plan.refused)
+
+
+def test_the_program_is_that_of_the_command_line(client, dish):
+    name, by_hand, _ = dish
+    files = client.get(f"/api/runs/{name}").json()["files"]
+    for one in files:
+        answer = client.get(f"/api/runs/{name}/files/{one['name']}", params={"part": one["part"]})
+        assert answer.headers["content-disposition"].startswith("attachment")
+        assert len(answer.content) == one["bytes"]
+        if one["name"] in ("program", "job"):
+            assert answer.content == (by_hand / one["file"]).read_bytes()
+    mine, theirs = client.get(f"/api/runs/{name}/result").json(), json.loads((by_hand / "result.json").read_text())
+    for told in (mine, theirs):
+        told.pop("timings"), told.pop("peak_memory_gb")
+    assert mine == theirs
+
+
+def test_a_run_tells_its_progress(dish):
+    told = dish[2]
+    stages = [data["stage"] for kind, data in told if kind == "progress"]
+    assert len(set(stages)) >= 2
+    assert all(0 <= data["done"] <= data["total"] for kind, data in told if kind == "progress")
+
+
+def test_lines_of_the_program_lie_where_the_motion_is(client, dish):
+    name, by_hand, _ = dish
+    motion = tw.read_nc(by_hand / "part.nc", tw.Machine.load("generic"))
+    angle, x, z = (motion.axes[letter] for letter in "CXZ")
+    tip = np.stack([x * np.cos(angle), x * np.sin(angle), z], axis=1)
+    told = client.get(f"/api/runs/{name}/program", params={"first": 0, "count": 2000}).json()
+    text = (by_hand / "part.nc").read_text().splitlines()
+    assert told["lines"] == text[:2000]
+    assert told["total"] == len(text)
+    first = next(place for place, line in enumerate(text) if re.match("G1 X.* C", line))
+    places = np.array(told["places"][first:])
+    np.testing.assert_allclose(places, tip[1 : len(places) + 1], atol=2e-8)
+    for row in (700, 2500):
+        line = client.get(f"/api/runs/{name}/program", params={"near": f"{tip[row, 0]},{tip[row, 1]}"}).json()["line"]
+        assert line == first + row - 1
+    assert client.get(f"/api/runs/{name}/program", params={"first": 10**9}).json()["lines"] == []
+
+
+def test_a_long_program_is_found_by_its_index(tmp_path, monkeypatch):
+    """The index knows every 16th line only; the nearest of all lines is the oracle."""
+    from turnwright.web import _program
+
+    monkeypatch.setattr(_program, "FINEST", 300)
+    file = written(tmp_path, ("machine.name", "nanotech-350fg"), ("program.max_lines", 2000))
+    assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 0
+    machine = tw.Machine.load("nanotech-350fg")
+    _program.index(tmp_path / "out", machine)
+    whole = _program.lines(str(tmp_path / "out"), 0, 10**6)
+    places = np.array([[np.nan] * 3 if one is None else one for one in whole["places"]])
+    assert whole["total"] == len(whole["lines"]) > 5000
+    rng = np.random.default_rng(3)
+    for x, y in rng.uniform(-0.6, 0.6, (12, 2)):
+        line = _program.near(str(tmp_path / "out"), x, y)["line"]
+        best = np.nanmin(np.hypot(places[:, 0] - x, places[:, 1] - y))
+        assert np.hypot(*(places[line, :2] - (x, y))) == pytest.approx(best, abs=1e-9)
+        assert _program.lines(str(tmp_path / "out"), line, 1)["lines"] == [whole["lines"][line]]
+
+
+def test_a_comparison_is_that_of_the_command_line(client, folder):
+    (folder / "compared").mkdir()
+    job = changed(("strategy.feed", "50 um/rev"), ("simulation.patches", []))
+    name = client.post("/api/runs", json={"data": job, "kind": "compare", "name": "which way"}).json()["id"]
+    ended(client, name)
+    told = client.get(f"/api/runs/{name}/comparison").json()
+    file = written(folder / "compared", ("strategy.feed", "50 um/rev"), ("simulation.patches", []))
+    assert main(["compare", str(file), "--out", str(folder / "compared" / "out")]) == 0
+    theirs = json.loads((folder / "compared" / "out" / "comparison.json").read_text())
+    for one in (*told["candidates"], *theirs["candidates"]):
+        one.pop("wall_s")
+    assert told == theirs
+    assert client.get(f"/api/runs/{name}").json()["name"] == "which way"
+
+
+@pytest.fixture(scope="module")
+def measured(client, dish, folder):
+    """A map of the dish as a tool 3 um beside its place would have cut it, sent as a page sends it."""
+    file = seen(folder / "job.toml", folder / "dish.x3p")
+    answer = client.post("/api/measurements", params={"run": dish[0], "name": "dish.x3p"}, content=file.read_bytes())
+    assert answer.status_code == 201, answer.text
+    ended(client, answer.json()["id"])
+    return answer.json()["id"]
+
+
+def test_a_measured_map_tells_the_injected_offset(client, measured):
+    told = client.get(f"/api/measurements/{measured}").json()
+    offset = next(one for one in told["findings"] if one["name"] == "offset x")
+    assert offset["simplest"] == pytest.approx(OFFSET, abs=3 * offset["uncertainty"])
+    assert offset["correctable"]
+    assert told["alignment"]["rms_nm"] > 0
+    assert len(told["zernike"]) == 37
+    assert told["psd"]["frequency"]
+    for name in ("measured", "residual"):
+        header, arrays = unpack(
+            client.get(f"/api/measurements/{measured}/map", params={"name": name, "nx": 60, "ny": 50}).content
+        )
+        assert arrays["values"].shape == (50, 60)
+        assert header["low"] < 0 < header["high"]
+        assert header["x"] == [-2, 2]
+    assert client.get(f"/api/measurements/{measured}/map", params={"name": "predicted"}).status_code == 409
+    assert b"<html" in client.get(f"/api/measurements/{measured}/files/report").content
+
+
+def test_a_correction_plans_with_the_tool_as_it_was_found(client, measured, folder):
+    wrong = client.post(f"/api/measurements/{measured}/correct", json={"causes": ["weather"]})
+    assert wrong.status_code == 422
+    told = client.get(f"/api/measurements/{measured}").json()
+    cause = next(one["cause"] for one in told["findings"] if one["name"] == "offset x")
+    name = client.post(f"/api/measurements/{measured}/correct", json={"causes": [cause]}).json()["id"]
+    ended(client, name)
+    run = client.get(f"/api/runs/{name}").json()
+    assert parse(run["data"]["tool"]["offset"][0], "mm") == pytest.approx(OFFSET, abs=5e-5)
+    told = client.get(f"/api/measurements/{measured}").json()
+    assert told["correction"] == name
+    # The same at the command line, of a job that looks for this cause.
+    (folder / "again").mkdir()
+    job, out = written(folder / "again", *DISH, ("measurement.causes", [cause])), folder / "again" / "out"
+    assert main(["correct", str(folder / "dish.x3p"), "--job", str(job), "--out", str(out)]) == 0
+    assert told["predicted"]["predicted"] == json.loads((out / "correction.json").read_text())["predicted"]
+    ours = client.get(f"/api/measurements/{measured}/files/job").content.decode()
+    assert tomllib.loads(ours) == tomllib.loads((out / "job.toml").read_text())
+    header, _ = unpack(client.get(f"/api/measurements/{measured}/map", params={"name": "predicted"}).content)
+    assert header["unit"] == "nm"
+    assert client.get(f"/api/measurements/{measured}/files/program").content.startswith(b"(")
+    # The corrected job goes back into the form, with the file that belongs to it.
+    checked = client.post("/api/job/check", json={"data": run["data"]}).json()
+    assert checked["errors"] == []
+
+
+def test_a_damaged_file_ends_its_own_process_only(client, dish):
+    answer = client.post("/api/measurements", params={"run": dish[0], "name": "../x.x3p"}, content=b"PK\x03\x04 cut")
+    name = answer.json()["id"]
+    ended(client, name, state="failed")
+    told = client.get(f"/api/measurements/{name}").json()
+    assert "measured.x3p" in told["sentence"]
+    assert "/" not in told["sentence"].replace("and/or", "")
+    assert client.delete(f"/api/runs/{name}").status_code == 204
+    assert client.get(f"/api/runs/{name}").status_code == 404
+
+
+def test_a_run_is_cancelled_and_leaves_nothing(client, folder):
+    name = client.post("/api/runs", json={"data": LONG, "kind": "run"}).json()["id"]
+    until = time.monotonic() + PATIENCE_S
+    while not (client.get(f"/api/runs/{name}").json()["progress"]) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert client.delete(f"/api/runs/{name}").status_code == 409
+    told = client.post(f"/api/runs/{name}/cancel").json()
+    assert told["state"] == "cancelled"
+    left = {file.name for file in (folder / "runs" / name).iterdir()}
+    assert left == {"job.json", "state.json", "log.txt"}
+    assert client.post(f"/api/runs/{name}/cancel").status_code == 409
+
+
+def test_runs_wait_for_their_turn_and_outlive_the_server(tmp_path):
+    """A server that is ended while a run goes on takes its process along; the next one begins the run again."""
+    with TestClient(create_app(tmp_path), base_url=HERE) as client:
+        first = client.post("/api/runs", json={"data": LONG, "kind": "run", "name": "first"}).json()["id"]
+        second = client.post("/api/runs", json={"data": changed(), "kind": "run"}).json()["id"]
+        until = time.monotonic() + PATIENCE_S
+        while not client.get(f"/api/runs/{first}").json()["progress"] and time.monotonic() < until:
+            time.sleep(0.05)
+        assert client.get(f"/api/runs/{second}").json()["state"] == "queued"
+    assert list((tmp_path / "runs" / first).glob(".out*")) == []
+    with TestClient(create_app(tmp_path), base_url=HERE) as client:
+        told = {one["id"]: one for one in client.get("/api/runs").json()}
+        assert told[first]["state"] == "running"
+        assert told[first]["name"] == "first"
+        assert told[second]["state"] == "queued"
+        client.post(f"/api/runs/{first}/cancel")
+        ended(client, second)
+    with TestClient(create_app(tmp_path), base_url=HERE) as client:
+        assert client.get(f"/api/runs/{second}/files/program").status_code == 200
+        assert client.get(f"/api/runs/{first}").json()["state"] == "cancelled"
+
+
+def test_only_keys_that_are_watched_name_files():
+    """Every field of a job that holds a file is one that the server looks at."""
+    from turnwright.job._table import Table
+
+    def below(table):
+        for child in table.__subclasses__():
+            yield child
+            yield from below(child)
+
+    named = {name for table in below(Table) for name, field in table.model_fields.items() if "Path" in repr(field)}
+    assert named == FILE_KEYS
+
+
+def test_references_lead_to_files_of_the_server_only(tmp_path):
+    data = {"machine": {"file": "examples/machines/lathe_with_y.toml"}, "part": {"correction": None}}
+    real, problems = located(data, tmp_path)
+    assert problems == []
+    assert real["machine"]["file"].endswith("lathe_with_y.toml")
+    kept = tmp_path / "runs" / "0123456789abcdef" / "correction"
+    kept.mkdir(parents=True)
+    (kept / "correction.npz").write_bytes(b"x")
+    reference = "runs/0123456789abcdef/correction.npz"
+    assert located({"part": {"correction": reference}}, tmp_path)[1] == []
+    (kept / "link.npz").symlink_to("/etc/passwd")
+    for bad in ("runs/0123456789abcdef/link.npz", "runs/0123456789abcdef/../job.toml", "/etc/passwd", ["a"], 3):
+        assert located({"part": {"correction": bad}}, tmp_path)[1]
