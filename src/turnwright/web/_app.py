@@ -79,7 +79,7 @@ def create_app(
     """
     folder = Path(folder).resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    workers = Workers(WORKERS, threads=1, warm="_jobs:warm")
+    workers = Workers(WORKERS, threads=1, warm="_jobs:warm", then="_jobs:warm_kernels")
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:

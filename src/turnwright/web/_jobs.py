@@ -21,17 +21,20 @@ from turnwright.job import Job, faults, preview
 from turnwright.web._limits import MOST_POINTS
 from turnwright.web._references import located
 
-__all__ = ["check", "machines", "parse", "plain", "read", "require", "warm", "write"]
+__all__ = ["check", "machines", "parse", "plain", "read", "require", "warm", "warm_kernels", "write"]
 
 MEMORY_BYTES = 6 * 2**30
 """What a warm process may take beyond what it starts with."""
 
 
 def warm() -> None:
-    """Load what the first question needs, and limit the memory of this process."""
+    """Limit the memory of this process; what it needs is loaded with this module."""
     limit_memory(MEMORY_BYTES)
-    job = Job.read(SMALL)
-    preview(job)
+
+
+def warm_kernels() -> None:
+    """Load the compiled kernels that the first check needs."""
+    preview(Job.read(SMALL))
 
 
 SMALL = {

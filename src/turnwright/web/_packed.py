@@ -10,8 +10,6 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,6 +37,8 @@ def pack(header: Mapping[str, Any], arrays: Mapping[str, ArrayLike]) -> bytes:
     >>> header["unit"], arrays["z"].tolist()
     ('mm', [[1.0, 2.5]])
     """
+    import numpy as np  # noqa: PLC0415 - the server packs nothing, it only knows what a message is called
+
     with np.errstate(over="ignore"):  # what float32 cannot hold is infinite there
         numbers = {name: np.ascontiguousarray(values, dtype="<f4") for name, values in arrays.items()}
     whole = {**header, "arrays": [{"name": name, "shape": values.shape} for name, values in numbers.items()]}
@@ -55,6 +55,8 @@ def unpack(message: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     InputError
         If it is not one, or it is cut short.
     """
+    import numpy as np  # noqa: PLC0415
+
     start = 8 + int.from_bytes(message[4:8], "little")
     if message[:4] != MAGIC or len(message) < start:
         raise InputError(

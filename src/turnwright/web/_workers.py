@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import threading
 from collections import OrderedDict
 from concurrent.futures import CancelledError, Future
+from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +28,9 @@ KEPT = 64
 
 KEPT_BYTES = 256 * 2**20
 """And how large they may be together."""
+
+LATER_S = 3.0
+"""Until the next process is warmed up: the first page shall not share the processor with it. [s]"""
 
 WAITING = 64
 """Questions that may wait; beyond these the server is overrun."""
@@ -54,11 +59,13 @@ class Workers:
         How many threads each may use.
     warm
         Called in each beforehand, so that the first question does not wait for imports.
+    then
+        Called after that, but not before a question that is asked meanwhile.
     """
 
-    def __init__(self, count: int, *, threads: int, warm: Callable[[], object] | str) -> None:
-        self.count, self.threads, self.warm = count, threads, warm
-        self._pools: list[LocalPool] = [self._start() for _ in range(count)]
+    def __init__(self, count: int, *, threads: int, warm: Callable[[], object] | str, then: str = "") -> None:
+        self.count, self.threads, self.warm, self.then = count, threads, warm, then
+        self._pools: list[LocalPool] = [self._start(LATER_S * number) for number in range(count)]
         self._free: asyncio.LifoQueue[int] | None = None
         self._latest: dict[str, asyncio.Event] = {}
         self._running: dict[str, asyncio.Task[Any]] = {}
@@ -116,10 +123,23 @@ class Workers:
         for pool in self._pools:
             pool.kill()
 
-    def _start(self) -> LocalPool:
+    def _start(self, after_s: float = 0.0) -> LocalPool:
+        """Return a pool of one process, which is warmed up after a while."""
         pool = LocalPool(workers=1, threads=self.threads)
-        pool.submit(_call, self.warm, ())
+        timer = threading.Timer(after_s, self._warm, (pool,))
+        timer.daemon = True
+        timer.start()
         return pool
+
+    def _warm(self, pool: LocalPool) -> None:
+        def further(_: object) -> None:
+            with suppress(RuntimeError):  # closed meanwhile
+                pool.submit(_call, self.then, ())
+
+        with suppress(RuntimeError):
+            first = pool.submit(_call, self.warm, ())
+            if self.then:
+                first.add_done_callback(further)
 
     def _keep(self, key: str, task: asyncio.Task[Any]) -> None:
         self._running.pop(key, None)
@@ -134,7 +154,7 @@ class Workers:
     ) -> Any:
         if self._free is None:
             self._free = asyncio.LifoQueue()  # the one used last is the warmest
-            for number in range(self.count):
+            for number in reversed(range(self.count)):
                 self._free.put_nowait(number)
         if self._waiting >= WAITING:
             raise Busy(f"{self._waiting} questions wait already, the limit is {WAITING}: ask again in a moment")
