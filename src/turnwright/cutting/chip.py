@@ -200,9 +200,10 @@ class RoundChip:
 
 
 def expected_thickest(tool: Tool, *, feed: float, depth: float, bend: ArrayLike) -> Floats:
-    """Return the thickest chip to expect on a surface of some curvature, before any path is known.
+    r"""Return the thickest chip to expect on a surface of some curvature, before any path is known.
 
-    To the nose a curved surface is a flat, and the nose a circle as much rounder as the surface is: `RoundChip` of it.
+    Against a curved surface the nose is a circle of radius :math:`1 / (1/R - \kappa)` on a flat, and while the tip
+    advances by the feed the contact does so by as much more as that circle is larger: `RoundChip` of both.
 
     Parameters
     ----------
@@ -217,7 +218,7 @@ def expected_thickest(tool: Tool, *, feed: float, depth: float, bend: ArrayLike)
     # Where the surface is as hollow as the nose, the chip is as thick as the cut is deep and no wider curve matters.
     radius = 1 / np.maximum(1 / flat - np.asarray(bend, dtype=np.float64), 1 / (1e3 * flat))
     reach = np.sqrt(np.maximum(depth * (2 * radius - depth), 0.0))
-    return np.asarray(radius - np.hypot(np.maximum(reach - feed, 0.0), radius - depth))
+    return np.asarray(radius - np.hypot(np.maximum(reach - feed * radius / flat, 0.0), radius - depth))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

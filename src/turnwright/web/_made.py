@@ -37,6 +37,9 @@ TURN = 2 * math.pi
 KEPT = 2
 """Runs whose motion is kept ready."""
 
+FEW = 1.2
+"""Stored heights to a pixel above which it is a mean."""
+
 LOUDEST = 4
 """Spans of two turns in which the spectrum of an axis is looked for, from the first to the last turn."""
 
@@ -166,15 +169,15 @@ def window(
     step = min(float(columns[1] - columns[0]), float(rows[1] - rows[0]))
     fine = step < FINER * stored.pixel or not _covers(stored.heights, x, y)
     if fine:
-        error, design = generated(folder, columns, rows)
+        (error, design), many = generated(folder, columns, rows), 1
     else:
-        error, design = _resampled(stored, columns, rows), None
+        (error, many), design = _resampled(stored, columns, rows), None
     values = error
     if quantity == "height":
         values = error + (_design(Job.load(File(folder) / "job.toml"), columns, rows) if design is None else design)
     header = {
         "name": name, "quantity": quantity, "unit": "mm", "x": list(x), "y": list(y),
-        "source": "generated" if fine else "stored", "pixel": step, "stored_pixel": stored.pixel,
+        "source": "generated" if fine else "stored", "mean_of": many, "pixel": step, "stored_pixel": stored.pixel,
         "diverging": quantity == "error", **_spread(values),
     }  # fmt: skip
     return pack(header, {"values": values})
@@ -202,22 +205,36 @@ def _covers(heights: HeightMap, x: tuple[float, float], y: tuple[float, float]) 
     return all(inside)
 
 
-def _resampled(stored: _Stored, columns: Floats, rows: Floats) -> Floats:
-    """Return a stored map over another grid, each place with the nearest of its heights: none is invented."""
+def _resampled(stored: _Stored, columns: Floats, rows: Floats) -> tuple[Floats, int]:
+    """Return a stored map over another grid, and how many of its heights each pixel is the mean of.
+
+    Along the radius of a polar map, where the cusps stand, it is the mean over two pixels: single heights would beat
+    with them. Everywhere else it is the nearest height; none is invented.
+    """
     heights = stored.heights
     if heights.radius is not None and heights.angle is not None:
         x, y = np.meshgrid(columns, rows)
         away, azimuth = np.hypot(x, y), np.mod(np.arctan2(y, x), TURN)
-        step = TURN / heights.angle.size
-        ray = np.rint((azimuth - heights.angle[0]) / step).astype(np.int64) % heights.angle.size
+        rays, rings = heights.angle.size, heights.radius.size
+        ray = np.rint((azimuth - heights.angle[0]) / (TURN / rays)).astype(np.int64) % rays
         ring = np.rint((away - heights.radius[0]) / stored.pixel).astype(np.int64)
-        inside = away <= heights.radius[-1] * (1 + 1e-12)
-        found = heights.z[ray, np.clip(ring, 0, heights.radius.size - 1)]
-        return np.where(inside, found, np.nan)
+        wide = float(columns[1] - columns[0]) / stored.pixel
+        many = 1 if wide < FEW else round(2 * wide)
+        good = np.isfinite(heights.z)
+        sums, counts = (
+            np.pad(np.cumsum(one, axis=1), ((0, 0), (1, 0))) for one in (np.where(good, heights.z, 0.0), good)
+        )
+        first, last = (np.clip(ring + by, 0, rings) for by in (-(many // 2), many - many // 2))
+        count = counts[ray, last] - counts[ray, first]
+        total = sums[ray, last] - sums[ray, first]
+        inside = (away <= heights.radius[-1] * (1 + 1e-12)) & (count > 0)
+        single = heights.z[ray, np.clip(ring, 0, rings - 1)]
+        mean = single if many == 1 else np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+        return np.where(inside, mean, np.nan), many
     assert heights.x is not None  # noqa: S101 - a map that is not polar has x and y
     assert heights.y is not None  # noqa: S101
     across, along = (_nearest(axis, wanted) for axis, wanted in ((heights.x, columns), (heights.y, rows)))
-    return np.asarray(heights.z[np.ix_(along, across)])
+    return np.asarray(heights.z[np.ix_(along, across)]), 1
 
 
 def _nearest(axis: Floats, wanted: Floats) -> Any:

@@ -33,7 +33,7 @@ function axis(label, unit, colours, { side, log = false, size } = {}) {
     grid: { stroke: () => inks().sunken, width: 1 },
     ticks: { stroke: () => inks().edge, width: 1, size: 4 },
     ...(log
-      ? { values: (_plot, splits) => splits.map((one) => (Math.abs(Math.log10(one) - Math.round(Math.log10(one))) < 1e-9 ? powerText(one) : "")) }
+      ? { filter: (_plot, splits) => splits.map((one) => (Math.abs(Math.log10(one) - Math.round(Math.log10(one))) < 1e-9 ? one : null)), values: (_plot, splits) => splits.map((one) => (one === null ? "" : powerText(one))) }
       : { splits: (plot, _index, low, high) => ticks(low, high, Math.max(2, (side === 2 ? plot.bbox.width / 90 : plot.bbox.height / 40) / devicePixelRatio)), values: (_plot, splits) => splits.map((one) => tickText(one, splits)) }),
   };
 }
@@ -67,7 +67,7 @@ export function chart(box, { x, series, limits = [], logX = false, logY = false,
     const data = [x.values, ...series.map((one) => one.values)];
     const bands = series.flatMap((one, index) => (one.band ? [{ series: [index + 1, index], fill: `${seriesColour(one.colour ?? index)}2e` }] : []));
     plot = new Plot({
-      width, height, legend: { show: false }, padding: [10, 12, 0, 0],
+      width, height, legend: { show: false }, padding: [10, 20, 0, 0],
       cursor: { y: false, points: { size: 6 }, drag: { x: true, y: false }, focus: { prox: 30 } },
       scales: {
         x: { time: false, distr: logX ? 3 : 1 },
@@ -279,15 +279,15 @@ export function mountMotion(panel) {
       const unit = turns ? "turns" : angular && kind === "speed" ? "rev/min" : `${one.unit}${PER[kind]}`;
       const values = (name) => [...arrays[name].data].map((value) => value * factor);
       const limit = kind === "position" ? null : one.limits[kind];
-      const limits = limit ? [{ value: limit * factor, text: `limit ${number(limit * factor, 4)} ${unit}` }] : [];
-      const peak = kind === "position" ? "" : `, peak ${number(one.peaks[kind] * factor, 4)} ${unit}${limit ? ` (${number((100 * one.peaks[kind]) / limit, 2)} % of the limit)` : ", no limit stated"}`;
+      const limits = limit ? [{ value: limit * factor, text: `limit ${number(limit * factor, 3)} ${unit}` }] : [];
+      const peak = kind === "position" ? "" : `, peak ${number(one.peaks[kind] * factor, 3)} ${unit}${limit ? ` (${number((100 * one.peaks[kind]) / limit, 2)} % of the limit)` : ", no limit stated"}`;
       const box = element("div");
       grid.append(box);
       const title = `${letter}${peak}`;
       const index = Object.keys(header.axes).indexOf(letter);
       charts.push(chart(box, kind === "position"
         ? { x: time, title, series: [{ label: "lowest", axis: `${letter} position`, unit, values: values(`${letter} low`), colour: index, width: 1 }, { label: "highest", unit, values: values(`${letter} high`), band: true, colour: index, width: 1 }] }
-        : { x: time, title, limits, series: [{ label: `${kind} of ${letter}`, axis: kind, unit, values: values(`${letter} ${kind}`), colour: index }], yRange: (_plot, low, high) => [0, Math.max(high * 1.08, limits.length && limits[0].value < 4 * high ? limits[0].value * 1.12 : 0) || 1] }));
+        : { x: time, title, limits, series: [{ label: `${kind} of ${letter}`, axis: kind, unit, values: values(`${letter} ${kind}`), colour: index }], yRange: (_plot, low, high) => [0, Math.max(high * (limits.length ? 1.28 : 1.08), limits.length && limits[0].value < 4 * high ? limits[0].value * 1.14 : 0) || 1] }));
     }
     const radii = [...arrays.radius.data];
     const box = element("div");

@@ -135,7 +135,7 @@ export function drawBar(canvas, { low, high, unit, label, name, clipped = false 
   context.clearRect(0, 0, width, height);
   if (!Number.isFinite(low) || !Number.isFinite(high)) return;
   const scale = scaleOf(unit, Math.max(Math.abs(low), Math.abs(high)));
-  const [top, bottom, left, wide] = [34, height - 12, 2, 13];
+  const [top, bottom, left, wide] = [clipped ? 41 : 34, height - 14, 2, 13];
   const length = bottom - top;
   for (let y = 0; y < length; y++) {
     context.fillStyle = colourAt(1 - y / (length - 1), name);

@@ -8,6 +8,7 @@ import { drawBar, fitted, inks, paint, said, scaleOf, tableOf, ticks, tickText }
 import { mountProfile } from "./charts.js";
 import { CLIENT, element, framed } from "./dom.js";
 import { on, say, set, state } from "./state.js";
+import { length } from "./ui.js";
 
 const MARGIN = { left: 54, right: 12, top: 10, bottom: 34 };
 const REST_MS = 90;
@@ -76,8 +77,8 @@ export class MapView {
     box.append(element("div", { class: "mapmain" }, [this.canvas, this.waiting]), this.bar, this.readout);
     this.draw = framed(() => this.drawNow());
     this.sized = new ResizeObserver(() => {
-      if (this.canvas.clientWidth && this.view) {
-        this.view = this.shaped(this.view);
+      if (this.canvas.clientWidth > 30 && this.view) {
+        this.view = this.fit ? this.entire() : this.shaped({ ...this.view, y0: (this.view.y0 + this.view.y1) / 2, y1: (this.view.y0 + this.view.y1) / 2 });
         this.rest();
       }
       this.draw();
@@ -105,7 +106,8 @@ export class MapView {
       const whole = new Picture(await this.load(null, asking.signal));
       if (asking.signal.aborted) return;
       this.whole = whole;
-      this.view = this.shaped(window ?? { x0: whole.x[0], x1: whole.x[1], y0: whole.y[0], y1: whole.y[1] });
+      this.fit = !window;
+      this.view = window ? this.shaped(window) : this.entire();
       this.draw();
       if (window) this.rest();
     } catch (error) {
@@ -119,6 +121,13 @@ export class MapView {
     const scale = Math.max((x1 - x0) / width, (y1 - y0) / height, FINEST / 50);
     const [x, y] = [(x0 + x1) / 2, (y0 + y1) / 2];
     return { x0: x - (scale * width) / 2, x1: x + (scale * width) / 2, y0: y - (scale * height) / 2, y1: y + (scale * height) / 2 };
+  }
+
+  /** All of the map, with a little air. */
+  entire() {
+    const [x, y] = [this.whole.x, this.whole.y];
+    const air = 0.02 * (x[1] - x[0]);
+    return this.shaped({ x0: x[0] - air, x1: x[1] + air, y0: y[0] - air, y1: y[1] + air });
   }
 
   room() {
@@ -143,7 +152,9 @@ export class MapView {
   /** The view has moved: draw what there is now, and ask for better when it rests. */
   move(view) {
     const limit = 1.6 * Math.max(this.whole.x[1] - this.whole.x[0], this.whole.y[1] - this.whole.y[0]);
-    if (Math.min(view.x1 - view.x0, view.y1 - view.y0) > limit) return;
+    const size = Math.min(view.x1 - view.x0, view.y1 - view.y0);
+    if (size > limit && size > Math.min(this.view.x1 - this.view.x0, this.view.y1 - this.view.y0)) return;
+    this.fit = false;
     this.view = view;
     this.draw();
     this.rest();
@@ -207,7 +218,8 @@ export class MapView {
 
   all() {
     if (!this.whole) return;
-    this.move(this.shaped({ x0: this.whole.x[0], x1: this.whole.x[1], y0: this.whole.y[0], y1: this.whole.y[1] }));
+    this.move(this.entire());
+    this.fit = true;
   }
 
   setLine(line) {
@@ -472,8 +484,9 @@ export function mount(panel) {
   let shown = null;
   let profile = null;
   const tell = (packed) => {
-    const { source, pixel } = packed.header;
-    about.textContent = `${source === "generated" ? "computed from the program" : "as stored"}, pixel ${said(pixel, "mm", 3)}`;
+    const { source, pixel, mean_of: many } = packed.header;
+    const from = source === "generated" ? "computed from the program" : many > 1 ? `mean of ${many} stored heights a pixel` : "as stored";
+    about.textContent = `${from}, pixel ${length(pixel)}`;
     return packed;
   };
   const view = new MapView(box, {
@@ -482,7 +495,7 @@ export function mount(panel) {
       return tell(await getPacked(`/runs/${shown.run}/map`, asked, { signal }));
     },
     calls: {
-      moved: (window) => set({ window: { ...window } }),
+      moved: (window) => set({ window: view.fit ? null : { ...window } }),
       pointed: (cursor) => set({ cursor }),
       lined: (line) => {
         press(false);
@@ -518,7 +531,7 @@ export function mount(panel) {
     view.label = quantity.value === "error" ? "cut − design" : "height";
     view.held = null;
     hold.setAttribute("aria-pressed", "false");
-    view.open(same ? view.view : state.window);
+    view.open(same && !view.fit ? view.view : state.window);
   };
   const unheard = [
     on(["run", "maps", "map"], open, { now: true }),

@@ -95,6 +95,7 @@ class View {
       if (width < 10 || height < 10) return;
       this.renderer.setSize(width, height, false);
       this.camera.aspect = width / height;
+      this.stagebox.classList.toggle("low", height < 300);
       this.frame();
       if (!this.moved) this.look("iso");
       this.draw();
@@ -110,8 +111,10 @@ class View {
   drawNow() {
     // The light stands beside the camera, so that the shape reads from every side.
     this.light.position.copy(this.camera.position).add(new Vector3(-0.8, 0.5, 1.1).multiplyScalar(this.camera.position.length() * 0.6));
+    const low = this.stagebox.clientHeight < 240;
     for (const sprite of this.axes.children) {
       if (!sprite.isSprite) continue;
+      sprite.visible = !low || sprite.userData.pixels > 14;
       const far = sprite.position.distanceTo(this.camera.position);
       const high = (2 * far * Math.tan((this.camera.fov * Math.PI) / 360) * sprite.userData.pixels) / Math.max(1, this.stagebox.clientHeight);
       sprite.scale.set(high * sprite.userData.aspect, high, 1);
@@ -597,9 +600,16 @@ class View {
     context.clearRect(0, 0, width, height);
     if (width < 40) return;
     const colours = inks();
+    if (height < 230) {
+      // In a low scene both stand side by side.
+      const half = Math.round(width * 0.48);
+      this.drawTrue(context, colours, { left: 8, top: 20, width: half - 16, height: height - 28 });
+      this.drawClose(context, colours, { left: half + 38, top: 20, width: width - half - 48, height: height - 42, title: half });
+      return;
+    }
     const split = Math.round(height * 0.5);
     this.drawTrue(context, colours, { left: 8, top: 20, width: width - 16, height: split - 26 });
-    this.drawClose(context, colours, { left: 44, top: split + 18, width: width - 52, height: height - split - 42 });
+    this.drawClose(context, colours, { left: 44, top: split + 18, width: width - 54, height: height - split - 42, title: 8 });
   }
 
   /** Part and nose, to scale. */
@@ -650,7 +660,7 @@ class View {
     context.fill();
     context.restore();
     Object.assign(context, { font: `11px ${colours.font}`, fillStyle: colours.ink, textBaseline: "alphabetic", textAlign: "left" });
-    context.fillText("Edge in contact, to scale", box.left, 13);
+    context.fillText(box.width > 215 ? "Edge in contact, to scale" : "Edge, to scale", box.left, 13);
     const bar = ticks(0, wide / 4, 1).at(-1) || wide / 4;
     context.fillStyle = colours.quiet;
     context.textAlign = "right";
@@ -686,7 +696,7 @@ class View {
       }
     };
     Object.assign(context, { font: `11px ${colours.font}`, fillStyle: colours.ink, textBaseline: "alphabetic", textAlign: "left" });
-    context.fillText("Cusps at the contact", 8, box.top - 6);
+    context.fillText("Cusps at the contact", box.title, box.top - 6);
     context.textAlign = "right";
     context.fillStyle = colours.quiet;
     context.fillText(`feed ${length(feed)}`, box.left + box.width, box.top - 6);
