@@ -2,7 +2,7 @@
 
 import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
 import { post } from "./api.js";
-import { on, say, set, state } from "./state.js";
+import { say, set, state } from "./state.js";
 import { Icon, Tool, useStore } from "./ui.js";
 
 const PAUSE = 150; // ms without a key before a job is checked
@@ -10,6 +10,11 @@ const PAUSE_TOML = 400; // ms without a key before text is read
 const STEPS_BACK = 200;
 const CLIENT = crypto.getRandomValues(new Uint32Array(2)).join("-");
 const NONE_YET = { passes: "One finishing pass, as the strategy says." };
+/** What a first entry of a list begins with. */
+const FIRST = {
+  passes: { name: "finish" },
+  "simulation.patches": { name: "middle", centre: ["0 mm", "0 mm"], size: ["100 um", "100 um"], pixel: "0.5 um" },
+};
 const OPEN_AT_FIRST = new Set(["part", "tool", "machine", "strategy"]);
 
 // ---------------------------------------------------------------------------------------------- the job and its past
@@ -232,7 +237,8 @@ function errorsAt(path) {
 
 /** The sentence without the name of its field, beside which it stands. */
 function sentenceOf({ field, sentence }) {
-  return field && sentence.startsWith(`${field}: `) ? sentence.slice(field.length + 2) : sentence;
+  const rest = field && sentence.startsWith(field) ? sentence.slice(field.length) : "";
+  return /^:? /.test(rest) ? rest.replace(/^:? /, "") : sentence;
 }
 
 /** Errors at or below a place. */
@@ -529,7 +535,7 @@ function Fields({ node, path, value, skip }) {
   // What it is called comes first, what stands in frames of its own last.
   const rank = (name) => (name === "name" ? 0 : BLOCKS.has(kindOf(resolve(node.properties[name]))) && name !== "surface" ? 2 : 1);
   names.sort((a, b) => rank(a) - rank(b));
-  const stated = (name) => needed.has(name) || value?.[name] !== undefined || errorsWithin([...path, name]).length > 0;
+  const stated = (name) => needed.has(name) || kindOf(resolve(node.properties[name])) === "list" || value?.[name] !== undefined || errorsWithin([...path, name]).length > 0;
   // One plain field less is not worth a fold.
   const rest = names.filter((name) => !stated(name));
   const few = rest.length === 1 && !isApart(resolve(node.properties[rest[0]]));
@@ -594,7 +600,7 @@ function List({ node, path, value }) {
   };
   const begin = () => {
     const last = rows.at(-1);
-    return edit(path, [...rows, last === undefined ? {} : "name" in last ? { ...last, name: `${last.name} ${rows.length + 1}`.slice(0, 30) } : { ...last }]);
+    return edit(path, [...rows, last === undefined ? FIRST[path.join(".")] ?? {} : "name" in last ? { ...last, name: `${last.name} ${rows.length + 1}`.slice(0, 30) } : { ...last }]);
   };
   return html`<div class="list">
     <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsAt(path)} />
@@ -690,7 +696,6 @@ function Text() {
 function Pane() {
   const [text, showText] = useState(false);
   const { job, errors } = useStore(["job", "errors"]);
-  useEffect(() => on("job", () => {}), []);
   const tab = (name, chosen, choose) => html`<button type="button" role="tab" aria-selected=${chosen ? "true" : "false"} tabindex=${chosen ? 0 : -1} onClick=${choose}
     onKeyDown=${(event) => ["ArrowLeft", "ArrowRight"].includes(event.key) && showText(!text)}>${name}</button>`;
   return html`<${Fragment}>

@@ -10,30 +10,36 @@ const CHUNK = 500; // lines asked for at a time
 const KEPT = 60; // chunks in memory
 const TALLEST = 4_000_000; // px; browsers end at some ten million
 
-let chunks = new Map();
-let asked = new Set();
+let chunks = new Map(); // first line -> what is known of its chunk
+let asked = new Map(); // first line -> the answer on its way
 let run = null;
 
-async function fetchChunk(first, done) {
-  if (chunks.has(first) || asked.has(first)) return;
-  asked.add(first);
-  const mine = run;
+/** The chunk that a line is in, once it is there; null if it cannot be had. */
+function chunkOf(line) {
+  const first = line - (line % CHUNK);
+  if (chunks.has(first)) return Promise.resolve(chunks.get(first));
+  if (!asked.has(first)) asked.set(first, fetchChunk(first, run));
+  return asked.get(first);
+}
+
+async function fetchChunk(first, mine) {
   try {
     const answer = await get(`/runs/${mine}/program`, { first, count: CHUNK });
-    if (mine !== run) return;
+    if (mine !== run) return null;
     chunks.set(first, answer);
     if (chunks.size > KEPT) chunks.delete(chunks.keys().next().value);
-    done(answer.total);
+    return answer;
   } catch (error) {
     say(error.message, "bad");
+    return null;
   } finally {
-    asked.delete(first);
+    if (mine === run) asked.delete(first);
   }
 }
 
-function lineAt(number_) {
-  const chunk = chunks.get(number_ - (number_ % CHUNK));
-  return chunk ? { text: chunk.lines[number_ % CHUNK], place: chunk.places[number_ % CHUNK] } : null;
+function lineAt(line) {
+  const chunk = chunks.get(line - (line % CHUNK));
+  return chunk ? { text: chunk.lines[line % CHUNK], place: chunk.places[line % CHUNK] } : null;
 }
 
 /** What a line says, by kind, so that it reads at a glance. */
@@ -43,7 +49,7 @@ function Words({ text }) {
   return html`${code.split(/(?<=\s)/).map((word) => html`<span class=${/^[GM]\d/.test(word) ? "code" : /^N\d/.test(word) ? "label" : ""}>${word}</span>`)}${rest && html`<span class="remark">${rest}</span>`}`;
 }
 
-function Text({ total, grow }) {
+function Text({ total }) {
   const box = useRef(null);
   const [first, goTo] = useState(0);
   const [rows, setRows] = useState(20);
@@ -59,11 +65,9 @@ function Text({ total, grow }) {
     return () => size.disconnect();
   }, []);
   useEffect(() => {
-    const told = (lines) => {
-      grow(lines);
-      again((times) => times + 1);
-    };
-    for (let at = first - (first % CHUNK); at < Math.min(total, first + rows + CHUNK / 5); at += CHUNK) fetchChunk(at, told);
+    for (let at = first - (first % CHUNK); at < Math.min(total, first + rows + CHUNK / 5); at += CHUNK) {
+      if (!chunks.has(at)) chunkOf(at).then(() => again((times) => times + 1));
+    }
   }, [first, rows, total]);
 
   const move = (line) => {
@@ -80,10 +84,7 @@ function Text({ total, grow }) {
   useEffect(() => {
     if (block !== null && (block < first || block >= first + rows)) move(block - rows / 2);
   }, [block]);
-  const point = (line) => {
-    const place = lineAt(line)?.place;
-    set({ block: line, ...(place ? { cursor: [place[0], place[1]] } : {}) });
-  };
+  const point = (line) => set({ block: line });
   const keys = (event) => {
     const here = block ?? first;
     const to = { ArrowDown: here + 1, ArrowUp: here - 1, PageDown: here + rows, PageUp: here - rows, Home: 0, End: total - 1 }[event.key];
@@ -116,22 +117,36 @@ function Panel() {
   const { run: id, result, block, runs, files } = useStore(["run", "result", "block", "runs", "files"]);
   const [total, setTotal] = useState(0);
   const [follow, setFollow] = useState(false);
+  const [place, setPlace] = useState(null);
+  const own = useRef(null);
   const kind = runs.find((one) => one.id === id)?.kind;
   useEffect(() => {
     run = id;
     chunks = new Map();
-    asked = new Set();
+    asked = new Map();
     setTotal(0);
-    if (id && result) fetchChunk(0, setTotal);
+    setPlace(null);
+    if (id && result) chunkOf(0).then((chunk) => chunk && setTotal(chunk.total));
   }, [id, result]);
+  useEffect(() => {
+    // Where a line leads is shown on the part, as soon as the line is there.
+    setPlace(null);
+    if (block === null || !result) return;
+    chunkOf(block).then(() => {
+      const found = lineAt(block)?.place;
+      if (!found || state.block !== block) return;
+      setPlace(found);
+      own.current = [found[0], found[1]];
+      set({ cursor: own.current });
+    });
+  }, [block, result]);
   useEffect(() => {
     if (!follow || !result) return undefined;
     let timer = 0;
     const stop = on("cursor", ({ cursor }) => {
       clearTimeout(timer);
-      // A line that was clicked has set the cursor itself.
-      const place = state.block === null ? null : lineAt(state.block)?.place;
-      if (!cursor || (place && place[0] === cursor[0] && place[1] === cursor[1])) return;
+      // A line that was chosen has set the cursor itself.
+      if (!cursor || cursor === own.current) return;
       timer = setTimeout(async () => {
         try {
           const { line } = await get(`/runs/${run}/program`, { near: cursor.join(",") });
@@ -149,7 +164,6 @@ function Panel() {
   if (!id || !result || kind === "compare") {
     return html`<div class="teach"><h3>The program, line by line</h3><p>When a run is done, its program stands here, every line of it. Click a line and its place lights up on the part; point at the part and its line comes up.</p></div>`;
   }
-  const place = block === null ? null : lineAt(block)?.place;
   return html`<div class="programs">
     <div class="bar">
       <label>Go to line <input type="text" inputmode="numeric" class="short" aria-label="Go to line" onChange=${(event) => {
@@ -162,7 +176,7 @@ function Panel() {
       ${place && html`<span class="number">line ${count(block + 1)}: x ${number(place[0], 5)} mm, y ${number(place[1], 5)} mm, z ${number(place[2], 5)} mm</span>`}
       <${Downloads} path=${`/runs/${id}`} files=${files} only=${["program", "table"]} />
     </div>
-    ${total > 0 ? html`<${Text} key=${id} total=${total} grow=${setTotal} />` : html`<p class="quiet pad">Reading the program …</p>`}
+    ${total > 0 ? html`<${Text} key=${id} total=${total} />` : html`<p class="quiet pad">Reading the program …</p>`}
   </div>`;
 }
 

@@ -73,6 +73,7 @@ export function quantity(value, unit, digits = 3) {
   if (unit === "nm") return height(value, digits);
   if (unit === "rad") {
     const size = Math.abs(value);
+    if (size < 1e-9) return "0°"; // of rounding alone
     if (size >= 2e-3) return `${number((value * 180) / Math.PI, digits)}°`;
     return size >= 1e-3 ? `${number(value * 1e3, digits)}${GAP}mrad` : `${number(value * 1e6, digits)}${GAP}µrad`;
   }
