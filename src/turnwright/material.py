@@ -229,6 +229,11 @@ class CriticalThickness:
         """Share of the value by which it may be off in 95 of 100 cases: two standard uncertainties, 0 for none."""
         return 0.0 if self.uncertainty is None else 2 * self.uncertainty / self.value
 
+    @property
+    def safe(self) -> float:
+        """Share of the value up to which a chip is ductile beyond doubt; 0 where the value itself is in doubt."""
+        return max(1 - self.doubt, 0.0)
+
     def at(self, *, rake: ArrayLike = 0.0, angle: ArrayLike = 0.0) -> Floats:
         """Return the critical thickness at some effective rakes and azimuths of the part. Broadcast [mm]."""
         shape = np.broadcast(np.asarray(rake), np.asarray(angle)).shape

@@ -441,7 +441,7 @@ class _Said:
         if material is None:
             return cls(nothing, 1.0, False, 0.0, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))
         critical = nothing if material.critical is None else material.critical.at(rake=rake, angle=angle)
-        safe = 1.0 if material.critical is None else 1 / (1 + material.critical.doubt)
+        safe = 1.0 if material.critical is None else material.critical.safe
         ratio = material.fracture_ratio or 0.0
         if material.cutting is None or material.thrust is None:
             return cls(critical, safe, False, ratio, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))

@@ -4,9 +4,10 @@ Every place of a pass has its thickest chip and, by the rake that the surface le
 the margin is :math:`1 - t / t_c`. Beyond it the material fractures, on the shoulder first, well above what the pass
 leaves [Blackley1991]_. What counts is whether the cracks end within what later passes take off.
 
-A critical thickness with a standard uncertainty u makes the margin uncertain by :math:`t\,u / t_c^2`; two of that, 95
-of 100 cases, are its band. A pass is ductile where the band lies above zero and brittle where it lies below; in between
-it cannot be told, and such a pass is held to what a brittle one is. So below, t_c counts as :math:`t_c / (1 + 2u/t_c)`.
+Where the critical thickness has a standard uncertainty u, the margin, which is how far the chip stays below it as a
+share of it, is uncertain by :math:`2u / t_c` in 95 of 100 cases. A pass is ductile where no chip is above
+:math:`t_c - 2u` and brittle where one is above :math:`t_c + 2u`; in between it cannot be told, and such a pass is held
+to what a brittle one is. So below, t_c counts as :math:`t_c - 2u`, or as nothing where that is below zero.
 
 A feed that holds is found from each place's own chip: on a nose of radius R its thickest place stands at
 
@@ -49,7 +50,7 @@ class DuctileGate:
     margin
         1 - thickness / critical, negative where the material fractures. (n,) [1]
     uncertainty
-        How far the margin may be off in 95 of 100 cases; ``None`` where the material states no uncertainty. (n,) [1]
+        How far the margin may be off in 95 of 100 cases; ``None`` where the material states no uncertainty. [1]
     share
         Part of the area, within the clear radius, that is cut beyond the critical thickness.
     doubtful
@@ -69,7 +70,7 @@ class DuctileGate:
     chips: ChipMap
     critical: Floats
     margin: Floats
-    uncertainty: Floats | None
+    uncertainty: float | None
     share: float
     doubtful: float
     fracture: float | None
@@ -89,7 +90,7 @@ class DuctileGate:
         if not self.chips.inside.any():
             return "ductile"
         margin = self.margin[self.worst]
-        band = 0.0 if self.uncertainty is None else self.uncertainty[self.worst]
+        band = self.uncertainty or 0.0
         return "ductile" if margin >= band else "brittle" if margin < -band else "uncertain"
 
     @property
@@ -111,7 +112,7 @@ class DuctileGate:
         said += f", the limit there is {say_length(self.critical[at])}"
         margin = f"margin of {_percent(self.margin[at])}"
         if self.uncertainty is not None:
-            margin += f" +- {_percent(self.uncertainty[at])}"
+            margin += f" +- {_percent(self.uncertainty)}"
         if self.ductile:
             return f"ductile, with a {margin}: {said}"
         if self.verdict == "brittle":
@@ -127,12 +128,18 @@ class DuctileGate:
             later = f"within the {say_length(self.allowance)} that later passes take off"
             return f"{said}; cracks may reach {say_length(self.fracture)} deep, {later}"
         depth = "" if self.fracture is None else f"; cracks may reach {say_length(self.fracture)} deep"
-        remedies = [f"feed at most {self.largest_feed * 1e3:.3g} um/rev"]
+        remedies = _slower(self.largest_feed)
         if self.rake is not None:
             remedies.append(f"a rake of {np.rad2deg(self.rake):.3g} deg")
         if self.fracture is not None:
             remedies.append(f"later passes that take off more than {say_length(self.fracture)}")
-        return f"{said}{depth}, and later passes take off {say_length(self.allowance)}: use {', or '.join(remedies)}"
+        use = ", or ".join(remedies) or "a material whose limit is better known"
+        return f"{said}{depth}, and later passes take off {say_length(self.allowance)}: use {use}"
+
+
+def _slower(feed: float) -> list[str]:
+    """Return the remedy of a feed, none where the limit is so uncertain that no feed is safe."""
+    return [f"feed at most {feed * 1e3:.3g} um/rev"] if feed > 0 else []
 
 
 def _percent(share: float) -> str:
@@ -168,8 +175,7 @@ def ductile_gate(chips: ChipMap, material: Material, tool: Tool, *, allowance: f
             f"material {material.name!r} states no critical thickness, a gate needs 1: give one, or cut it as ductile"
         )
     critical = material.critical.at(rake=chips.rake, angle=chips.angle)
-    used = chips.thickness / critical
-    margin = 1 - used
+    margin = 1 - chips.thickness / critical
     doubt = material.critical.doubt
     inside = chips.inside
     weight = np.hypot(chips.x, chips.y) * np.abs(np.gradient(chips.angle) if chips.angle.size > 1 else np.ones(1))
@@ -184,10 +190,10 @@ def ductile_gate(chips: ChipMap, material: Material, tool: Tool, *, allowance: f
         fracture = float(chips.fracture[inside].max(initial=0.0))
     return DuctileGate(
         chips=chips, critical=critical, margin=margin, share=share(margin < 0),
-        uncertainty=None if material.critical.uncertainty is None else doubt * used,
-        doubtful=share((margin < doubt * used) & (margin >= -doubt * used)),
+        uncertainty=None if material.critical.uncertainty is None else doubt,
+        doubtful=share((margin < doubt) & (margin >= -doubt)),
         fracture=fracture, allowance=float(allowance),
-        feed=chips.feed, largest_feed=_largest_feed(chips, critical / (1 + doubt), tool),
+        feed=chips.feed, largest_feed=_largest_feed(chips, critical * material.critical.safe, tool),
         rake=_helpful_rake(chips, material.critical, tool),
     )  # fmt: skip
 
@@ -215,7 +221,7 @@ def _helpful_rake(chips: ChipMap, critical: CriticalThickness, tool: Tool) -> fl
         rake = tool.rake + turned
         if not low - 1e-9 <= rake <= high + 1e-9:
             continue
-        limit = critical.at(rake=chips.rake[inside] + turned, angle=chips.angle[inside]) / (1 + critical.doubt)
+        limit = critical.at(rake=chips.rake[inside] + turned, angle=chips.angle[inside]) * critical.safe
         if (chips.thickness[inside] <= limit).all():
             return float(rake)
     return None
@@ -265,7 +271,7 @@ def foretell(
         return float(material.critical.at(rake=places[:, None], angle=around).min()) if material.critical else 0.0
 
     bears, doubt = limit(0.0), material.critical.doubt
-    safe, used = bears / (1 + doubt), chip.thickest / bears
+    safe = bears * material.critical.safe
     said = f"the chip will be about {say_length(chip.thickest)} thick, the limit is {say_length(bears)}"
     if doubt:
         said += f" +- {say_length(doubt * bears)}"
@@ -275,18 +281,33 @@ def foretell(
     held = f"ductile up to a feed of {largest * 1e3:.3g} um/rev" if np.isfinite(largest) else "ductile at any feed"
     if chip.thickest <= safe:
         return f"{said}: {held}"
-    remedies = [f"feed at most {largest * 1e3:.3g} um/rev"]
+    remedies = _slower(largest)
     if material.critical.rake is not None:
         low, high = max(material.critical.rake[0][0], STEEPEST), material.critical.rake[0][-1]
         turns = sorted(np.deg2rad(np.arange(-45, 46)), key=abs)
-        helps = [one for one in turns if low <= tool.rake + one <= high and limit(one) / (1 + doubt) >= chip.thickest]
+        helps = [
+            one
+            for one in turns
+            if low <= tool.rake + one <= high and limit(one) * material.critical.safe >= chip.thickest
+        ]
         remedies += [f"a rake of {np.rad2deg(tool.rake + one):.3g} deg" for one in helps[:1]]
     else:
         remedies.append("a more negative rake, whose help this material does not state")
-    ratio = material.fracture_ratio
-    needed = "enough" if ratio is None else f"more than {say_length(ratio * chip.thickest)}"
-    left = f"later passes take off {say_length(allowance)}, to take off cracks they need {needed}"
-    # The margin 1 - t / limit lies below zero by more than its uncertainty.
-    certain = used * (1 - doubt) > 1
+    left = _left(chip, safe, material.fracture_ratio, allowance)
+    certain = chip.thickest > bears * (1 + doubt)
     verdict = "brittle" if certain else "not certainly ductile, the margin is inside its uncertainty"
     return f"{verdict}: {said}; {left}; to stay ductile use {', or '.join(remedies)}"
+
+
+def _left(chip: RoundChip, safe: float, ratio: float | None, allowance: float) -> str:
+    """Return what becomes of cracks, which begin at the lowest place of the edge that is beyond the limit."""
+    later = f"later passes take off {say_length(allowance)}"
+    if ratio is None:
+        return f"{later}, to take off cracks they need enough"
+    sweep = np.linspace(0.0, chip.sweep[1], 4001)
+    begins = float(sweep[np.argmax(chip.thickness(sweep) > safe)])
+    deep = ratio * chip.thickest - chip.nose_radius * (1 - np.cos(begins))
+    if deep <= 0:
+        return "cracks end above what it leaves"
+    needed = "" if deep < allowance else ", which is not enough"
+    return f"cracks may reach {say_length(deep)} deep, {later}{needed}"

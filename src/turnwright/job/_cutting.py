@@ -114,7 +114,7 @@ def chips_of(
     told = replace(
         told,
         critical=float(gate.critical[gate.worst]), margin=float(gate.margin[gate.worst]),
-        margin_uncertainty=None if gate.uncertainty is None else float(gate.uncertainty[gate.worst]),
+        margin_uncertainty=gate.uncertainty,
         share=gate.share, fracture=gate.fracture,
         largest_feed=gate.largest_feed if np.isfinite(gate.largest_feed) else None,
         verdict=gate.verdict, ok=gate.ok, sentence=gate.sentence,
