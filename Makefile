@@ -1,5 +1,5 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup demo fmt check lint types layers test doctest docs bench clean
+.PHONY: help setup demo serve fmt check lint types layers test doctest docs bench clean
 
 PYTHON ?= python3
 VENV := .venv
@@ -12,7 +12,7 @@ help: ## list the targets
 # Stamps: an environment is made once, and again when what it is made from changes.
 $(VENV)/.installed: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[web]'
 	touch $@
 
 $(VENV)/.testing: $(VENV)/.installed
@@ -31,6 +31,9 @@ demo: $(VENV)/.installed ## install, run the main example (the freeform infrared
 	$(BIN)/turnwright run examples/infrared_lens.toml --out $(LENS) --force
 	@echo
 	@echo "The report: $(CURDIR)/$(LENS)/report.html"
+
+serve: $(VENV)/.installed ## open the workbench, a page to plan, see, run and correct a part
+	$(BIN)/turnwright serve
 
 test: $(VENV)/.testing ## install what tests need and run them, doctests included
 	$(BIN)/python -m pytest tests src README.md -q -n auto

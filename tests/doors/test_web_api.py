@@ -44,7 +44,7 @@ def ended(client, name, *, state="done"):
     told = []
     with client.stream("GET", f"/api/runs/{name}/events") as stream:
         assert stream.headers["content-type"].startswith("text/event-stream")
-        lines = [line for line in stream.iter_lines() if line]
+        lines = [line for line in stream.iter_lines() if line and not line.startswith(":")]
     for kind, data in zip(lines[::2], lines[1::2], strict=True):
         told.append((kind.removeprefix("event: "), json.loads(data.removeprefix("data: "))))
     run = client.get(f"/api/runs/{name}").json()
