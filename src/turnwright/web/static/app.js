@@ -31,6 +31,24 @@ const kept = {
   },
 };
 
+/** The job outlives a reload of the page, in the same tab. */
+const tab = {
+  read() {
+    try {
+      return JSON.parse(sessionStorage.getItem("turnwright.job"));
+    } catch {
+      return null;
+    }
+  },
+  write(value) {
+    try {
+      sessionStorage.setItem("turnwright.job", JSON.stringify(value));
+    } catch {
+      // Too large or not allowed: the job can still be saved as a file.
+    }
+  },
+};
+
 // ---------------------------------------------------------------------------------------------------- light and dark
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -384,6 +402,9 @@ async function begin() {
     }
   };
   await Promise.all([ask("/about", "about"), ask("/schema", "schema"), ask("/examples", "examples")]);
+  const last = tab.read();
+  if (last?.job && !state.job) takeJob({ job: last.job, title: last.title });
+  on(["job", "title"], ({ job, title }) => tab.write({ job, title }));
   addEventListener("focus", refresh);
 }
 

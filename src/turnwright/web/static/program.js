@@ -173,7 +173,7 @@ function Panel() {
       <span class="quiet">of ${count(total)}</span>
       <label class="flag"><input type="checkbox" checked=${follow} onChange=${(event) => setFollow(event.target.checked)} />follow the pointer on the part</label>
       <span class="gap"></span>
-      ${place && html`<span class="number">line ${count(block + 1)}: x ${number(place[0], 5)} mm, y ${number(place[1], 5)} mm, z ${number(place[2], 5)} mm</span>`}
+      ${place && html`<span class="number" title="Where the tip is after the line, in the frame of the part">x ${number(place[0], 5)}, y ${number(place[1], 5)}, z ${number(place[2], 5)} mm</span>`}
       <${Downloads} path=${`/runs/${id}`} files=${files} only=${["program", "table"]} />
     </div>
     ${total > 0 ? html`<${Text} key=${id} total=${total} />` : html`<p class="quiet pad">Reading the program …</p>`}
