@@ -48,6 +48,9 @@ NM = 1e6
 EDGE = 721
 """Sweeps at which the rest of a wavy edge is stated."""
 
+FLAT = 1e-6
+"""Slopes below this are none: such a surface looks the same wherever it lies."""
+
 RANK = 1e-9
 """Rigid motions that a surface tells apart by less than this are one."""
 
@@ -290,8 +293,8 @@ class Bench:
         for view in part.views:
             left, error = part.made(view, real, self.budget.settling)
             if view.scene.polar:
-                form = form_error(part.job, left, error)
-                weight = np.broadcast_to(view.scene.columns, form.shape)[np.isfinite(form)]
+                form = form_error(part.job, left, error, view.scene.weight)
+                weight = np.broadcast_to(view.scene.weight, form.shape)[np.isfinite(form)]
                 there = form[np.isfinite(form)]
                 numbers["form_pv_nm"] = float(np.ptp(there)) * NM
                 numbers["form_rms_nm"] = math.sqrt(float(np.average(there**2, weights=weight))) * NM
@@ -330,10 +333,11 @@ class Bench:
         )  # fmt: skip
 
 
-def form_error(job: Job, left: Left, error: Floats) -> Floats:
-    """Return the departure from the design beyond the rigid motions that measuring leaves free, each place by its area.
+def form_error(job: Job, left: Left, error: Floats, weight: Floats) -> Floats:
+    """Return the departure from the design beyond the rigid motions that measuring leaves free.
 
-    These are the motions of the job's ``measurement``: ``free``, but for what is ``fixed``.
+    They are the motions of the job's ``measurement``, ``free`` but for what is ``fixed``, fitted with each place by its
+    area, ``weight`` of its column.
     """
     asked = job.measurement
     fixed = {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
@@ -348,14 +352,17 @@ def form_error(job: Job, left: Left, error: Floats) -> Floats:
         "y": fy,
         "rotation": x * fy - y * fx,
     }
-    columns = [marks[name] for name in marks if name in asked.free and name not in held]
+    # In units of what a mark is made of, so that the rounding of one that should be zero, such as that of the rotation
+    # of a sphere, counts as zero and is not fitted.
+    far, steep = float(np.hypot(x, y).max()), max(float(np.hypot(fx, fy).max()), FLAT)
+    sizes = dict.fromkeys(marks, far) | {"z": 1.0, "x": steep, "y": steep, "rotation": far * steep}
+    columns = [marks[name] / sizes[name] for name in marks if name in asked.free and name not in held]
     flat = error.ravel()
     if not columns:
         return error
     there = np.isfinite(flat)
-    root = np.sqrt(np.hypot(x, y))
+    root = np.sqrt(np.broadcast_to(weight, error.shape)).ravel()
     matrix = np.stack(columns, axis=1)
-    matrix /= np.maximum(np.abs(matrix).max(axis=0), 1e-12)
     share = np.linalg.lstsq(matrix[there] * root[there, None], flat[there] * root[there], rcond=RANK)[0]
     return np.asarray((flat - matrix @ share).reshape(error.shape), dtype=np.float64)
 

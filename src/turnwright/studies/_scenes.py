@@ -52,6 +52,9 @@ PER_FEATURE = 6
 FEWEST_RADII, MOST_RADII = 40, 300
 FEWEST_ANGLES, MOST_ANGLES = 48, 360
 
+RIM = 1 - 1e-4
+"""Where lines end, in clear radii: a tip beside the axis may still turn them outward within the surface."""
+
 MOST_IN_PATCH = 8_000
 """Heights of a patch that its finish is told from, about."""
 
@@ -101,13 +104,15 @@ class Left(NamedTuple):
 class Scene(NamedTuple):
     """A grid over the part: lines across all passes, or a patch.
 
-    ``rows`` and ``columns`` are azimuths and radii of lines [rad, mm], y and x of a patch [mm].
+    ``rows`` and ``columns`` are azimuths and radii of lines [rad, mm], y and x of a patch [mm]; ``weight`` says for how
+    much area, in any unit, a place of each column stands.
     """
 
     name: str
     polar: bool
     rows: Floats
     columns: Floats
+    weight: Floats
 
     def generated(self, motion: Motion, tool: Tool, machine: Machine, near: float) -> Left:
         """Return what a motion leaves there.
@@ -160,21 +165,26 @@ class Scene(NamedTuple):
 def lines_of(job: Job, *, even: bool = False) -> Scene:
     """Return lines across the whole part, as many as its features need, the axis itself left out.
 
+    They end at the rim, where most errors are largest. It stands for no area: the places within do for all of it.
+
     Parameters
     ----------
     job
         Of the part.
     even
-        Whether every place stands for the same area, as for a map of an instrument.
+        Whether every place stands for the same area, as for a map of an instrument, which sees no rim.
     """
     part = job.part.part
     asked = PER_FEATURE * part.radius / part.surface.feature_size
     radii = int(np.clip(math.ceil(asked), FEWEST_RADII, MOST_RADII))
     angles = 2 * int(np.clip(math.ceil(TURN * asked / 2), FEWEST_ANGLES // 2, MOST_ANGLES // 2))
     share = (np.arange(radii) + 0.5) / radii
-    radius = np.asarray(part.radius * (np.sqrt(share) if even else share), dtype=np.float64)
+    if even:
+        radius, weight = np.sqrt(share), np.ones(radii)
+    else:
+        radius, weight = np.append(share, RIM), np.append(share, 0.0)
     azimuth = np.linspace(0, TURN, angles, endpoint=False)
-    return Scene("whole part", polar=True, rows=azimuth, columns=radius)
+    return Scene("whole part", polar=True, rows=azimuth, columns=part.radius * radius, weight=weight)
 
 
 def scenes_of(job: Job) -> list[Scene]:
@@ -191,7 +201,7 @@ def scenes_of(job: Job) -> list[Scene]:
         else:
             steps = max(1, min(round(every), x.size // FEWEST_ACROSS)), 1
         x, y = (axis[step // 2 :: step] for axis, step in zip((x, y), steps, strict=True))
-        scenes.append(Scene(patch.name, polar=False, rows=y, columns=x))
+        scenes.append(Scene(patch.name, polar=False, rows=y, columns=x, weight=np.ones(x.size)))
     return scenes
 
 

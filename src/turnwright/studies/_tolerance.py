@@ -385,7 +385,7 @@ def _outcome(
     scaled = np.stack([(draws[name] - one.mean) / one.deviation for name, one in inputs.items()], axis=1)
     given = neighbour_indices(scaled, columns[_named("form_pv_nm", kind)], list(groups.values()))
     lines = lines_of(job)
-    weight = np.broadcast_to(lines.columns, (lines.rows.size, lines.columns.size)).ravel()
+    weight = np.broadcast_to(lines.weight, (lines.rows.size, lines.columns.size)).ravel()
     seen = np.flatnonzero(np.isfinite(maps).all(axis=0))
     if seen.size > HEIGHTS:  # at random, so that no pattern of the part is met at one phase only
         seen = np.sort(np.random.default_rng(seed).choice(seen, HEIGHTS, replace=False))
