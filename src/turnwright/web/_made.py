@@ -37,6 +37,9 @@ TURN = 2 * math.pi
 KEPT = 2
 """Runs whose motion is kept ready."""
 
+MOST_POINTS = 20_000_000
+"""Points of them together, unless one alone has more: 32 bytes each, and as many again while they are read."""
+
 FEW = 1.2
 """Stored heights to a pixel above which it is a mean."""
 
@@ -104,7 +107,10 @@ def _ready(folder: str) -> _Opened:
     motion = finished(job, out / program[0], program[1], Watch(None))
     radius = job.part.part.radius
     ready = Prepared.of(motion, job.actual_tool, job.actual_machine, distances=(0.0, radius), most_rings=10_000)
-    while len(_opened) >= KEPT:
+    points = motion.time.size
+    while _opened and (
+        len(_opened) >= KEPT or sum(one.motion.time.size for one in _opened.values()) + points > MOST_POINTS
+    ):
         _opened.popitem(last=False)
     _opened[folder] = _Opened(job, motion, ready)
     return _opened[folder]

@@ -112,17 +112,20 @@ def _chips(job: Job, part: Part, x: Floats, y: Floats) -> _Colours:
             f"the job states a stock of {part.stock:g} mm and the finishing pass takes off {depth:g} mm, so that its "
             "chips have no thickness: add part.stock"
         )
-    servo = job.servo(cut)
-    feed = getattr(servo, "feed", None) or getattr(getattr(servo, "plan", None), "feed", None)
-    if feed is None:
-        spiral = servo.glimpse(part, job.tool.tool, turns=MOST_TURNS, per_turn=8)
-        feed = spiral.feed
+    feed = _feed(job)
     bend = reach_at(part, job.tool.tool, x=x, y=y, sense=job.strategy.sense).curvature
     note = (
         f"expected before any path is known, at {feed * 1e3:.3g} um/rev and a depth of {depth * 1e3:.3g} um: a run "
         "finds the chips along the path"
     )
     return _Colours(expected_thickest(job.tool.tool, feed=feed, depth=depth, bend=bend), "mm", "thickest chip", note)
+
+
+def _feed(job: Job) -> float:
+    """Return how far the finishing pass advances per turn; on the whole, where that varies. [mm/rev]."""
+    servo = job.servo(job.passes[-1])
+    stated = getattr(servo, "feed", None) or getattr(getattr(servo, "plan", None), "feed", None)
+    return stated or servo.glimpse(job.part.aimed, job.tool.tool, turns=MOST_TURNS, per_turn=8).feed
 
 
 def path(data: dict[str, Any], folder: str, points: int) -> bytes:
@@ -164,14 +167,13 @@ def _tip(found: Path) -> tuple[Floats, Floats, Floats]:
     return found.radius * cosine - aside * sine, found.radius * sine + aside * cosine, found.z
 
 
-def section(data: dict[str, Any], folder: str, angle: float, radius: float, y: float) -> bytes:
+def section(
+    data: dict[str, Any], folder: str, angle: float, radius: float, y: float, feed: float | None = None
+) -> bytes:
     """Return the part and the edge in the plane of the edge, to scale, and close by with the cusps beside it."""
     job = require(data, folder)
     part, tool, sense = job.part.aimed, job.tool.tool, job.strategy.sense
-    servo = job.servo(job.passes[-1])
-    feed = getattr(servo, "feed", None) or getattr(getattr(servo, "plan", None), "feed", None)
-    if feed is None:
-        feed = servo.glimpse(part, tool, turns=MOST_TURNS, per_turn=8).feed
+    feed = feed or _feed(job)
     # The tip at this radius, and where the passes beside it stand at the same azimuth.
     ranks = np.arange(-PASSES, PASSES + 1)
     radii: Floats = np.asarray(radius + feed * ranks, dtype=np.float64)

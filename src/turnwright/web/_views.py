@@ -9,6 +9,7 @@ from pydantic import Field
 
 from turnwright.web._models import Model, Problem, Question
 from turnwright.web._packed import MEDIA_TYPE
+from turnwright.web._workers import Workers
 
 __all__ = ["PACKED", "router"]
 
@@ -34,6 +35,7 @@ class Place(Model):
     angle: Annotated[float, Field(ge=-1e7, le=1e7, description="Azimuth of the part under the tool. [rad]")]
     radius: Annotated[float, Field(ge=-1e4, le=1e4, description="Distance of the tip from the axis. [mm]")]
     y: Annotated[float, Field(ge=-1e4, le=1e4, description="Its height above centre. [mm]")] = 0.0
+    feed: Annotated[float, Field(gt=0, le=1e3, description="How far apart turns stand there. [mm/rev]")] | None = None
 
 
 class SectionQuestion(Question):
@@ -56,34 +58,48 @@ PACKED: dict[int | str, dict[str, Any]] = {
 """What a route answers that sends arrays."""
 
 
+SLOW = ("adaptive tool servo", "quasi-elliptical tool servo")
+"""Strategies whose points are only known when all of them are."""
+
+
+def _workers(request: Request, data: dict[str, Any]) -> Workers:
+    """Return who finds the path of a job: one process apart where that takes long, so that nobody waits behind it."""
+    state = request.app.state
+    strategy, passes = data.get("strategy"), data.get("passes")
+    told = [one for one in (strategy, *(passes if isinstance(passes, list) else ())) if isinstance(one, dict)]
+    if not any(one.get("kind") in SLOW or one.get("chord") is not None for one in told):
+        return state.workers  # type: ignore[no-any-return]
+    if getattr(state, "path_worker", None) is None:
+        state.path_worker = Workers(1, threads=1, warm="_jobs:warm")
+    return state.path_worker  # type: ignore[no-any-return]
+
+
+async def _seen(workers: Workers, question: Question, what: str, *arguments: Any, keep: bool = True) -> Response:
+    """Return what one of the processes packs; of equal questions of one page only the last counts."""
+    latest = f"{what} {question.client}" if question.client else ""
+    found = await workers.ask(f"_seen:{what}", question.data, *arguments, latest=latest, keep=keep)
+    return Response(found, media_type=MEDIA_TYPE)
+
+
 @router.post("/surface", response_class=Response, responses=PACKED)
 async def view_surface(request: Request, question: SurfaceQuestion) -> Response:
     """Return the part coloured by a quantity: values, and heights [mm] for the shape."""
     state = request.app.state
-    found = await state.workers.ask(
-        "_seen:surface", question.data, str(state.folder), question.quantity, question.pixels,
-        latest=f"surface {question.client}" if question.client else "", keep=True,
-    )  # fmt: skip
-    return Response(found, media_type=MEDIA_TYPE)
+    workers = _workers(request, question.data) if question.quantity == "chip thickness" else state.workers
+    return await _seen(workers, question, "surface", str(state.folder), question.quantity, question.pixels)
 
 
 @router.post("/path", response_class=Response, responses=PACKED)
 async def view_path(request: Request, question: PathQuestion) -> Response:
     """Return turns of the finishing path with the tip in contact at every place [mm, rad]."""
-    state = request.app.state
-    found = await state.workers.ask(
-        "_seen:path", question.data, str(state.folder), question.points,
-        latest=f"path {question.client}" if question.client else "", keep=True,
-    )  # fmt: skip
-    return Response(found, media_type=MEDIA_TYPE)
+    workers = _workers(request, question.data)
+    return await _seen(workers, question, "path", str(request.app.state.folder), question.points)
 
 
 @router.post("/section", response_class=Response, responses=PACKED)
 async def view_section(request: Request, question: SectionQuestion) -> Response:
     """Return part and edge in the plane of the edge at one place, and the cusps beside it [mm]."""
-    state = request.app.state
-    found = await state.workers.ask(
-        "_seen:section", question.data, str(state.folder), question.at.angle, question.at.radius, question.at.y,
-        latest=f"section {question.client}" if question.client else "",
-    )  # fmt: skip
-    return Response(found, media_type=MEDIA_TYPE)
+    at, state = question.at, request.app.state
+    workers = state.workers if at.feed is not None else _workers(request, question.data)
+    place = (at.angle, at.radius, at.y, at.feed)
+    return await _seen(workers, question, "section", str(state.folder), *place, keep=False)

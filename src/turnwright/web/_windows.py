@@ -72,9 +72,10 @@ def _lane(request: Request) -> Workers:
 
 
 def close(app: Any) -> None:
-    """End the process that keeps motions ready, if it was started."""
-    if getattr(app.state, "window_worker", None) is not None:
-        app.state.window_worker.close()
+    """End the processes that were started beside the `Workers` of the app."""
+    for name in ("window_worker", "path_worker"):
+        if getattr(app.state, name, None) is not None:
+            getattr(app.state, name).close()
 
 
 async def _asked(request: Request, function: str, *arguments: Any, latest: str = "", keep: bool = True) -> Any:
@@ -84,6 +85,7 @@ async def _asked(request: Request, function: str, *arguments: Any, latest: str =
 @router.get("/{id}/maps", responses=JSON_ERRORS)
 async def run_maps(request: Request, id: Id) -> list[Map]:  # noqa: A002 - the word of the contract
     """List the maps that a run has stored."""
+    _lane(request)  # whoever looks at maps will soon look closer: its process warms up meanwhile
     return [Map(**one) for one in await request.app.state.workers.ask("_made:listed", _out(request, id), keep=True)]
 
 

@@ -30,12 +30,17 @@ function axis(label, unit, colours, { side, log = false, size } = {}) {
     side,
     size: size ?? (side === 2 ? 28 : 54),
     gap: 4,
-    grid: { stroke: () => inks().sunken, width: 1 },
-    ticks: { stroke: () => inks().edge, width: 1, size: 4 },
+    grid: { stroke: () => inks().sunken, width: 1, ...(log ? { filter: decades } : {}) },
+    ticks: { stroke: () => inks().edge, width: 1, size: 4, ...(log ? { filter: decades } : {}) },
     ...(log
-      ? { filter: (_plot, splits) => splits.map((one) => (Math.abs(Math.log10(one) - Math.round(Math.log10(one))) < 1e-9 ? one : null)), values: (_plot, splits) => splits.map((one) => (one === null ? "" : powerText(one))) }
+      ? { filter: decades, values: (_plot, splits) => splits.map((one) => (one === null ? "" : powerText(one))) }
       : { splits: (plot, _index, low, high) => ticks(low, high, Math.max(2, (side === 2 ? plot.bbox.width / 90 : plot.bbox.height / 40) / devicePixelRatio)), values: (_plot, splits) => splits.map((one) => tickText(one, splits)) }),
   };
+}
+
+/** Of the ticks of a logarithmic axis only the powers of ten. */
+function decades(_plot, splits) {
+  return splits.map((one) => (one !== null && Math.abs(Math.log10(one) - Math.round(Math.log10(one))) < 1e-9 ? one : null));
 }
 
 function powerText(value) {

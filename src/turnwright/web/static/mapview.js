@@ -10,7 +10,7 @@ import { CLIENT, element, framed } from "./dom.js";
 import { on, say, set, state } from "./state.js";
 import { length } from "./ui.js";
 
-const MARGIN = { left: 54, right: 12, top: 10, bottom: 34 };
+const MARGIN = { left: 62, right: 12, top: 10, bottom: 34 };
 const REST_MS = 90;
 const FINEST = 2e-6;
 
@@ -170,6 +170,7 @@ export class MapView {
 
   /** Ask for the window in view, where the picture that is there is too coarse for it. */
   async sharpen() {
+    if (this.canvas.clientWidth < 30) return;
     const { x0, x1, y0, y1 } = this.view;
     const { width } = this.room();
     const ratio = Math.min(2, window.devicePixelRatio || 1);
@@ -531,7 +532,7 @@ export function mount(panel) {
     view.label = quantity.value === "error" ? "cut − design" : "height";
     view.held = null;
     hold.setAttribute("aria-pressed", "false");
-    view.open(same && !view.fit ? view.view : state.window);
+    view.open(same && !view.fit ? view.view : null);
   };
   const unheard = [
     on(["run", "maps", "map"], open, { now: true }),

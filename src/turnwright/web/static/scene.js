@@ -34,6 +34,12 @@ function plain(factor) {
   return [1, 2, 5, 10].reduce((best, one) => (Math.abs(Math.log(one * power / factor)) < Math.abs(Math.log(best / factor)) ? one * power : best), power);
 }
 
+/** The largest of 1, 2, 5, 10 and so on that is no more than this. */
+function round(most) {
+  const power = 10 ** Math.floor(Math.log10(most));
+  return (most >= 5 * power ? 5 : most >= 2 * power ? 2 : 1) * power;
+}
+
 class View {
   constructor(box) {
     this.box = box;
@@ -125,7 +131,9 @@ class View {
 
   look(name) {
     const radius = this.surface?.header.radius ?? 1;
-    const wide = Math.min(1, this.camera.aspect);
+    const { clientWidth: width, clientHeight: height } = this.stagebox;
+    const taken = this.visible.inset && width > 480 ? 0.62 * this.insetbox.clientWidth + 60 : 60;
+    const wide = Math.max(0.4, Math.min(1, (width - taken) / height));
     const away = (radius * { iso: 1.56, top: 1.46, side: 1.4 }[name]) / Math.tan((this.camera.fov * Math.PI) / 360) / wide;
     this.controls.target.set(0, 0, name === "iso" ? -0.1 * radius : 0);
     this.camera.position.copy(new Vector3(...VIEWS[name]).normalize().multiplyScalar(away)).add(this.controls.target);
@@ -139,8 +147,8 @@ class View {
   /** The middle of the picture is that of the room which the colour bar and the inset leave. */
   frame() {
     const { clientWidth: width, clientHeight: height } = this.stagebox;
-    const taken = this.visible.inset && width > 560 ? this.insetbox.clientWidth - 90 : -60;
-    this.camera.setViewOffset(width, height, Math.max(0, taken) / 2.6, -0.02 * height, width, height);
+    const taken = this.visible.inset && width > 480 ? this.insetbox.clientWidth - 110 : -80;
+    this.camera.setViewOffset(width, height, taken / 2.6, -0.02 * height, width, height);
     this.camera.updateProjectionMatrix();
   }
 
@@ -346,7 +354,8 @@ class View {
       if (this.toolTimes > 1.05) parts.push(`tool × ${number(this.toolTimes, 2)}`);
       if (state.quantity !== "error" && header.note) parts.push(header.note);
       if (state.quantity === "error" && !this.error) parts.push("no run is chosen: run the job to see its error");
-      if (this.path) parts.push(this.path.header.note);
+      if (this.coming) parts.push("the path is on its way");
+      else if (this.path) parts.push(this.path.header.note);
     }
     this.note.textContent = parts.join("  ·  ");
     this.note.classList.toggle("bad", Boolean(this.wrong));
@@ -430,9 +439,16 @@ class View {
     if (!job) return;
     this.following?.abort();
     const mine = (this.following = new AbortController());
+    const slow = setTimeout(() => {
+      this.coming = true;
+      this.tellNote();
+    }, 800);
+    mine.signal.addEventListener("abort", () => clearTimeout(slow));
     try {
       const path = await postPacked("/view/path", { data: job, points: POINTS, client: CLIENT }, { signal: mine.signal });
       if (mine.signal.aborted) return;
+      clearTimeout(slow);
+      this.coming = false;
       this.path = path;
       // At its first point the tool stands in the air, beside the part.
       if (state.place === 0) set({ place: 0.42 });
@@ -442,6 +458,8 @@ class View {
       }
     } catch (error) {
       if (ignored(error)) return;
+      clearTimeout(slow);
+      this.coming = false;
       this.path = null;
       this.makePath();
       this.placeTool();
@@ -580,7 +598,7 @@ class View {
       this.cutting?.abort();
       const mine = (this.cutting = new AbortController());
       const { arrays } = this.path;
-      const place = { angle: arrays.angle.data[at], radius: arrays.radius.data[at], y: arrays.y.data[at] };
+      const place = { angle: arrays.angle.data[at], radius: arrays.radius.data[at], y: arrays.y.data[at], feed: this.path.header.feed };
       try {
         const section = await postPacked("/view/section", { data: state.job, at: place, client: CLIENT }, { signal: mine.signal });
         if (mine.signal.aborted) return;
@@ -661,7 +679,7 @@ class View {
     context.restore();
     Object.assign(context, { font: `11px ${colours.font}`, fillStyle: colours.ink, textBaseline: "alphabetic", textAlign: "left" });
     context.fillText(box.width > 215 ? "Edge in contact, to scale" : "Edge, to scale", box.left, 13);
-    const bar = ticks(0, wide / 4, 1).at(-1) || wide / 4;
+    const bar = round(wide / 3.5);
     context.fillStyle = colours.quiet;
     context.textAlign = "right";
     const right = box.left + box.width;
@@ -696,7 +714,7 @@ class View {
       }
     };
     Object.assign(context, { font: `11px ${colours.font}`, fillStyle: colours.ink, textBaseline: "alphabetic", textAlign: "left" });
-    context.fillText("Cusps at the contact", box.title, box.top - 6);
+    context.fillText(box.width > 170 ? "Cusps at the contact" : "Cusps", box.title, box.top - 6);
     context.textAlign = "right";
     context.fillStyle = colours.quiet;
     context.fillText(`feed ${length(feed)}`, box.left + box.width, box.top - 6);
@@ -744,7 +762,7 @@ class View {
     Object.assign(context, { textAlign: "center", textBaseline: "top" });
     for (const mark of sides) {
       const [x] = toScreen(mark / across.factor, 0);
-      if (x < box.left + box.width - 12) context.fillText(tickText(mark, sides), x, box.top + box.height + 4);
+      if (x < box.left + box.width - 24) context.fillText(tickText(mark, sides), x, box.top + box.height + 4);
     }
     context.textAlign = "right";
     context.fillText(across.unit, box.left + box.width + 4, box.top + box.height + 4);
@@ -754,6 +772,10 @@ class View {
 
   flip(name, value) {
     this.visible[name] = value;
+    if (name === "inset") {
+      this.insetbox.hidden = !value;
+      this.frame();
+    }
     if (name === "path" && this.spiral) this.spiral.visible = value;
     this.placeTool();
     this.draw();
