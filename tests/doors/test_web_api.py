@@ -19,6 +19,7 @@ from turnwright.units import convert, parse
 from turnwright.web import create_app
 from turnwright.web._examples import examples
 from turnwright.web._packed import unpack
+from turnwright.web._queue import Runs
 from turnwright.web._references import FILE_KEYS, located
 
 HERE = "http://127.0.0.1:8765"
@@ -291,7 +292,7 @@ def test_a_run_is_cancelled_and_leaves_nothing(client, folder):
     assert client.post(f"/api/runs/{name}/cancel").status_code == 409
 
 
-def test_runs_wait_for_their_turn_and_outlive_the_server(tmp_path):
+def test_runs_wait_for_their_turn_and_outlive_the_server(tmp_path, folder, dish):
     """A server that is ended while a run goes on takes its process along; the next one begins the run again."""
     with TestClient(create_app(tmp_path), base_url=HERE) as client:
         first = client.post("/api/runs", json={"data": LONG, "kind": "run", "name": "first"}).json()["id"]
@@ -301,16 +302,21 @@ def test_runs_wait_for_their_turn_and_outlive_the_server(tmp_path):
             time.sleep(0.05)
         assert client.get(f"/api/runs/{second}").json()["state"] == "queued"
     assert list((tmp_path / "runs" / first).glob(".out*")) == []
+    assert json.loads((tmp_path / "runs" / first / "state.json").read_text())["state"] == "running"
+    # As the next server finds them; it has not begun yet.
+    found = Runs(tmp_path, at_a_time=1)
+    assert [(run.id, run.state, run.name) for run in reversed(found.all())] == [
+        (first, "queued", "first"),
+        (second, "queued", "dish"),
+    ]
     with TestClient(create_app(tmp_path), base_url=HERE) as client:
-        told = {one["id"]: one for one in client.get("/api/runs").json()}
-        assert told[first]["state"] == "running"
-        assert told[first]["name"] == "first"
-        assert told[second]["state"] == "queued"
-        client.post(f"/api/runs/{first}/cancel")
-        ended(client, second)
-    with TestClient(create_app(tmp_path), base_url=HERE) as client:
-        assert client.get(f"/api/runs/{second}/files/program").status_code == 200
-        assert client.get(f"/api/runs/{first}").json()["state"] == "cancelled"
+        told = {one["id"]: one["state"] for one in client.get("/api/runs").json()}
+        assert told == {first: "running", second: "queued"}
+        for name in (second, first):
+            assert client.post(f"/api/runs/{name}/cancel").json()["state"] == "cancelled"
+    # What has ended stays as it is, and its folder with it.
+    assert {run.state for run in Runs(tmp_path, at_a_time=1).all()} == {"cancelled"}
+    assert Runs(folder, at_a_time=1).get(dish[0]).state == "done"
 
 
 def test_only_keys_that_are_watched_name_files():
