@@ -139,6 +139,7 @@ function Top({ panes }) {
   const going = runs.filter((run) => run.state === "running" || run.state === "queued").length;
   const refused = check?.preview?.refused?.length > 0;
   const word = !job ? null
+    : errors.length && check?.errors === errors && !check.access.ok ? { ok: false, text: "does not reach the part" }
     : errors.length ? { ok: false, text: errors.length === 1 ? "1 field to mend" : `${errors.length} fields to mend` }
     : !check ? { ok: null, text: "looking …" }
     : check.access.ok && !refused ? { ok: true, text: "reaches the part" }

@@ -429,7 +429,7 @@ function Series({ node, path, value, required }) {
   const sentences = errorsWithin(path).map(sentenceOf);
   return html`<div class=${sentences.length ? "field wide bad" : "field wide"} ...${telling({ ...node, unit: shownUnit(item) }, path)}>
     <label for=${idOf(path)}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
-    <div class="value"><textarea id=${idOf(path)} rows=${Math.min(4, 1 + Math.floor(text.length / 37))} spellcheck=${false} value=${text}
+    <div class="value"><textarea id=${idOf(path)} rows=${Math.min(4, 1 + Math.floor(text.length / 33))} spellcheck=${false} value=${text}
       placeholder="values parted by commas" aria-invalid=${sentences.length ? "true" : null} onInput=${(event) => change(event.target.value)} /></div>
     <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${sentences} />
   </div>`;

@@ -20,7 +20,7 @@
    job           data of the job as the form shows it | null while the page is empty      form.js, app.js
    toml          the same as text                                                         form.js, app.js
    errors        [{field, sentence}]                                                      form.js
-   check         answer of POST /api/job/check, of the last job without errors | null     form.js
+   check         answer of POST /api/job/check, the last with an access; it is of the job as typed where check.errors === errors   form.js
    checking      true while an answer is on its way                                       form.js
    --            the scene
    quantity      what colours the part: "height" | "slope" | "curvature" | "clearance margin" | "chip thickness" | "error"   scene.js

@@ -37,11 +37,12 @@ function Plan() {
   if (!job) return html`<p class="quiet pad">Once there is a job, this is where it is judged: whether the tool reaches every place, how long the program is, what limits it.</p>`;
   if (!check) return html`<p class="quiet pad">${errors.length ? "The fields marked on the left come first." : "Looking at the job …"}</p>`;
   const { access, preview, chips = {}, warnings = [] } = check;
-  const stale = errors.length > 0;
+  // Of a job that can be read the access is judged, even where its path is not.
+  const stale = errors.length > 0 && check.errors !== errors;
   const refused = preview?.refused ?? [];
-  const ok = access.ok && refused.length === 0;
-  return html`<${Fragment}>${errors.length > 0 && html`<section class="card bad"><header><h3>The job as typed is not whole</h3></header>
-      <ul class="sentences">${errors.slice(0, 4).map((error) => html`<li>${error.sentence}</li>`)}</ul><p class="quiet">Below stands what was last whole.</p></section>`}
+  const ok = access.ok && refused.length === 0 && !(errors.length > 0 && !stale);
+  return html`<${Fragment}>${errors.length > 0 && html`<section class="card bad"><header><h3>${stale ? "The job as typed is not whole" : "No path can be laid"}</h3></header>
+      <ul class="sentences">${errors.slice(0, 4).map((error) => html`<li>${error.sentence}</li>`)}</ul>${stale && html`<p class="quiet">Below stands what was last whole.</p>`}</section>`}
     <div class=${stale ? "cards stale" : "cards"} aria-busy=${checking ? "true" : "false"}>
     <section class=${ok ? "card verdict good" : "card verdict bad"} id="verdict" aria-live="polite">
       <${Mark} ok=${ok} /><div><h3>${ok ? "The tool reaches the part" : access.ok ? "A run would refuse the job" : "The tool does not reach the part"}</h3>
