@@ -18,7 +18,7 @@ from starlette.middleware import Middleware
 
 from turnwright import __version__
 from turnwright.errors import TurnwrightError
-from turnwright.web._guard import Guard
+from turnwright.web._guard import Guard, require_token
 from turnwright.web._models import Problem
 from turnwright.web._queue import Runs
 from turnwright.web._workers import Busy, Superseded, Workers
@@ -77,6 +77,7 @@ def create_app(
     InputError
         If the token is too short.
     """
+    require_token(token)
     folder = Path(folder).resolve()
     folder.mkdir(parents=True, exist_ok=True)
     workers = Workers(WORKERS, threads=1, warm="_jobs:warm", then="_jobs:warm_kernels")

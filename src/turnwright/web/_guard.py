@@ -22,7 +22,7 @@ from turnwright.errors import InputError
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-__all__ = ["BODY_BYTES", "UPLOAD_BYTES", "Guard", "is_loopback"]
+__all__ = ["BODY_BYTES", "UPLOAD_BYTES", "Guard", "is_loopback", "require_token"]
 
 BODY_BYTES = 8 * 2**20
 """Of a job or any other JSON."""
@@ -65,6 +65,15 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def require_token(token: str | None) -> None:
+    """Raise unless a token is one that nobody guesses, or none."""
+    if token is not None and not re.fullmatch(rf"[!-~]{{{TOKEN_LETTERS},200}}", token):
+        raise InputError(
+            f"the token has {len(token)} characters, it must be {TOKEN_LETTERS} to 200 letters, digits and marks "
+            "without spaces: take a longer one"
+        )
+
+
 class Guard:
     """Stands before everything else.
 
@@ -79,11 +88,7 @@ class Guard:
     """
 
     def __init__(self, app: ASGIApp, *, token: str | None = None, origin: str | None = None) -> None:
-        if token is not None and not re.fullmatch(rf"[!-~]{{{TOKEN_LETTERS},200}}", token):
-            raise InputError(
-                f"the token has {len(token)} characters, it must be {TOKEN_LETTERS} to 200 letters, digits and marks "
-                "without spaces: take a longer one"
-            )
+        require_token(token)
         self.app, self.token = app, token
         self.named = urlsplit(origin).hostname if origin else None
 

@@ -6,7 +6,7 @@ import asyncio
 import ipaddress
 import signal
 import socket
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 import uvicorn
@@ -90,6 +90,23 @@ def listening(host: str, port: int) -> Iterator[tuple[socket.socket, str]]:
         yield door, f"http://{name}:{number}"
 
 
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Hold a folder for one server: two would throw away each other's half-made runs."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "server.lock").open("a") as lock:
+        with suppress(ImportError):
+            import fcntl  # noqa: PLC0415 - there is none on Windows
+
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise InputError(
+                    f"another server keeps its runs in {str(folder)!r}: open its page, or name another --folder"
+                ) from None
+        yield
+
+
 def serve_until_stopped(
     door: socket.socket, folder: Path, *, token: str | None, origin: str | None, ready: Callable[[], None]
 ) -> None:
@@ -105,11 +122,17 @@ def serve_until_stopped(
         See `turnwright.web.create_app`.
     ready
         Called once a browser may come.
+
+    Raises
+    ------
+    InputError
+        If another server has the folder, or the token is too short.
     """
-    app = create_app(folder, token=token, origin=origin)
-    config = uvicorn.Config(
-        app, log_level="critical", access_log=False, server_header=False, lifespan="on", ws="none",
-        timeout_graceful_shutdown=FAREWELL_S, h11_max_incomplete_event_size=64 * 2**10, proxy_headers=False,
-    )  # fmt: skip
-    server = _Server(config, ready)
-    asyncio.run(server.serve(sockets=[door]))
+    with _alone(folder):
+        app = create_app(folder, token=token, origin=origin)
+        config = uvicorn.Config(
+            app, log_level="critical", access_log=False, server_header=False, lifespan="on", ws="none",
+            timeout_graceful_shutdown=FAREWELL_S, h11_max_incomplete_event_size=64 * 2**10, proxy_headers=False,
+        )  # fmt: skip
+        server = _Server(config, ready)
+        asyncio.run(server.serve(sockets=[door]))
