@@ -174,6 +174,10 @@ def test_a_path_is_seen_in_true_contact() -> None:
     assert header["nose_radius"] == job.tool.tool.nose_radius
     assert header["starts"][0] == 0
     assert header["starts"][-1] == radius.size
+    # Between two pieces at least a turn is left out, within one none.
+    starts, fraction = np.array(header["starts"]), arrays["fraction"].astype(float) * header["turns"]
+    assert (np.diff(fraction)[starts[1:-1] - 1] > 0.9).all()
+    assert (np.delete(np.diff(fraction), starts[1:-1] - 1) < 0.05).all()
     assert arrays["fraction"][0] == 0
     assert arrays["fraction"][-1] == 1
 

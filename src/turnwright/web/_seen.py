@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from turnwright.job import Job
     from turnwright.part import Part
     from turnwright.path import Path
+    from turnwright.strategy import Strategy
     from turnwright.tool import Tool
 
 __all__ = ["path", "section", "surface"]
@@ -121,11 +122,15 @@ def _chips(job: Job, part: Part, x: Floats, y: Floats) -> _Colours:
     return _Colours(expected_thickest(job.tool.tool, feed=feed, depth=depth, bend=bend), "mm", "thickest chip", note)
 
 
+def _stated_feed(servo: Strategy) -> float | None:
+    """Return how far a pass advances in every turn, ``None`` where that varies. [mm/rev]."""
+    return getattr(servo, "feed", None) or getattr(getattr(servo, "plan", None), "feed", None)
+
+
 def _feed(job: Job) -> float:
     """Return how far the finishing pass advances per turn; on the whole, where that varies. [mm/rev]."""
     servo = job.servo(job.passes[-1])
-    stated = getattr(servo, "feed", None) or getattr(getattr(servo, "plan", None), "feed", None)
-    return stated or servo.glimpse(job.part.aimed, job.tool.tool, turns=MOST_TURNS, per_turn=8).feed
+    return _stated_feed(servo) or servo.glimpse(job.part.aimed, job.tool.tool, turns=MOST_TURNS, per_turn=8).feed
 
 
 def path(data: dict[str, Any], folder: str, points: int) -> bytes:
@@ -137,15 +142,16 @@ def path(data: dict[str, Any], folder: str, points: int) -> bytes:
     spiral = servo.glimpse(part, tool, turns=max(points // per_turn, 1), per_turn=per_turn)
     found = place(spiral, part, tool, along=job.strategy.along)
     turned = np.abs(found.angle - found.angle[0]) / TURN
-    breaks = np.flatnonzero(np.diff(turned) > 2.0 / per_turn) + 1
+    breaks = np.flatnonzero(np.diff(turned) > 0.5) + 1
     starts = np.concatenate(([0], breaks, [turned.size]))
+    drawn = float((turned[starts[1:] - 1] - turned[starts[:-1]]).sum())
     header = {
         "turns": spiral.turns, "feed": spiral.feed, "sense": spiral.sense, "along": job.strategy.along,
         "nose_radius": tool.nose_radius, "actual_radius": tool.actual_radius, "rake": tool.rake,
         "included": tool.included, "clearance": tool.clearance, "radius": part.radius,
         "sweep": [float(found.sweep.min()), float(found.sweep.max())],
         "pass": job.passes[-1].name, "starts": starts.tolist(),
-        "note": f"{starts.size - 1} of {spiral.turns:.4g} turns are drawn, every point in contact",
+        "note": f"{drawn:.0f} of {spiral.turns:.4g} turns are drawn, every point in contact",
     }  # fmt: skip
     # Far out single precision tells no azimuth from the next after thousands of turns: angles stay below one.
     return pack(
@@ -212,6 +218,7 @@ def section(
         },
         "clearance": float(found.clearance[here]), "nose_radius": tool.nose_radius, "arc": [low, high],
         "inward": inward,
+        "varies": _stated_feed(job.servo(job.passes[-1])) is None,
     }  # fmt: skip
     return pack(header, arrays)
 

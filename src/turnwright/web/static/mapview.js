@@ -12,6 +12,7 @@ import { length } from "./ui.js";
 
 const MARGIN = { left: 62, right: 12, top: 10, bottom: 34 };
 const REST_MS = 90;
+const PATIENCE_MS = 700;
 const FINEST = 2e-6;
 
 /** One picture: values over an extent, as pixels of a canvas of its own. */
@@ -64,6 +65,7 @@ export class MapView {
     this.line = null;
     this.cursor = null;
     this.held = null;
+    this.pace = 0;
     this.lining = false;
     this.pointers = new Map();
     this.canvas = element("canvas", {
@@ -193,10 +195,17 @@ export class MapView {
     const wide = rim[1] - rim[0];
     const high = rim[3] - rim[2];
     try {
-      const packed = await this.load({ x0: rim[0], x1: rim[1], y0: rim[2], y1: rim[3], nx: count(wide), ny: count(high) }, asking.signal);
-      if (asking.signal.aborted) return;
-      this.fine = new Picture(packed);
-      this.draw();
+      const [nx, ny] = [count(wide), count(high)];
+      // Where the last window took long, a coarse one comes first.
+      for (const parts of this.pace * nx * ny > PATIENCE_MS ? [3, 1] : [1]) {
+        const [columns, rows] = [nx, ny].map((one) => Math.max(2, Math.round(one / parts)));
+        const from = performance.now();
+        const packed = await this.load({ x0: rim[0], x1: rim[1], y0: rim[2], y1: rim[3], nx: columns, ny: rows }, asking.signal);
+        if (asking.signal.aborted) return;
+        this.pace = (performance.now() - from) / (columns * rows);
+        this.fine = new Picture(packed);
+        this.draw();
+      }
     } catch (error) {
       if (error.name !== "AbortError" && error.status !== 409) say(error.message, "bad");
     }

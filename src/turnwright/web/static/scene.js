@@ -87,6 +87,7 @@ class View {
     this.controls = new OrbitControls(this.camera, this.canvas);
     this.controls.enableDamping = false;
     this.controls.zoomSpeed = 1.4;
+    this.controls.maxPolarAngle = 1.56;
     this.light = new DirectionalLight(0xffffff, 1.5);
     this.soft = new AmbientLight(0xffffff, 2.1);
     this.scene.add(this.light, this.soft);
@@ -170,8 +171,9 @@ class View {
         quantity === "error" && run ? getPacked(`/runs/${run}/map`, { name: "whole part", nx: 512, ny: 512 }, options) : null,
       ]);
       if (signal.aborted) return;
-      this.setSurface(surface, error);
-      this.wrong = "";
+      const other = error && Math.abs(error.header.x[1] / surface.header.radius - 1) > 1e-6;
+      this.setSurface(surface, other ? null : error);
+      this.wrong = other ? "the run is of a part of another radius than the job in the fields: take the job of the run into the fields" : "";
     } catch (error) {
       if (ignored(error)) return;
       this.wrong = error.message;
@@ -717,7 +719,7 @@ class View {
     context.fillText(box.width > 170 ? "Cusps at the contact" : "Cusps", box.title, box.top - 6);
     context.textAlign = "right";
     context.fillStyle = colours.quiet;
-    context.fillText(`feed ${length(feed)}`, box.left + box.width, box.top - 6);
+    context.fillText(`${header.varies ? "mean feed" : "feed"} ${length(feed)}`, box.left + box.width, box.top - 6);
     context.save();
     context.beginPath();
     context.rect(box.left, box.top, box.width, box.height);
@@ -897,7 +899,7 @@ class View {
     const from = this.camera.position.clone().sub(this.controls.target);
     const away = from.length();
     const azimuth = Math.atan2(from.y, from.x) + across;
-    const height = Math.max(-1.5, Math.min(1.5707, Math.asin(from.z / away) + up));
+    const height = Math.max(0.01, Math.min(1.5707, Math.asin(from.z / away) + up));
     this.camera.position.set(away * Math.cos(height) * Math.cos(azimuth), away * Math.cos(height) * Math.sin(azimuth), away * Math.sin(height)).add(this.controls.target);
     this.controls.update();
     this.draw();
