@@ -30,6 +30,7 @@ def serve(
     origin: Annotated[
         str | None, typer.Option(metavar="https://NAME", help="Address of the page, if a proxy stands before it.")
     ] = None,
+    at_a_time: Annotated[int, typer.Option(min=1, max=64, help="How many runs are carried out at a time.")] = 1,
     open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
 ) -> None:
     """Open the workbench: a page to plan, see, run and correct a part."""
@@ -60,4 +61,4 @@ def serve(
 
                 webbrowser.open(shown)
 
-        serve_until_stopped(socket, folder, token=token, origin=origin, ready=ready)
+        serve_until_stopped(socket, folder, token=token, origin=origin, at_a_time=at_a_time, ready=ready)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -464,9 +465,12 @@ def _commanded(job: Job, motion: Motion, tell: Progress) -> tuple[Motion, Motion
 
 def _outermost(spiral: Spiral) -> Spiral:
     """Return the turn that is farthest from the axis."""
-    first, last = spiral.angle[[0, -1]]
-    outer = first if spiral.radius[0] > spiral.radius[-1] else last
-    turn = np.abs(spiral.angle - outer) <= 2 * np.pi
+    angle, size = spiral.angle, spiral.angle.size
+    inwards = spiral.radius[0] > spiral.radius[-1]
+    # The angle runs one way, so a few looks find where the turn ends: a job is checked while somebody types.
+    away = range(size) if inwards else range(size - 1, -1, -1)
+    count = bisect_right(away, 2 * np.pi, key=lambda at: abs(float(angle[at] - angle[away[0]])))
+    turn = slice(0, count) if inwards else slice(size - count, size)
     return Spiral(angle=spiral.angle[turn], radius=spiral.radius[turn], y=None if spiral.y is None else spiral.y[turn])
 
 

@@ -18,6 +18,7 @@ from starlette.middleware import Middleware
 
 from turnwright import __version__
 from turnwright.errors import TurnwrightError
+from turnwright.progress import cores
 from turnwright.web._guard import Guard, require_token
 from turnwright.web._models import Problem
 from turnwright.web._queue import Runs
@@ -80,7 +81,7 @@ def create_app(
     require_token(token)
     folder = Path(folder).resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    workers = Workers(WORKERS, threads=1, warm="_jobs:warm", then="_jobs:warm_kernels")
+    workers = Workers(WORKERS, threads=cores(), warm="_jobs:warm", then="_jobs:warm_kernels")
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:

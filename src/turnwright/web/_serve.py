@@ -69,13 +69,14 @@ def listening(host: str, port: int) -> Iterator[tuple[socket.socket, str]]:
     try:
         family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         door = socket.socket(family, kind, protocol)
-        door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        door.bind(place)
     except OSError as error:
-        raise InputError(
-            f"no server can listen at {host}:{port} ({error.strerror}): name another --port, or 0 for any that is free"
-        ) from error
+        raise _deaf(host, port, error) from error
     with door:
+        try:
+            door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            door.bind(place)
+        except OSError as error:
+            raise _deaf(host, port, error) from error
         number = door.getsockname()[1]
         name = host
         try:
@@ -88,6 +89,12 @@ def listening(host: str, port: int) -> Iterator[tuple[socket.socket, str]]:
             elif address.version == 6:
                 name = f"[{host}]"
         yield door, f"http://{name}:{number}"
+
+
+def _deaf(host: str, port: int, error: OSError) -> InputError:
+    return InputError(
+        f"no server can listen at {host}:{port} ({error.strerror}): name another --port, or 0 for any that is free"
+    )
 
 
 @contextmanager
@@ -108,7 +115,13 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def serve_until_stopped(
-    door: socket.socket, folder: Path, *, token: str | None, origin: str | None, ready: Callable[[], None]
+    door: socket.socket,
+    folder: Path,
+    *,
+    token: str | None,
+    origin: str | None,
+    at_a_time: int,
+    ready: Callable[[], None],
 ) -> None:
     """Serve the workbench until Ctrl-C or a polite kill.
 
@@ -118,7 +131,7 @@ def serve_until_stopped(
         Listens already.
     folder
         Where runs are kept.
-    token, origin
+    token, origin, at_a_time
         See `turnwright.web.create_app`.
     ready
         Called once a browser may come.
@@ -129,7 +142,7 @@ def serve_until_stopped(
         If another server has the folder, or the token is too short.
     """
     with _alone(folder):
-        app = create_app(folder, token=token, origin=origin)
+        app = create_app(folder, token=token, origin=origin, at_a_time=at_a_time)
         config = uvicorn.Config(
             app, log_level="critical", access_log=False, server_header=False, lifespan="on", ws="none",
             timeout_graceful_shutdown=FAREWELL_S, h11_max_incomplete_event_size=64 * 2**10, proxy_headers=False,
