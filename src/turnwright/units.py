@@ -140,7 +140,7 @@ def _value(number: str, scale: _Scale, quoted: str) -> float:
 
 def _example(unit: str) -> str:
     """Return a quantity a person would write in this unit."""
-    return f"8 {_FRIENDLY[unit][0]}" if unit in _FRIENDLY else f"0.5 {unit}"
+    return f"8 {_FRIENDLY[unit][0]}" if unit in _FRIENDLY else f"0.5 {unit}".removesuffix(" 1")
 
 
 def parse(text: object, unit: str) -> float:

@@ -182,6 +182,14 @@ def test_a_budget_that_cannot_be_is_a_sentence(changed, said):
     assert "\n" not in str(caught.value)
 
 
+def test_a_servo_of_an_axis_that_is_not_there_is_a_sentence(job):
+    budget = ErrorBudget(errors={"servo Q": Spread.read("normal(0, 0.1)", "1", source="test")}, noise=0.0)
+    with pytest.raises(InputError, match=r"servo Q: .* has no axis Q, it has C, X, Z: name one of them"):
+        tw.tolerance(job, budget=budget, count=10)
+    with pytest.raises(InputError, match=r"it must be a plain number: write it such as '0\.5'"):
+        Spread.read("normal(0, 1) um", "1", source="test")
+
+
 def test_a_budget_file_that_cannot_be_read(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         ErrorBudget.load(tmp_path / "none.toml")

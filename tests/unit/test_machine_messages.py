@@ -1,5 +1,7 @@
 """Machines: the ones that come along, the file's form, and every refusal in one sentence."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -228,3 +230,13 @@ def test_what_an_axis_can_do_at_a_frequency():
     assert axis.amplitude([0.0, 700.0, 700.1]).tolist() == [0.035, pytest.approx(1e5 / (1400 * np.pi) ** 2), 0.0]
     assert Axis(jerk=8.0).amplitude(1 / np.pi) == pytest.approx(1.0)
     assert Axis().amplitude(3.0) == np.inf
+
+
+def test_a_machine_travels_to_another_process_and_stays_read_only():
+    # A process of its own, in which nothing else of the package has been imported.
+    ask = (
+        "import pickle, turnwright as tw; m = tw.Machine.load('nanotech-350fg'); n = pickle.loads(pickle.dumps(m)); "
+        "print(dict(n.axes) == dict(m.axes), n.name == m.name, type(n.axes).__name__)"
+    )
+    said = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout
+    assert said.split() == ["True", "True", "mappingproxy"]

@@ -63,6 +63,9 @@ POOR = 0.5
 EFFECTIVE = 20
 """Cases that must count after they are weighted, else their finish is taken as it is."""
 
+USUAL = ("C", "X", "Z")
+"""Axes that a lathe may have."""
+
 AS_PLANNED, CORRECTED = "as planned", "corrected"
 
 
@@ -253,6 +256,7 @@ def tolerance(
     if count < FEWEST:
         raise InputError(f"the study has {count} cases, it needs at least {FEWEST}: give a larger count")
     budget = ErrorBudget.typical() if budget is None else budget
+    _check_axes(job, budget)
     with ExitStack() as stack:
         if store is None:
             store = stack.enter_context(TemporaryDirectory(prefix="turnwright-"))
@@ -299,6 +303,17 @@ def tolerance(
         job=job, budget=budget, seed=seed, draws=MappingProxyType(kept), columns=MappingProxyType(columns),
         reasons=reasons, limits=MappingProxyType(limits), outcomes=MappingProxyType(outcomes), tightening=tightening,
     )  # fmt: skip
+
+
+def _check_axes(job: Job, budget: ErrorBudget) -> None:
+    """Raise unless the machine has the axes whose servos a budget is about; the usual ones may always be named."""
+    axes = job.machine.machine.axes
+    for name in budget.errors:
+        if name.startswith("servo ") and name[-1] not in {*axes, *USUAL}:
+            raise InputError(
+                f"{name}: {job.machine.machine.name} has no axis {name[-1]}, it has {', '.join(sorted(axes))}: name "
+                "one of them, or leave it out"
+            )
 
 
 def _limits(job: Job) -> dict[str, float]:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import copyreg
 import hashlib
 import os
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, fields, is_dataclass
 from itertools import islice
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -307,13 +305,6 @@ class _Task:
         motion = Motion(time=axes.pop("time"), axes=axes, machine=self.planned_for)
         return _Painter.of(motion, self.tool, self.machine, self.minus, Files.open(self.place, write=True))
 
-
-def _read_only(plain: dict[Any, Any]) -> MappingProxyType[Any, Any]:
-    return MappingProxyType(plain)
-
-
-# Machines and surfaces hold read-only mappings, which Python does not send to another process by itself.
-copyreg.pickle(MappingProxyType, lambda one: (_read_only, (dict(one),)))
 
 _latest: dict[str, _Painter] = {}
 """What this worker made ready last."""
