@@ -83,6 +83,8 @@ def warm() -> None:
     ready = Prepared.of(motion, Tool(nose_radius=0.5), None, distances=(0, 0.02), most_rings=4)
     x = np.linspace(-0.01, 0.01, 4)
     _filled(ready, x, x, np.ones((4, 4), dtype=bool))
+    rings = HeightMap(z=np.zeros((4, 5)), radius=np.arange(5.0), angle=np.arange(4) * (TURN / 4))
+    _resampled(_Stored("", rings, 1.0), x, x)
 
 
 def open_run(folder: str) -> bool:
@@ -219,24 +221,16 @@ def _resampled(stored: _Stored, columns: Floats, rows: Floats) -> tuple[Floats, 
     """
     heights = stored.heights
     if heights.radius is not None and heights.angle is not None:
-        x, y = np.meshgrid(columns, rows)
-        away, azimuth = np.hypot(x, y), np.mod(np.arctan2(y, x), TURN)
-        rays, rings = heights.angle.size, heights.radius.size
-        ray = np.rint((azimuth - heights.angle[0]) / (TURN / rays)).astype(np.int64) % rays
-        ring = np.rint((away - heights.radius[0]) / stored.pixel).astype(np.int64)
+        from turnwright._kernels import raster as kernel  # noqa: PLC0415 - numba is costly to import
+
         wide = float(columns[1] - columns[0]) / stored.pixel
         many = 1 if wide < FEW else round(2 * wide)
-        good = np.isfinite(heights.z)
-        sums, counts = (
-            np.pad(np.cumsum(one, axis=1), ((0, 0), (1, 0))) for one in (np.where(good, heights.z, 0.0), good)
-        )
-        first, last = (np.clip(ring + by, 0, rings) for by in (-(many // 2), many - many // 2))
-        count = counts[ray, last] - counts[ray, first]
-        total = sums[ray, last] - sums[ray, first]
-        inside = (away <= heights.radius[-1] * (1 + 1e-12)) & (count > 0)
-        single = heights.z[ray, np.clip(ring, 0, rings - 1)]
-        mean = single if many == 1 else np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
-        return np.where(inside, mean, np.nan), many
+        out = np.empty((rows.size, columns.size))
+        kernel.over_grid(
+            columns, rows, heights.z, float(heights.angle[0]), float(heights.radius[0]), stored.pixel,
+            many // 2, many - many // 2, out,
+        )  # fmt: skip
+        return out, many
     assert heights.x is not None  # noqa: S101 - a map that is not polar has x and y
     assert heights.y is not None  # noqa: S101
     across, along = (_nearest(axis, wanted) for axis, wanted in ((heights.x, columns), (heights.y, rows)))
