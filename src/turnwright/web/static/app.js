@@ -205,7 +205,7 @@ function Tabs({ panes }) {
 
 // --------------------------------------------------------------------------------------------------------- the panes
 
-const SIZES = { left: [240, 560, 304], right: [240, 560, 304], drawer: [140, 900, 300] };
+const SIZES = { left: [240, 560, 304], right: [240, 560, 296], drawer: [140, 900, 300] };
 const NARROW = matchMedia("(max-width: 1100px)");
 
 function makePanes() {

@@ -5,7 +5,7 @@ import { get, getPacked, post, upload } from "./api.js";
 import { say, set, state } from "./state.js";
 import { chart } from "./charts.js";
 import { editAgain, refresh } from "./runs.js";
-import { Bar, Downloads, Icon, Mark, Tool, bytes, count, doubted, height, percent, quantity, useStore } from "./ui.js";
+import { Bar, Downloads, Icon, Mark, Tool, bytes, count, doubted, height, number, percent, quantity, useStore } from "./ui.js";
 
 const AGAIN = 700; // ms between looks at a measurement that is worked on
 const GOING = new Set(["queued", "running"]);
@@ -234,9 +234,9 @@ function Findings({ measurement }) {
 /** Where each lens sits against where it should: a table, and arrows drawn large. */
 function Lenslets({ lenslets }) {
   const seen = lenslets.filter((one) => one.centre.every(Number.isFinite)).map((one) => ({ ...one, off: one.centre.map((value, axis) => value - one.design[axis]) }));
-  const reach = Math.max(...lenslets.map(({ design }) => Math.max(...design.map(Math.abs))), 1e-9) * 1.25;
+  const reach = Math.max(...lenslets.map(({ design }) => Math.max(...design.map(Math.abs))), 1e-9) * 1.4;
   const most = Math.max(...seen.map(({ off }) => Math.hypot(...off)), 1e-12);
-  const scale = (0.2 * reach) / most;
+  const scale = (0.3 * reach) / most;
   const arrow = ({ design: [x, y], off: [dx, dy] }) => {
     const [ex, ey] = [x + dx * scale, y + dy * scale];
     const angle = Math.atan2(dy, dx);
@@ -246,11 +246,11 @@ function Lenslets({ lenslets }) {
   };
   return html`<section class="lenses"><h3>Lenses</h3>
     ${seen.length > 0 && html`<svg class="quiver" viewBox=${`${-reach} ${-reach} ${2 * reach} ${2 * reach}`} role="img" aria-label=${`Dislocation of ${seen.length} lenses, at most ${quantity(most, "mm")}`}>
-      ${seen.map((one) => html`<g><title>${`lens ${one.number}`}</title><circle class="cell" cx=${one.design[0]} cy=${-one.design[1]} r=${0.015 * reach} vector-effect="non-scaling-stroke" /><path class="arrow" vector-effect="non-scaling-stroke" d=${arrow(one)} /></g>`)}
+      ${seen.map((one) => html`<g><title>${`lens ${one.number}`}</title><circle class="cell" cx=${one.design[0]} cy=${-one.design[1]} r=${0.018 * reach} vector-effect="non-scaling-stroke" /><text x=${one.design[0] - 0.05 * reach} y=${-one.design[1] + 0.03 * reach} font-size=${0.085 * reach} text-anchor="end">${one.number}</text><path class="arrow" vector-effect="non-scaling-stroke" d=${arrow(one)} /></g>`)}
     </svg><p class="quiet">Found minus design, x to the right, y up; the longest arrow is ${quantity(most, "mm")}.</p>`}
-    <table class="small"><thead><tr><th>lens</th><th class="number">dx</th><th class="number">dy</th><th class="number">dz</th><th class="number">ΔR</th><th class="number">Sq</th></tr></thead>
-      <tbody>${lenslets.map((one) => html`<tr title=${one.finding}><th scope="row">${one.number}</th>${[0, 1].map((axis) => html`<td class="number">${quantity(one.centre[axis] === null ? Number.NaN : one.centre[axis] - one.design[axis], "mm")}</td>`)}
-        <td class="number">${quantity(one.height, "mm")}</td><td class="number">${quantity(one.radius_error, "mm")}</td><td class="number">${height(one.sq_nm)}</td></tr>`)}</tbody></table></section>`;
+    <table class="small"><thead><tr><th>lens</th><th class="number">dx, µm</th><th class="number">dy, µm</th><th class="number">dz, nm</th><th class="number">ΔR, µm</th><th class="number">Sq, nm</th></tr></thead>
+      <tbody>${lenslets.map((one) => html`<tr title=${one.finding}><th scope="row">${one.number}</th>${[0, 1].map((axis) => html`<td class="number">${one.centre[axis] === null ? "–" : number((one.centre[axis] - one.design[axis]) * 1e3)}</td>`)}
+        <td class="number">${one.height === null ? "–" : number(one.height * 1e6)}</td><td class="number">${one.radius_error === null ? "–" : number(one.radius_error * 1e3)}</td><td class="number">${number(one.sq_nm)}</td></tr>`)}</tbody></table></section>`;
 }
 
 // ---------------------------------------------------------------------------------------------------------- the panel

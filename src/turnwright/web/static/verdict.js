@@ -88,13 +88,13 @@ function Outcome() {
   return html`<div class="cards" id="outcome">
     <section class=${result.ok ? "card verdict good" : "card verdict bad"}><${Mark} ok=${result.ok} />
       <div><h3>${result.ok ? "Cut as planned, within all limits" : "Not within all limits"}</h3><p class="quiet">${result.part}, on ${result.machine}</p></div></section>
-    ${result.warnings.length > 0 && html`<${Warnings} warnings=${result.warnings} />`}
     <${Card} title="Surface left">
       <table class="small"><thead><tr><th>where</th><th class="number">PV</th><th class="number">Sq</th><th class="number">Sa</th></tr></thead>
       <tbody>${result.predictions.map(({ name, roughness }) => html`<tr class="pick" onClick=${() => set({ map: name, drawer: "maps" })}>
         <th scope="row"><button type="button" class="link" onClick=${() => set({ map: name, drawer: "maps" })}>${name}</button></th>
         <td class="number">${height(roughness.pv_nm)}</td><td class="number">${height(roughness.sq_nm)}</td><td class="number">${height(roughness.sa_nm)}</td></tr>`)}</tbody></table>
     </${Card}>
+    ${result.warnings.length > 0 && html`<${Warnings} warnings=${result.warnings} />`}
     <${Budget} result=${result} />
     <${Card} title="Cycle" side=${html`<span class="quiet">${result.dialect}</span>`}>
       <dl class="figures">
