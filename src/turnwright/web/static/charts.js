@@ -276,7 +276,7 @@ export function mountMotion(panel) {
     const long = header.duration_s > 600;
     const times = [...arrays.time.data].map((one) => (long ? one / 60 : one));
     const time = { label: "time", unit: long ? "min" : "s", values: times };
-    about.textContent = `${header.pass}: ${count(header.points)} points in ${duration(header.duration_s)} on ${header.machine}; every span shows its largest, of the program as written, its decimals included`;
+    about.textContent = `${header.pass}: ${count(header.points)} points in ${duration(header.duration_s)} on ${header.machine}; peaks as planned; the curves are of the program as written, whose decimals add steps of their own`;
     for (const [letter, one] of Object.entries(header.axes)) {
       const turns = letter === "C" && kind === "position";
       const angular = one.unit === "rad";
@@ -285,7 +285,9 @@ export function mountMotion(panel) {
       const values = (name) => [...arrays[name].data].map((value) => value * factor);
       const limit = kind === "position" ? null : one.limits[kind];
       const limits = limit ? [{ value: limit * factor, text: `limit ${number(limit * factor, 3)} ${unit}` }] : [];
-      const peak = kind === "position" ? "" : `, peak ${number(one.peaks[kind] * factor, 3)} ${unit}${limit ? ` (${number((100 * one.peaks[kind]) / limit, 2)} % of the limit)` : ", no limit stated"}`;
+      // What the machine was checked for is the motion before its program is rounded to decimals.
+      const most = header.limits?.[`peak_${kind}`]?.[letter] ?? one.peaks[kind];
+      const peak = kind === "position" ? "" : `, peak ${number(most * factor, 3)} ${unit}${limit ? ` (${number((100 * most) / limit, 2)} % of the limit)` : ", no limit stated"}`;
       const box = element("div");
       grid.append(box);
       const title = `${letter}${peak}`;

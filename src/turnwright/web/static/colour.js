@@ -107,6 +107,7 @@ export function tickText(value, marks) {
   const step = marks.length > 1 ? marks[1] - marks[0] : Math.abs(value) || 1;
   const decimals = Math.max(0, Math.min(9, Math.ceil(-Math.log10(step) - 1e-9) + (Math.abs(step * 10 ** Math.ceil(-Math.log10(step)) - 2.5) < 1e-6 ? 1 : 0)));
   if (Math.abs(value) < step * 1e-6) return "0";
+  if (decimals > 4) return number(value, 2);
   return value.toFixed(decimals).replace("-", "−");
 }
 
