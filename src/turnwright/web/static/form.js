@@ -104,7 +104,11 @@ async function checkNow() {
     set({ errors: answer.errors, checking: false, ...(answer.access ? { check: answer } : {}) });
   } catch (error) {
     // A later question took the place of this one: its answer comes.
-    if (error.name === "AbortError" || mine !== checking || error.status === 409) return;
+    if (error.name === "AbortError" || mine !== checking) return;
+    if (error.status === 409) {
+      checkSoon();
+      return;
+    }
     set({ checking: false });
     say(error.message, "bad");
   }
