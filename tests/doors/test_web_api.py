@@ -1,9 +1,11 @@
 """The server of the workbench. Oracles: the command line, read_nc, the job classes, another JSON schema validator."""
 
+import io
 import json
 import re
 import time
 import tomllib
+import zipfile
 
 import jsonschema
 import numpy as np
@@ -151,6 +153,14 @@ def test_the_program_is_that_of_the_command_line(client, dish):
     for told in (mine, theirs):
         told.pop("timings"), told.pop("peak_memory_gb")
     assert mine == theirs
+
+
+def test_all_files_of_a_program_come_together(client, dish):
+    name, by_hand, _ = dish
+    answer = client.get(f"/api/runs/{name}/files/programs")
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        assert archive.testzip() is None
+        assert {one: archive.read(one) for one in archive.namelist()} == {"part.nc": (by_hand / "part.nc").read_bytes()}
 
 
 def test_a_run_tells_its_progress(dish):

@@ -157,6 +157,6 @@ async def _say_defect(request: Request, error: Exception) -> Response:
     """Keep the traceback of a defect where its finder may look, and say so without showing it."""
     log = request.app.state.folder / "defects.log"
     with suppress(OSError), log.open("a", encoding="utf-8") as file:
-        file.write(f"{request.method} {request.url.path}\n")
+        file.write(f"{request.method} {request.url.path!r}\n")
         traceback.print_exception(error, file=file)
     return _problem(500, f"this is a defect of Turnwright ({type(error).__name__}), its traceback is in {log.name}")

@@ -92,6 +92,7 @@ class Guard:
         require_token(token)
         self.app, self.token = app, token
         self.named = urlsplit(origin).hostname if origin else None
+        self.secure = bool(origin) and urlsplit(origin).scheme == "https"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or refuse it in a sentence."""
@@ -111,7 +112,7 @@ class Guard:
             # The address that was given out logs a browser in once, and does not stay in its bar.
             rest = urlencode([(name, value) for name, value in given if name != "token"])
             answer = RedirectResponse(f"{_plain(scope['path'])}{'?' if rest else ''}{rest}", 303, headers=HEADERS)
-            answer.set_cookie(COOKIE, self.token, max_age=YEAR_S, httponly=True, samesite="strict")
+            answer.set_cookie(COOKIE, self.token, max_age=YEAR_S, httponly=True, samesite="strict", secure=self.secure)
             await answer(scope, receive, send)
             return
         await self.app(scope, _counted(scope, receive), _with_headers(send))

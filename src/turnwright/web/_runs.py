@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import tomllib
+import zipfile
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path as File
 from typing import Annotated, Any, Literal
@@ -207,6 +210,56 @@ async def program(
     if not max(abs(x), abs(y)) < 1e5:
         raise HTTPException(422, "near must be two numbers in mm with a comma between them: write near=1.5,-2")
     return Line(**await state.workers.ask("_program:near", str(out), x, y))
+
+
+@router.get(
+    "/{id}/files/programs",
+    response_class=StreamingResponse,
+    responses={
+        200: {
+            "description": "A ZIP archive of all files of the program, each byte for byte.",
+            "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
+        }
+    },
+)
+async def programs(id: RunId, request: Request) -> StreamingResponse:  # noqa: A002
+    """Return all files that the lathe needs: the program, its sub-programs, the table of a fast tool."""
+    runs: Runs = request.app.state.runs
+    files = [file for name, _, file in _files(runs, the_run(request, id)) if name in ("program", "table")]
+    if not files:
+        raise HTTPException(404, "the run has no program: look at what it has left")
+    name = f'attachment; filename="{files[0].stem}.zip"'
+    return StreamingResponse(_zipped(files), media_type="application/zip", headers={"Content-Disposition": name})
+
+
+class _Sink(io.RawIOBase):
+    """Keeps what is written until it is taken."""
+
+    def __init__(self) -> None:
+        self.held: list[bytes] = []
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        self.held.append(bytes(data))
+        return len(data)
+
+    def taken(self) -> bytes:
+        found, self.held = b"".join(self.held), []
+        return found
+
+
+def _zipped(files: list[File]) -> Iterator[bytes]:
+    """Yield an archive piece by piece: a program can be larger than memory."""
+    sink = _Sink()
+    with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for file in files:
+            with file.open("rb") as source, archive.open(zipfile.ZipInfo.from_file(file, file.name), "w") as target:
+                while piece := source.read(1 << 20):
+                    target.write(piece)
+                    yield sink.taken()
+    yield sink.taken()
 
 
 @router.get("/{id}/files/{name}", response_class=FileResponse, responses=A_FILE)
