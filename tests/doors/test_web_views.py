@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+import turnwright.machine
 from turnwright.archive import write_archive
 from turnwright.cutting.chip import RoundChip, expected_thickest
 
@@ -239,6 +240,23 @@ def test_a_coarse_window_is_what_was_stored(made: tuple[Path, tw.Result]) -> Non
     assert (header["source"], header["mean_of"]) == ("stored", 1)
     with pytest.raises(tw.InputError, match="whole part, spot"):
         _made.window(str(out), "../../etc", *ends, (5, 5), "error")
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "cubic spline"])
+def test_a_map_that_is_generated_again_is_the_one_that_was_stored(interpolation: str, tmp_path: Path) -> None:
+    # Oracle: the run itself, whatever the controller makes of the points of its program.
+    lathe = tmp_path / "lathe.toml"
+    generic = Path(turnwright.machine.__file__).parent / "machines" / "generic.toml"
+    lathe.write_text(f'{generic.read_text(encoding="utf-8")}\n[controller]\ninterpolation = "{interpolation}"\n')
+    data = {**BOWL, "machine": {"file": str(lathe)}}
+    job = tw.Job.read({**data, "strategy": {**BOWL["strategy"], "points_per_rev": 24}})
+    result = tw.run(job, out=tmp_path)
+    write_archive(result, tmp_path)
+    spot = result.predictions[1].error
+    assert spot.x is not None
+    assert spot.y is not None
+    error, _ = _made.generated(str(tmp_path), spot.x, spot.y)
+    np.testing.assert_array_equal(error, spot.z)
 
 
 def test_a_whole_map_is_the_mean_of_what_was_stored(made: tuple[Path, tw.Result]) -> None:

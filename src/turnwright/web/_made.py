@@ -83,7 +83,7 @@ def warm() -> None:
     ready = Prepared.of(motion, Tool(nose_radius=0.5), None, distances=(0, 0.02), most_rings=4)
     x = np.linspace(-0.01, 0.01, 4)
     _filled(ready, x, x, np.ones((4, 4), dtype=bool))
-    rings = HeightMap(z=np.zeros((4, 5)), radius=np.arange(5.0), angle=np.arange(4) * (TURN / 4))
+    rings = HeightMap(z=np.zeros((4, 5)), radius=np.arange(5.0), angle=np.linspace(0.0, 4.0, 4))
     _resampled(_Stored("", rings, 1.0), x, x)
 
 
