@@ -81,4 +81,4 @@ def _say(door: Door, found: ToleranceStudy) -> None:
         p = t.probability
         door.say(f"confirmed: {p.value:.1%} ({p.low:.1%} to {p.high:.1%}) with half the spread of {t.group}")
     if found.reasons:
-        door.say(f"{len(found.reasons)} cases do not count, for instance: {found.reasons[0]}")
+        door.say(f"{len(found.reasons)} cases count as parts out of tolerance, for instance: {found.reasons[0]}")

@@ -121,7 +121,7 @@ def _notes(found: ToleranceStudy) -> list[str]:
                 "so its shares are a rough guide: more cases help, or the form is not a sum of small errors"
             )
     for reason, count in Counter(found.reasons).most_common(3):
-        notes.append(f"{count} cases could not be carried out and do not count: {reason}")
+        notes.append(f"{count} cases could not be carried out and count as parts out of tolerance: {reason}")
     return notes
 
 

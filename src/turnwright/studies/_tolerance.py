@@ -155,7 +155,7 @@ class ToleranceStudy:
     columns
         Of each measure, those after the correction beginning with ``corrected``. Each (n,) [nm]
     reasons
-        Why cases could not be carried out; they are not among the columns.
+        Why cases could not be carried out; they are not among the columns, and count as parts that keep no tolerance.
     limits
         Of the measures that the job states tolerances for. [nm]
     outcomes
@@ -292,8 +292,9 @@ def tolerance(
             own = set(budget.inputs(correction=kind == CORRECTED))
             maps = np.stack([place.array(rows[k][_named("map", kind)]).ravel() for k in good])
             outcomes[kind] = _outcome(
-                job, {name: inputs[name] for name in inputs if name in own}, kept, columns, maps, limits, kind, seed
-            )
+                job, {name: inputs[name] for name in inputs if name in own}, kept, columns, maps, limits, kind, seed,
+                failed=len(reasons),
+            )  # fmt: skip
         told("sensitivity", 1, 1)
         tightening = None
         kind = CORRECTED if correction else AS_PLANNED
@@ -391,11 +392,13 @@ def _outcome(
     limits: Mapping[str, float],
     kind: str,
     seed: int,
+    *,
+    failed: int,
 ) -> Outcome:
-    """Return what the cases say, as planned or corrected."""
+    """Return what the cases say, as planned or corrected; those that failed keep nothing."""
     keeps = _keeps(columns, limits, kind)
     every = np.logical_and.reduce(list(keeps.values()))
-    probability = chance(int(every.sum()), every.size)
+    probability = chance(int(every.sum()), every.size + failed)
     groups = grouped(list(inputs), group_of)
     scaled = np.stack([(draws[name] - one.mean) / one.deviation for name, one in inputs.items()], axis=1)
     given = neighbour_indices(scaled, columns[_named("form_pv_nm", kind)], list(groups.values()))
@@ -426,7 +429,7 @@ def _outcome(
     sensitivities.sort(key=lambda one: -_matters(one))
     return Outcome(
         probability=probability,
-        each=MappingProxyType({name: chance(int(one.sum()), one.size) for name, one in keeps.items()}),
+        each=MappingProxyType({name: chance(int(one.sum()), one.size + failed) for name, one in keeps.items()}),
         sensitivities=tuple(sensitivities),
         foretold=None if model is None else model.foretold(),
         advice=_with_doubt(
@@ -584,6 +587,9 @@ def _confirmed(
         name: (values + inputs[name].mean) / 2 if group_of(name) == best.group else values
         for name, values in draws.items()
     }
-    rows = [row for row in study.carried_out("confirm", tight) if "reason" not in row]
-    good = [all(row[_named(measure, kind)] <= limit for measure, limit in limits.items()) for row in rows]
+    rows = study.carried_out("confirm", tight)
+    good = [
+        "reason" not in row and all(row[_named(measure, kind)] <= limit for measure, limit in limits.items())
+        for row in rows
+    ]
     return Tightening(group=best.group, probability=chance(sum(good), len(good)), before=outcome.probability)
