@@ -202,7 +202,7 @@ export function Downloads({ path, files, only = Object.keys(FILES) }) {
     ${only.map((kind) => {
       const these = files.filter(({ name }) => name === kind);
       if (these.length < 2) return these.map((one) => link(one, FILES[kind]));
-      return html`<details><summary class="button"><${Icon} name="save" />${FILES[kind]}, ${these.length} files</summary><div class="many">${these.map((one) => link(one, one.file))}</div></details>`;
+      return html`<details><summary class="button"><${Icon} name="save" />${FILES[kind]}, ${these.length} files</summary><div class="many">${kind === "program" && html`<a class="button" href=${address(`${path}/files/programs`)} download><${Icon} name="save" />All in one ZIP</a>`}${these.map((one) => link(one, one.file))}</div></details>`;
     })}
   </div>`;
 }
