@@ -15,8 +15,9 @@ from job_files import changed, written
 from test_measuring import DISH, OFFSET, seen
 
 import turnwright as tw
+from turnwright.archive import write_comparison
 from turnwright.cli import main
-from turnwright.job import Job, preview
+from turnwright.job import Job, compare, correct, explain, measure, preview
 from turnwright.units import convert, parse
 from turnwright.web import create_app
 from turnwright.web._examples import examples
@@ -209,14 +210,13 @@ def test_a_long_program_is_found_by_its_index(tmp_path, monkeypatch):
 
 
 def test_a_comparison_is_that_of_the_command_line(client, folder):
-    (folder / "compared").mkdir()
     job = changed(("strategy.feed", "50 um/rev"), ("simulation.patches", []))
     name = client.post("/api/runs", json={"data": job, "kind": "compare", "name": "which way"}).json()["id"]
     ended(client, name)
     told = client.get(f"/api/runs/{name}/comparison").json()
-    file = written(folder / "compared", ("strategy.feed", "50 um/rev"), ("simulation.patches", []))
-    assert main(["compare", str(file), "--out", str(folder / "compared" / "out")]) == 0
-    theirs = json.loads((folder / "compared" / "out" / "comparison.json").read_text())
+    (folder / "compared").mkdir()
+    write_comparison(compare(Job.read(job)), folder / "compared")
+    theirs = json.loads((folder / "compared" / "comparison.json").read_text())
     for one in (*told["candidates"], *theirs["candidates"]):
         one.pop("wall_s")
     assert told == theirs
@@ -263,13 +263,14 @@ def test_a_correction_plans_with_the_tool_as_it_was_found(client, measured, fold
     assert parse(run["data"]["tool"]["offset"][0], "mm") == pytest.approx(OFFSET, abs=5e-5)
     told = client.get(f"/api/measurements/{measured}").json()
     assert told["correction"] == name
-    # The same at the command line, of a job that looks for this cause.
+    # The same by what the command line calls, of a job that looks for this cause.
     (folder / "again").mkdir()
-    job, out = written(folder / "again", *DISH, ("measurement.causes", [cause])), folder / "again" / "out"
-    assert main(["correct", str(folder / "dish.x3p"), "--job", str(job), "--out", str(out)]) == 0
-    assert told["predicted"]["predicted"] == json.loads((out / "correction.json").read_text())["predicted"]
+    part = measure(Job.read(changed(*DISH, ("measurement.causes", [cause]))), tw.read_map(folder / "dish.x3p"))
+    better = correct(part.job, explain([part]), [part], out=folder / "again")
+    left = told["predicted"]["predicted"]
+    assert (left["pv_nm"], left["rms_nm"]) == pytest.approx(better.numbers_nm["predicted"], rel=1e-12)
     ours = client.get(f"/api/measurements/{measured}/files/job").content.decode()
-    assert tomllib.loads(ours) == tomllib.loads((out / "job.toml").read_text())
+    assert tomllib.loads(ours) == tomllib.loads(better.file.read_text())
     header, _ = unpack(client.get(f"/api/measurements/{measured}/map", params={"name": "predicted"}).content)
     assert header["unit"] == "nm"
     assert client.get(f"/api/measurements/{measured}/files/program").content.startswith(b"(")

@@ -10,7 +10,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from turnwright.web import create_app
+from turnwright.web import _windows, create_app
 
 CHECKS = [
     not_a_server_error,
@@ -36,6 +36,7 @@ def test_the_server_keeps_its_schema(tmp_path):
         tried = [_tried(operation.ok()) for operation in schema.get_all_operations()]
     finally:
         app.state.workers.close()
+        _windows.close(app)
     assert len(tried) > 20
     assert sum(tried) > 50
 
