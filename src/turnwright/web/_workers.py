@@ -29,7 +29,7 @@ KEPT = 64
 KEPT_BYTES = 256 * 2**20
 """And how large they may be together."""
 
-LATER_S = 3.0
+LATER_S = 8.0
 """Until the next process is warmed up: the first page shall not share the processor with it. [s]"""
 
 WAITING = 64
