@@ -192,7 +192,7 @@ def test_the_chips_of_every_pass_stand_in_a_table(tmp_path):
 def test_a_margin_inside_its_uncertainty_is_not_ready_to_cut(tmp_path):
     """Where a crack would be twenty times as long as the chip, what cannot be told may stay."""
     text, chips = in_glass(tmp_path, critical='value = "450 nm"\nuncertainty = "90 nm"', ratio=20)
-    margin, band = 100 * (1 - chips.thickest / 450e-6), 100 * 2 * 0.2 * chips.thickest / 450e-6
+    margin, band = 100 * (1 - chips.thickest / 450e-6), 100 * 2 * 90 / 450
     assert abs(margin) < band
     assert f"cannot be told {chips.thickest * 1e6:.3g} nm 450 nm {margin:.0f} ± {band:.2g} %" in text
     assert "Cracks may stay" in text
