@@ -194,7 +194,7 @@ def test_a_margin_inside_its_uncertainty_is_not_ready_to_cut(tmp_path):
     text, chips = in_glass(tmp_path, critical='value = "450 nm"\nuncertainty = "90 nm"', ratio=20)
     margin, band = 100 * (1 - chips.thickest / 450e-6), 100 * 2 * 90 / 450
     assert abs(margin) < band
-    assert f"cannot be told {chips.thickest * 1e6:.3g} nm 450 nm {margin:.0f} ± {band:.2g} %" in text
+    assert f"cannot be told {chips.thickest * 1e6:.3g} nm 450 nm {margin:.0f} ± {band:.3g} %" in text
     assert "Cracks may stay" in text
     assert "not certainly ductile: it cannot be told, the margin of" in text
 

@@ -368,7 +368,7 @@ def _chip_table(result: Result) -> _Chips | None:
             force = f"{chips.axial * 1e3:.3g} / {chips.cutting * 1e3:.3g} mN"
         margin, limit, feed = "–", "–", "any"
         if chips.margin is not None and chips.critical is not None:
-            band = "" if chips.margin_uncertainty is None else f" ± {100 * chips.margin_uncertainty:.2g}"
+            band = "" if chips.margin_uncertainty is None else f" ± {100 * chips.margin_uncertainty:.3g}"
             margin, limit = f"{100 * chips.margin:.0f}{band} %", _chip_length(chips.critical)
         if chips.largest_feed is not None:
             feed = f"{chips.largest_feed * 1e3:.3g} µm/rev"
