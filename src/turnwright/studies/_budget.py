@@ -107,7 +107,7 @@ class Spread:
         If there is no such distribution, or it has no source.
 
     >>> spread = Spread.read("uniform(-1, 1) um", "mm", source="assumed: a dial indicator")
-    >>> spread.quantile(0.75), round(spread.deviation * 1e3, 4)
+    >>> float(spread.quantile(0.75)), round(spread.deviation * 1e3, 4)
     (0.0005, 0.5774)
     """
 
