@@ -268,7 +268,7 @@ def test_a_correction_plans_with_the_tool_as_it_was_found(client, measured, fold
     part = measure(Job.read(changed(*DISH, ("measurement.causes", [cause]))), tw.read_map(folder / "dish.x3p"))
     better = correct(part.job, explain([part]), [part], out=folder / "again")
     left = told["predicted"]["predicted"]
-    assert (left["pv_nm"], left["rms_nm"]) == pytest.approx(better.numbers_nm["predicted"], rel=1e-12)
+    assert (left["pv_nm"], left["rms_nm"]) == pytest.approx(better.numbers_nm["predicted"], rel=1e-9)
     ours = client.get(f"/api/measurements/{measured}/files/job").content.decode()
     both = [tomllib.loads(ours), tomllib.loads(better.file.read_text())]
     # Threads add up in any order, so the last digits of what was found may differ.
