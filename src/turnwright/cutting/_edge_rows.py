@@ -7,6 +7,7 @@ have passed, harmonic by harmonic, and are averaged over the same stretches of t
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
@@ -131,7 +132,7 @@ def _tooth_strips(geometry: SlotMill | FlyCut, kept: Sequence[int]) -> tuple[_St
     return _Strips((around.min(axis=0), t, around.max(axis=0)), area, along, normal, kept), borders
 
 
-class Rows:
+class Rows(ABC):
     """What a regression takes of its rows, whatever the cut: forces, drift, and columns for any limit."""
 
     def __init__(
@@ -156,14 +157,15 @@ class Rows:
         """Ductile columns of each coefficient."""
         return 2 if self.edge or self.power is not None else 1
 
+    @abstractmethod
     def columns(self, limit: float) -> Floats:
         """Return what each parameter is multiplied by. (n, components, parameters)."""
-        raise NotImplementedError
 
     def unknown(self, answer: Floats, limit: float) -> Floats:  # noqa: ARG002 - for those that have some
         """Return columns of what else is fitted beside the parameters. (n, components, k)."""
         return np.zeros((*self.force.shape, 0))
 
+    @abstractmethod
     def synchronise(self, answer: Floats | None, limit: float) -> None:
         """Find what the rows themselves tell of where the cutter stands."""
 
@@ -204,6 +206,9 @@ class TurningRows(Rows):
         found = np.zeros((self.state.size, *each.shape[1:]))
         found[self.engaged] = each[self.state[self.engaged]]
         return found
+
+    def synchronise(self, answer: Floats | None, limit: float) -> None:
+        """Do nothing: a steady cut has no cutter whose angle could be unknown."""
 
 
 class InterruptedRows(Rows):
