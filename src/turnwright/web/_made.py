@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.path import Motion
 
-__all__ = ["generated", "listed", "motion", "profile", "spectrum", "warm", "window"]
+__all__ = ["chips", "generated", "listed", "motion", "numbers_of", "profile", "spectrum", "warm", "window"]
 
 TURN = 2 * math.pi
 
@@ -98,7 +98,7 @@ def _ready(folder: str) -> _Opened:
         _opened.move_to_end(folder)
         return _opened[folder]
     out = File(folder)
-    numbers = _numbers(folder)
+    numbers = numbers_of(folder)
     job = Job.load(out / "job.toml")
     try:
         program = numbers["program"]["files"][0], numbers["passes"][-1]["name"]
@@ -118,7 +118,7 @@ def _ready(folder: str) -> _Opened:
     return _opened[folder]
 
 
-def _numbers(folder: str) -> dict[str, Any]:
+def numbers_of(folder: str) -> dict[str, Any]:
     """Return what a run has written of itself."""
     try:
         found: dict[str, Any] = json.loads((File(folder) / "result.json").read_text(encoding="utf-8"))
@@ -130,7 +130,7 @@ def _numbers(folder: str) -> dict[str, Any]:
 def listed(folder: str) -> list[dict[str, Any]]:
     """Return what maps a run has stored, the whole part first."""
     found = []
-    for one in _numbers(folder).get("predictions", []):
+    for one in numbers_of(folder).get("predictions", []):
         axes = {name: np.load(File(folder) / file) for name, file in one["axes"].items()}
         spans = {name: [float(axis[0]), float(axis[-1])] for name, axis in axes.items()}
         rough = one["roughness"]
@@ -156,7 +156,7 @@ def _map_of(folder: str, name: str) -> _Stored:
     if (folder, name) in _stored:
         _stored.move_to_end((folder, name))
         return _stored[folder, name]
-    told = {one["name"]: one for one in _numbers(folder).get("predictions", [])}
+    told = {one["name"]: one for one in numbers_of(folder).get("predictions", [])}
     if name not in told:
         raise InputError(f"the run has no map {name[:60]!r}, it has {', '.join(told) or 'none'}: name one of them")
     one = told[name]
@@ -189,6 +189,44 @@ def window(
         "diverging": quantity == "error", **_spread(values),
     }  # fmt: skip
     return pack(header, {"values": values})
+
+
+def chips(folder: str, pixels: int) -> bytes:
+    """Return the thickest chip of the finishing pass over the part, at each place that of the nearest point looked at.
+
+    Beyond the clear radius a place has the value of the nearest place on the rim, as in `_seen.surface`.
+    """
+    import h5py  # noqa: PLC0415 - costly, and only chips are read from the archive
+    from scipy.spatial import cKDTree  # noqa: PLC0415
+
+    finish = numbers_of(folder)["passes"][-1]
+    radius = Job.load(File(folder) / "job.toml").part.part.radius
+    try:
+        with h5py.File(File(folder) / "run.h5", "r") as archive:
+            group = archive.get(f"chips/{finish['name']}")
+            told = group and {name: np.asarray(group[name]) for name in ("x", "y", "inside", "thickness")}
+    except OSError as error:
+        raise InputError("the archive of the run cannot be read, so its chips are not known: run it again") from error
+    if not told:
+        raise InputError(
+            "the run has found no chips: give the part a stock and a material of `turnwright material list`, then run "
+            "it again"
+        )
+    inside = told["inside"].astype(bool)
+    thickness = told["thickness"][inside]
+    axis = np.linspace(-radius, radius, pixels)
+    x, y = np.meshgrid(axis, axis)
+    within = radius / np.maximum(np.hypot(x, y), radius)
+    _, nearest = cKDTree(np.stack((told["x"][inside], told["y"][inside]), axis=1)).query(
+        np.stack((x * within, y * within), axis=-1)
+    )
+    sentence = (finish["chips"] or {}).get("sentence", "")
+    header = {
+        "unit": "mm", "label": "thickest chip", "x": [-radius, radius], "y": [-radius, radius], "radius": radius,
+        "low": float(thickness.min()), "high": float(thickness.max()), "diverging": False, "points": thickness.size,
+        "note": f"found at {thickness.size} points of the path" + (f"; {sentence}" if sentence else ""),
+    }  # fmt: skip
+    return pack(header, {"values": thickness[nearest]})
 
 
 def _spread(values: Floats) -> dict[str, float | None]:
@@ -339,8 +377,8 @@ def motion(folder: str, points: int) -> bytes:
             axes[letter]["peaks"][kind] = float(np.abs(rate).max(initial=0.0))
     header = {
         "axes": axes, "points": int(time.size), "duration_s": float(time[-1]), "machine": machine.name,
-        "block_rate_hz": machine.block_rate_hz, "pass": _numbers(folder)["passes"][-1]["name"],
-        "limits": _numbers(folder)["passes"][-1]["limits"],
+        "block_rate_hz": machine.block_rate_hz, "pass": numbers_of(folder)["passes"][-1]["name"],
+        "limits": numbers_of(folder)["passes"][-1]["limits"],
     }  # fmt: skip
     return pack(header, arrays)
 

@@ -11,7 +11,7 @@ from turnwright.web._models import Model, Problem, Question
 from turnwright.web._packed import MEDIA_TYPE
 from turnwright.web._workers import Workers
 
-__all__ = ["PACKED", "router"]
+__all__ = ["PACKED", "apart", "router"]
 
 Quantity = Literal["height", "slope", "curvature", "clearance margin", "chip thickness"]
 
@@ -62,16 +62,23 @@ SLOW = ("adaptive tool servo", "quasi-elliptical tool servo")
 """Strategies whose points are only known when all of them are."""
 
 
+def apart(request: Request) -> Workers:
+    """Return the one process for what takes long, so that nobody waits behind it."""
+    state = request.app.state
+    if getattr(state, "path_worker", None) is None:
+        state.path_worker = Workers(1, threads=1, warm="_jobs:warm")
+    found: Workers = state.path_worker
+    return found
+
+
 def _workers(request: Request, data: dict[str, Any]) -> Workers:
-    """Return who finds the path of a job: one process apart where that takes long, so that nobody waits behind it."""
+    """Return who finds the path of a job."""
     state = request.app.state
     strategy, passes = data.get("strategy"), data.get("passes")
     told = [one for one in (strategy, *(passes if isinstance(passes, list) else ())) if isinstance(one, dict)]
     if not any(one.get("kind") in SLOW or one.get("chord") is not None for one in told):
         return state.workers  # type: ignore[no-any-return]
-    if getattr(state, "path_worker", None) is None:
-        state.path_worker = Workers(1, threads=1, warm="_jobs:warm")
-    return state.path_worker  # type: ignore[no-any-return]
+    return apart(request)
 
 
 async def _seen(workers: Workers, question: Question, what: str, *arguments: Any, keep: bool = True) -> Response:

@@ -14,7 +14,7 @@ from turnwright.progress import cores
 from turnwright.web._limits import FINER
 from turnwright.web._models import Model
 from turnwright.web._packed import MEDIA_TYPE
-from turnwright.web._views import PACKED
+from turnwright.web._views import PACKED, apart
 from turnwright.web._workers import Workers
 
 __all__ = ["close", "router"]
@@ -43,6 +43,20 @@ class Map(Model):
     pv_nm: float | None
     sq_nm: float | None
     tracking: bool = Field(description="Whether it tells what the servos add.")
+
+
+class Budget(Model):
+    """Where the form error of a finishing pass comes from; each share peak to valley, by simulation. [nm]."""
+
+    cusp_nm: float | None = Field(description="Of what an exact path leaves.")
+    cusp_away_nm: float | None = Field(description="The same two feeds or more away from the axis.")
+    chord_nm: float | None = Field(description="Largest change by what the controller makes between the points.")
+    rounding_nm: float | None = Field(description="Largest change by the decimals of the program.")
+    tracking_nm: float | None = Field(description="Largest change by how the servos answer.")
+    pv_nm: float | None = Field(description="Of all together.")
+    rms_nm: float | None = Field(description="Root mean square of all together.")
+    sq_nm: float | None = Field(description="Finish: largest Sq of a ring a few feeds wide.")
+    servos: bool = Field(description="Whether the machine states how any of its axes answers.")
 
 
 router = APIRouter(prefix="/api/runs", tags=["maps"])
@@ -130,6 +144,23 @@ async def run_map(
     else:
         found = await _asked(request, "_made:window", *arguments, latest=f"window {client}" if client else "")
     return Response(found, media_type=MEDIA_TYPE)
+
+
+@router.get("/{id}/chips", response_class=Response, responses=NOT_FOUND)
+async def run_chips(
+    request: Request,
+    id: Id,  # noqa: A002
+    pixels: Annotated[int, Query(ge=16, le=768)] = 288,
+) -> Response:
+    """Return the thickest chip of the finishing pass over the part [mm]."""
+    found = await request.app.state.workers.ask("_made:chips", _out(request, id), pixels, keep=True)
+    return Response(found, media_type=MEDIA_TYPE)
+
+
+@router.get("/{id}/budget", responses=JSON_ERRORS)
+async def run_budget(request: Request, id: Id) -> Budget:  # noqa: A002
+    """Return where the error of a run comes from; it takes about as long as planning its path."""
+    return Budget(**await apart(request).ask("_budget:budget", _out(request, id), keep=True, limit_s=LONGEST_S))
 
 
 @router.get("/{id}/profile", response_class=Response, responses=NOT_FOUND)
