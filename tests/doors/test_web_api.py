@@ -2,14 +2,17 @@
 
 import io
 import json
+import os
 import re
 import time
 import tomllib
 import zipfile
+from importlib import resources
 
 import jsonschema
 import numpy as np
 import pytest
+import tomli_w
 from fastapi.testclient import TestClient
 from job_files import changed, written
 from test_measuring import DISH, OFFSET, seen
@@ -347,9 +350,142 @@ def test_only_keys_that_are_watched_name_files():
     assert named == FILE_KEYS
 
 
+SAG = 0.01
+"""Curvature of the table of heights. [1/mm]"""
+
+
+def table():
+    """A paraboloid as a table of heights in um, twice as wide as the part."""
+    x = np.linspace(-2, 2, 41)
+    rows = [[y, *(SAG / 2 * 1e3 * (x**2 + y**2))] for y in x]
+    lines = [["", *map(repr, x.tolist())], *([repr(float(one)) for one in row] for row in rows)]
+    return "".join(",".join(line) + "\n" for line in lines).encode()
+
+
+WAVY = b"sweep [deg],deviation [nm]\n" + b"".join(b"%d,%d\n" % (place, place % 7) for place in range(-30, 31))
+STRAIGHT = b"x [mm],error [nm]\n-2,0\n0,20\n2,0\n"
+LATHE = b'base = "generic"\nname = "the one in room 7"\n'
+BROUGHT = {
+    "heights": ("sag table (2).CSV", table()),
+    "waviness": ("edge.csv", WAVY),
+    "straightness": ("edge.csv", STRAIGHT),
+    "machine": ("../room7.toml", LATHE),
+    "material": ("lot.toml", (resources.files("turnwright") / "materials" / "irg26.toml").read_bytes()),
+}
+
+
+def with_files(names):
+    """A job that names a file wherever a page can bring one."""
+    return changed(
+        ("part.surface", {"family": "gridded", "file": names["heights"], "units": "mm", "sag_units": "um"}),
+        ("part.material", names["material"]),
+        ("part.stock", "5 um"),
+        ("tool.waviness_file", names["waviness"]),
+        ("machine", {"file": names["machine"], "straightness_file": names["straightness"]}),
+    )
+
+
+def test_files_travel_with_a_job_to_the_command_line(client, folder, tmp_path):
+    """Oracle: the command line, once with files written by hand and once with what the server gives away."""
+    told = {}
+    for kind, (name, content) in BROUGHT.items():
+        answer = client.post("/api/files", params={"kind": kind, "name": name}, content=content)
+        assert answer.status_code == 201, answer.text
+        told[kind] = answer.json()
+        assert told[kind]["bytes"] == len(content)
+    # Its bytes alone say where a file lies.
+    again = client.post("/api/files", params={"kind": "waviness", "name": "x.csv"}, content=WAVY).json()["reference"]
+    assert again.split("/")[1] == told["waviness"]["reference"].split("/")[1]
+    job = with_files({kind: one["reference"] for kind, one in told.items()})
+    checked = client.post("/api/job/check", json={"data": job}).json()
+    assert checked["errors"] == []
+    name = client.post("/api/runs", json={"data": job, "kind": "run"}).json()["id"]
+    ended(client, name)
+    files = {one["name"]: one for one in client.get(f"/api/runs/{name}").json()["files"]}
+    ours = client.get(f"/api/runs/{name}/files/program").content
+
+    hand = {
+        "heights": "sag.csv",
+        "waviness": "w.csv",
+        "straightness": "s.csv",
+        "machine": "m.toml",
+        "material": "l.toml",
+    }
+    for kind, (_, content) in BROUGHT.items():
+        (tmp_path / hand[kind]).write_bytes(content)
+    (tmp_path / "job.toml").write_text(tomli_w.dumps(with_files(hand)))
+    assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert ours == (tmp_path / "out" / "part.nc").read_bytes()
+
+    packed = client.get(f"/api/runs/{name}/files/bundle").content
+    assert len(packed) == files["bundle"]["bytes"]
+    assert client.post("/api/job/bundle", json={"data": job}).headers["content-type"] == "application/zip"
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        assert sorted(archive.namelist()) == [
+            "edge-2.csv", "edge.csv", "job.toml", "lot.toml", "room7.toml", "sag_table_2.csv"
+        ]  # fmt: skip
+        archive.extractall(tmp_path / "given")
+    assert tw.check_access(*_of(tmp_path / "given" / "job.toml")) == tw.check_access(*_of(tmp_path / "job.toml"))
+    assert main(["run", str(tmp_path / "given" / "job.toml"), "--out", str(tmp_path / "again")]) == 0
+    assert ours == (tmp_path / "again" / "part.nc").read_bytes()
+
+
+def _of(file):
+    job = Job.load(file)
+    return job.part.part, job.tool.tool
+
+
+def test_a_job_without_files_comes_as_it_is(client, dish):
+    packed = client.post("/api/job/bundle", json={"data": changed(*DISH)})
+    with zipfile.ZipFile(io.BytesIO(packed.content)) as archive:
+        assert archive.namelist() == ["job.toml"]
+        assert tomllib.loads(archive.read("job.toml").decode()) == changed(*DISH)
+    assert client.get(f"/api/runs/{dish[0]}/files/bundle").status_code == 404
+    wrong = client.post("/api/job/bundle", json={"data": changed(("tool.nose_radius", 3))})
+    assert wrong.status_code == 422
+    assert "nose_radius" in wrong.json()["detail"]
+
+
+def test_a_file_is_thrown_away_when_no_run_names_it_for_long(tmp_path):
+    names = [digit * 32 for digit in "abc"]
+    create_app(tmp_path).state.workers.close()
+    run = tmp_path / "runs" / ("0" * 16)
+    run.mkdir()
+    (run / "job.json").write_text(json.dumps({"file": f"files/{names[0]}/x.csv"}))
+    for name in names:
+        (tmp_path / "files" / f"{name}-heights.csv").write_text("1")
+    for name in names[:2]:
+        os.utime(tmp_path / "files" / f"{name}-heights.csv", (0, 0))
+    (tmp_path / "files" / ".half.csv").write_text("1")
+    create_app(tmp_path).state.workers.close()
+    left = sorted(file.name[0] for file in (tmp_path / "files").iterdir())
+    assert left == ["a", "c"]
+
+
+def test_what_is_wrong_with_a_file_is_said_with_its_name(client):
+    """A table that is none of this surface is met at the check, and called what its owner calls it."""
+    told = client.post("/api/files", params={"kind": "waviness", "name": "edge 3.csv"}, content=WAVY).json()
+    job = changed(("tool.waviness_file", told["reference"]), ("tool.waviness", ["1 um/rad"]))
+    one = client.post("/api/job/check", json={"data": job}).json()["errors"]
+    assert [error["field"] for error in one] == ["tool"]
+    # A file is of the kind that it was brought as.
+    job = changed(("part.surface", {"family": "gridded", "file": told["reference"], "units": "mm", "sag_units": "mm"}))
+    assert [one["field"] for one in client.post("/api/job/check", json={"data": job}).json()["errors"]] == [
+        "part.surface.file"
+    ]
+    small = client.post("/api/files", params={"kind": "heights", "name": "my sag.csv"}, content=table()).json()
+    job = changed(
+        ("part.surface", {"family": "gridded", "file": small["reference"], "units": "mm", "sag_units": "um"}),
+        ("part.radius", "3 mm"),
+    )
+    (error,) = client.post("/api/job/check", json={"data": job}).json()["errors"]
+    assert error["field"].startswith("part")
+    assert small["reference"].split("/")[1] not in error["sentence"]
+
+
 def test_references_lead_to_files_of_the_server_only(tmp_path):
     data = {"machine": {"file": "examples/machines/lathe_with_y.toml"}, "part": {"correction": None}}
-    real, problems = located(data, tmp_path)
+    real, problems, _ = located(data, tmp_path)
     assert problems == []
     assert real["machine"]["file"].endswith("lathe_with_y.toml")
     kept = tmp_path / "runs" / "0123456789abcdef" / "correction"

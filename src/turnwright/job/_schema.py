@@ -114,8 +114,10 @@ class PartTable(Table):
     @cached_property
     def part(self) -> Part:
         """The part as it was designed, by which everything is judged."""
+        # A path would make the program another one wherever its job lies.
+        material = self.substance.name if self.substance and self.material.endswith(".toml") else self.material
         return Part(
-            surface=self.surface.surface, radius=self.radius, stock=self.stock, material=self.material, name=self.name
+            surface=self.surface.surface, radius=self.radius, stock=self.stock, material=material, name=self.name
         )
 
     @cached_property

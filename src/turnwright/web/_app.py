@@ -19,6 +19,7 @@ from starlette.middleware import Middleware
 from turnwright import __version__
 from turnwright.errors import TurnwrightError
 from turnwright.progress import cores
+from turnwright.web._files import tidy
 from turnwright.web._guard import Guard, require_token
 from turnwright.web._models import Problem
 from turnwright.web._queue import Runs
@@ -32,7 +33,7 @@ __all__ = ["create_app"]
 
 STATIC = Path(__file__).resolve().parent / "static"
 
-ROUTERS = ("_planning", "_views", "_runs", "_windows", "_measurements")
+ROUTERS = ("_planning", "_files", "_views", "_runs", "_windows", "_measurements")
 """Modules that bring routes, each in its ``router``."""
 
 REFUSED: dict[int | str, dict[str, Any]] = {
@@ -112,6 +113,7 @@ def create_app(
     )
     app.state.folder, app.state.workers, app.state.at_a_time = folder, workers, at_a_time
     app.state.runs = Runs(folder, at_a_time=at_a_time)
+    tidy(folder)
     for name in ROUTERS:
         app.include_router(import_module(f"turnwright.web.{name}").router)
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="page")

@@ -19,6 +19,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, RedirectResponse
 
 from turnwright.errors import InputError
+from turnwright.web._limits import FILE_BYTES
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -182,7 +183,7 @@ def _plain(path: str) -> str:
 
 
 def _limit(scope: Scope) -> int:
-    return UPLOAD_BYTES if scope["path"] == "/api/measurements" else BODY_BYTES
+    return {"/api/measurements": UPLOAD_BYTES, "/api/files": FILE_BYTES}.get(scope["path"], BODY_BYTES)
 
 
 def _too_large(limit: int) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import math
+import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
@@ -18,10 +20,17 @@ from turnwright import access as _access
 from turnwright._toml import read_toml
 from turnwright.errors import InputError, TurnwrightError
 from turnwright.job import Job, faults, preview
+from turnwright.job._prescriptions import GriddedTable
+from turnwright.job._schema import MachineDeviations, PartTable, ToolDeviations
+from turnwright.job._table import Table, sentences
+from turnwright.machine import Machine
+from turnwright.material import Material
 from turnwright.web._limits import MOST_POINTS
-from turnwright.web._references import located
+from turnwright.web._references import beside, located
 
-__all__ = ["check", "machines", "parse", "plain", "read", "require", "warm", "warm_kernels", "write"]
+__all__ = [
+    "bundle", "check", "look_into", "machines", "parse", "plain", "read", "require", "warm", "warm_kernels", "write",
+]  # fmt: skip
 
 MEMORY_BYTES = 6 * 2**30
 """What a warm process may take beyond what it starts with."""
@@ -37,7 +46,7 @@ def warm_kernels() -> None:
     preview(Job.read(SMALL))
 
 
-SMALL = {
+SMALL: dict[str, Any] = {
     "part": {
         "surface": {"family": "radial polynomial", "units": "mm", "radial": [-0.01], "slope": [-0.001], "tilt": 0.01},
         "radius": "1 mm",
@@ -71,16 +80,88 @@ def read(data: dict[str, Any], folder: str) -> tuple[Job | None, list[dict[str, 
     folder
         Of the server, where references lead.
     """
-    real, problems = located(data, Path(folder))
+    real, problems, references = located(data, Path(folder))
     problems += _unknown_machine(real)
     if problems:
         return None, problems
     try:
         return Job.model_validate(real, context={"folder": folder}), []
     except ValidationError as error:
-        return None, [{"field": field, "sentence": sentence} for field, sentence in faults(error)]
+        return None, [
+            {"field": field, "sentence": _with_names(sentence, references)} for field, sentence in faults(error)
+        ]
     except (RecursionError, OverflowError) as error:
         return None, [{"field": "", "sentence": f"the job cannot be read ({error}): make it flat, with usual numbers"}]
+
+
+def _with_names(sentence: str, references: Mapping[str, str]) -> str:
+    """Return a sentence with the files in it as who brought them calls them."""
+    for path, reference in references.items():
+        name = reference.rpartition("/")[2]
+        sentence = sentence.replace(path, name).replace(Path(path).name, name)
+    return sentence
+
+
+def look_into(file: str, kind: str) -> None:
+    """Read a file that a job is to name, as the job would.
+
+    Parameters
+    ----------
+    file
+        Where it lies.
+    kind
+        See `turnwright.web._limits.FILE_ENDINGS`.
+
+    Raises
+    ------
+    InputError
+        If it is none of its kind.
+    """
+    path = Path(file)
+    try:
+        if kind == "machine":
+            _require_whole(read_toml(path.read_bytes(), "the machine file"))
+            Machine.load(path)
+        elif kind == "material":
+            Material.load(path)
+        elif kind == "correction":
+            _ = PartTable.model_validate({**SMALL["part"], "correction": file}).added
+        else:
+            table, stated = READERS[kind]
+            table.model_validate({**stated, f"{kind}_file" if kind in ("waviness", "straightness") else "file": file})
+    except ValidationError as error:
+        told = "; ".join(sentences(error, PartTable if kind == "correction" else READERS[kind][0], {}))
+    except TurnwrightError as error:
+        told = str(error)
+    else:
+        return
+    raise InputError(told.replace(file, "the file").replace(path.name, "the file"))
+
+
+READERS: dict[str, tuple[type[Table], dict[str, str]]] = {
+    "heights": (GriddedTable, {"family": "gridded", "units": "mm", "sag_units": "mm"}),
+    "waviness": (ToolDeviations, {}),
+    "straightness": (MachineDeviations, {}),
+}
+"""Tables of a job that read a kind of file, and what else they need."""
+
+
+def _require_whole(machine: dict[str, Any]) -> None:
+    """Refuse a machine that goes on in other files: what it names would be looked for on this computer."""
+    base, axes = machine.get("base"), machine.get("axes")
+    responses = (
+        [one.get("response") for one in axes.values() if isinstance(one, dict)] if isinstance(axes, dict) else []
+    )
+    if any(isinstance(one, dict) and "file" in one for one in responses):
+        raise InputError(
+            "the machine names the file of a response, which only the command line reads: state frequency and damping, "
+            "or run the job there"
+        )
+    if base is not None and base not in machines():
+        raise InputError(
+            f"the base of the machine is {str(base)[:60]!r}, it can be {', '.join(machines())}: name one of them, or "
+            "let the machine stand alone"
+        )
 
 
 def machines() -> list[str]:
@@ -165,6 +246,31 @@ def _without_none(value: Any) -> Any:
     if isinstance(value, list):
         return [_without_none(one) for one in value if one is not None]
     return value
+
+
+def bundle(data: dict[str, Any], folder: str) -> bytes:
+    """Return an archive of a job and the files that it names, as the command line takes them.
+
+    Parameters
+    ----------
+    data
+        As JSON has it.
+    folder
+        Of the server, where references lead.
+
+    Raises
+    ------
+    InputError
+        With all that is wrong with the job, in one text.
+    """
+    require(data, folder)
+    told, files = beside(data, Path(folder))
+    sink = io.BytesIO()
+    with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+        archive.writestr("job.toml", tomli_w.dumps(_without_none(told)))
+        for name, file in files.items():
+            archive.write(file, name)
+    return sink.getvalue()
 
 
 def check(data: dict[str, Any], folder: str) -> dict[str, Any]:

@@ -1,6 +1,9 @@
 """What the server takes, known to it and to the processes that work for it."""
 
-__all__ = ["FINER", "LONGEST_H", "MAP_TYPES", "MOST_POINTS", "PARSE_BYTES", "PARSE_S"]
+__all__ = [
+    "FILE_BYTES", "FILE_ENDINGS", "FILE_S", "FINER", "LONGEST_H", "MAP_TYPES", "MOST_POINTS", "PARSE_BYTES", "PARSE_S",
+    "SPARE_BYTES",
+]  # fmt: skip
 
 FINER = 0.75
 """A window whose pixels are smaller than this share of those that a run has stored is generated."""
@@ -22,3 +25,22 @@ PARSE_BYTES = 8 * 2**30
 
 LONGEST_H = 48
 """How long a run may take. [h]"""
+
+FILE_ENDINGS = {
+    "heights": (".csv", ".txt"),
+    "waviness": (".csv", ".txt"),
+    "straightness": (".csv", ".txt"),
+    "correction": (".npz",),
+    "machine": (".toml",),
+    "material": (".toml",),
+}
+"""Kinds of files that a job may name, with their endings."""
+
+FILE_BYTES = 64 * 2**20
+"""Of one of them."""
+
+FILE_S = 30.0
+"""How long reading one of them may take. [s]"""
+
+SPARE_BYTES = 2**30
+"""What must stay free on the disk."""

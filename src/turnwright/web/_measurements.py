@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 from contextlib import suppress
 from pathlib import Path as File
@@ -11,8 +10,8 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import FileResponse, Response
-from starlette.requests import ClientDisconnect
 
+from turnwright.web._files import RAW_BODY, shown_name, stored
 from turnwright.web._guard import UPLOAD_BYTES
 from turnwright.web._limits import MAP_TYPES
 from turnwright.web._models import Causes, Id, Measurement
@@ -25,9 +24,6 @@ __all__ = ["router"]
 
 router = APIRouter(prefix="/api/measurements", tags=["measurements"])
 
-SPARE_BYTES = 2**30
-"""What must stay free on the disk."""
-
 Pixels = Annotated[int, Query(ge=2, le=2048)]
 PICTURES = {"measured": "error.npz", "residual": "left-1.npz", "predicted": "predicted.npz"}
 
@@ -35,13 +31,7 @@ PICTURES = {"measured": "error.npz", "residual": "left-1.npz", "predicted": "pre
 @router.post(
     "",
     status_code=201,
-    openapi_extra={
-        "requestBody": {
-            "description": "The bytes of the file.",
-            "required": True,
-            "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
-        }
-    },
+    openapi_extra=RAW_BODY,
 )
 async def bring(
     request: Request,
@@ -62,36 +52,12 @@ async def bring(
     try:
         # Whatever the file is called, its place and name on this disk are the server's own.
         file = folder / f"measured{suffix}"
-        await _stored(request, file)
-        shown = re.sub(r"[^\w .()+-]", "_", File(name.replace("\\", "/")).name)
-        measured = runs.add(folder, job_of(runs, cut), kind="measure", name=shown, of=cut.id, file=file.name)
+        await stored(request, file, UPLOAD_BYTES)
+        measured = runs.add(folder, job_of(runs, cut), kind="measure", name=shown_name(name), of=cut.id, file=file.name)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return Id(id=measured.id)
-
-
-async def _stored(request: Request, file: File) -> None:
-    """Write what arrives to disk as it arrives."""
-    seen = 0
-    free = shutil.disk_usage(file.parent).free - SPARE_BYTES
-    try:
-        with file.open("wb") as stream:
-            async for chunk in request.stream():
-                seen += len(chunk)
-                if seen > min(UPLOAD_BYTES, free):
-                    raise HTTPException(
-                        413,
-                        f"the file is larger than {min(UPLOAD_BYTES, free) / 1e9:.3g} GB, which is what the server "
-                        "takes or has room for: bring a smaller one",
-                    )
-                stream.write(chunk)
-    except ClientDisconnect:
-        raise HTTPException(400, "the file broke off before its end: bring it again") from None
-    except OSError as error:
-        raise HTTPException(413, f"the file cannot be kept ({error.strerror}): free some space") from error
-    if not seen:
-        raise HTTPException(422, "the file is empty: bring one with heights")
 
 
 @router.get("/{id}")

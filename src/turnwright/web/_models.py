@@ -16,6 +16,7 @@ __all__ = [
     "ExampleLine",
     "Fault",
     "Id",
+    "Kept",
     "Limits",
     "Line",
     "Lines",
@@ -58,6 +59,7 @@ class Limits(Model):
 
     body_bytes: int = Field(description="Of JSON. [byte]")
     upload_bytes: int = Field(description="Of a measured file. [byte]")
+    file_bytes: int = Field(description="Of a file that a job names. [byte]")
     points: int = Field(description="Of a program that is made from a page.")
     at_a_time: int = Field(description="Runs that are carried out at a time; the others wait.")
     map_types: list[str] = Field(description="Endings of measured files.")
@@ -95,6 +97,14 @@ class Question(Data):
     """A job and who asks, so that of several questions of one page only the last is answered."""
 
     client: Annotated[str, MaxLen(64)] = Field(default="", description="Any text that one page always sends.")
+
+
+class Kept(Model):
+    """A file that was brought for a job."""
+
+    reference: str = Field(description="By which a job names it.")
+    name: str = Field(description="What it is called beside the job when both are taken away.")
+    bytes: int
 
 
 class Parsed(Model):

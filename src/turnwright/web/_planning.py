@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import APIRouter, HTTPException, Request
+from fastapi.responses import Response
 
 from turnwright import __version__
 from turnwright.web._examples import examples
 from turnwright.web._guard import BODY_BYTES, UPLOAD_BYTES
-from turnwright.web._limits import MAP_TYPES, MOST_POINTS
+from turnwright.web._limits import FILE_BYTES, MAP_TYPES, MOST_POINTS
 from turnwright.web._models import (
     About,
     Check,
@@ -37,6 +38,7 @@ async def about(request: Request) -> About:
         limits=Limits(
             body_bytes=BODY_BYTES,
             upload_bytes=UPLOAD_BYTES,
+            file_bytes=FILE_BYTES,
             points=MOST_POINTS,
             at_a_time=request.app.state.at_a_time,
             map_types=list(MAP_TYPES),
@@ -78,6 +80,25 @@ async def write(job: Data, request: Request) -> Any:
     """Write a job as a file."""
     state = request.app.state
     return await state.workers.ask("_jobs:write", job.data, str(state.folder))
+
+
+@router.post(
+    "/job/bundle",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "A ZIP archive of job.toml and the files that it names, for the command line.",
+            "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
+        }
+    },
+)
+async def bundle(job: Data, request: Request) -> Response:
+    """Return a job as a file, with the files that it names beside it."""
+    state = request.app.state
+    found = await state.workers.ask("_jobs:bundle", job.data, str(state.folder))
+    return Response(
+        found, media_type="application/zip", headers={"Content-Disposition": 'attachment; filename="job.zip"'}
+    )
 
 
 @router.post("/job/check", response_model=Check)

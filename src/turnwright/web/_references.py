@@ -1,18 +1,35 @@
 """Files in a job that came from a page: only those that this server itself keeps, by a reference and never by a path.
 
-A reference is ``examples/NAME`` for a file that comes with the examples, or ``runs/ID/NAME`` for one that a run has
-left, such as the correction that belongs to a corrected job. Everything else is refused before the job is read.
+A reference is ``examples/NAME`` for a file that comes with the examples, ``runs/ID/NAME`` for one that a run has left,
+such as the correction that belongs to a corrected job, or ``files/ID/NAME`` for one that was brought, of which the id
+alone says where it lies. Everything else is refused before the job is read.
 """
 
 from __future__ import annotations
 
+import json
 import re
+import tomllib
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from turnwright.web._examples import example_files
+from turnwright.web._limits import FILE_ENDINGS
 
-__all__ = ["CORRECTION", "DEEPEST", "FILE_KEYS", "located", "referred"]
+__all__ = [
+    "BROUGHT",
+    "BUNDLE",
+    "CORRECTION",
+    "DEEPEST",
+    "FILE_KEYS",
+    "Located",
+    "beside",
+    "job_in",
+    "kind_of",
+    "located",
+    "place_of",
+]
 
 FILE_KEYS = frozenset({"file", "correction", "waviness_file", "straightness_file"})
 """Keys of a job that name a file."""
@@ -25,14 +42,52 @@ MOST_VALUES = 500_000
 CORRECTION = "correction"
 """Folder in that of a run for a corrected job and the files that it names."""
 
+BUNDLE = "job.zip"
+"""What a run leaves whose job names files: the job with them beside it."""
+
 KEPT = re.compile(r"runs/([0-9a-f]{16})/([A-Za-z0-9_-]{1,60}\.[A-Za-z0-9]{1,8})")
+BROUGHT = re.compile(r"files/([0-9a-f]{32})/([A-Za-z0-9_-]{1,60}(\.[a-z0-9]{1,8}))")
 
 
 class _Refused(Exception):  # noqa: N818
     pass
 
 
-def located(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:
+class Located(NamedTuple):
+    """A job with paths in it.
+
+    Parameters
+    ----------
+    data
+        The job.
+    problems
+        What is wrong with its references.
+    references
+        Those that lead to a file, by its path.
+    """
+
+    data: dict[str, Any]
+    problems: list[dict[str, str]]
+    references: dict[str, str]
+
+
+def kind_of(field: str, key: str) -> str:
+    """Return which kind of file a field of a job names, see `turnwright.web._limits.FILE_ENDINGS`.
+
+    >>> kind_of("machine.file", "file"), kind_of("part.surface.file", "file"), kind_of("part.material", "material")
+    ('machine', 'heights', 'material')
+    """
+    if key == "file":
+        return "machine" if field == "machine.file" else "heights"
+    return key.removesuffix("_file")
+
+
+def place_of(folder: Path, name: str, kind: str, ending: str) -> Path:
+    """Return where a file that was brought lies."""
+    return folder / "files" / f"{name}-{kind}{ending}"
+
+
+def located(data: dict[str, Any], folder: Path) -> Located:
     """Return a job with its references as paths, and what is wrong with them.
 
     Parameters
@@ -42,7 +97,7 @@ def located(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], list[di
     folder
         Of the server.
     """
-    problems: list[dict[str, str]] = []
+    found = Located({}, [], {})
     count = 0
 
     def walked(value: object, field: str, key: str, depth: int) -> Any:
@@ -62,61 +117,108 @@ def located(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], list[di
         if isinstance(value, list):
             return [walked(one, f"{field}[{place}]", key, depth + 1) for place, one in enumerate(value, 1)]
         if isinstance(value, str) and "\0" in value:
-            problems.append({"field": field, "sentence": "holds a character that no text has: remove it"})
+            found.problems.append({"field": field, "sentence": "holds a character that no text has: remove it"})
             return ""
-        if key in FILE_KEYS or (key == "material" and isinstance(value, str) and value.endswith(".toml")):
-            return _path(value, field, key, folder, problems)
+        if _names_file(key, value):
+            return _path(value, field, key, folder, found)
         return value
 
     try:
-        return walked(data, "", "", 0), problems
+        return found._replace(data=walked(data, "", "", 0))
     except _Refused as error:
-        return {}, [{"field": "", "sentence": str(error)}]
+        return Located({}, [{"field": "", "sentence": str(error)}], {})
 
 
-def _path(value: object, field: str, key: str, folder: Path, problems: list[dict[str, str]]) -> object:
+def _names_file(key: str, value: object) -> bool:
+    return key in FILE_KEYS or (key == "material" and isinstance(value, str) and value.endswith(".toml"))
+
+
+def _path(value: object, field: str, key: str, folder: Path, found: Located) -> object:
     """Return the file that a reference stands for, or note that it stands for none."""
     if value is None:
         return None
-    if isinstance(value, str):
-        if value in example_files():
-            return str(example_files()[value])
-        match = KEPT.fullmatch(value)
-        if match:
-            file = folder / "runs" / match.group(1) / CORRECTION / match.group(2)
-            if file.is_file() and not file.is_symlink():
-                return str(file)
+    file = _file(value, kind_of(field, key), folder) if isinstance(value, str) else None
+    if file is not None:
+        found.references[str(file)] = str(value)
+        return str(file)
     text = repr(value)
     text = text if len(text) <= 60 else f"{text[:57]}..."
-    problems.append(
+    found.problems.append(
         {
             "field": field,
-            "sentence": f"{key} is {text}, a job from a page can only name files "
-            "that come with an example or that a run here has left: leave it out, or run the job by the command line",
+            "sentence": f"{key} is {text}, a job from a page can only name files that were brought to this field, come "
+            "with an example or were left by a run here: bring the file, or run the job by the command line",
         }
     )
     return None
 
 
-def referred(data: dict[str, Any], run: str) -> dict[str, Any]:
-    """Return the job that a correction wrote, with the files beside it as references.
+def _file(reference: str, kind: str, folder: Path) -> Path | None:
+    if reference in example_files():
+        return example_files()[reference]
+    file = None
+    if match := KEPT.fullmatch(reference):
+        file = folder / "runs" / match.group(1) / CORRECTION / match.group(2)
+    elif (match := BROUGHT.fullmatch(reference)) and match.group(3) in FILE_ENDINGS.get(kind, ()):
+        file = place_of(folder, match.group(1), kind, match.group(3))
+    return file if file is not None and file.is_file() and not file.is_symlink() else None
+
+
+def beside(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], dict[str, Path]]:
+    """Return a job with its references as names of files beside it, and those files by name.
 
     Parameters
     ----------
     data
-        As its file reads.
-    run
-        The id of the run that corrected.
+        The job as a page sent it.
+    folder
+        Of the server.
     """
-    known = {str(path): name for name, path in example_files().items()}
+    references = {reference: Path(path) for path, reference in located(data, folder).references.items()}
+    files: dict[str, Path] = {}
+    names: dict[str, str] = {}
+    for reference, path in references.items():
+        name = reference.rpartition("/")[2]
+        number = 1
+        while name.casefold() in {"job.toml", *(one.casefold() for one in files)}:
+            number += 1
+            name = f"{Path(reference).stem}-{number}{path.suffix}"
+        files[name], names[reference] = path, name
+    return _renamed(data, lambda value: names.get(value, value)), files
+
+
+def job_in(run: Path, folder: Path) -> dict[str, Any]:
+    """Return the job that a run carries out, with references: that of a correction is the corrected one.
+
+    Parameters
+    ----------
+    run
+        Its folder.
+    folder
+        Of the server.
+    """
+    data: dict[str, Any] = json.loads((run / "job.json").read_text(encoding="utf-8"))
+    corrected = run / CORRECTION / "job.toml"
+    if not corrected.is_file():
+        return data
+    # Beside the corrected job stands what the correction has made; the rest is where it was before.
+    known = {str(path): name for name, path in example_files().items()} | located(data, folder).references
+
+    def reference(value: str) -> str:
+        mine = f"runs/{run.name}/{value}"
+        return known.get(value) or (mine if KEPT.fullmatch(mine) else value)
+
+    return _renamed(tomllib.loads(corrected.read_text(encoding="utf-8")), reference)
+
+
+def _renamed(data: dict[str, Any], name: Callable[[str], str]) -> dict[str, Any]:
+    """Return a job with each name of a file as a function says."""
 
     def walked(value: object, key: str) -> Any:
         if isinstance(value, dict):
-            return {name: walked(one, name) for name, one in value.items()}
+            return {field: walked(one, field) for field, one in value.items()}
         if isinstance(value, list):
             return [walked(one, key) for one in value]
-        if isinstance(value, str) and key in FILE_KEYS:
-            return known.get(value) or (f"runs/{run}/{value}" if KEPT.fullmatch(f"runs/{run}/{value}") else value)
-        return value
+        return name(value) if isinstance(value, str) and _names_file(key, value) else value
 
     return walked(data, "")  # type: ignore[no-any-return]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import tomllib
 import zipfile
 from collections.abc import Iterator
 from contextlib import suppress
@@ -16,14 +15,14 @@ from fastapi.responses import FileResponse, Response, StreamingResponse
 
 from turnwright.web._models import Id, Line, Lines, NewRun, RunDetail, RunFile, RunLine
 from turnwright.web._queue import ENDED, Run, Runs
-from turnwright.web._references import CORRECTION, referred
+from turnwright.web._references import BUNDLE, CORRECTION, job_in
 
 __all__ = ["RunId", "job_of", "line_of", "router", "the_run"]
 
 router = APIRouter(prefix="/api/runs", tags=["runs"])
 
 RunId = Annotated[str, Path(pattern="^[0-9a-f]{16}$", description="Of the run.")]
-Kept = Literal["program", "table", "report", "job", "result", "archive", "correction"]
+Kept = Literal["program", "table", "report", "job", "bundle", "result", "archive", "correction"]
 Coordinate = Annotated[float, Query(ge=-1e5, le=1e5, allow_inf_nan=False)]
 
 NUMBERS = {"run": "result.json", "compare": "comparison.json", "measure": "diagnosis.json", "correct": "result.json"}
@@ -61,10 +60,7 @@ def line_of(runs: Runs, run: Run) -> RunLine:
 
 def job_of(runs: Runs, run: Run) -> dict[str, Any]:
     """Return the job that a run carries out: that of a correction is the corrected one."""
-    corrected = runs.folder_of(run) / CORRECTION / "job.toml"
-    if run.kind == "correct" and corrected.is_file():
-        return referred(tomllib.loads(corrected.read_text(encoding="utf-8")), run.id)
-    return runs.data(run)
+    return job_in(runs.folder_of(run), runs.folder)
 
 
 def _files(runs: Runs, run: Run) -> list[tuple[str, int, File]]:
@@ -79,7 +75,7 @@ def _files(runs: Runs, run: Run) -> list[tuple[str, int, File]]:
         found += [("program", part, out / name) for part, name in enumerate(program)]
         found += [("table", part, out / name) for part, name in enumerate(n for n in names if n.endswith(".csv"))]
     mine = better if run.kind == "correct" else out
-    found += [("report", 0, mine / "report.html"), ("job", 0, mine / "job.toml")]
+    found += [("report", 0, mine / "report.html"), ("job", 0, mine / "job.toml"), ("bundle", 0, out / BUNDLE)]
     found += [("result", 0, out / NUMBERS[run.kind]), ("archive", 0, out / "run.h5")]
     beside = ("correction.npz", "waviness.csv", "straightness.csv")
     there = [better / name for name in beside if (better / name).is_file()]

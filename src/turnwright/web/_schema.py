@@ -12,11 +12,13 @@ from typing import Any
 import turnwright
 from turnwright.job import Job
 from turnwright.job._prescriptions import Series
+from turnwright.job._schema import MachineTable, PartTable
 from turnwright.job._table import Table
 from turnwright.material import Material
 from turnwright.units import write
 from turnwright.web._jobs import machines
-from turnwright.web._references import FILE_KEYS
+from turnwright.web._limits import FILE_ENDINGS
+from turnwright.web._references import FILE_KEYS, kind_of
 
 __all__ = ["job_schema"]
 
@@ -38,7 +40,8 @@ def job_schema() -> dict[str, Any]:
     """Return the JSON schema of a job.
 
     Every leaf has a ``title``, a ``description`` and, where it is a quantity, its ``unit`` inside and the ``display``
-    unit that a person writes; quantities are text such as "8 um/rev".
+    unit that a person writes; quantities are text such as "8 um/rev". One that names a file says what that ``holds``
+    and its ``endings``.
     """
     schema = Job.model_json_schema()
     tables = {table.__name__: table for table in _below(Table)}
@@ -66,6 +69,9 @@ def _explain(table: type[Table], definition: dict[str, Any]) -> None:
             given.pop("default", None)  # a table says the defaults of its own fields
         if name in FILE_KEYS:
             given["format"] = "reference"
+        if name in FILE_KEYS or (table, name) == (PartTable, "material"):
+            given["holds"] = kind_of("machine.file" if table is MachineTable else "", name)
+            given["endings"] = list(FILE_ENDINGS[given["holds"]])
     properties = definition.get("properties", {})
     if issubclass(table, Series):
         properties["units"] = {**properties["units"], "type": "string", "enum": ["mm", "um", "nm", "m", "in"]}
@@ -73,9 +79,9 @@ def _explain(table: type[Table], definition: dict[str, Any]) -> None:
         for name in table.series:
             inner = properties[name]
             inner["items" if inner["type"] == "array" else "additionalProperties"] = {"type": ["number", "string"]}
-    if table.__name__ == "MachineTable":
+    if table is MachineTable:
         properties["name"]["enum"] = machines()
-    if table.__name__ == "PartTable":
+    if table is PartTable:
         properties["material"]["examples"] = list(Material.known())
     if "waviness" in properties and table.__name__ != "MeasurementTable":
         properties["waviness"]["items"] = {"type": "string"}

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from turnwright._stop import Stop
 from turnwright.errors import InputError, TurnwrightError
 from turnwright.web._limits import PARSE_BYTES, PARSE_S
-from turnwright.web._references import CORRECTION
+from turnwright.web._references import BUNDLE, CORRECTION, job_in, located
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -126,9 +126,20 @@ def _job(run: Path, server: Path) -> Job:
     return require(json.loads((run / "job.json").read_text(encoding="utf-8")), str(server))
 
 
+def _pack(run: Path, server: Path, out: Path) -> None:
+    """Keep the job with the files that it names, if it names any, as the command line takes them."""
+    from turnwright.web._jobs import bundle  # noqa: PLC0415
+
+    data = job_in(run, server)
+    if located(data, server).references:
+        (out / BUNDLE).write_bytes(bundle(data, str(server)))
+
+
 def _run(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> str:
     """As ``turnwright run``."""
-    return _cut(_job(run, server), out, tell)
+    said = _cut(_job(run, server), out, tell)
+    _pack(run, server, out)
+    return said
 
 
 def _cut(job: Job, out: Path, tell: _Teller) -> str:
@@ -156,6 +167,7 @@ def _compare(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _T
     tell("report", 0, 1)
     archive.write_comparison(found, out)
     report.write_comparison(found, out)
+    _pack(run, server, out)
     return f"{sum(not one.refused for one in found.candidates)} of {len(found.candidates)} strategies can cut it"
 
 
@@ -230,6 +242,7 @@ def _correct(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _Te
     report.write_correction(measured, found, better, better_folder)
     write_predicted(better, better_folder)
     _cut(Job.load(better.file), out, tell)
+    _pack(run, server, out)
     pv, rms = better.numbers_nm["simulated" if better.predicted is None else "predicted"]
     return f"predicted after the correction: PV {pv:.4g} nm, rms {rms:.4g} nm"
 
