@@ -21,6 +21,8 @@ FAR = 1e300
 ROUNDING = 1e-9
 # Lines of a motion, from point to point, that share bounds.
 BLOCK = 8
+# Turns of a motion that share bounds.
+HEAP = 32
 
 
 @jit
@@ -653,42 +655,72 @@ def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, cor
     lean, off = abs(row[4]), abs(row[6]) + most_y
     dip = max(gap - height(profile, table, 0.0), 0.0)  # the most that the edge is below the tip
     ranges = np.empty((2, 2, turns))  # of the tip, mirrored for the other side; of its own and its neighbouring turns
+    tops = np.empty(turns)
     for m in range(turns):
         before, after = max(m - 1, 0), min(m + 2, turns)
         low, high = bounds[0, before:after].min(), bounds[1, before:after].max()
         ranges[0, 0, m], ranges[0, 1, m] = low, high
         ranges[1, 0, m], ranges[1, 1, m] = -high, -low
+        tops[m] = bounds[3, before:after].max()
+    # What bounds of many turns at once exclude no turn of them need be asked about.
+    heaps = -(-turns // HEAP)
+    heap = np.empty((6, heaps))  # tip from and to, those of the neighbours too, least of the highest and the lowest
+    for k in range(heaps):
+        part = slice(HEAP * k, min(HEAP * (k + 1), turns))
+        heap[0, k], heap[1, k] = bounds[0, part].min(), bounds[1, part].max()
+        heap[2, k], heap[3, k] = ranges[0, 0, part].min(), ranges[0, 1, part].max()
+        heap[4, k], heap[5, k] = tops[part].min(), bounds[2, part].min()
+    nearest = 0
     for ring in range(rings.size - 1):
         low, high = rings[ring], rings[ring + 1]
         ceiling = FAR
+        lowest = nearest
+        # The heap that held the least one for the ring before comes first.
         for which in range(2):
-            for m in range(1, turns - 2):
-                first, last = ranges[which, 0, m], ranges[which, 1, m]
-                reach = max(abs(low - last), abs(high - first))
-                most = max(height(profile, table, reach), height(profile, table, -reach)) + gap
-                aside = 2.0 * (off + lean * max(most, dip))
-                if aside > low:
+            for step in range(heaps + 1):
+                k = lowest if step == 0 else step - 1
+                first = -heap[3, k] if which == 1 else heap[2, k]
+                last = -heap[2, k] if which == 1 else heap[3, k]
+                reach = max(first - high, high - last, 0.0)
+                least = max(height(profile, table, reach), height(profile, table, -reach))
+                if (step > 0 and k == lowest) or heap[4, k] + row[7] + row[3] * least >= ceiling:
                     continue
-                reach = max(abs(np.sqrt(low * low - aside * aside) - last), abs(high - first))
-                most = max(height(profile, table, reach), height(profile, table, -reach)) + gap
-                if off + lean * max(most, dip) <= aside:
-                    top = max(bounds[3, m - 1], bounds[3, m], bounds[3, m + 1])
-                    ceiling = min(ceiling, top + row[7] + row[3] * most)
+                for m in range(max(HEAP * k, 1), min(HEAP * (k + 1), turns - 2)):
+                    first, last = ranges[which, 0, m], ranges[which, 1, m]
+                    reach = max(abs(low - last), abs(high - first))
+                    most = max(height(profile, table, reach), height(profile, table, -reach)) + gap
+                    aside = 2.0 * (off + lean * max(most, dip))
+                    if aside > low:
+                        continue
+                    reach = max(abs(np.sqrt(low * low - aside * aside) - last), abs(high - first))
+                    most = max(height(profile, table, reach), height(profile, table, -reach)) + gap
+                    if off + lean * max(most, dip) <= aside and tops[m] + row[7] + row[3] * most < ceiling:
+                        ceiling = tops[m] + row[7] + row[3] * most
+                        nearest = k
         most = 0.0
         for which in range(2):
             side = -1.0 if which == 1 else 1.0
             out[ring, which, 0], out[ring, which, 1] = turns, -1
-            for m in range(turns):
-                rise = (ceiling - bounds[2, m] - row[7]) / row[3]
+            for k in range(heaps):
+                rise = (ceiling - heap[5, k] - row[7]) / row[3]
                 aside = off + lean * max(rise, dip)
                 inner = np.sqrt(max(low * low - aside * aside, 0.0)) if aside < low else 0.0
-                first = -bounds[1, m] if which == 1 else bounds[0, m]
-                last = -bounds[0, m] if which == 1 else bounds[1, m]
+                first = -heap[1, k] if which == 1 else heap[0, k]
+                last = -heap[0, k] if which == 1 else heap[1, k]
                 u = high - first if first > high else max(inner - last, 0.0)
-                if height(profile, table, side * u) - gap <= rise:
-                    out[ring, which, 0] = min(out[ring, which, 0], m)
-                    out[ring, which, 1] = m
-                    most = max(most, aside)
+                if height(profile, table, side * u) - 2.0 * gap > rise:
+                    continue
+                for m in range(HEAP * k, min(HEAP * (k + 1), turns)):
+                    rise = (ceiling - bounds[2, m] - row[7]) / row[3]
+                    aside = off + lean * max(rise, dip)
+                    inner = np.sqrt(max(low * low - aside * aside, 0.0)) if aside < low else 0.0
+                    first = -bounds[1, m] if which == 1 else bounds[0, m]
+                    last = -bounds[0, m] if which == 1 else bounds[1, m]
+                    u = high - first if first > high else max(inner - last, 0.0)
+                    if height(profile, table, side * u) - gap <= rise:
+                        out[ring, which, 0] = min(out[ring, which, 0], m)
+                        out[ring, which, 1] = m
+                        most = max(most, aside)
         core[ring] = 2.0 * most >= low
         if core[ring]:
             continue
