@@ -48,6 +48,11 @@ export async function post(path, body = {}, { signal } = {}) {
   return (await answer(address(path), asked(body, signal, "POST"))).json();
 }
 
+/** POST JSON, answer the bytes of a file. */
+export async function postForFile(path, body) {
+  return (await answer(address(path), asked(body, undefined, "POST"))).blob();
+}
+
 /** DELETE. */
 export async function remove(path) {
   await answer(address(path), { method: "DELETE" });

@@ -1,8 +1,8 @@
 /* The page itself: what it starts with, its bars and panes, keys, files in and out, light and dark. */
 
 import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
-import { get } from "./api.js";
-import { currentToml, mount as mountForm, readToml, redo, takeJob, undo } from "./form.js";
+import { get, postForFile } from "./api.js";
+import { currentToml, mount as mountForm, namesFiles, readToml, redo, takeJob, undo } from "./form.js";
 import { mount as mountVerdict } from "./verdict.js";
 import { mount as mountRuns, refresh, start } from "./runs.js";
 import { on, say, set, state } from "./state.js";
@@ -107,7 +107,13 @@ function openFile() {
 
 async function saveFile() {
   if (!state.job) return;
-  saveText(await currentToml(), `${fileName(state.job.part?.name || state.title)}.toml`);
+  const name = fileName(state.job.part?.name || state.title);
+  try {
+    if (namesFiles()) saveText(await postForFile("/job/bundle", { data: state.job }), `${name}.zip`);
+    else saveText(await currentToml(), `${name}.toml`);
+  } catch (error) {
+    say(error.message, "bad");
+  }
 }
 
 /** Job files may be dropped anywhere; what an instrument wrote goes to the panel that measures. */
@@ -404,8 +410,8 @@ async function begin() {
   };
   await Promise.all([ask("/about", "about"), ask("/schema", "schema"), ask("/examples", "examples")]);
   const last = tab.read();
-  if (last?.job && !state.job) takeJob({ job: last.job, title: last.title });
-  on(["job", "title"], ({ job, title }) => tab.write({ job, title }));
+  if (last?.job && !state.job) takeJob({ job: last.job, title: last.title, errors: last.errors ?? [] });
+  on(["job", "title", "errors"], ({ job, title, errors }) => tab.write({ job, title, errors }));
   addEventListener("focus", refresh);
 }
 

@@ -1,11 +1,12 @@
 /* The job on the left: fields made from the job's schema, or the same job as TOML; every change is checked at once. */
 
 import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
-import { post } from "./api.js";
+import { post, upload } from "./api.js";
 import { say, set, state } from "./state.js";
 import { Icon, Tool, useStore } from "./ui.js";
 
-const PAUSE = 150; // ms without a key before a job is checked
+const PAUSE = 60; // ms without a key before a job is checked, while somebody types
+const REST = 300; // ms after which a change stands alone, and is checked at once
 const PAUSE_TOML = 400; // ms without a key before text is read
 const STEPS_BACK = 200;
 const CLIENT = crypto.getRandomValues(new Uint32Array(2)).join("-");
@@ -88,9 +89,14 @@ const isTable = (value) => value !== null && typeof value === "object" && !Array
 
 let checkTimer = 0;
 let checking = null;
+let changed = -REST;
 
-function checkSoon(pause = PAUSE) {
+/** Check the job as it stands; what is still asked of an earlier one no longer counts. */
+export function checkSoon(pause = performance.now() - changed > REST ? 0 : PAUSE) {
+  changed = performance.now();
   clearTimeout(checkTimer);
+  checking?.abort();
+  if (state.job) set({ checking: true });
   checkTimer = setTimeout(checkNow, pause);
 }
 
@@ -106,7 +112,7 @@ async function checkNow() {
     // A later question took the place of this one: its answer comes.
     if (error.name === "AbortError" || mine !== checking) return;
     if (error.status === 409) {
-      checkSoon();
+      checkSoon(PAUSE);
       return;
     }
     set({ checking: false });
@@ -139,6 +145,12 @@ export async function writeNow() {
 export async function currentToml() {
   if (writeTimer) await writeNow();
   return state.toml;
+}
+
+/** Whether the job names files, which must go along with it. */
+export function namesFiles(value = state.job) {
+  if (typeof value === "string") return KEPT_FILE.test(value);
+  return value !== null && typeof value === "object" && Object.values(value).some((one) => namesFiles(one));
 }
 
 /** Read a job file's text into the form; say whether it could be read. */
@@ -216,9 +228,6 @@ function plain(key) {
   return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
-/** What the file refers to: only what the server itself keeps. */
-const REFERENCE = "A file that this server keeps: examples/NAME, or runs/ID/NAME of one that a run has left.";
-
 const titleOf = (node, key) => plain(node.title && !/table$/i.test(node.title) ? node.title : key);
 const shownUnit = (node) => node.display ?? node.unit ?? "";
 
@@ -279,7 +288,8 @@ function Explained() {
   const text = defaultText(node);
   return html`<aside class="explain" id="explained" aria-live="off">
     <h3>${titleOf(node, path.at(-1))} ${unit && html`<span class="unit">[${unit}]</span>`}</h3>
-    ${node.format === "reference" && html`<p>${REFERENCE}</p>`}${node.description && html`<p>${node.description}</p>`}
+    ${node.description && html`<p>${node.description}</p>`}
+    ${node.holds && html`<p>Bring a file (${node.endings.join(", ")}) with the button beside it; it goes along with the job.</p>`}
     <p class="quiet"><code>${path.map((key) => (typeof key === "number" ? key + 1 : key)).join(".")}</code>${text && html` · if left out: ${text}`}</p>
   </aside>`;
 }
@@ -319,51 +329,128 @@ function nudged(text, steps) {
   return text.slice(0, match.index) + moved + power + text.slice(match.index + match[0].length);
 }
 
-function TextInput({ node, path, value, label, wrong, hint, list }) {
-  const [text, write] = useState(showValue(value));
+/** Text being typed stays as it is; a value from elsewhere replaces it. `take(typed)` says what the text stands for. */
+function useTyped(value, take, shown = showValue) {
+  const [text, write] = useState(shown(value));
   const own = useRef(value);
   useEffect(() => {
-    // Text being typed stays as it is; a value from elsewhere replaces it.
-    if (showValue(value) !== showValue(own.current)) write(showValue(value));
+    if (shown(value) !== shown(own.current)) write(shown(value));
     own.current = value;
-  }, [showValue(value)]);
-  const change = (typed) => {
+  }, [shown(value)]);
+  const type = (typed) => {
     write(typed);
-    own.current = readText(typed, node);
-    edit(path, own.current);
+    own.current = take(typed);
   };
+  return { text, type, settle: () => write(shown(own.current)) };
+}
+
+/** One box of text; the arrows move its last digit. */
+function Box({ node, path, value, change, label, wrong, hint, list, told }) {
+  const { text, type, settle } = useTyped(value, (typed) => {
+    const read = readText(typed, node);
+    change(read);
+    return read;
+  });
   const keys = (event) => {
     const steps = { ArrowUp: 1, ArrowDown: -1 }[event.key];
     if (!steps || list || !/\d/.test(text)) return;
     event.preventDefault();
-    change(nudged(text, steps * (event.shiftKey ? 10 : 1)));
+    type(nudged(text, steps * (event.shiftKey ? 10 : 1)));
   };
-  return html`<input id=${idOf(path)} type="text" autocomplete="off" spellcheck=${false} value=${text}
-    placeholder=${hint ?? (defaultText(node) || shownUnit(node))} list=${list}
-    aria-label=${label} aria-invalid=${wrong ? "true" : null} aria-describedby=${wrong ? `${idOf(path)}-wrong` : "explained"}
-    onInput=${(event) => change(event.target.value)} onKeyDown=${keys}
-    onBlur=${() => write(showValue(own.current))} />`;
+  return html`<input id=${idOf(path)} type="text" autocomplete="off" spellcheck=${false} value=${text} placeholder=${hint} list=${list}
+    aria-label=${label} aria-invalid=${wrong ? "true" : null} aria-describedby=${told}
+    onInput=${(event) => type(event.target.value)} onKeyDown=${keys} onBlur=${settle} />`;
 }
 
-function Row({ node, path, required, children, removable = null }) {
-  const sentences = errorsAt(path);
-  return html`<div class=${sentences.length ? "field bad" : "field"} ...${telling(node, path)}>
-    <label for=${idOf(path)}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" title="needed" aria-hidden="true">•</span>`}</label>
-    <div class="value">${children}${removable}</div>
-    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${sentences} />
+/** Lines of text: several values, rows of them. */
+function Lines({ path, value, read, shown, rows, hint, wrong }) {
+  const { text, type } = useTyped(value, (typed) => {
+    const found = read(typed);
+    edit(path, found);
+    return found;
+  }, shown);
+  return html`<textarea id=${idOf(path)} rows=${rows(text)} spellcheck=${false} value=${text} placeholder=${hint}
+    aria-invalid=${wrong ? "true" : null} onInput=${(event) => type(event.target.value)} />`;
+}
+
+/** A list to choose from; the first row is for none, if there is a word for it. */
+function Select({ path, options, chosen, none, wrong = false, choose }) {
+  return html`<select id=${idOf(path)} aria-invalid=${wrong ? "true" : null}
+    onChange=${(event) => choose(event.target.value === "" ? undefined : options[Number(event.target.value)])}>
+    ${none !== null && html`<option value="" selected=${!options.includes(chosen)}>${none}</option>`}
+    ${options.map((option, index) => html`<option value=${index} selected=${option === chosen}>${String(option)}</option>`)}
+  </select>`;
+}
+
+/** A field: its name, what is typed or chosen, what is wrong with it. The name belongs to the box `of`; null where several make one value. */
+function Row({ node, path, required, children, wide = false, of = path, kind = "", wrong = errorsAt(path), told = node }) {
+  const title = titleOf(node, path.at(-1));
+  const name = html`${title}${required && html`<span class="needed" title="needed" aria-hidden="true">•</span>`}`;
+  return html`<div class=${`field${wide ? " wide" : ""}${wrong.length ? " bad" : ""}`} ...${telling(told, path)} ...${of === path ? {} : { role: "group", "aria-label": title }}>
+    ${of ? html`<label for=${idOf(of)}>${name}</label>` : html`<span class="label">${name}</span>`}
+    <div class=${`value ${kind}`}>${children}</div>
+    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${wrong} />
   </div>`;
 }
 
-function Choice({ node, path, value, required }) {
-  const options = node.enum;
-  const missing = value === undefined;
-  const unset = defaultText(node);
+const sentencesWithin = (path) => errorsWithin(path).map(sentenceOf);
+
+function Text({ node, path, value, required }) {
+  const known = node.examples?.length ? `${idOf(path)}-known` : null;
+  const wrong = errorsAt(path).length > 0;
   return html`<${Row} node=${node} path=${path} required=${required}>
-    <select id=${idOf(path)} aria-invalid=${errorsAt(path).length ? "true" : null}
-      onChange=${(event) => edit(path, event.target.value === "" ? undefined : options[Number(event.target.value)])}>
-      ${(missing || !required) && html`<option value="" selected=${missing}>${unset ? `${unset} (default)` : required ? "choose" : "–"}</option>`}
-      ${options.map((option, index) => html`<option value=${index} selected=${option === value}>${String(option)}</option>`)}
-    </select>
+    <${Box} node=${node} path=${path} value=${value} change=${(read) => edit(path, read)} label=${titleOf(node, path.at(-1))} wrong=${wrong} list=${known}
+      hint=${defaultText(node) || shownUnit(node)} told=${wrong ? `${idOf(path)}-wrong` : "explained"} />
+    ${known && html`<datalist id=${known}>${node.examples.map((one) => html`<option value=${String(one)} />`)}</datalist>`}
+    ${node.holds && html`<${Bring} node=${node} path=${path} />`}
+  </${Row}>`;
+}
+
+const KEPT_FILE = /^(files|runs|examples)\/.*?([^/]+)$/;
+const FROM = { files: "brought", runs: "left by a run", examples: "of an example" };
+
+/** A file that the job names: brought to the server here, or kept there already. */
+function Named({ node, path, value, required }) {
+  const [, where, name] = KEPT_FILE.exec(value ?? "") ?? [];
+  if (!name) return html`<${Text} node=${node} path=${path} value=${value} required=${required} />`;
+  return html`<${Row} node=${node} path=${path} required=${required}>
+    <output id=${idOf(path)} class="file" title=${`${name}, ${FROM[where]}`}>${name}</output>
+    <${Bring} node=${node} path=${path} />
+    <${Tool} icon="close" name=${`Take ${name} out of the job`} onClick=${() => edit(path, undefined)} />
+  </${Row}>`;
+}
+
+/** The way of a file from the reader to the server. */
+function Bring({ node, path }) {
+  const [share, setShare] = useState(null);
+  const picker = useRef(null);
+  const take = async (file) => {
+    const most = state.about?.limits.file_bytes ?? Infinity;
+    if (file.size > most) return say(`${file.name} has ${Math.ceil(file.size / 2 ** 20)} MiB, the limit is ${most / 2 ** 20}: bring a smaller one.`, "bad");
+    setShare(0);
+    try {
+      const { reference } = await upload("/files", { kind: node.holds, name: file.name }, file, (sent, total) => setShare(sent / total));
+      edit(path, reference);
+      say("");
+    } catch (error) {
+      say(`${file.name}: ${error.message}`, "bad");
+    } finally {
+      setShare(null);
+    }
+  };
+  return html`<${Fragment}>
+    <input ref=${picker} id=${`${idOf(path)}-file`} type="file" hidden accept=${node.endings.join(",")} aria-label=${`File for ${titleOf(node, path.at(-1))}`}
+      onChange=${(event) => { if (event.target.files[0]) take(event.target.files[0]); event.target.value = ""; }} />
+    <${Tool} icon="open" name=${share === null ? `Bring a file (${node.endings.join(", ")})` : `On its way, ${Math.round(100 * share)} %`}
+      disabled=${share !== null} onClick=${() => picker.current.click()} />
+  </${Fragment}>`;
+}
+
+function Choice({ node, path, value, required }) {
+  const unset = defaultText(node);
+  const none = value !== undefined && required ? null : unset ? `${unset} (default)` : required ? "choose" : "–";
+  return html`<${Row} node=${node} path=${path} required=${required}>
+    <${Select} path=${path} options=${node.enum} chosen=${value} none=${none} wrong=${errorsAt(path).length > 0} choose=${(option) => edit(path, option)} />
   </${Row}>`;
 }
 
@@ -375,94 +462,48 @@ function Switch({ node, path, value }) {
   </${Row}>`;
 }
 
+/** Several boxes that make one value. */
 function Tuple({ node, path, value, required }) {
   const items = node.prefixItems.map(resolve);
   const letters = items.length <= 3 && items.every((item) => item.title === undefined) ? ["x", "y", "z"] : items.map((_, index) => index + 1);
-  const below = items.flatMap((_, index) => errorsAt([...path, index]));
   const change = (index, one) => {
     const list = items.map((_, at) => value?.[at] ?? "");
     list[index] = one ?? "";
     edit(path, list.every((entry) => entry === "") ? undefined : list);
   };
-  return html`<div class=${`field${items.length > 2 ? " wide" : ""}${errorsWithin(path).length ? " bad" : ""}`} ...${telling(node, path)} role="group" aria-label=${titleOf(node, path.at(-1))}>
-    <label for=${idOf([...path, 0])}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
-    <div class="value many">${items.map((item, index) => html`<${Part} key=${index} node=${item} path=${[...path, index]} value=${value?.[index]}
-      label=${`${titleOf(node, path.at(-1))} ${letters[index]}`} change=${(one) => change(index, one)} hint=${`${letters[index]} ${shownUnit(item)}`} />`)}</div>
-    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${[...errorsAt(path), ...below]} />
-  </div>`;
+  const places = items.map((_, index) => [...path, index]);
+  return html`<${Row} node=${node} path=${path} required=${required} wide=${items.length > 2} of=${places[0]} kind="many" wrong=${[path, ...places].flatMap(errorsAt)}>
+    ${items.map((item, index) => html`<${Box} key=${index} node=${item} path=${places[index]} value=${value?.[index]} change=${(one) => change(index, one)}
+      label=${`${titleOf(node, path.at(-1))} ${letters[index]}`} hint=${`${letters[index]} ${shownUnit(item)}`} wrong=${errorsAt(places[index]).length > 0} />`)}
+  </${Row}>`;
 }
 
-/** One box of several that make one value. */
-function Part({ node, path, value, label, change, hint }) {
-  const [text, write] = useState(showValue(value));
-  const own = useRef(value);
-  useEffect(() => {
-    if (showValue(value) !== showValue(own.current)) write(showValue(value));
-    own.current = value;
-  }, [showValue(value)]);
-  const changed = (typed) => {
-    write(typed);
-    own.current = readText(typed, node);
-    change(own.current);
-  };
-  return html`<input id=${idOf(path)} type="text" autocomplete="off" spellcheck=${false} value=${text} placeholder=${hint} aria-label=${label}
-    aria-invalid=${errorsAt(path).length ? "true" : null} onInput=${(event) => changed(event.target.value)}
-    onKeyDown=${(event) => {
-      const steps = { ArrowUp: 1, ArrowDown: -1 }[event.key];
-      if (!steps || !/\d/.test(text)) return;
-      event.preventDefault();
-      changed(nudged(text, steps * (event.shiftKey ? 10 : 1)));
-    }} onBlur=${() => write(showValue(own.current))} />`;
-}
+const numberOr = (text) => (NUMBER.test(text.trim()) ? Number(text) : text.trim());
 
 /** Values in a line, parted by commas. */
 function Series({ node, path, value, required }) {
-  const item = resolve(node.items);
-  const [text, write] = useState(showValue(value));
-  const own = useRef(value);
-  useEffect(() => {
-    if (showValue(value) !== showValue(own.current)) write(showValue(value));
-    own.current = value;
-  }, [showValue(value)]);
-  const change = (typed) => {
-    write(typed);
-    const parts = typed.split(/[,\n]/).map((part) => part.trim()).filter((part) => part !== "");
-    own.current = parts.length ? parts.map((part) => (NUMBER.test(part) ? Number(part) : part)) : undefined;
-    edit(path, own.current);
+  const wrong = sentencesWithin(path);
+  const read = (typed) => {
+    const parts = typed.split(/[,\n]/).map(numberOr).filter((part) => part !== "");
+    return parts.length ? parts : undefined;
   };
-  const sentences = errorsWithin(path).map(sentenceOf);
-  return html`<div class=${sentences.length ? "field wide bad" : "field wide"} ...${telling({ ...node, unit: shownUnit(item) }, path)}>
-    <label for=${idOf(path)}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
-    <div class="value"><textarea id=${idOf(path)} rows=${Math.min(4, 1 + Math.floor(text.length / 33))} spellcheck=${false} value=${text}
-      placeholder="values parted by commas" aria-invalid=${sentences.length ? "true" : null} onInput=${(event) => change(event.target.value)} /></div>
-    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${sentences} />
-  </div>`;
+  return html`<${Row} node=${node} path=${path} required=${required} wide wrong=${wrong} told=${{ ...node, unit: shownUnit(resolve(node.items)) }}>
+    <${Lines} path=${path} value=${value} read=${read} rows=${(text) => Math.min(4, 1 + Math.floor(text.length / 33))} hint="values parted by commas" wrong=${wrong.length > 0} />
+  </${Row}>`;
 }
 
 /** Rows of values, a row a line. */
 function Rows({ node, path, value, required }) {
-  const shown = (rows) => (rows ?? []).map((row) => (Array.isArray(row) ? row.join(", ") : showValue(row))).join("\n");
-  const [text, write] = useState(shown(value));
-  const own = useRef(value);
-  useEffect(() => {
-    if (shown(value) !== shown(own.current)) write(shown(value));
-    own.current = value;
-  }, [shown(value)]);
-  const item = resolve(node.items);
-  const columns = (item.prefixItems ?? []).map((one) => shownUnit(resolve(one)) || "number");
-  const change = (typed) => {
-    write(typed);
+  const wrong = sentencesWithin(path);
+  const columns = (resolve(node.items).prefixItems ?? []).map((one) => shownUnit(resolve(one)) || "number");
+  const shown = (rows) => (rows ?? []).map(showValue).join("\n");
+  const read = (typed) => {
     const rows = typed.split("\n").filter((line) => line.trim());
-    own.current = rows.length ? rows.map((line) => line.split(",").map((part) => (NUMBER.test(part.trim()) ? Number(part) : part.trim()))) : undefined;
-    edit(path, own.current);
+    return rows.length ? rows.map((line) => line.split(",").map(numberOr)) : undefined;
   };
-  const sentences = errorsWithin(path).map(sentenceOf);
-  return html`<div class=${sentences.length ? "field wide bad" : "field wide"} ...${telling(node, path)}>
-    <label for=${idOf(path)}>${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
-    <div class="value"><textarea id=${idOf(path)} rows=${Math.min(6, Math.max(2, text.split("\n").length))} spellcheck=${false} value=${text}
-      placeholder=${`one a line: ${columns.join(", ")}`} onInput=${(event) => change(event.target.value)} /></div>
-    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${sentences} />
-  </div>`;
+  return html`<${Row} node=${node} path=${path} required=${required} wide wrong=${wrong}>
+    <${Lines} path=${path} value=${value} read=${read} shown=${shown} rows=${(text) => Math.min(6, Math.max(2, text.split("\n").length))} hint=${`one a line: ${columns.join(", ")}`} wrong=${wrong.length > 0} />
+  </${Row}>`;
 }
 
 /** Several of a few words. */
@@ -473,32 +514,25 @@ function Choices({ node, path, value }) {
     const next = options.filter((one) => (one === option ? !chosen.has(one) : chosen.has(one)));
     edit(path, next.length ? next : undefined);
   };
-  return html`<div class="field wide" ...${telling(node, path)} role="group" aria-label=${titleOf(node, path.at(-1))}>
-    <span class="label">${titleOf(node, path.at(-1))}</span>
-    <div class="value flags">${options.map((option) => html`<label class="flag"><input type="checkbox" checked=${chosen.has(option)} onChange=${() => flip(option)} />${String(option)}</label>`)}</div>
-    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsWithin(path).map(sentenceOf)} />
-  </div>`;
+  return html`<${Row} node=${node} path=${path} wide of=${null} kind="flags" wrong=${sentencesWithin(path)}>
+    ${options.map((option) => html`<label class="flag"><input type="checkbox" checked=${chosen.has(option)} onChange=${() => flip(option)} />${String(option)}</label>`)}
+  </${Row}>`;
 }
 
 /** Named values: the terms of a series, the constants of a formula. */
-function Named({ node, path, value, required }) {
+function Terms({ node, path, value, required }) {
   const entries = Object.entries(value ?? {});
   const item = resolve(typeof node.additionalProperties === "object" ? node.additionalProperties : Object.values(node.patternProperties ?? {})[0] ?? {});
   const write = (list) => edit(path, list.length ? Object.fromEntries(list) : undefined);
-  const readOne = (text) => (NUMBER.test(text.trim()) ? Number(text) : text.trim());
-  return html`<div class="field wide" ...${telling(node, path)} role="group" aria-label=${titleOf(node, path.at(-1))}>
-    <span class="label">${titleOf(node, path.at(-1))}${required && html`<span class="needed" aria-hidden="true">•</span>`}</span>
-    <div class="value terms">
-      ${entries.map(([key, one], index) => html`<div class="term" key=${index}>
-        <input type="text" value=${key} aria-label=${`name of term ${index + 1}`} onChange=${(event) => write(entries.map((entry, at) => (at === index ? [event.target.value.trim(), one] : entry)))} />
-        <input type="text" id=${idOf([...path, key])} value=${showValue(one)} placeholder=${shownUnit(item)} aria-label=${`value of ${key}`} aria-invalid=${errorsWithin([...path, key]).length ? "true" : null}
-          onInput=${(event) => write(entries.map((entry, at) => (at === index ? [key, readOne(event.target.value)] : entry)))} />
-        <${Tool} icon="close" name=${`Remove ${key}`} onClick=${() => write(entries.filter((_, at) => at !== index))} />
-      </div>`)}
-      <button type="button" class="add" onClick=${() => write([...entries, [freeKey(value), ""]])}><${Icon} name="plus" />Add a term</button>
-    </div>
-    <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${errorsWithin(path).map(sentenceOf)} />
-  </div>`;
+  return html`<${Row} node=${node} path=${path} required=${required} wide of=${null} kind="terms" wrong=${sentencesWithin(path)}>
+    ${entries.map(([key, one], index) => html`<div class="term" key=${index}>
+      <input type="text" value=${key} aria-label=${`name of term ${index + 1}`} onChange=${(event) => write(entries.map((entry, at) => (at === index ? [event.target.value.trim(), one] : entry)))} />
+      <input type="text" id=${idOf([...path, key])} value=${showValue(one)} placeholder=${shownUnit(item)} aria-label=${`value of ${key}`} aria-invalid=${errorsWithin([...path, key]).length ? "true" : null}
+        onInput=${(event) => write(entries.map((entry, at) => (at === index ? [key, numberOr(event.target.value)] : entry)))} />
+      <${Tool} icon="close" name=${`Remove ${key}`} onClick=${() => write(entries.filter((_, at) => at !== index))} />
+    </div>`)}
+    <button type="button" class="add" onClick=${() => write([...entries, [freeKey(value), ""]])}><${Icon} name="plus" />Add a term</button>
+  </${Row}>`;
 }
 
 function freeKey(value) {
@@ -507,26 +541,13 @@ function freeKey(value) {
   return String(index);
 }
 
+const FIELDS = { choice: Choice, switch: Switch, tuple: Tuple, series: Series, rows: Rows, choices: Choices, map: Terms, union: Union, list: List, table: Sub, text: Text };
+
 function Field({ node: raw, path, value, required }) {
   const node = resolve(raw);
   if (constOf(node) !== undefined) return null;
-  const kind = kindOf(node);
-  const given = { node, path, value, required };
-  if (kind === "choice") return html`<${Choice} ...${given} />`;
-  if (kind === "switch") return html`<${Switch} ...${given} />`;
-  if (kind === "tuple") return html`<${Tuple} ...${given} />`;
-  if (kind === "series") return html`<${Series} ...${given} />`;
-  if (kind === "rows") return html`<${Rows} ...${given} />`;
-  if (kind === "choices") return html`<${Choices} ...${given} />`;
-  if (kind === "map") return html`<${Named} ...${given} />`;
-  if (kind === "union") return html`<${Union} ...${given} />`;
-  if (kind === "list") return html`<${List} ...${given} />`;
-  if (kind === "table") return html`<${Sub} ...${given} />`;
-  const known = node.examples?.length ? `${idOf(path)}-known` : null;
-  return html`<${Row} ...${given}>
-    <${TextInput} ...${given} label=${titleOf(node, path.at(-1))} wrong=${errorsAt(path).length > 0} list=${known} />
-    ${known && html`<datalist id=${known}>${node.examples.map((one) => html`<option value=${String(one)} />`)}</datalist>`}
-  </${Row}>`;
+  const Kind = node.holds ? Named : FIELDS[kindOf(node)];
+  return html`<${Kind} node=${node} path=${path} value=${value} required=${required} />`;
 }
 
 const isApart = (node) => BLOCKS.has(kindOf(node)) || node.format === "reference";
@@ -578,14 +599,9 @@ function Union({ node, path, value, required, bare = false }) {
   const choice = resolve(chosen?.properties?.[key] ?? {});
   const about = { ...node, title: plain(key), description: chosen?.description ?? choice.description ?? node.description };
   const body = html`<${Fragment}>
-    <div class="field" ...${telling(about, [...path, key])}>
-      <label for=${idOf([...path, key])}>${plain(key)}${required && html`<span class="needed" aria-hidden="true">•</span>`}</label>
-      <div class="value"><select id=${idOf([...path, key])} onChange=${(event) => swap(event.target.value)}>
-        ${(!required || !chosen) && html`<option value="" selected=${!chosen}>${required ? "choose" : "–"}</option>`}
-        ${Object.keys(options).map((name) => html`<option value=${name} selected=${name === value?.[key]}>${name}</option>`)}
-      </select></div>
-      <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${[...errorsAt(path), ...errorsAt([...path, key])]} />
-    </div>
+    <${Row} node=${about} path=${[...path, key]} required=${required} wrong=${[...errorsAt(path), ...errorsAt([...path, key])]}>
+      <${Select} path=${[...path, key]} options=${Object.keys(options)} chosen=${value?.[key]} none=${required && chosen ? null : required ? "choose" : "–"} choose=${swap} />
+    </${Row}>
     ${chosen && html`<${Fields} key=${value[key]} node=${chosen} path=${path} value=${value} skip=${key} />`}
   </${Fragment}>`;
   if (bare) return body;
@@ -673,7 +689,7 @@ function Fieldset() {
 
 // --------------------------------------------------------------------------------------------------------- the text
 
-function Text() {
+function TextPane() {
   const { toml, job, errors } = useStore(["toml", "job", "errors"]);
   const [draft, setDraft] = useState(null);
   const timer = useRef(0);
@@ -710,7 +726,7 @@ function Pane() {
       <${Tool} icon="undo" name="Undo" keys="Ctrl+Z" disabled=${!job || !past.length} onClick=${undo} />
       <${Tool} icon="redo" name="Redo" keys="Ctrl+Shift+Z" disabled=${!job || !future.length} onClick=${redo} />
     </div>
-    <div class="scroll">${text ? html`<${Text} />` : html`<${Fieldset} />`}</div>
+    <div class="scroll">${text ? html`<${TextPane} />` : html`<${Fieldset} />`}</div>
     ${!text && job && html`<${Explained} />`}
   </${Fragment}>`;
 }

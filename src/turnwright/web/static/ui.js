@@ -193,7 +193,7 @@ export function Bar({ share, kind = "" }) {
   return html`<svg class=${`share ${kind}`} viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true"><rect class="track" width="100" height="4" /><rect class="fill" width=${width} height="4" /></svg>`;
 }
 
-const FILES = { program: "Program", table: "Table of the fast tool", report: "Report", job: "Job", correction: "Correction", archive: "Archive", result: "Numbers" };
+const FILES = { program: "Program", table: "Table of the fast tool", report: "Report", job: "Job", bundle: "Job with its files", correction: "Correction", archive: "Archive", result: "Numbers" };
 
 /** Links to the files of a run: [{name, part, file, bytes}]; many of one kind fold. */
 export function Downloads({ path, files, only = Object.keys(FILES) }) {
@@ -207,7 +207,7 @@ export function Downloads({ path, files, only = Object.keys(FILES) }) {
   </div>`;
 }
 
-/** Save text as a file of the reader's. */
+/** Save text, or bytes, as a file of the reader's. */
 export function saveText(text, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob([text], { type: "text/plain" }));
