@@ -120,8 +120,10 @@ def test_the_chip_on_a_flat_is_the_round_chip() -> None:
     chip = RoundChip(nose_radius=0.5, feed=0.02, depth=0.02)
     np.testing.assert_allclose(arrays["values"], chip.thickest, rtol=1e-6)
     assert "expected" in header["note"]
-    with pytest.raises(tw.InputError, match=r"add part\.stock"):
-        _seen.surface(PLANE | {"part": {**PLANE["part"], "stock": "0 um"}}, "", "chip thickness", 16)
+    bare, arrays = unpack(_seen.surface(PLANE | {"part": {**PLANE["part"], "stock": "0 um"}}, "", "chip thickness", 16))
+    assert "add part.stock" in bare["refused"]
+    assert np.isnan(arrays["values"]).all()
+    assert not arrays["z"].any()
 
 
 def test_the_chip_on_a_curve_is_that_found_along_a_path() -> None:

@@ -67,12 +67,18 @@ def surface(data: dict[str, Any], folder: str, quantity: str, pixels: int) -> by
     y[beyond] *= part.radius / away[beyond] * (1 - 1e-12)
     x[away < BESIDE * part.radius] = BESIDE * part.radius
     z = part.surface.sag(x, y)
-    found = _coloured(job, part, quantity, x, y, z)
+    refused = ""
+    try:
+        found = _coloured(job, part, quantity, x, y, z)
+    except InputError as error:
+        # The shape can be seen, whatever stands against its colours.
+        found, refused = _Colours(np.full(z.size, np.nan), "mm", quantity), str(error)
     shown = found.values[~beyond & np.isfinite(found.values)]
     low, high = (float(shown.min()), float(shown.max())) if shown.size else (0.0, 1.0)
     inside = z[~beyond]
     header = {
-        "quantity": quantity, "unit": found.unit, "label": found.label, "note": found.note, "diverging": False,
+        "quantity": quantity, "unit": found.unit, "label": found.label, "note": found.note, "refused": refused,
+        "diverging": False,
         "x": [-part.radius, part.radius], "y": [-part.radius, part.radius], "radius": part.radius,
         "low": low, "high": high, "z_low": float(inside.min()), "z_high": float(inside.max()), "name": part.name,
     }  # fmt: skip

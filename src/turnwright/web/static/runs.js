@@ -9,6 +9,9 @@ import { Bar, Mark, Tool, clock, duration, useStore } from "./ui.js";
 const GOING = new Set(["queued", "running"]);
 const EVERY = 5000; // ms between looks at the list while something goes on
 
+/** What is known of a run before it is looked at. */
+const NOTHING = { result: null, made: null, files: [], maps: [], map: null, window: null, line: null, block: null };
+
 const heard = new Map(); // id -> how to stop hearing it
 
 function change(id, values) {
@@ -48,6 +51,9 @@ export async function refresh() {
     const runs = await get("/runs");
     const before = new Map(state.runs.map((run) => [run.id, run]));
     set({ runs: runs.map((run) => ({ ...run, progress: run.progress ?? before.get(run.id)?.progress })) });
+    for (const id of [state.run, state.comparison?.run]) {
+      if (id && !runs.some((run) => run.id === id)) forget(id);
+    }
     for (const run of runs) {
       follow(run);
       const was = before.get(run.id);
@@ -66,7 +72,7 @@ export async function start(kind = "run") {
   if (state.errors.length) return say(`The job is not whole: ${state.errors[0].sentence}`, "bad");
   try {
     const { id } = await post("/runs", { data: state.job, kind, name: state.job.part?.name || state.title || "job" });
-    set({ run: id, result: null, files: [], maps: [], map: null, window: null, line: null, block: null });
+    set({ run: id, ...NOTHING, ...(kind === "compare" ? { comparison: null } : {}) });
     await refresh();
   } catch (error) {
     say(error.message, "bad");
@@ -76,7 +82,7 @@ export async function start(kind = "run") {
 /** Fetch what a run found, and show it. */
 export async function look(id) {
   const run = state.runs.find((one) => one.id === id);
-  if (id !== state.run) set({ run: id, result: null, files: [], maps: [], map: null, window: null, line: null, block: null });
+  if (id !== state.run) set({ run: id, ...NOTHING });
   if (!run || run.state !== "done") return undefined;
   try {
     if (run.kind === "measure") {
@@ -84,16 +90,16 @@ export async function look(id) {
       set({ drawer: "measure" });
       return await show(id);
     }
-    const { files } = await get(`/runs/${id}`);
+    const { files, data } = await get(`/runs/${id}`);
     if (run.kind === "compare") {
       const comparison = await get(`/runs/${id}/comparison`);
-      if (id === state.run) set({ comparison, files, drawer: "compare" });
+      if (id === state.run) set({ comparison: { ...comparison, run: id, files, data }, files, drawer: "compare" });
       return undefined;
     }
     const [result, maps] = await Promise.all([get(`/runs/${id}/result`), get(`/runs/${id}/maps`)]);
     if (id !== state.run) return undefined;
     const known = maps.some(({ name }) => name === state.map);
-    set({ result, files, maps, map: known ? state.map : maps[0]?.name ?? null, drawer: ["profile", "motion", "program", "measure"].includes(state.drawer) ? state.drawer : "maps" });
+    set({ result, made: data, files, maps, map: known ? state.map : maps[0]?.name ?? null, drawer: ["profile", "motion", "program", "measure"].includes(state.drawer) ? state.drawer : "maps" });
   } catch (error) {
     say(error.message, "bad");
   }
@@ -110,13 +116,19 @@ export async function editAgain(id) {
   }
 }
 
+/** Show nothing more of a run that is no longer there. */
+function forget(id) {
+  if (state.run === id) set({ run: null, ...NOTHING });
+  if (state.comparison?.run === id) set({ comparison: null });
+}
+
 async function drop(run) {
   try {
     if (GOING.has(run.state)) {
       await post(`/runs/${run.id}/cancel`);
     } else {
       await remove(`/runs/${run.id}`);
-      if (state.run === run.id) set({ run: null, result: null, files: [], comparison: null, maps: [], map: null });
+      forget(run.id);
     }
     await refresh();
   } catch (error) {

@@ -21,9 +21,15 @@ const PIXELS = 288;
 const POINTS = 6000;
 const SHOWN = 0.2;
 const STEEPEST = 0.9;
-const QUANTITIES = [
-  ["height", "Height"], ["slope", "Slope"], ["curvature", "Curvature"], ["clearance margin", "Clearance margin"], ["chip thickness", "Chip thickness"], ["error", "Error of the run"],
-];
+const QUANTITIES = {
+  "The job as typed": [["height", "Height"], ["slope", "Slope"], ["curvature", "Curvature"], ["clearance margin", "Clearance margin"], ["chip thickness", "Chip, expected"]],
+  "The run looked at": [["error", "Error, cut − design"], ["chips", "Chip, found"]],
+};
+/** What a run has found over its part. */
+const FOUND = {
+  error: (run, options) => getPacked(`/runs/${run}/map`, { name: "whole part", nx: 640, ny: 640 }, options),
+  chips: (run, options) => getPacked(`/runs/${run}/chips`, { pixels: 384 }, options),
+};
 const VIEWS = { iso: [1, -1.5, 0.95], top: [0, -1e-4, 1], side: [0, -1, 0.02] };
 const ignored = (error) => error.name === "AbortError" || error.status === 409;
 
@@ -33,6 +39,9 @@ function plain(factor) {
   const power = 10 ** Math.floor(Math.log10(factor));
   return [1, 2, 5, 10].reduce((best, one) => (Math.abs(Math.log(one * power / factor)) < Math.abs(Math.log(best / factor)) ? one * power : best), power);
 }
+
+/** An azimuth from 0.0 to 359.9 degrees. */
+const degrees = (angle) => `${(Number((((angle * 180) / Math.PI) % 360).toFixed(1)) % 360).toFixed(1)}°`;
 
 /** The largest of 1, 2, 5, 10 and so on that is no more than this. */
 function round(most) {
@@ -56,9 +65,10 @@ class View {
       class: "scene", tabindex: 0, role: "application",
       "aria-label": "The part. Arrow keys turn it, with Shift they move it, plus and minus zoom, Home shows all of it, comma and full stop move the tool.",
     });
-    this.choose = element("select", { "aria-label": "Colour the part by", onchange: () => set({ quantity: this.choose.value }) }, QUANTITIES.map(([value, title]) => element("option", { value }, [title])));
+    this.choose = element("select", { "aria-label": "Colour the part by", onchange: () => set({ quantity: this.choose.value }) },
+      Object.entries(QUANTITIES).map(([label, group]) => element("optgroup", { label }, group.map(([value, title]) => element("option", { value }, [title])))));
     this.times = element("select", { "aria-label": "Heights drawn larger by", title: "Heights are drawn larger by this factor", onchange: () => this.exaggerate(this.times.value === "auto" ? null : Number(this.times.value)) });
-    const views = [["iso", "Oblique", "From the front, above (Home)"], ["top", "Top", "From above, along z"], ["side", "Side", "From the side, along y"]].map(([name, text, title]) => element("button", { type: "button", class: "button", title, onclick: () => this.look(name) }, [text]));
+    const views = [["iso", "Oblique", "From the front, above (Home)"], ["top", "Top", "From above, along z"], ["side", "Side", "From the side, along y"]].map(([name, text, title]) => element("button", { type: "button", class: "button", title, onclick: () => this.show(name) }, [text]));
     const flag = (name, title) => element("label", { class: "flag" }, [element("input", { type: "checkbox", checked: true, onchange: (event) => this.flip(name, event.target.checked) }), title]);
     this.tools = element("div", { class: "scenebar" }, [
       element("label", { class: "flag" }, ["Colour ", this.choose]), element("label", { class: "flag" }, ["z × ", this.times]), flag("path", "Path"), flag("tool", "Tool"), flag("inset", "Contact"), element("span", { class: "gap" }), ...views,
@@ -103,8 +113,8 @@ class View {
       this.renderer.setSize(width, height, false);
       this.camera.aspect = width / height;
       this.stagebox.classList.toggle("low", height < 300);
-      this.frame();
-      if (!this.moved) this.look("iso");
+      if (this.moved) this.frame();
+      else this.look(this.from ?? "iso");
       this.draw();
       this.drawInset();
       this.drawColours();
@@ -130,71 +140,122 @@ class View {
     this.box.dataset.drawn = String((Number(this.box.dataset.drawn) || 0) + 1);
   }
 
+  /** Look from one side because somebody wants to. */
+  show(name) {
+    this.moved = false;
+    this.look(name);
+  }
+
+  /** The room that colour bar, inset and notes leave to the part. [px] */
+  room() {
+    const { clientWidth: width, clientHeight: height } = this.stagebox;
+    const inset = this.visible.inset && !this.insetbox.hidden && width > 480 ? this.insetbox.clientWidth + 14 : 0;
+    const [left, right, top, bottom] = [84, width - inset - 10, 14, height - (height < 240 ? 26 : 46)];
+    return { width, height, left, right, top, bottom, across: (left + right) / 2, down: (top + bottom) / 2 };
+  }
+
+  /** Look from one side, as close as shows all of the part and its axes in the room there is. */
   look(name) {
     const radius = this.surface?.header.radius ?? 1;
-    const { clientWidth: width, clientHeight: height } = this.stagebox;
-    const taken = this.visible.inset && width > 480 ? 0.62 * this.insetbox.clientWidth + 60 : 60;
-    const wide = Math.max(0.4, Math.min(1, (width - taken) / height));
-    const away = (radius * { iso: 1.56, top: 1.46, side: 1.4 }[name]) / Math.tan((this.camera.fov * Math.PI) / 360) / wide;
-    this.controls.target.set(0, 0, name === "iso" ? -0.1 * radius : 0);
-    this.camera.position.copy(new Vector3(...VIEWS[name]).normalize().multiplyScalar(away)).add(this.controls.target);
-    Object.assign(this.camera, { near: away / 200, far: away * 20 });
+    const { width, height, ...room } = this.room();
+    if (width < 10 || height < 10) return;
+    this.from = name;
+    const ground = this.floor ?? -0.2 * radius;
+    const high = this.surface ? this.up(this.surface.header.z_high) : 0.2 * radius;
+    const reach = 1.09 * radius;
+    const corners = [[reach * 1.07, -reach, ground], [-reach, reach * 1.07, ground], [-reach * 1.06, -reach * 1.06, ground], [-reach, -reach, this.top ?? high]];
+    for (let ray = 0; ray < 24; ray++) {
+      const [x, y] = [radius * Math.cos((ray * Math.PI) / 12), radius * Math.sin((ray * Math.PI) / 12)];
+      corners.push([x, y, ground], [x, y, high]);
+    }
+    const way = new Vector3(...VIEWS[name]).normalize();
+    this.controls.target.set(0, 0, (ground + high) / 2);
+    this.camera.clearViewOffset();
+    let away = 4 * radius;
+    let box = null;
+    for (let turn = 0; turn < 6; turn++) {
+      this.camera.position.copy(way).multiplyScalar(away).add(this.controls.target);
+      Object.assign(this.camera, { near: away / 200, far: away * 20 });
+      this.camera.lookAt(this.controls.target);
+      this.camera.updateProjectionMatrix();
+      this.camera.updateMatrixWorld();
+      const seen = corners.map((one) => new Vector3(...one).project(this.camera));
+      const [xs, ys] = [seen.map(({ x }) => ((x + 1) / 2) * width), seen.map(({ y }) => ((1 - y) / 2) * height)];
+      box = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+      // Names and numbers of the axes stand a little beyond.
+      away *= Math.max((box[1] - box[0] + 44) / Math.max(80, room.right - room.left), (box[3] - box[2] + 26) / Math.max(60, room.bottom - room.top));
+    }
+    this.middleSeen = [(box[0] + box[1]) / 2, (box[2] + box[3]) / 2];
     this.frame();
     Object.assign(this.controls, { minDistance: radius * 0.02, maxDistance: away * 6 });
     this.controls.update();
     this.draw();
   }
 
-  /** The middle of the picture is that of the room which the colour bar and the inset leave. */
+  /** What was the middle of the view stands in the middle of the room. */
   frame() {
-    const { clientWidth: width, clientHeight: height } = this.stagebox;
-    const taken = this.visible.inset && width > 480 ? this.insetbox.clientWidth - 110 : -80;
-    this.camera.setViewOffset(width, height, taken / 2.6, -0.02 * height, width, height);
+    const { width, height, across, down } = this.room();
+    const [x, y] = this.middleSeen && !this.moved ? this.middleSeen : [width / 2, height / 2];
+    this.camera.setViewOffset(width, height, x - across, y - down, width, height);
     this.camera.updateProjectionMatrix();
   }
 
   // ---------------------------------------------------------------------------------------------------- the surface
 
+  /** What is drawn: the job as typed, or for what a run has found, the job of that run. */
+  source() {
+    const { quantity, run, made, job } = state;
+    return FOUND[quantity] && run && made ? made : job;
+  }
+
+  /** Why the run looked at cannot colour the part; empty where it can. */
+  missing() {
+    const { quantity, run, result, maps } = state;
+    if (!FOUND[quantity]) return "";
+    if (!run || !result?.passes) return "no run is looked at that has cut a part: choose one under Runs, or run the job";
+    if (quantity === "error") return maps.some(({ name }) => name === "whole part") ? "" : "the run has no map of the whole part";
+    return result.passes.at(-1).chips ? "" : "the run has found no chips: they need part.stock, and a part.material that Turnwright knows";
+  }
+
   /** Ask for the part in the chosen colours; the answer to the last question counts. */
   async askSurface() {
-    const { job, quantity, run } = state;
+    const { quantity, run } = state;
+    const job = this.source();
     if (!job) return;
     this.asking?.abort();
     const mine = (this.asking = new AbortController());
     const { signal } = mine;
     this.wait.hidden = false;
-    const options = { signal };
+    this.wrong = "";
     try {
-      const shape = quantity === "error" ? "height" : quantity;
-      const [surface, error] = await Promise.all([
-        postPacked("/view/surface", { data: job, quantity: shape, pixels: PIXELS, client: CLIENT }, options),
-        quantity === "error" && run ? getPacked(`/runs/${run}/map`, { name: "whole part", nx: 512, ny: 512 }, options) : null,
+      const missing = this.missing();
+      const [surface, found] = await Promise.all([
+        postPacked("/view/surface", { data: job, quantity: FOUND[quantity] ? "height" : quantity, pixels: PIXELS, client: CLIENT }, { signal }),
+        FOUND[quantity] && !missing ? FOUND[quantity](run, { signal }) : null,
       ]);
       if (signal.aborted) return;
-      const other = error && Math.abs(error.header.x[1] / surface.header.radius - 1) > 1e-6;
-      this.setSurface(surface, other ? null : error);
-      this.wrong = other ? "the run is of a part of another radius than the job in the fields: take the job of the run into the fields" : "";
+      this.bare = missing || surface.header.refused || "";
+      this.setSurface(surface, found);
     } catch (error) {
-      if (ignored(error)) return;
+      if (ignored(error) || mine !== this.asking) return;
       this.wrong = error.message;
     }
     this.wait.hidden = true;
     this.tellNote();
   }
 
-  setSurface(surface, error) {
+  setSurface(surface, found) {
     const fresh = this.surface?.header.radius !== surface.header.radius;
     this.surface = surface;
-    this.error = error;
+    this.found = found;
     this.exaggerate(this.factor, false);
     this.makePart();
     this.colourPart();
     this.makeAxes();
-    if (fresh) {
-      this.moved = false;
-      this.look("iso");
-    }
+    this.makePath();
+    if (fresh) this.show("iso");
     this.placeTool();
+    if (!this.moved) this.look(this.from);
     this.draw();
   }
 
@@ -252,6 +313,7 @@ class View {
     this.makeAxes();
     this.makePath();
     this.placeTool();
+    if (!this.moved) this.look(this.from);
     this.draw();
   }
 
@@ -317,11 +379,11 @@ class View {
 
   /** What is shown: values, their range, unit and label. */
   shown() {
-    const of = this.error ?? this.surface;
+    const of = this.found ?? this.surface;
     const { header } = of;
-    if (!this.error) return { of, header, low: header.low, high: header.high, unit: header.unit, label: header.label };
+    if (!header.diverging) return { of, header, low: header.low, high: header.high, unit: header.unit, label: header.label };
     const most = Math.max(Math.abs(header.p1), Math.abs(header.p99)) || 1e-9;
-    return { of, header, low: -most, high: most, unit: "mm", label: "cut − design" };
+    return { of, header, low: -most, high: most, unit: header.unit, label: "cut − design" };
   }
 
   colourPart() {
@@ -329,38 +391,59 @@ class View {
     const [rows, columns] = of.arrays.values.shape;
     const pixels = new Uint32Array(rows * columns);
     paint(of.arrays.values.data, columns, rows, low, high > low ? high : low + 1e-12, tableOf(header.diverging, state.theme), pixels);
-    // Textures count rows from below, pictures from above.
+    const plain = new Color(inks().edge);
+    // Textures count rows from below, pictures from above; and no value is the colour of the bare part.
+    const bare = (255 << 24) | (Math.round(255 * plain.b) << 16) | (Math.round(255 * plain.g) << 8) | Math.round(255 * plain.r);
     const flipped = new Uint32Array(rows * columns);
     for (let row = 0; row < rows; row++) flipped.set(pixels.subarray(row * columns, (row + 1) * columns), (rows - 1 - row) * columns);
+    if (this.bare) flipped.fill(bare);
+    else if (!header.diverging) flipped.forEach((one, at) => (flipped[at] = one || bare));
+    else this.toRim(flipped, columns, rows);
     this.texture?.dispose();
     this.texture = new DataTexture(new Uint8Array(flipped.buffer), columns, rows, RGBAFormat, UnsignedByteType);
     Object.assign(this.texture, { colorSpace: SRGBColorSpace, minFilter: LinearFilter, magFilter: LinearFilter, needsUpdate: true });
     this.face.material.map = this.texture;
     this.face.material.needsUpdate = true;
-    this.wall.material.color = new Color(inks().edge);
+    this.wall.material.color = plain;
     this.drawColours();
+  }
+
+  /** A map ends at the rim: the pixels just beyond it take the colour of their neighbours, so that no seam is drawn. */
+  toRim(pixels, columns, rows) {
+    for (let pass = 0; pass < 2; pass++) {
+      const before = pixels.slice();
+      for (let row = 1; row < rows - 1; row++) {
+        for (let at = row * columns + 1; at < (row + 1) * columns - 1; at++) {
+          if (!before[at]) pixels[at] = before[at - 1] || before[at + 1] || before[at - columns] || before[at + columns];
+        }
+      }
+    }
   }
 
   drawColours() {
     if (!this.surface) return;
+    this.bar.hidden = Boolean(this.bare);
+    if (this.bare) return;
     const { header, low, high, unit, label } = this.shown();
-    drawBar(this.bar, { low, high, unit, label, name: tableOf(header.diverging, state.theme), clipped: Boolean(this.error) });
+    drawBar(this.bar, { low, high, unit, label, name: tableOf(header.diverging, state.theme), clipped: Boolean(header.diverging) });
   }
 
   tellNote() {
     const parts = [];
-    if (this.wrong) parts.push(this.wrong);
+    if (this.wrong || this.bare) parts.push(this.wrong || this.bare);
     else if (this.surface) {
-      const { header } = this.surface;
+      if (this.source() === state.made) parts.push("as the run has cut it");
       parts.push(this.scale === 1 ? "heights to scale" : `heights × ${this.scale.toLocaleString("en")}`);
       if (this.toolTimes > 1.05) parts.push(`tool × ${number(this.toolTimes, 2)}`);
-      if (state.quantity !== "error" && header.note) parts.push(header.note);
-      if (state.quantity === "error" && !this.error) parts.push("no run is chosen: run the job to see its error");
+      const { note } = this.shown().header;
+      if (note) parts.push(note);
       if (this.coming) parts.push("the path is on its way");
       else if (this.path) parts.push(this.path.header.note);
     }
     this.note.textContent = parts.join("  ·  ");
+    this.note.title = this.note.textContent;
     this.note.classList.toggle("bad", Boolean(this.wrong));
+    this.note.classList.toggle("said", Boolean(this.bare));
   }
 
   // ---------------------------------------------------------------------------------------------------------- axes
@@ -411,7 +494,7 @@ class View {
     const tick = radius * 0.025;
     for (const mark of marks) {
       lines.push(mark, -reach, ground, mark, -reach - tick, ground, -reach, mark, ground, -reach - tick, mark, ground);
-      if (Math.abs(mark) > 0.86 * radius && mark > 0) continue;
+      if (Math.abs(mark) > 0.86 * radius) continue;
       add(tickText(mark, marks), mark, -reach - 3.4 * tick, ground, quiet, 14);
       add(tickText(mark, marks), -reach - 3.4 * tick, mark, ground, quiet, 14);
     }
@@ -420,7 +503,7 @@ class View {
     const tall = scaleOf("mm", high - low);
     const heights = ticks(low * tall.factor, high * tall.factor, 3);
     const [zx, zy] = [-reach, -reach];
-    const top = Math.max(this.up(high), this.up(low) + 0.12 * radius) + 0.1 * radius;
+    const top = (this.top = Math.max(this.up(high), this.up(low) + 0.12 * radius) + 0.1 * radius);
     arrow([zx, zy, ground], [zx, zy, top], [[zx + h / 2, zy, top - h], [zx - h / 2, zy, top - h]]);
     for (const mark of heights) {
       const z = this.up(mark / tall.factor);
@@ -437,7 +520,7 @@ class View {
   // ------------------------------------------------------------------------------------------------- path and tool
 
   async askPath() {
-    const { job } = state;
+    const job = this.source();
     if (!job) return;
     this.following?.abort();
     const mine = (this.following = new AbortController());
@@ -449,23 +532,21 @@ class View {
     try {
       const path = await postPacked("/view/path", { data: job, points: POINTS, client: CLIENT }, { signal: mine.signal });
       if (mine.signal.aborted) return;
-      clearTimeout(slow);
-      this.coming = false;
-      this.path = path;
-      // At its first point the tool stands in the air, beside the part.
-      if (state.place === 0) set({ place: 0.42 });
-      if (this.surface) {
-        this.makePath();
-        this.placeTool();
-      }
+      this.setPath({ ...path, job });
     } catch (error) {
-      if (ignored(error)) return;
-      clearTimeout(slow);
-      this.coming = false;
-      this.path = null;
-      this.makePath();
-      this.placeTool();
+      if (ignored(error) || mine !== this.following) return;
+      this.setPath(null);
     }
+    clearTimeout(slow);
+  }
+
+  setPath(path) {
+    this.coming = false;
+    this.path = path;
+    // At its first point the tool stands in the air, beside the part.
+    if (path && state.place === 0) set({ place: 0.42 });
+    this.makePath();
+    this.placeTool();
     this.tellNote();
     this.draw();
   }
@@ -559,7 +640,11 @@ class View {
     const there = Boolean(this.path && this.surface);
     this.scrub.hidden = !there;
     if (this.tool) this.tool.visible = there && this.visible.tool;
-    this.insetbox.hidden = !there || !this.visible.inset;
+    const hidden = !there || !this.visible.inset;
+    if (hidden !== this.insetbox.hidden) {
+      this.insetbox.hidden = hidden;
+      if (this.surface && !this.moved) this.look(this.from ?? "iso");
+    }
     if (!there) return;
     const { nose_radius: nose, included, radius, clearance, sense, turns } = this.path.header;
     if (this.toolKey !== JSON.stringify([nose, included, radius, clearance])) {
@@ -586,7 +671,7 @@ class View {
     const fraction = arrays.fraction.data[at];
     this.slider.value = String(state.place);
     this.slider.setAttribute("aria-valuetext", `turn ${number(fraction * turns, 4)} of ${number(turns, 4)}`);
-    this.where.textContent = `turn ${number(fraction * turns, 5)} of ${number(turns, 5)}   r ${arrays.radius.data[at].toFixed(3)} mm   ${((angle * 180) / Math.PI).toFixed(1)}°   sweep ${((sweep * 180) / Math.PI).toFixed(2)}°`.replaceAll("-", "−");
+    this.where.textContent = `turn ${number(fraction * turns, 5)} of ${number(turns, 5)}   r ${arrays.radius.data[at].toFixed(3)} mm   ${degrees(angle)}   sweep ${((sweep * 180) / Math.PI).toFixed(2)}°`.replaceAll("-", "−");
     this.askSection(at);
     this.draw();
   }
@@ -598,16 +683,18 @@ class View {
     if (!this.visible.inset) return;
     this.sectionTimer = setTimeout(async () => {
       this.cutting?.abort();
+      // Meanwhile the path may have gone, or be another one.
+      if (!this.path || at >= this.path.arrays.angle.data.length) return;
       const mine = (this.cutting = new AbortController());
-      const { arrays } = this.path;
-      const place = { angle: arrays.angle.data[at], radius: arrays.radius.data[at], y: arrays.y.data[at], feed: this.path.header.feed };
+      const { arrays, header, job } = this.path;
+      const place = { angle: arrays.angle.data[at], radius: arrays.radius.data[at], y: arrays.y.data[at], feed: header.feed };
       try {
-        const section = await postPacked("/view/section", { data: state.job, at: place, client: CLIENT }, { signal: mine.signal });
+        const section = await postPacked("/view/section", { data: job, at: place, client: CLIENT }, { signal: mine.signal });
         if (mine.signal.aborted) return;
         this.section = section;
         this.drawInset();
       } catch (error) {
-        if (ignored(error)) return;
+        if (ignored(error) || mine !== this.cutting) return;
         this.section = null;
         this.drawInset();
       }
@@ -615,10 +702,10 @@ class View {
   }
 
   drawInset() {
-    if (this.insetbox.hidden || !this.section) return;
+    if (this.insetbox.hidden) return;
     const { context, width, height } = fitted(this.inset);
     context.clearRect(0, 0, width, height);
-    if (width < 40) return;
+    if (width < 40 || !this.section) return;
     const colours = inks();
     if (height < 230) {
       // In a low scene both stand side by side.
@@ -775,8 +862,9 @@ class View {
   flip(name, value) {
     this.visible[name] = value;
     if (name === "inset") {
-      this.insetbox.hidden = !value;
-      this.frame();
+      this.insetbox.hidden = !value || !this.path;
+      if (this.moved) this.frame();
+      else this.look(this.from ?? "iso");
     }
     if (name === "path" && this.spiral) this.spiral.visible = value;
     this.placeTool();
@@ -843,7 +931,7 @@ class View {
       const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
       const act = way
         ? () => (event.shiftKey ? move(way[0] * 0.1, way[1] * 0.1) : turn(way[0] * 0.12, way[1] * 0.09))
-        : { "+": () => this.near(0.85), "=": () => this.near(0.85), "-": () => this.near(1 / 0.85), Home: () => this.look("iso"), ",": () => this.step(-1), ".": () => this.step(1) }[event.key];
+        : { "+": () => this.near(0.85), "=": () => this.near(0.85), "-": () => this.near(1 / 0.85), Home: () => this.show("iso"), ",": () => this.step(-1), ".": () => this.step(1) }[event.key];
       if (!act || !this.surface) return;
       event.preventDefault();
       event.stopPropagation();
@@ -857,23 +945,38 @@ class View {
       event.preventDefault();
       this.step(by);
     });
-    let waiting = null;
-    const ask = () => {
-      clearTimeout(waiting);
-      waiting = setTimeout(() => {
+    const look = (_, keys) => {
+      const { errors, check, checking } = state;
+      const job = this.source();
+      if (!job) return;
+      // What cannot be read cannot be drawn: the scene follows when a job is judged. One that comes as a whole was read
+      // before, and so was that of a run; whether a path can be laid is known afterwards.
+      const judged = job === state.made || !checking;
+      const read = job === state.made || (errors.length === 0 ? judged || (keys.has("job") && keys.has("errors")) : judged && check?.errors === errors);
+      if (job !== this.looked && read) {
+        this.looked = job;
         this.askSurface();
-        this.askPath();
-      }, this.surface ? 180 : 0);
+      }
+      if (job === this.followed || !judged) return;
+      this.followed = job;
+      if (job === state.made || errors.length === 0) this.askPath();
+      else {
+        this.following?.abort();
+        this.setPath(null);
+      }
     };
     this.unheard = [
-      // What cannot be read cannot be drawn: the scene waits for a job without errors.
-      on("job", ask, { now: true }),
-      on("errors", ({ errors }) => errors.length === 0 && this.wrong && ask()),
+      on(["job", "errors", "check", "checking"], look, { now: true }),
       on("quantity", ({ quantity }) => {
         this.choose.value = quantity;
-        if (this.surface) this.askSurface();
+        if (this.source() !== this.looked) look(state, new Set());
+        else this.askSurface();
       }),
-      on(["run", "maps"], ({ quantity }) => quantity === "error" && this.askSurface()),
+      on(["run", "maps", "result", "made"], ({ quantity }) => {
+        if (!FOUND[quantity]) return;
+        if (this.source() !== this.looked) look(state, new Set());
+        else this.askSurface();
+      }),
       on("place", () => this.placeTool()),
       on("cursor", ({ cursor }) => this.showCursor(cursor)),
       on("theme", () => requestAnimationFrame(() => {

@@ -23,15 +23,17 @@
    check         answer of POST /api/job/check, the last with an access; it is of the job as typed where check.errors === errors   form.js
    checking      true while an answer is on its way                                       form.js
    --            the scene
-   quantity      what colours the part: "height" | "slope" | "curvature" | "clearance margin" | "chip thickness" | "error"   scene.js
+   quantity      what colours the part: "height" | "slope" | "curvature" | "clearance margin" | "chip thickness" of the job,
+                "error" | "chips" of the run                                             scene.js
    place         where the tool stands on the finishing spiral, 0 at the first point .. 1 at the last   scene.js, program.js
    cursor        [x, y] on the part that is pointed at, in any view | null                scene.js, mapview.js, program.js
    --            the runs
    runs          [{id, name, kind, state, created, started, ended, sentence, progress?}]; progress {stage, done, total, left_s}   runs.js
    run           id of the run looked at | null                                           runs.js
    result        result.json of that run | null                                           runs.js
+  made          data of the job that it carried out | null                               runs.js
    files         what that run has left: [{name, part, file, bytes}]                      runs.js
-   comparison    comparison.json of the last comparison looked at | null                  runs.js
+   comparison    comparison.json of the last comparison looked at, with its run, files and the data of its job | null   runs.js
    maps          GET /api/runs/{id}/maps of that run: [{name, unit, ...}]                 runs.js
    map           name of the map looked at | null                                         runs.js (the first), mapview.js
    window        {x0, x1, y0, y1} of the map in view | null: all of it                    mapview.js
@@ -60,6 +62,7 @@ export const state = {
   runs: [],
   run: null,
   result: null,
+  made: null,
   files: [],
   comparison: null,
   maps: [],
