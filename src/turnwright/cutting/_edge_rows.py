@@ -50,6 +50,9 @@ class _Strips:
         self.directions = (along[..., kept], normal[..., kept])
         self.thickest = self.most.max(axis=1)
         self.even = bool((np.where(area > 0, self.middle, np.inf).min(axis=1) >= 0.99 * self.middle.max(axis=1)).all())
+        self.width = np.divide(area, self.middle, out=np.zeros_like(area), where=self.middle > 0)
+        self.beyond = self._forces([[self.width, area]] * 2)
+        self.known: tuple[object, Floats] | None = None  # the table of ductile forces that was asked for last
 
     def columns(self, limit: float, edge: bool, power: Sequence[float] | None, reference: float) -> Floats:
         """Return what each parameter is multiplied by. (states, components, parameters).
@@ -57,42 +60,56 @@ class _Strips:
         For the cutting coefficient: ductile area, edge or bend; then the same for thrust; then what is beyond the
         limit per width and per area, for both.
         """
-        width = np.divide(self.area, self.middle, out=np.zeros_like(self.area), where=self.middle > 0)
+        ductile = self._ductile(edge, power, reference)
         if np.isfinite(limit):
             span = np.maximum(self.most - self.least, 1e-12 * limit)
             below = np.clip((limit - self.least) / span, 0.0, 1.0)
+            found = [_summed(below, ductile), _summed(1 - below, self.beyond)]
         else:
-            below = np.ones_like(self.area)
-        thin, thick = [], []
-        for which, direction in enumerate(self.directions):
-            ductile = [below * self.area]
+            found = [ductile.sum(axis=1)]
+        each = np.concatenate(found, axis=1).reshape(self.area.shape[0], -1, self.directions[0].shape[-1])
+        return each.transpose(0, 2, 1)
+
+    def _ductile(self, edge: bool, power: Sequence[float] | None, reference: float) -> Floats:
+        """Return what each element adds to the columns of both coefficients while it is ductile."""
+        asked = (edge, None if power is None else tuple(power), reference)
+        if self.known is None or self.known[0] != asked:
             if power is not None:
                 ratio = np.where(self.middle > 0, self.middle, reference) / reference
-                ductile = [ductile[0] * ratio ** -power[which]]
-                ductile.append(-ductile[0] * np.log(ratio))
-            elif edge:
-                ductile.append(below * width)
-            thin += [np.einsum("pq,pqc->pc", one, direction) for one in ductile]
-            if np.isfinite(limit):
-                rest = 1 - below
-                thick += [np.einsum("pq,pqc->pc", rest * one, direction) for one in (width, self.area)]
-        return np.stack(thin + thick, axis=2)
+                falling = [self.area * ratio**-one for one in power]
+                parts = [[one, -one * np.log(ratio)] for one in falling]
+            else:
+                parts = [[self.area, self.width] if edge else [self.area]] * 2
+            self.known = asked, self._forces(parts)
+        return self.known[1]
+
+    def _forces(self, parts: Sequence[Sequence[Floats]]) -> Floats:
+        """Return parts of the cutting force and of the thrust as components. (states, elements, parts · components)."""
+        each = [part[..., None] * way for which, way in zip(parts, self.directions, strict=True) for part in which]
+        return np.concatenate(each, axis=2)
 
 
-def _nose_strips(chip: RoundChip, kept: Sequence[int]) -> _Strips:
-    """Return the elements of a round nose in a steady cut; axial, feed, cutting."""
-    low, high = chip.sweep
-    corner = min(max(chip.corner, low), high)
-    ends = np.concatenate((np.linspace(low, corner, PIECES + 1), np.linspace(corner, high, PIECES + 1)[1:]))
-    middle = (ends[1:] + ends[:-1]) / 2
-    t, border = chip.thickness(middle), chip.thickness(ends)
-    area = t * (chip.nose_radius - t / 2) * np.diff(ends)
+def _summed(shares: Floats, each: Floats) -> Floats:
+    """Return sums over the elements of shares of what each adds. (states, elements) of (states, elements, k)."""
+    return np.asarray((shares[:, None, :] @ each)[:, 0])
+
+
+def _nose_strips(chips: Sequence[RoundChip], kept: Sequence[int]) -> _Strips:
+    """Return the elements of round noses in steady cuts, a state each; axial, feed, cutting."""
+    middle, thickness, area = (np.empty((len(chips), 2 * PIECES)) for _ in range(3))
+    least, most = np.empty_like(middle), np.empty_like(middle)
+    for i, chip in enumerate(chips):
+        low, high = chip.sweep
+        corner = min(max(chip.corner, low), high)
+        ends = np.concatenate((np.linspace(low, corner, PIECES + 1), np.linspace(corner, high, PIECES + 1)[1:]))
+        middle[i] = (ends[1:] + ends[:-1]) / 2
+        thickness[i], border = chip.thickness(middle[i]), chip.thickness(ends)
+        area[i] = thickness[i] * (chip.nose_radius - thickness[i] / 2) * np.diff(ends)
+        least[i], most[i] = np.minimum(border[1:], border[:-1]), np.maximum(border[1:], border[:-1])
     zero = np.zeros_like(middle)
     normal = np.stack((np.cos(middle), np.sin(middle), zero), axis=-1)
     along = np.stack((zero, zero, zero + 1), axis=-1)
-    both = np.stack((border[1:], border[:-1]))
-    rows = [one[None] for one in (both.min(axis=0), t, both.max(axis=0))]
-    return _Strips((rows[0], rows[1], rows[2]), area[None], along[None], normal[None], kept)
+    return _Strips((least, thickness, most), area, along, normal, kept)
 
 
 def _tooth_strips(geometry: SlotMill | FlyCut, kept: Sequence[int]) -> tuple[_Strips, Floats]:
@@ -188,21 +205,21 @@ class TurningRows(Rows):
         table = np.column_stack((cuts.nose_radius, cuts.depth, cuts.feed))
         states, index = np.unique(table[engaged], axis=0, return_inverse=True)
         kept = [TURNED.index(one) for one in cuts.components]
-        self.strips = [
-            _nose_strips(RoundChip(nose_radius=float(r), depth=float(d), feed=float(f)), kept) for r, d, f in states
-        ]
+        self.strips = _nose_strips(
+            [RoundChip(nose_radius=float(r), depth=float(d), feed=float(f)) for r, d, f in states], kept
+        )
         self.state = np.full(n, -1)
         self.state[engaged] = index.reshape(-1)
         thickest = np.zeros(n)
-        thickest[engaged] = np.array([one.thickest[0] for one in self.strips])[self.state[engaged]]
+        thickest[engaged] = self.strips.thickest[self.state[engaged]]
         record = np.zeros(n) if cuts.record is None else cuts.record
         super().__init__(cuts.force, engaged, thickest, cuts.time, record, drift)
         if cuts.uncertainty is not None:
             self.weights, self.stated = 1 / cuts.uncertainty, True
-        self.reference = _typical(self.strips)
+        self.reference = _typical([self.strips])
 
     def columns(self, limit: float) -> Floats:
-        each = np.concatenate([one.columns(limit, self.edge, self.power, self.reference) for one in self.strips])
+        each = self.strips.columns(limit, self.edge, self.power, self.reference)
         found = np.zeros((self.state.size, *each.shape[1:]))
         found[self.engaged] = each[self.state[self.engaged]]
         return found

@@ -325,13 +325,14 @@ def _transition(rows: Rows, told: tuple[str, ...], confidence: float) -> _Transi
     ascending = np.sort(rows.thickest[rows.engaged])
     every = np.ones(rows.engaged.size, dtype=np.bool_)
     low, high = max(ascending[FEWEST - 1], ascending[-1] / 50), ascending[-FEWEST]
-    tau = _weigh(rows, np.inf)
+    _weigh(rows, np.inf)
     if not low < high * (1 - 1e-6) or ascending.size < 2 * FEWEST:
         return None
+    fit = Fit(rows, every)  # as the rows are weighed now
     grid = np.geomspace(low, high * (1 - 1e-9), LOOKED)
 
     def squares(limit: float) -> float:
-        fit, columns = Fit(rows, every), rows.columns(limit)
+        columns = rows.columns(limit)
         answer, least = fit.solve(columns)[:2]
         beside = rows.unknown(answer, limit)
         return fit.solve(np.concatenate((columns, beside), axis=2))[1] if beside.shape[2] else least
@@ -339,6 +340,7 @@ def _transition(rows: Rows, told: tuple[str, ...], confidence: float) -> _Transi
     rough = grid[::3]
     best = float(rough[int(np.argmin([squares(float(one)) for one in rough]))])
     tau = _weigh(rows, best)
+    fit = Fit(rows, every)
     profile = np.array([squares(float(one)) for one in grid])
     at = int(np.argmin(profile))
     around = (float(grid[max(at - 1, 0)]), float(grid[min(at + 1, grid.size - 1)]))
@@ -369,7 +371,7 @@ def _transition(rows: Rows, told: tuple[str, ...], confidence: float) -> _Transi
     gain = squares(np.inf) - least
     more = 2 * len(told)
     chance = float(min(1.0, rows.engaged.sum() * f.sf(gain / eta / more, more, free)))
-    answer = Fit(rows, every).solve(rows.columns(best))[0]
+    answer = fit.solve(rows.columns(best))[0]
     remaining = tuple(_remaining(rows, answer, NAMES.index(name), best) for name in told)
     # What could as well begin at no thickness at all is no transition: forces are out of proportion everywhere.
     thickest = _remaining(rows, answer, NAMES.index(told[0]), float(ascending[-1]))
