@@ -153,6 +153,8 @@ def test_the_thinned_program_leaves_what_the_whole_one_leaves(kind):
             left = scene.generated(few, real.tool, real.machine, head["near"])
             whole = moved(plan.motion, *real.drift, duration, 5.0)
             z = generate_points(whole, real.tool, x=left.x.ravel(), y=left.y.ravel(), machine=real.machine)
+            if scene.polar:  # lines end where a tool above or below centre leaves a core
+                z[np.hypot(left.x, left.y).ravel() < 4 * abs(real.tool.offset[1]) - 1e-12] = np.nan
             assert np.array_equal(np.isnan(z), np.isnan(left.z.ravel()))
             assert np.nanmax(np.abs(z - left.z.ravel())) * NM < 1e-4
 
@@ -165,16 +167,75 @@ def test_few_lines_tell_the_form_of_many():
     reach = draws_of.reach_of(budget, job)
     plan = planned(job, reach)
     few = lines_of(job)
-    radius = np.linspace(few.columns[0], 3.0, 301)  # the core that a tool beside the centre leaves is no form
+    radius = np.linspace(0.008, 3.0, 301)  # from the core on
     many = few._replace(columns=radius, weight=radius, rows=np.linspace(0, 2 * np.pi, 180, endpoint=False))
     numbers = []
     for scene in (few, many):
         left = scene.generated(plan.motion, real.tool, real.machine, 0.1)
         error = left.z - job.part.part.surface.sag(left.x.ravel(), left.y.ravel()).reshape(left.z.shape)
         form = draws_of.form_error(job, left, error, scene.weight)
-        rms = math.sqrt(np.average(form**2, weights=np.broadcast_to(scene.weight, form.shape)))
-        numbers.append((np.ptp(form), rms))
+        there = np.isfinite(form)
+        rms = math.sqrt(np.average(form[there] ** 2, weights=np.broadcast_to(scene.weight, form.shape)[there]))
+        numbers.append((np.ptp(form[there]), rms))
     assert numbers[0] == pytest.approx(numbers[1], rel=0.04)
+
+
+def left_by(job, plan, **offset):
+    """The error at the lines of a job whose tool stands off, from its thinned program. [mm]"""
+    tool = replace(job.tool.tool, offset=(offset.get("x", 0.0), offset.get("y", 0.0), 0.0))
+    scene, reach = lines_of(job), Reach(along=0.02, across=0.01, servos={})
+    head, rows = stored(plan, kept(plan, scene, reach), reach)
+    left = scene.generated(scene_motion(head, rows, job.machine.machine, {}), tool, job.machine.machine, head["near"])
+    return left, left.z - job.part.part.surface.sag(left.x.ravel(), left.y.ravel()).reshape(left.z.shape), tool
+
+
+def test_lines_reach_the_axis_where_a_tool_that_stands_off_along_x_leaves_the_tip_of_a_cone():
+    job = job_of("fine mirror")  # cusps of a nanometre
+    plan = planned(job, Reach(along=0.02, across=0.01, servos={}))
+    size, rim, nose = 40.0, 3.0 * (1 - 1e-4), 0.5
+
+    def sphere(r):
+        return r**2 / (size + math.sqrt(size**2 - r**2))
+
+    for off in (0.004, -0.004):
+        left, error, tool = left_by(job, plan, x=off)
+        assert (left.x[:, 0] == 0).all()
+        # Closed form: the sphere stands off with the tool. Where it stops short of the axis the round nose leaves a
+        # core; where it passes by it has cut the axis from beyond.
+        at_rim = sphere(rim - off) - sphere(rim)
+        at_axis = nose - math.sqrt(nose**2 - off**2) if off > 0 else sphere(off)
+        assert error[:, 0] == pytest.approx(at_axis, abs=0.01 / NM)
+        assert error[:, -1] == pytest.approx(at_rim, abs=2.5 / NM)
+        assert np.ptp(error) == pytest.approx(abs(at_rim - at_axis), abs=2.5 / NM)
+        # And the whole map of the whole program at as many rings as `run` has.
+        rings, azimuth = np.linspace(0, rim, 400), np.linspace(0, 2 * np.pi, 48, endpoint=False)
+        whole = tw.generate_polar(plan.motion, tool, radius=rings, angle=azimuth).minus(job.part.part.surface).z
+        assert np.ptp(error) == pytest.approx(np.ptp(whole), abs=2.5 / NM)
+
+
+@pytest.mark.parametrize("kind", ["fine mirror", "raked over the axis"])
+def test_lines_end_at_the_core_that_a_tool_above_or_below_centre_leaves(kind):
+    job = job_of(kind)
+    plan = planned(job, Reach(along=0.02, across=0.01, servos={}))
+    for aside in (0.003, -0.006):
+        left, error, tool = left_by(job, plan, x=-0.004, y=aside)
+        away = np.hypot(left.x, left.y)
+        there = np.isfinite(error)
+        assert away[there].min() == pytest.approx(4 * abs(aside), rel=1e-9)
+        assert away[~there].max() < 4 * abs(aside)
+        # Of a map of the whole program, the core left out, little is missed.
+        rings = np.concatenate([np.geomspace(4 * abs(aside), 0.1, 40), np.linspace(0.11, 3.0 * (1 - 1e-4), 400)])
+        azimuth = np.linspace(0, 2 * np.pi, 180, endpoint=False)
+        whole = tw.generate_polar(plan.motion, tool, radius=rings, angle=azimuth).minus(job.part.part.surface).z
+        assert np.ptp(error[there]) == pytest.approx(np.ptp(whole), rel=0.01 if kind == "fine mirror" else 0.1)
+
+
+def test_a_core_is_never_more_than_half_of_a_part():
+    job = job_of("fine mirror")
+    left, error, _ = left_by(job, planned(job, Reach(along=0.02, across=0.01, servos={})), y=0.9)
+    there = np.isfinite(error)
+    assert np.hypot(left.x, left.y)[there].min() == pytest.approx(math.hypot(1.5, 0.9), rel=1e-3)
+    assert there.any(axis=0).sum() == 22  # the outer half of 40, the edge of the core, the rim
 
 
 def test_form_is_that_of_the_whole_part_to_its_rim(tmp_path):

@@ -46,6 +46,9 @@ __all__ = [
 
 TURN = 2 * math.pi
 
+INWARD = 2
+"""How many times nearer to the axis each ring is than the one before, where lines go on inward."""
+
 PER_FEATURE = 6
 """Places to a feature of the surface, along the radius and around the rim."""
 
@@ -60,6 +63,10 @@ MOST_IN_PATCH = 8_000
 
 FEWEST_ACROSS = 12
 """Rows or columns of a patch along the passes, which repeat there."""
+
+CORE = 4.0
+"""How far from the axis the core reaches that a tool above or below centre leaves, in distances of its tip from there:
+farther out each place is cut from both sides, nearer hardly or not at all."""
 
 FEEDS = 5.0
 """How far from its contact a pass is kept, in feeds, at least."""
@@ -100,6 +107,11 @@ class Left(NamedTuple):
     y: Floats
     z: Floats
 
+    def after(self, scene: Scene, inmost: int) -> Left:
+        """Return it with as many columns of nan before as the lines of a scene have within a core."""
+        x, y = (one[:, :inmost] for one in scene.points())
+        return Left(*map(np.hstack, zip((x, y, np.full(x.shape, np.nan)), self, strict=True)))
+
 
 class Scene(NamedTuple):
     """A grid over the part: lines across all passes, or a patch.
@@ -123,11 +135,20 @@ class Scene(NamedTuple):
             Who cuts.
         near
             Distance from the axis within which passes from beyond it matter. [mm]
+
+        Returns
+        -------
+        Left
+            On lines that end where a tool above or below centre leaves a core; there is nan for what lies within.
         """
         if not self.polar:
             made = generate(motion, tool, x=self.columns, y=self.rows, machine=machine)
             return Left(*made.points(), made.z)
         aside = tool.offset[1]
+        core = min(CORE * abs(aside), float(self.columns[-1]) / 2)
+        within = int(np.searchsorted(self.columns, core))
+        if within:
+            return self._beyond(core, within - 1).generated(motion, tool, machine, near).after(self, within - 1)
         outer = self.columns > near
         if not aside or tool.rake or "Y" in motion.axes or not outer.any():
             made = generate_polar(motion, tool, radius=self.columns, angle=self.rows, machine=machine)
@@ -146,6 +167,10 @@ class Scene(NamedTuple):
             parts.insert(0, Left(*close.points(), close.z))
         return Left(*(np.concatenate(one, axis=1) for one in zip(*parts, strict=True)))
 
+    def _beyond(self, core: float, inmost: int) -> Scene:
+        """Return the lines from the edge of a core on, where the place of a given number is moved to."""
+        return self._replace(columns=np.maximum(self.columns[inmost:], core), weight=self.weight[inmost:])
+
     @staticmethod
     def _inner(motion: Motion, near: float) -> Motion:
         """Return the turns about the axis."""
@@ -163,16 +188,17 @@ class Scene(NamedTuple):
 
 
 def lines_of(job: Job, *, even: bool = False) -> Scene:
-    """Return lines across the whole part, as many as its features need, the axis itself left out.
+    """Return lines across the whole part, as many as its features need.
 
-    They end at the rim, where most errors are largest. It stands for no area: the places within do for all of it.
+    They run from the axis, by some of the innermost rings that `run` looks at, to the rim, where most errors are
+    largest. These stand for no area: the places between do for all of it.
 
     Parameters
     ----------
     job
         Of the part.
     even
-        Whether every place stands for the same area, as for a map of an instrument, which sees no rim.
+        Whether every place stands for the same area, as for a map of an instrument, which sees neither.
     """
     part = job.part.part
     asked = PER_FEATURE * part.radius / part.surface.feature_size
@@ -182,7 +208,13 @@ def lines_of(job: Job, *, even: bool = False) -> Scene:
     if even:
         radius, weight = np.sqrt(share), np.ones(radii)
     else:
-        radius, weight = np.append(share, RIM), np.append(share, 0.0)
+        ring = 1 / (job.simulation.whole_part.radii - 1)
+        inward = [0.0]
+        while ring < share[0] / 2:
+            inward.append(ring)
+            ring *= INWARD
+        radius = np.concatenate([inward, share, [RIM]])
+        weight = np.concatenate([np.zeros(len(inward)), share, [0.0]])
     azimuth = np.linspace(0, TURN, angles, endpoint=False)
     return Scene("whole part", polar=True, rows=azimuth, columns=part.radius * radius, weight=weight)
 
@@ -347,7 +379,8 @@ def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
         low, high = np.minimum(a[:-1], a[1:]), np.maximum(a[:-1], a[1:])
         served = np.maximum(plan.contact[start:stop] - along, max(nearest, 1e-9))
         aside = np.where(plan.contact[start:stop] > level, plan.across, across)
-        window = half + np.where(aside < served, np.arcsin(np.minimum(aside / served, 1.0)), math.pi)
+        # The axis itself is met at every azimuth.
+        window = half + np.where(served > np.maximum(aside, 1e-9), np.arcsin(np.minimum(aside / served, 1.0)), math.pi)
         wide = window * turns
         crosses = np.floor(high + wide) >= np.ceil(low - wide)
         if not scene.polar:
