@@ -42,7 +42,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def client(folder):
-    with TestClient(create_app(folder, at_a_time=2), base_url=HERE) as client:
+    with TestClient(create_app(folder, at_a_time=2, nice=0), base_url=HERE) as client:
         yield client
 
 

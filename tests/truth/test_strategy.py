@@ -14,7 +14,7 @@ from turnwright.machine import Machine
 from turnwright.motion import drive
 from turnwright.part import Part
 from turnwright.post import read_nc, write_nc
-from turnwright.strategy import SlowToolServo
+from turnwright.strategy import FastToolServo, SlowToolServo
 from turnwright.surface import LensArray, Plane, Sphere, Surface
 from turnwright.tool import Tool
 
@@ -321,3 +321,28 @@ def test_chord_ignores_a_wall_outside_the_rim():
     servo = SlowToolServo(feed=0.1, chord=1e-6, lead_in=0.0)
     one, other = (servo.spiral(Part(surface=surface, radius=2.0), tool) for surface in (walled, Plane()))
     np.testing.assert_allclose(one.angle, other.angle, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "servo",
+    [
+        SlowToolServo(feed=0.021, points_per_rev=360),
+        SlowToolServo(feed=0.021, points_per_rev=77, sense=-1, lead_in=0.1, overrun=0.005),
+        SlowToolServo(feed=0.021, points_per_rev=90, inside_out=True),
+        SlowToolServo(feed=0.021, arc_length=0.05, max_step=0.3),
+        FastToolServo(plan=SlowToolServo(feed=0.021, points_per_rev=90)),
+    ],
+)
+def test_the_extent_is_that_of_the_whole_spiral(servo):
+    """Oracle: the spiral with all its points, by brute force."""
+    part = Part(surface=Sphere(radius=40.0), radius=1.0)
+    tool = Tool(nose_radius=0.5, included=1.0, offset=(0.003, 0.0, 0.0))
+    whole = servo.spiral(part, tool)
+    size, some = servo.extent(part, tool)
+    assert size == whole.angle.size
+    assert (some.turns, some.feed, some.sense) == (whole.turns, whole.feed, whole.sense)
+    outer = 0 if whole.radius[0] > whole.radius[-1] else -1
+    turn = np.flatnonzero(np.abs(whole.angle - whole.angle[outer]) < 2 * np.pi * (1 + 1e-12))
+    for one, all_of_it in ((some.angle, whole.angle), (some.radius, whole.radius)):
+        np.testing.assert_array_equal(one[1:] if outer else one[:-1], all_of_it[turn])
+        assert one[-1 - outer] == all_of_it[-1 - outer]

@@ -269,14 +269,15 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     for cut in job.passes:
         servo = job.servo(cut)
         with watch.stage("plan") as tell:
-            spiral = servo.spiral(part, tool, progress=tell)
+            # A job is checked while somebody types, so not all points are made that are counted.
+            size, spiral = servo.extent(part, tool, progress=tell)
             place(_outermost(spiral), part, tool, along=job.strategy.along)  # raises where the surface has an end
         profile = job.strategy.profile(cut)
         speed = servo.spindle_rpm or machine.spindle_rpm if profile is None else float(profile.spindle_rpm.max())
         times = cut.repeats(stock)
-        points[cut.name] = times * spiral.angle.size
+        points[cut.name] = times * size
         # The points of a fast tool stand in its own table.
-        blocks = 0 if job.program.fast_tool else spiral.angle.size - 1
+        blocks = 0 if job.program.fast_tool else size - 1
         shortest[cut.name] = times * max(spiral.turns * 60 / speed, blocks / machine.block_rate_hz)
         expected = foretold(job, access, cut, spiral.feed, stock)
         if expected:

@@ -68,6 +68,23 @@ class Strategy(ABC):
         y = None if whole.y is None else whole.y[near]
         return Spiral(angle=whole.angle[near], radius=whole.radius[near], y=y)
 
+    def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
+        """Return how many points `spiral` has, and of these its outermost turn and the last one at its other end.
+
+        Parameters
+        ----------
+        part, tool, progress
+            See `spiral`.
+        """
+        whole = self.spiral(part, tool, progress=progress)
+        size = whole.angle.size
+        inwards = whole.radius[0] > whole.radius[-1]
+        away = np.abs(whole.angle - whole.angle[0 if inwards else -1])
+        turn = np.flatnonzero(away <= 2 * np.pi)
+        at = np.unique([*turn, size - 1 if inwards else 0])
+        y = None if whole.y is None else whole.y[at]
+        return size, Spiral(angle=whole.angle[at], radius=whole.radius[at], y=y)
+
     @abstractmethod
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the position of every axis at the points of a path, by letter, at least "C", "X" and "Z".

@@ -104,6 +104,10 @@ class HybridToolServo(Strategy):
         """Return some of the points of the spiral of the plan."""
         return self.plan.glimpse(part, tool, turns=turns, per_turn=per_turn)
 
+    def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
+        """Return the size of the spiral of the plan, and its ends."""
+        return self.plan.extent(part, tool, progress=progress)
+
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: those of the plan, with its Z split into Z and W. [mm]."""
         axes = planned(self.plan, path)

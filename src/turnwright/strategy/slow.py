@@ -186,13 +186,7 @@ class SlowToolServo(Strategy):
         LimitError
             If there are more points than any controller takes.
         """
-        low, high = tool.arc
-        width = tool.actual_radius * (math.sin(high) - math.sin(low))
-        if self.feed >= width:
-            raise GougeError(
-                f"feed {self.feed:g} mm per rev is at least the width of the edge {width:.4g} mm, so cuts do not "
-                "overlap: use a smaller feed, or a tool with a larger nose_radius or included angle"
-            )
+        self._require_overlap(tool)
         end = -tool.offset[0] - self.overrun
         start = part.radius + self._lead(part, tool)
         if self.points_per_rev is not None:
@@ -216,14 +210,42 @@ class SlowToolServo(Strategy):
         """Return some of the points of `spiral`; where the same azimuths return in every turn, without making all."""
         if self.points_per_rev is None:
             return super(SlowToolServo, self).glimpse(part, tool, turns=turns, per_turn=per_turn)
-        end, step = -tool.offset[0] - self.overrun, TURN / self.points_per_rev
-        size = (part.radius + self._lead(part, tool) - end) / self.feed * self.points_per_rev
-        last = max(math.ceil(size - 1e-6), 0)
-        _check_count(last)
+        last = self._last(part, tool, self.points_per_rev)
         wanted = glimpsed(last / self.points_per_rev, turns, per_turn)
-        at = np.unique(np.round(wanted * self.points_per_rev))
+        return self._some(np.unique(np.round(wanted * self.points_per_rev)), last, self.points_per_rev, tool)
+
+    def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
+        """Return the size of `spiral` and its ends; where the same azimuths return in every turn, without the rest."""
+        if self.points_per_rev is None:
+            return super(SlowToolServo, self).extent(part, tool, progress=progress)
+        self._require_overlap(tool)
+        last = self._last(part, tool, self.points_per_rev)
+        turn = np.arange(min(self.points_per_rev, last) + 1.0)
+        at = np.unique(np.append(last - turn, 0) if self.inside_out else np.append(turn, last))
+        return last + 1, self._some(at, last, self.points_per_rev, tool)
+
+    def _require_overlap(self, tool: Tool) -> None:
+        """Raise unless neighbouring turns meet."""
+        low, high = tool.arc
+        width = tool.actual_radius * (math.sin(high) - math.sin(low))
+        if self.feed >= width:
+            raise GougeError(
+                f"feed {self.feed:g} mm per rev is at least the width of the edge {width:.4g} mm, so cuts do not "
+                "overlap: use a smaller feed, or a tool with a larger nose_radius or included angle"
+            )
+
+    def _last(self, part: Part, tool: Tool, per_turn: int) -> int:
+        """Return the number of the last point, from 0, where every turn has as many."""
+        end = -tool.offset[0] - self.overrun
+        last = max(math.ceil((part.radius + self._lead(part, tool) - end) / self.feed * per_turn - 1e-6), 0)
+        _check_count(last)
+        return last
+
+    def _some(self, at: Floats, last: int, per_turn: int, tool: Tool) -> Spiral:
+        """Return points of `spiral` by their numbers. (n,)."""
+        step = TURN / per_turn
         turned = (at if self.inside_out else last - at) * step
-        return Spiral(angle=self.sense * (at * step), radius=end + self.feed / TURN * turned)
+        return Spiral(angle=self.sense * (at * step), radius=-tool.offset[0] - self.overrun + self.feed / TURN * turned)
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm]."""

@@ -4,6 +4,20 @@ The server answers from the event loop alone; all that takes time happens in oth
 for what a page waits for, and one for each run.
 """
 
-from turnwright.web._app import create_app
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from turnwright.web._app import create_app
 
 __all__ = ["create_app"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the server where it is asked for: the processes that compute for it need none."""
+    if name != "create_app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from turnwright.web._app import create_app  # noqa: PLC0415
+
+    return create_app

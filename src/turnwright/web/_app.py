@@ -54,12 +54,20 @@ REFUSED: dict[int | str, dict[str, Any]] = {
 
 UNPROCESSABLE = 422
 
+NICE = 10
+"""A page that waits gets nine tenths of a processor that a run wants too."""
+
 WORKERS = 2
 """Processes kept warm for what a page waits for."""
 
 
 def create_app(
-    folder: str | PathLike[str], *, token: str | None = None, origin: str | None = None, at_a_time: int = 1
+    folder: str | PathLike[str],
+    *,
+    token: str | None = None,
+    origin: str | None = None,
+    at_a_time: int = 1,
+    nice: int = NICE,
 ) -> FastAPI:
     """Return the server of the workbench, to be run by any ASGI server.
 
@@ -73,6 +81,8 @@ def create_app(
         The address of the page, such as "https://lathe.example", where a proxy stands before the server.
     at_a_time
         How many runs are carried out at a time; the others wait.
+    nice
+        How far runs stand back behind everything else on this computer, 0 to 19.
 
     Raises
     ------
@@ -112,7 +122,7 @@ def create_app(
         },
     )
     app.state.folder, app.state.workers, app.state.at_a_time = folder, workers, at_a_time
-    app.state.runs = Runs(folder, at_a_time=at_a_time)
+    app.state.runs = Runs(folder, at_a_time=at_a_time, nice=nice)
     tidy(folder)
     for name in ROUTERS:
         app.include_router(import_module(f"turnwright.web.{name}").router)

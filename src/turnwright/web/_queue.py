@@ -94,10 +94,12 @@ class Runs:
         Of the server.
     at_a_time
         How many are carried out at a time.
+    nice
+        How far their processes stand back behind everything else.
     """
 
-    def __init__(self, folder: Path, *, at_a_time: int) -> None:
-        self.folder, self.at_a_time = folder, at_a_time
+    def __init__(self, folder: Path, *, at_a_time: int, nice: int = 0) -> None:
+        self.folder, self.at_a_time, self.nice = folder, at_a_time, nice
         self.place = folder / "runs"
         self.place.mkdir(parents=True, exist_ok=True)
         self._runs: dict[str, Run] = {}
@@ -290,6 +292,7 @@ class Runs:
         with (folder / "log.txt").open("wb") as log:
             process = await asyncio.create_subprocess_exec(
                 sys.executable, "-P", "-m", "turnwright.web._worker", str(folder), str(self.folder),
+                str(self.nice),
                 stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=log, limit=2**20,
                 env={
                     **os.environ,

@@ -1,4 +1,4 @@
-"""``python -m turnwright.web._worker RUN FOLDER``: carry out one run of the workbench as the command line would.
+"""``python -m turnwright.web._worker RUN FOLDER NICE``: carry out one run of the workbench as the command line would.
 
 It tells its progress in a file and ends when whoever started it is gone, which it hears by the end of its input.
 """
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-NICE = 10
 EVERY_S = 0.2
 GRACE_S = 2.0
 
@@ -67,7 +66,7 @@ def main() -> int:
     run, server = Path(sys.argv[1]), Path(sys.argv[2])
     threading.Thread(target=_end_with_server, daemon=True).start()
     with suppress(AttributeError, OSError):
-        os.nice(NICE)
+        os.nice(int(sys.argv[3]))
     state, sentence = "failed", ""
     with Stop() as stop:
         try:
