@@ -138,6 +138,7 @@ def write_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
             {
                 "name": one.name,
                 "refused": one.refused,
+                "strategy": found.stated(one),
                 "turns": one.turns,
                 "size_bytes": one.size_bytes,
                 "limits": one.limits,

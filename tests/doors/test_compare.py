@@ -50,6 +50,46 @@ def test_a_fast_tool_and_a_swinging_one_join_where_the_machine_has_them(tmp_path
     assert fast["fast"].limits.cycle_time_s < fast["slow, constant angle"].limits.cycle_time_s
 
 
+@pytest.mark.parametrize(
+    ("machine", "strategy"),
+    [
+        ("nanoform-fts-70", {"spindle_speed": "60 rpm", "sense": -1}),
+        ("generic", {"kind": "adaptive tool servo", "scallop": "20 nm", "chord": "9 nm", "inside_out": True}),
+    ],
+)
+def test_a_job_file_can_state_each_strategy(tmp_path, machine, strategy):
+    """Oracle: the strategies themselves, as `Job` sets them up from the tables."""
+    base = {} if "kind" in strategy else dict(CHANGES[2][1])
+    changes = [one for one in CHANGES if one[0] != "strategy"]
+    file = written(tmp_path, *changes, ("machine.name", machine), ("strategy", base | strategy))
+    found = compare(Job.load(file))
+    told = [found.stated(one) for one in found.candidates]
+    assert len({str(one) for one in told}) == len(told) > 3
+    for one, table in zip(found.candidates, told, strict=True):
+        program = {"fast_tool": "position"} if table["kind"].startswith(("fast", "hybrid")) else {}
+        job = Job.load(
+            written(tmp_path, *changes, ("machine.name", machine), ("strategy", table), ("program", program))
+        )
+        again = job.servo(job.passes[-1])
+        assert type(again) is type(one.servo)
+        for mine, theirs in ((again, one.servo), (getattr(again, "plan", None), getattr(one.servo, "plan", None))):
+            for name in (
+                "feed",
+                "points_per_rev",
+                "chord",
+                "scallop",
+                "sense",
+                "inside_out",
+                "spindle_rpm",
+                "x_motion",
+            ):
+                want = getattr(theirs, name, None)
+                assert getattr(mine, name, None) == (
+                    pytest.approx(want, rel=1e-12) if isinstance(want, float) else want
+                )
+        assert getattr(again, "blocks_per_rev", None) == getattr(one.servo, "blocks_per_rev", None)
+
+
 def test_what_cannot_be_is_said_and_the_others_go_on(tmp_path):
     """A tool that stands in a wave too deep for the stroke of its fast tool."""
     deep = {**WAVES, "amplitude": ["40 um", "40 um"], "period": ["2 mm", "2 mm"]}

@@ -16,6 +16,7 @@ import numpy as np
 from turnwright.contact import place
 from turnwright.errors import Stopped, TurnwrightError
 from turnwright.job._shares import Shares, shares
+from turnwright.job._strategies import KINDS
 from turnwright.motion import Limits, check_limits, drive
 from turnwright.post import read_fast_tool, read_nc, write_fast_tool, write_nc
 from turnwright.strategy import (
@@ -39,6 +40,15 @@ if TYPE_CHECKING:
 __all__ = ["Candidate", "Comparison", "compare"]
 
 TURN = 2 * math.pi
+
+KIND_OF: dict[type, str] = {
+    SlowToolServo: "slow tool servo",
+    FastToolServo: "fast tool servo",
+    HybridToolServo: "hybrid tool servo",
+    AdaptiveToolServo: "adaptive tool servo",
+    QuasiEllipticalToolServo: "quasi-elliptical tool servo",
+}
+"""What a job file calls a strategy."""
 
 FEW = 1e-4
 """Share of the steps of a plan by chord that may be shorter than those of the plan at a constant angle."""
@@ -102,6 +112,30 @@ class Comparison:
     scallop: float
     chord: float
     candidates: tuple[Candidate, ...]
+
+    def stated(self, candidate: Candidate) -> dict[str, Any]:
+        """Return a strategy as the table ``strategy`` of a job file states it; empty if it could not be set up.
+
+        What the job says of the speed of the spindle and the sense stays as it is.
+
+        Parameters
+        ----------
+        candidate
+            One of `candidates`.
+        """
+        servo, own = candidate.servo, self.job.strategy
+        if servo is None:
+            return {}
+        kind = KIND_OF[type(servo)]
+        table = KINDS[kind]
+        values = {name: getattr(own, name) for name in ("spindle_speed", "spindle_speeds", "sense", "inside_out")}
+        for one in (getattr(servo, "plan", servo), servo):
+            values |= {name: getattr(one, name) for name in table.model_fields if hasattr(one, name)}
+        # The slide under a fast tool follows what the limits of that tool leave to it, as the job file finds by itself.
+        values.pop("base", None)
+        return table.model_construct(**{**values, "kind": kind}).model_dump(
+            mode="json", exclude_none=True, exclude_defaults=True
+        )
 
 
 def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
