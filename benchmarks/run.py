@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -25,6 +26,7 @@ from time import perf_counter
 
 import bench_cases
 import bench_program
+import bench_workbench
 import numpy as np
 import thesis_backplotter
 from scipy import fft
@@ -447,6 +449,26 @@ def bench_execution(table, scale):
     table.add(what="the same", ours=ours, yardstick="the standard pool, no store", theirs=theirs)
 
 
+def bench_page(table, scale):
+    ready, page, first = bench_workbench.start(times=3 if scale == 1 else 1)
+    table.add(what="turnwright serve, until a browser may come", ours=ready)
+    table.add(what="and until the page has all it needs", ours=page)
+    table.add(what="and until the first check of the infrared lens is there, both counted from there", ours=first)
+    small, large = (
+        tomllib.loads((EXAMPLES / f"{name}.toml").read_text(encoding="utf-8"))
+        for name in ("li2018_sine_grid", "infrared_lens")
+    )
+    alone, beside, windows, maps, still = bench_workbench.under_load(small, large, asked=10 if scale == 1 else 3)
+    table.add(what="check of the infrared lens, warm", ours=alone, limit=0.3)
+    table.add(what="the same while two such lenses are run, 13.5 million points each", ours=beside, limit=0.3)
+    table.add(what="a window of 200 x 200 pixels of 0.1 um, generated", ours=windows, limit=0.1)
+    table.add(what=f"a map, {bench_workbench.CLIENTS} clients at once beside two runs", ours=maps, limit=0.2)
+    table.note(
+        f"Of {len(maps)} maps beside two runs, of which {still} still went on at the end, the slowest took "
+        f"{max(maps):.2g} s."
+    )
+
+
 def exact_bowl(axes, tool, bowl, radius, angle):
     """Heights left on a concave sphere in closed form: the centre of the nose runs on a sphere less by its radius."""
     c, x = axes["C"], axes["X"]
@@ -516,6 +538,7 @@ def main():
         bench_execution,
         bench_doors,
         bench_thesis,
+        bench_page,
     ):
         bench(table, scale)
     if scale == 1:
