@@ -223,7 +223,7 @@ def chips(folder: str, pixels: int) -> bytes:
     sentence = (finish["chips"] or {}).get("sentence", "")
     header = {
         "unit": "mm", "label": "thickest chip", "x": [-radius, radius], "y": [-radius, radius], "radius": radius,
-        "low": float(thickness.min()), "high": float(thickness.max()), "diverging": False, "points": thickness.size,
+        **_spread(thickness), "diverging": False, "points": thickness.size,
         "note": f"found at {thickness.size} points of the path" + (f"; {sentence}" if sentence else ""),
     }  # fmt: skip
     return pack(header, {"values": thickness[nearest]})

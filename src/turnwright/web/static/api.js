@@ -14,12 +14,16 @@ export function address(path, query = {}) {
   return `/api${path}${text ? `?${text}` : ""}`;
 }
 
+/** Told when the server is gone, and when it is back; by app.js. */
+export const reach = { lost: () => {} };
+
 async function answer(path, options) {
   let response;
   try {
     response = await fetch(path, { credentials: "same-origin", cache: "no-store", ...options });
   } catch (error) {
     if (error.name === "AbortError") throw error;
+    reach.lost();
     throw new ApiError("The server does not answer: start turnwright serve again.", 0);
   }
   if (response.ok) return response;

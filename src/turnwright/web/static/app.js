@@ -1,8 +1,8 @@
 /* The page itself: what it starts with, its bars and panes, keys, files in and out, light and dark. */
 
 import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
-import { get, postForFile } from "./api.js";
-import { currentToml, mount as mountForm, namesFiles, readToml, redo, takeJob, undo } from "./form.js";
+import { get, postForFile, reach } from "./api.js";
+import { checkSoon, currentToml, mount as mountForm, namesFiles, readToml, redo, takeJob, undo } from "./form.js";
 import { mount as mountVerdict } from "./verdict.js";
 import { mount as mountRuns, refresh, start } from "./runs.js";
 import { on, say, set, state } from "./state.js";
@@ -67,9 +67,14 @@ function switchTheme() {
 
 // ------------------------------------------------------------------------------------------------------ files in, out
 
+let wanted = "";
+
 async function takeExample(name) {
+  wanted = name;
   try {
     const example = await get(`/examples/${encodeURIComponent(name)}`);
+    // Whoever chose another one meanwhile wants that.
+    if (wanted !== name) return;
     const known = state.examples.find((one) => one.name === name);
     takeJob({ job: example.data, toml: example.toml, errors: example.errors ?? [], title: known?.title ?? name });
     say("");
@@ -369,6 +374,39 @@ function Foot() {
     <span class="gap"></span><span class="quiet">${about ? `Turnwright ${about.version}` : ""}</span>`;
 }
 
+// ---------------------------------------------------------------------------------------------- the server, if it goes
+
+const AGAIN = 2000; // ms between looks whether the server is back
+let gone = 0;
+
+/** The server is gone: look for it until it is back, then ask again for what stands on the page. */
+function lost() {
+  if (gone) return;
+  gone = setInterval(async () => {
+    const answer = await fetch("/api/about", { cache: "no-store" }).catch(() => null);
+    if (!answer?.ok) return;
+    clearInterval(gone);
+    gone = 0;
+    say("The server answers again.");
+    await ask();
+    if (state.job) checkSoon(0);
+    refresh();
+  }, AGAIN);
+}
+
+/** Ask for what the page itself needs, as far as it is not there. */
+async function ask() {
+  const once = async (path, key) => {
+    if (state[key]?.length ?? state[key]) return;
+    try {
+      set({ [key]: await get(path) });
+    } catch (error) {
+      say(error.message, "bad");
+    }
+  };
+  await Promise.all([once("/about", "about"), once("/schema", "schema"), once("/examples", "examples")]);
+}
+
 // ------------------------------------------------------------------------------------------------------------- start
 
 let scene = null;
@@ -401,14 +439,8 @@ async function begin() {
   }, { now: true });
   on("job", () => showScene().catch((error) => say(`The scene did not load (${error.message}): reload the page.`, "bad")), { now: true });
   on("run", ({ run }) => run && panes.show("right", true));
-  const ask = async (path, key) => {
-    try {
-      set({ [key]: await get(path) });
-    } catch (error) {
-      say(error.message, "bad");
-    }
-  };
-  await Promise.all([ask("/about", "about"), ask("/schema", "schema"), ask("/examples", "examples")]);
+  reach.lost = lost;
+  await ask();
   const last = tab.read();
   if (last?.job && !state.job) takeJob({ job: last.job, title: last.title, errors: last.errors ?? [] });
   on(["job", "title", "errors"], ({ job, title, errors }) => tab.write({ job, title, errors }));

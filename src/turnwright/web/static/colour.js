@@ -114,7 +114,12 @@ export function tickText(value, marks) {
 /** The colours that the page's style has in force. */
 export function inks(element = document.documentElement) {
   const style = getComputedStyle(element);
-  const read = (name) => style.getPropertyValue(`--${name}`).trim();
+  const dark = document.documentElement.dataset.theme === "dark";
+  const read = (name) => {
+    const stated = style.getPropertyValue(`--${name}`).trim();
+    const [, light, other] = stated.match(/^light-dark\((.+), (.+)\)$/) ?? [];
+    return light ? (dark ? other : light) : stated;
+  };
   return Object.fromEntries(["ground", "face", "raised", "sunken", "line", "edge", "ink", "quiet", "accent", "good", "bad", "warn", "font"].map((name) => [name, read(name)]));
 }
 

@@ -1,25 +1,32 @@
 /* The strategies side by side: a table, and which of them no other beats in both time and error. */
 
 import { Fragment, html, render, useState } from "./vendor/preact.js";
+import { takeJob } from "./form.js";
 import { start } from "./runs.js";
-import { Downloads, Mark, bytes, count, duration, height, number, useStore } from "./ui.js";
+import { say, state } from "./state.js";
+import { Downloads, Icon, Mark, bytes, count, duration, height, number, percent, useStore } from "./ui.js";
 
 const ERRORS = { pv_nm: "PV", rms_nm: "RMS", sq_nm: "Sq" };
 
 const COLUMNS = [
-  { key: "name", title: "strategy", value: ({ name }) => name, show: ({ name }) => name },
-  { key: "time", title: "time", value: ({ limits }) => limits.cycle_time_s, show: ({ limits }) => duration(limits.cycle_time_s) },
-  { key: "binding", title: "limited by", value: ({ limits }) => limits.binding ?? "", show: ({ limits }) => limits.binding ?? "nothing" },
-  { key: "pv_nm", title: "PV", value: ({ shares }) => shares.pv_nm, show: ({ shares }) => height(shares.pv_nm) },
-  { key: "rms_nm", title: "RMS", value: ({ shares }) => shares.rms_nm, show: ({ shares }) => height(shares.rms_nm) },
-  { key: "sq_nm", title: "Sq", value: ({ shares }) => shares.sq_nm, show: ({ shares }) => height(shares.sq_nm) },
-  { key: "points", title: "points", value: ({ limits }) => limits.points, show: ({ limits }) => count(limits.points) },
-  { key: "turns", title: "turns", value: ({ turns }) => turns, show: ({ turns }) => number(turns, 4) },
-  { key: "size", title: "program", value: ({ size_bytes }) => size_bytes, show: ({ size_bytes }) => bytes(size_bytes) },
-  { key: "cusp_nm", title: "cusps", value: ({ shares }) => shares.cusp_nm, show: ({ shares }) => height(shares.cusp_nm) },
-  { key: "chord_nm", title: "chords", value: ({ shares }) => shares.chord_nm, show: ({ shares }) => height(shares.chord_nm) },
-  { key: "tracking_nm", title: "servos", value: ({ shares }) => shares.tracking_nm, show: ({ shares }) => height(shares.tracking_nm) },
+  { key: "name", title: "strategy", value: ({ name }) => name, show: ({ name, limits, turns, size_bytes: size }) => html`${name}<small class="block">${count(limits.points)} points, ${number(turns, 4)} turns, ${bytes(size)}</small>` },
+  { key: "time", title: "time", value: ({ limits }) => limits.cycle_time_s, show: ({ limits }) => html`${duration(limits.cycle_time_s)}<small class="block">${limits.binding ?? "no limit"}</small>` },
+  ...[["pv_nm", "PV", "peak to valley of cut minus design"], ["rms_nm", "RMS", "of cut minus design"], ["sq_nm", "Sq", "finish: of rings a few feeds wide"],
+    ["cusp_nm", "cusps", "what the nose leaves between turns"], ["chord_nm", "chords", "what is left between the points of the program"], ["tracking_nm", "servos", "what the axes make of it"]]
+    .map(([key, title, meaning]) => ({ key, title, meaning, value: ({ shares }) => shares[key], show: ({ shares }) => height(shares[key]) })),
 ];
+
+/** Take a strategy into the fields; one step back undoes it. */
+function takeStrategy(comparison, { name, strategy }) {
+  const job = structuredClone(state.job);
+  job.strategy = strategy;
+  // What the last pass states otherwise was for the strategy before, and so was the table of a fast tool.
+  for (const key of ["feed", "points_per_rev", "arc_length", "max_step", "chord", "scallop"]) delete job.passes?.at(-1)[key];
+  const { fast_tool: _, fast_tool_rate: __, ...program } = job.program ?? {};
+  if (!/^(fast|hybrid)/.test(strategy.kind) && strategy.x_motion !== "split" && job.program) job.program = program;
+  takeJob({ job, fresh: false });
+  say(`The strategy of the job is now: ${name}. Ctrl+Z takes it back.`);
+}
 
 /** The candidates that no other beats: none is both as quick and as exact. */
 function unbeaten(candidates, error) {
@@ -31,6 +38,12 @@ function unbeaten(candidates, error) {
       return quicker <= time && better <= left && (quicker < time || better < left);
     });
   }));
+}
+
+/** Times as far apart as their marks, so that no two of them read alike. */
+function timeText(value, marks) {
+  const step = marks.length > 1 ? marks[1] - marks[0] : value;
+  return step >= 1 && !(value >= 3600 && step < 60) ? duration(value) : `${number(value, 1 + Math.max(0, Math.floor(Math.log10(value)) - Math.floor(Math.log10(step))))}\u202fs`;
 }
 
 function ticks(low, high, log) {
@@ -56,7 +69,7 @@ function scale(values, from, to) {
 }
 
 function Pareto({ candidates, error, chosen, choose, best }) {
-  const [wide, tall, left, foot] = [440, 250, 62, 38];
+  const [wide, tall, left, foot] = [360, 226, 62, 38];
   const x = scale(candidates.map(({ limits }) => limits.cycle_time_s), left, wide - 14);
   const y = scale(candidates.map(({ shares }) => shares[error]), tall - foot, 12);
   const front = [...best].sort((a, b) => a.limits.cycle_time_s - b.limits.cycle_time_s);
@@ -65,7 +78,7 @@ function Pareto({ candidates, error, chosen, choose, best }) {
     return index ? `H${px}V${py}` : `M${px} 12V${py}`;
   }).join("");
   return html`<svg class="pareto" viewBox=${`0 0 ${wide} ${tall}`} role="img" aria-label=${`Cycle time against ${ERRORS[error]} error of ${candidates.length} strategies; ${front.map(({ name }) => name).join(", ")} ${front.length === 1 ? "is" : "are"} not beaten`}>
-    ${x.ticks.map((value) => html`<g class="tick"><line x1=${x.at(value)} x2=${x.at(value)} y1="12" y2=${tall - foot} /><text x=${x.at(value)} y=${tall - foot + 14} text-anchor="middle">${duration(value)}</text></g>`)}
+    ${x.ticks.map((value) => html`<g class="tick"><line x1=${x.at(value)} x2=${x.at(value)} y1="12" y2=${tall - foot} /><text x=${x.at(value)} y=${tall - foot + 14} text-anchor="middle">${timeText(value, x.ticks)}</text></g>`)}
     ${y.ticks.map((value) => html`<g class="tick"><line x1=${left} x2=${wide - 14} y1=${y.at(value)} y2=${y.at(value)} /><text x=${left - 6} y=${y.at(value) + 4} text-anchor="end">${height(value, 2)}</text></g>`)}
     <text class="axis" x=${(left + wide) / 2} y=${tall - 6} text-anchor="middle">cutting time</text>
     <text class="axis" transform=${`translate(12 ${(tall - foot) / 2 + 6}) rotate(-90)`} text-anchor="middle">${ERRORS[error]} error</text>
@@ -76,16 +89,16 @@ function Pareto({ candidates, error, chosen, choose, best }) {
 }
 
 function Panel() {
-  const { comparison, runs, run, job, files } = useStore(["comparison", "runs", "run", "job", "files"]);
+  const { comparison, runs, run, job, errors } = useStore(["comparison", "runs", "run", "job", "errors"]);
   const [sort, order] = useState({ key: "time", down: false });
   const [error, judge] = useState("pv_nm");
   const [chosen, choose] = useState(null);
-  const kept = runs.find((one) => one.id === run && one.kind === "compare");
   if (!comparison) {
-    const busy = kept && ["queued", "running"].includes(kept.state);
-    return html`<div class="teach"><h3>${busy ? "Comparing …" : "Which strategy?"}</h3>
+    const going = runs.find((one) => one.id === run && one.kind === "compare" && ["queued", "running"].includes(one.state));
+    return html`<div class="teach"><h3>${going ? "Comparing …" : "Which strategy?"}</h3>
       <p>A comparison plans the finishing pass by every strategy that the machine can do, all to the same cusp and chord errors, and says what each leaves, how long it takes and what limits it.</p>
-      <p><button type="button" class="button accent" disabled=${!job || busy} onClick=${() => start("compare")}>Compare the strategies</button></p></div>`;
+      ${going ? html`<p role="status">${going.progress ? `${going.progress.stage}, ${percent(going.progress.done / (going.progress.total || 1))}` : "begins"}</p>`
+        : html`<p><button type="button" class="button accent" disabled=${!job || errors.length > 0} onClick=${() => start("compare")}>Compare the strategies</button></p>${!job && html`<p>There must be a job first: begin with an example.</p>`}`}</div>`;
   }
   const planned = comparison.candidates.filter(({ refused, limits, shares }) => !refused && limits && shares);
   const refused = comparison.candidates.filter((one) => !planned.includes(one));
@@ -95,18 +108,21 @@ function Panel() {
     const [one, other] = [column.value(a), column.value(b)];
     return (typeof one === "string" ? one.localeCompare(other) : one - other) * (sort.down ? -1 : 1);
   });
+  const part = comparison.data?.part?.name;
   return html`<div class="split compare">
     <div class="scroll">
-      <table class="data"><caption>All to cusps of ${height(comparison.scallop * 1e6)} and chords of ${height(comparison.chord * 1e6)}</caption>
-        <thead><tr><th></th>${COLUMNS.map(({ key, title }) => html`<th class=${["name", "binding"].includes(key) ? "" : "number"} aria-sort=${sort.key === key ? (sort.down ? "descending" : "ascending") : "none"}>
-          <button type="button" class="link" onClick=${() => order({ key, down: sort.key === key && !sort.down })}>${title}${sort.key === key ? (sort.down ? " ↓" : " ↑") : ""}</button></th>`)}</tr></thead>
-        <tbody>${rows.map((one) => html`<tr class=${one.name === chosen ? "chosen" : ""} onPointerEnter=${() => choose(one.name)}>
-          <td title=${best.has(one) ? "no other is both as quick and as exact" : ""}>${best.has(one) && html`<${Mark} ok />`}</td>
-          ${COLUMNS.map(({ key, show }) => (key === "name" ? html`<th scope="row">${show(one)}</th>` : html`<td class=${key === "binding" ? "" : "number"}>${show(one)}</td>`))}</tr>`)}</tbody></table>
+      <table class="data"><caption>${part ? `${part}: all` : "All"} to cusps of ${height(comparison.scallop * 1e6)} and chords of ${height(comparison.chord * 1e6)}</caption>
+        <thead><tr>${COLUMNS.map(({ key, title, meaning }) => html`<th class=${key === "name" ? "" : "number"} title=${meaning} aria-sort=${sort.key === key ? (sort.down ? "descending" : "ascending") : "none"}>
+          <button type="button" class="link" onClick=${() => order({ key, down: sort.key === key && !sort.down })}>${title}${sort.key === key ? (sort.down ? " ↓" : " ↑") : ""}</button></th>`)}<th><span class="sr">Take it</span></th></tr></thead>
+        <tbody>${rows.map((one) => html`<tr key=${one.name} class=${one.name === chosen ? "chosen" : ""} onPointerEnter=${() => choose(one.name)} onFocusIn=${() => choose(one.name)}>
+          ${COLUMNS.map(({ key, show }) => (key === "name"
+            ? html`<th scope="row"><span class="spotmark" title=${best.has(one) ? "no other is both as quick and as exact" : ""}>${best.has(one) && html`<${Mark} ok />`}</span><span>${show(one)}</span></th>`
+            : html`<td class="number">${show(one)}</td>`))}
+          <td>${one.strategy?.kind && html`<button type="button" class="button take" disabled=${!job} title="Take this strategy into the fields; Ctrl+Z undoes it" onClick=${() => takeStrategy(comparison, one)}><${Icon} name="left" />Take</button>`}</td></tr>`)}</tbody></table>
       ${refused.length > 0 && html`<${Fragment}><h4>Cannot be done</h4><ul class="sentences">${refused.map((one) => html`<li><strong>${one.name}</strong> ${one.refused}</li>`)}</ul></${Fragment}>`}
-      ${kept && html`<${Downloads} path=${`/runs/${kept.id}`} files=${files} />`}
+      <${Downloads} path=${`/runs/${comparison.run}`} files=${comparison.files} />
     </div>
-    <figure><figcaption>Time against <select aria-label="Error to judge by" onChange=${(event) => judge(event.target.value)}>${Object.entries(ERRORS).map(([key, title]) => html`<option value=${key} selected=${key === error}>${title}</option>`)}</select>: <span class="quiet">left and low is good; those on the line no other beats in both</span></figcaption>
+    <figure><figcaption>Time against <select aria-label="Error to judge by" onChange=${(event) => judge(event.target.value)}>${Object.entries(ERRORS).map(([key, title]) => html`<option value=${key} selected=${key === error}>${title}</option>`)}</select> <span class="quiet">Left and low is good; no other beats those on the line in both.</span></figcaption>
       <${Pareto} candidates=${planned} error=${error} chosen=${chosen} choose=${choose} best=${best} /></figure>
   </div>`;
 }

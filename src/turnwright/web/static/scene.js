@@ -106,6 +106,15 @@ class View {
     this.scene.add(this.part, this.axes);
     this.ray = new Raycaster();
     this.draw = framed(() => this.drawNow());
+    this.canvas.addEventListener("webglcontextlost", () => {
+      this.wrong = "the graphics of this computer have given up: the picture comes back as soon as they do";
+      this.tellNote();
+    });
+    this.canvas.addEventListener("webglcontextrestored", () => {
+      this.wrong = "";
+      this.tellNote();
+      this.draw();
+    });
     this.controls.addEventListener("change", () => this.draw());
     this.sized = new ResizeObserver(() => {
       const { clientWidth: width, clientHeight: height } = this.stagebox;
@@ -146,15 +155,19 @@ class View {
     this.look(name);
   }
 
-  /** The room that colour bar, inset and notes leave to the part. [px] */
+  /** The room that the notes leave to the part, its middle, and what else stands in it: colour bar and inset. [px] */
   room() {
     const { clientWidth: width, clientHeight: height } = this.stagebox;
-    const inset = this.visible.inset && !this.insetbox.hidden && width > 480 ? this.insetbox.clientWidth + 14 : 0;
-    const [left, right, top, bottom] = [84, width - inset - 10, 14, height - (height < 240 ? 26 : 46)];
-    return { width, height, left, right, top, bottom, across: (left + right) / 2, down: (top + bottom) / 2 };
+    const [left, right, top, bottom] = [14, width - 10, 10, height - (height < 240 ? 26 : 46)];
+    const taken = [this.bar, this.insetbox].filter((one) => one.offsetParent).map((one) => {
+      const wide = one === this.bar ? 78 : one.offsetWidth;
+      return [one.offsetLeft, one.offsetLeft + wide, one.offsetTop, one.offsetTop + one.offsetHeight];
+    });
+    const inset = width > 480 && this.insetbox.offsetParent ? this.insetbox.offsetWidth + 14 : 0;
+    return { width, height, left, right, top, bottom, taken, across: (84 + right - inset) / 2, down: (top + bottom) / 2 };
   }
 
-  /** Look from one side, as close as shows all of the part and its axes in the room there is. */
+  /** Look from one side, as close as shows all of the part and its axes beside what else stands there. */
   look(name) {
     const radius = this.surface?.header.radius ?? 1;
     const { width, height, ...room } = this.room();
@@ -164,39 +177,50 @@ class View {
     const high = this.surface ? this.up(this.surface.header.z_high) : 0.2 * radius;
     const reach = 1.09 * radius;
     const corners = [[reach * 1.07, -reach, ground], [-reach, reach * 1.07, ground], [-reach * 1.06, -reach * 1.06, ground], [-reach, -reach, this.top ?? high]];
-    for (let ray = 0; ray < 24; ray++) {
-      const [x, y] = [radius * Math.cos((ray * Math.PI) / 12), radius * Math.sin((ray * Math.PI) / 12)];
+    for (let ray = 0; ray < 48; ray++) {
+      const [x, y] = [radius * Math.cos((ray * Math.PI) / 24), radius * Math.sin((ray * Math.PI) / 24)];
       corners.push([x, y, ground], [x, y, high]);
     }
     const way = new Vector3(...VIEWS[name]).normalize();
     this.controls.target.set(0, 0, (ground + high) / 2);
     this.camera.clearViewOffset();
-    let away = 4 * radius;
-    let box = null;
-    for (let turn = 0; turn < 6; turn++) {
+    // Names and numbers of the axes stand a little beyond.
+    const [aside, above] = [22, 13];
+    const seenFrom = (away) => {
       this.camera.position.copy(way).multiplyScalar(away).add(this.controls.target);
       Object.assign(this.camera, { near: away / 200, far: away * 20 });
       this.camera.lookAt(this.controls.target);
       this.camera.updateProjectionMatrix();
       this.camera.updateMatrixWorld();
-      const seen = corners.map((one) => new Vector3(...one).project(this.camera));
-      const [xs, ys] = [seen.map(({ x }) => ((x + 1) / 2) * width), seen.map(({ y }) => ((1 - y) / 2) * height)];
-      box = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-      // Names and numbers of the axes stand a little beyond.
-      away *= Math.max((box[1] - box[0] + 44) / Math.max(80, room.right - room.left), (box[3] - box[2] + 26) / Math.max(60, room.bottom - room.top));
+      return corners.map((one) => new Vector3(...one).project(this.camera)).map(({ x, y }) => [((x + 1) / 2) * width, ((1 - y) / 2) * height]);
+    };
+    const free = (points, dx, dy) => points.every(([x, y]) => room.taken.every(([x0, x1, y0, y1]) => x + dx < x0 - aside || x + dx > x1 + aside || y + dy < y0 - above || y + dy > y1 + above));
+    const middle = (values) => (Math.min(...values) + Math.max(...values)) / 2;
+    let away = 3 * radius;
+    for (let turn = 0; turn < 60; turn++, away *= 1.05) {
+      const points = seenFrom(away);
+      const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
+      // How far it can be moved within the room: not at all while it is too large for it.
+      const [x0, x1] = [room.left + aside - Math.min(...xs), room.right - aside - Math.max(...xs)];
+      const [y0, y1] = [room.top + above - Math.min(...ys), room.bottom - above - Math.max(...ys)];
+      const steps = [0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9, 0, 1];
+      const place = x1 < x0 || y1 < y0 ? null : steps.flatMap((v) => steps.map((u) => [x0 + u * (x1 - x0), y0 + v * (y1 - y0)])).find(([dx, dy]) => free(points, dx, dy));
+      if (!place && turn < 59) continue;
+      const [dx, dy] = place ?? [room.across - middle(xs), room.down - middle(ys)];
+      this.shifted = [-dx, -dy];
+      break;
     }
-    this.middleSeen = [(box[0] + box[1]) / 2, (box[2] + box[3]) / 2];
     this.frame();
     Object.assign(this.controls, { minDistance: radius * 0.02, maxDistance: away * 6 });
     this.controls.update();
     this.draw();
   }
 
-  /** What was the middle of the view stands in the middle of the room. */
+  /** The part stands where `look` has found room for it; once it was moved, in the middle of what is left. */
   frame() {
     const { width, height, across, down } = this.room();
-    const [x, y] = this.middleSeen && !this.moved ? this.middleSeen : [width / 2, height / 2];
-    this.camera.setViewOffset(width, height, x - across, y - down, width, height);
+    const [x, y] = this.shifted && !this.moved ? this.shifted : [width / 2 - across, height / 2 - down];
+    this.camera.setViewOffset(width, height, x, y, width, height);
     this.camera.updateProjectionMatrix();
   }
 
@@ -239,6 +263,8 @@ class View {
     } catch (error) {
       if (ignored(error) || mine !== this.asking) return;
       this.wrong = error.message;
+      // A server that comes back has the job judged anew: then it is asked again.
+      this.looked = this.followed = null;
     }
     this.wait.hidden = true;
     this.tellNote();
@@ -381,7 +407,7 @@ class View {
   shown() {
     const of = this.found ?? this.surface;
     const { header } = of;
-    if (!header.diverging) return { of, header, low: header.low, high: header.high, unit: header.unit, label: header.label };
+    if (!header.diverging) return { of, header, low: header.p1 ?? header.low, high: header.p99 ?? header.high, unit: header.unit, label: header.label };
     const most = Math.max(Math.abs(header.p1), Math.abs(header.p99)) || 1e-9;
     return { of, header, low: -most, high: most, unit: header.unit, label: "cut − design" };
   }
@@ -425,7 +451,7 @@ class View {
     this.bar.hidden = Boolean(this.bare);
     if (this.bare) return;
     const { header, low, high, unit, label } = this.shown();
-    drawBar(this.bar, { low, high, unit, label, name: tableOf(header.diverging, state.theme), clipped: Boolean(header.diverging) });
+    drawBar(this.bar, { low, high, unit, label, name: tableOf(header.diverging, state.theme), clipped: header.p1 !== undefined });
   }
 
   tellNote() {

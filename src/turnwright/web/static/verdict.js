@@ -1,6 +1,7 @@
 /* The results on the right: what can be said of the job as it stands, and what the run looked at found. */
 
 import { Fragment, html, render, useEffect, useState } from "./vendor/preact.js";
+import { get } from "./api.js";
 import { on, set } from "./state.js";
 import { Bar, Downloads, Gauge, Icon, Mark, bytes, count, duration, height, length, number, percent, quantity, useStore } from "./ui.js";
 import { Queue, editAgain } from "./runs.js";
@@ -95,7 +96,7 @@ function Outcome() {
         <td class="number">${height(roughness.pv_nm)}</td><td class="number">${height(roughness.sq_nm)}</td><td class="number">${height(roughness.sa_nm)}</td></tr>`)}</tbody></table>
     </${Card}>
     ${result.warnings.length > 0 && html`<${Warnings} warnings=${result.warnings} />`}
-    <${Budget} result=${result} />
+    <${Budget} run=${run} result=${result} />
     <${Card} title="Cycle" side=${html`<span class="quiet">${result.dialect}</span>`}>
       <dl class="figures">
         <${Figure} label="cutting time">${duration(seconds)}</${Figure}>
@@ -105,6 +106,7 @@ function Outcome() {
       </dl>
       <${Limits} limits=${last.limits} name=${last.name} />
     </${Card}>
+    <${Chips} passes=${result.passes} />
     <${Card} title="Program"><p class="quiet">${count(result.program.lines)} lines in ${result.program.files.length === 1 ? "one file" : `${result.program.files.length} files`}, ${bytes(result.program.bytes)}; read back from disk within ${height(result.rounding_nm)} of the planned motion, decimals allow ${height(result.rounding_limit_nm)}.</p>
       <${Downloads} path=${`/runs/${run}`} files=${files} />
       <p><button type="button" class="add" onClick=${() => editAgain(run)}><${Icon} name="left" />Take this job into the fields</button></p></${Card}>
@@ -118,18 +120,43 @@ function Limits({ limits, name }) {
     ${limits.findings.length > 0 && html`<ul class="sentences">${limits.findings.map((finding) => html`<li>${finding.sentence ?? String(finding)}</li>`)}</ul>`}</${Fragment}>`;
 }
 
-const SHARES = { cusp_nm: "cusps", cusp_away_nm: "cusps elsewhere", chord_nm: "chords between points", rounding_nm: "decimals of the program", tracking_nm: "servos" };
+const SHARES = [
+  ["cusp_away_nm", "cusps", "what the nose leaves between turns on an exact path, away from the axis"],
+  ["cusp_nm", "cusps at the axis", "what the nose leaves there, where the first or last turn has a neighbour on one side only"],
+  ["chord_nm", "between the points", "what the controller makes of the path from one point of the program to the next"],
+  ["rounding_nm", "decimals", "what the decimals of the program change"],
+  ["tracking_nm", "servos", "what the axes make of what they are told"],
+];
 
-/** Where the error comes from, largest first. */
-function Budget({ result }) {
-  const entries = result.shares
-    ? Object.entries(SHARES).filter(([key]) => Number.isFinite(result.shares[key])).map(([key, name]) => [name, result.shares[key]])
-    : [["decimals of the program", result.rounding_nm], ...result.predictions.filter(({ tracking }) => tracking).map(({ name, tracking }) => [`servos, ${name}`, tracking.pv_nm ?? tracking[0]])];
-  const whole = result.predictions.find(({ name }) => name === "whole part") ?? result.predictions[0];
-  if (!result.shares && whole) entries.push([`all that is left, ${whole.name}`, whole.roughness.pv_nm]);
-  const most = Math.max(...entries.map(([, value]) => value));
-  return html`<${Card} title="Error budget" side=${html`<span class="quiet">peak to valley</span>`}>
-    <ul class="gauges named">${entries.sort(([, a], [, b]) => b - a).map(([name, value]) => html`<li><span>${name}</span><${Bar} share=${value / most} /><span class="number">${height(value)}</span></li>`)}</ul></${Card}>`;
+/** Where the error comes from, as bars; finding it takes the server about as long as planning. */
+function Budget({ run, result }) {
+  const [told, tell] = useState(null);
+  useEffect(() => {
+    const asking = new AbortController();
+    tell(null);
+    get(`/runs/${run}/budget`, {}, { signal: asking.signal }).then(tell, (error) => error.name !== "AbortError" && tell({ refused: error.message }));
+    return () => asking.abort();
+  }, [run, result]);
+  const side = html`<span class="quiet">peak to valley</span>`;
+  if (!told) return html`<${Card} title="Error budget" side=${side}><p class="quiet" role="status">The finishing pass is simulated without chords, decimals and servos in turn, to see what each adds …</p></${Card}>`;
+  if (told.refused) return html`<${Card} title="Error budget" side=${side}><p class="quiet">${told.refused}</p></${Card}>`;
+  const entries = SHARES.filter(([key]) => Number.isFinite(told[key]) && !(key === "tracking_nm" && !told.servos) && !(key === "cusp_nm" && told.cusp_nm < 1.02 * told.cusp_away_nm))
+    .sort(([one], [other]) => told[other] - told[one]);
+  const most = Math.max(told.pv_nm ?? 0, ...entries.map(([key]) => told[key]));
+  return html`<${Card} title="Error budget" side=${side}>
+    <ul class="gauges named" id="budget">${entries.map(([key, name, meaning]) => html`<li title=${meaning}><span>${name}</span><${Bar} share=${told[key] / most} /><span class="number">${height(told[key])}</span></li>`)}
+      <li class="sum"><span>all together</span><${Bar} share=${told.pv_nm / most} /><span class="number">${height(told.pv_nm)}</span></li></ul>
+    <p class="quiet">Each is found alone, so they do not add up; all together RMS ${height(told.rms_nm)}.${told.servos ? "" : " The machine file says nothing of its servos: their part is not in it."}</p></${Card}>`;
+}
+
+/** What each pass does to the material, where the run has found it. */
+function Chips({ passes }) {
+  const known = passes.filter(({ chips }) => chips);
+  if (!known.length) return null;
+  return html`<${Card} title="Chips" side=${html`<button type="button" class="link quiet" onClick=${() => set({ quantity: "chips" })}>show on the part</button>`}>
+    <table class="small"><thead><tr><th></th><th>pass</th><th class="number">thickest</th><th class="number">brittle from</th></tr></thead>
+    <tbody>${known.map(({ name, chips }) => html`<tr title=${chips.sentence}><td><${Mark} ok=${chips.ok} warn=${chips.ok !== true} /></td><th scope="row">${name}<small class="block">${chips.verdict}${Number.isFinite(chips.margin) ? `, margin ${percent(chips.margin)}` : ""}</small></th>
+      <td class="number">${length(chips.thickest)}</td><td class="number">${chips.critical ? length(chips.critical) : "–"}</td></tr>`)}</tbody></table></${Card}>`;
 }
 
 // ---------------------------------------------------------------------------------------------------------- the pane
