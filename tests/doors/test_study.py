@@ -4,8 +4,11 @@ import csv
 import json
 import os
 import re
+import shutil
+import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -316,16 +319,113 @@ def test_a_file_that_a_job_names_travels_through_the_store(threads, tmp_path, mo
     job = Job.read({**DATA, "actual": {"tool": {"waviness_file": "edge.csv"}}}, folder=folder)
     right = study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads)
 
-    from turnwright.studies import _evaluate
+    from turnwright.studies import _files
 
     # A machine that does not have the file.
-    monkeypatch.setattr(_evaluate, "_is_there", lambda _path, _digest: False)
+    monkeypatch.setattr(_files, "_is_there", lambda _path, _digest: False)
     apart = study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads, store=tmp_path / "s")
     np.testing.assert_array_equal(apart["deepest"], right["deepest"])
     with pytest.raises(
         StudyError, match=r"does not have 1 of the files that the job names, such as .*: give the study"
     ):
         study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads)
+
+
+def response_files(folder):
+    """A machine file that names its base beside it, and this by its whole path a measured response."""
+    (folder / "shop").mkdir(parents=True)
+    rows = "\n".join(f"{10 * k},{1 / (1 + k / 40)},{-2 * k}" for k in range(1, 40))
+    (folder / "z.csv").write_text(f"frequency [Hz],gain,phase [deg]\n{rows}\n", encoding="utf-8")
+    (folder / "shop" / "base.toml").write_text(
+        f'base = "nanotech-350fg"\n[axes.Z.response]\nfile = "{folder / "z.csv"}"\n', encoding="utf-8"
+    )
+    (folder / "shop" / "lathe.toml").write_text('base = "base.toml"\nname = "ours"\n', encoding="utf-8")
+    return str(folder / "shop" / "lathe.toml")
+
+
+def test_a_worker_elsewhere_gets_what_the_files_of_a_job_name_too(threads, tmp_path, monkeypatch):
+    job = Job.read({**DATA, "machine": {"file": response_files(tmp_path / "here")}, "simulation": {
+        **DATA["simulation"], "tracking": True}})  # fmt: skip
+    asked = {"vary": {"strategy.feed": "9, 10 um/rev"}, "measure": ["sq_nm", "form_pv_nm"]}
+    right = study(job, executor=threads, **asked)
+    assert right.ok.all(), right.reasons
+    (tmp_path / "other").mkdir()
+
+    monkeypatch.chdir(tmp_path / "other")
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "other"))
+
+    def gone(_done, _total):
+        shutil.rmtree(tmp_path / "here", ignore_errors=True)
+
+    far = study(job, workers=1, store=tmp_path / "store", progress=gone, **asked)
+    assert far.ok.all(), far.reasons
+    for name in asked["measure"]:
+        np.testing.assert_array_equal(far[name], right[name])
+    assert not list((tmp_path / "other").iterdir())
+
+
+def test_a_store_in_the_memory_of_one_process_is_refused_for_others(job, job_file, tmp_path, capsys, threads):
+    pytest.importorskip("fsspec")
+    code = cli.main([
+        "study", str(job_file), "--out", str(tmp_path / "out"), "--store", "memory://kept", "--workers", "1",
+        "--vary", "tool.nose_radius=0.2..0.6 mm:3", "--measure", "sq_nm",
+    ])  # fmt: skip
+    said = capsys.readouterr().err
+    assert code == 2
+    assert "the store 'memory://kept' lies in the memory of this process" in said
+    assert said.strip().endswith("name a folder, or use threads")
+    assert len(said.strip().splitlines()) == 1
+    asked = {"vary": {"strategy.feed": "9, 10 um/rev"}, "measure": "sq_nm", "store": f"memory://{tmp_path.name}"}
+    assert study(job, executor=threads, **asked).ok.all()
+
+
+def test_a_study_of_refused_cases_alone_is_no_success_but_its_rows_are_there(job_file, tmp_path, capsys):
+    out = tmp_path / "out"
+    code = cli.main([
+        "study", str(job_file), "--out", str(out), "--workers", "1",
+        "--vary", "strategy.spindle_speed=2000, 3000 rpm", "--measure", "sq_nm", "--measure", "minutes",
+    ])  # fmt: skip
+    said = capsys.readouterr()
+    assert code == 2
+    assert said.err.splitlines()[-1].startswith("turnwright: all 2 cases are refused, the first for this: ")
+    assert "2 cases, 2 of them refused" in said.out
+    found = Study.load(out)
+    assert len(found) == 2
+    assert not found.ok.any()
+    assert "Refused" in (out / "report.html").read_text(encoding="utf-8")
+    assert not (tmp_path / "out.cases").exists()
+
+
+def test_what_a_killed_command_left_is_removed_by_the_next_and_nothing_else(job_file, tmp_path):
+    command = [
+        sys.executable, "-m", "turnwright", "study", str(job_file), "--out", str(tmp_path / "out"), "--workers", "1",
+        "--vary", "tool.nose_radius=0.2..0.6 mm:400", "--measure", "minutes",
+    ]  # fmt: skip
+
+    def hidden():
+        return {one.name for one in tmp_path.iterdir() if one.name.startswith(".out-")}
+
+    def started():
+        before, process = hidden(), subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        until = time.monotonic() + 60
+        while not (new := hidden() - before) and time.monotonic() < until:
+            time.sleep(0.02)
+        return process, new.pop()
+
+    killed, left = started()
+    running, alive = started()
+    killed.kill()
+    killed.wait()
+    (tmp_path / ".out-notes").mkdir()  # of somebody else
+    (tmp_path / ".output-12345678").mkdir()
+    assert hidden() == {left, alive, ".out-notes"}
+    third, new = started()
+    assert hidden() == {alive, new, ".out-notes"}
+    for process in (third, running):
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=30) == 130
+    assert hidden() == {".out-notes"}
+    assert (tmp_path / ".output-12345678").is_dir()
 
 
 def test_a_scheduler_that_does_not_answer_is_one_sentence_and_leaves_nothing(job_file, tmp_path, capsys):

@@ -17,6 +17,7 @@ import zarr
 
 import turnwright as tw
 from turnwright.cli import main
+from turnwright.execution import LocalPool
 
 JOB = """
 [part]
@@ -96,6 +97,49 @@ def test_command(job, tmp_path, capsys):
     assert "the pixel of 4 um beats with cusps 10 um apart" in capsys.readouterr().err
     assert main(["tile", str(job), "--pixel", "3 um", "--out", str(out)]) == 2
     assert "holds the map of another motion, tool, surface or grid" in capsys.readouterr().err
+
+
+def test_what_cannot_be_is_told_before_the_part_is_planned(job, tmp_path, capsys, monkeypatch):
+    from turnwright import job as recipe
+
+    out = tmp_path / "out"
+    command = ["tile", str(job), "--pixel", "4 um", "--out", str(out)]
+    assert main([*command, "--tile", "128"]) == 0
+    capsys.readouterr()
+
+    def never(*_args, **_more):
+        raise AssertionError("it was planned")
+
+    monkeypatch.setattr(recipe, "finishing_motion", never)
+
+    def refused(*words):
+        assert main(list(words)) == 2
+        said = capsys.readouterr().err
+        assert len(said.splitlines()) == 1
+        return said
+
+    taken, file = tmp_path / "taken", tmp_path / "letter.txt"
+    taken.mkdir()
+    (taken / "report.html").write_text("mine", encoding="utf-8")
+    file.write_text("mine", encoding="utf-8")
+    before = sorted(tmp_path.rglob("*"))
+    for words, said in (
+        ([*command, "--tile", "8"], "a tile is 8 pixels wide, the limits are 64 to 32768"),
+        ([*command, "--tile", "256"], "holds the map of another job, tile or version"),
+        (
+            [*command[:2], "--pixel", "3 um", *command[4:], "--tile", "128"],
+            "holds the map of another motion, tool, sur",
+        ),
+        ([*command[:2], "--pixel", "1 m", "--out", str(tmp_path / "new")], "the map has 1 x 1 pixels"),
+        ([*command[:5], str(taken)], "is there already and holds something else: name another folder"),
+        ([*command[:5], str(file)], "letter.txt' is no folder, and the map needs one: name another"),
+        ([*command[:5], str(file / "deep")], "letter.txt' is no folder, and the map needs one: name another"),
+        ([*command[:5], str(tmp_path / "new"), "--cluster", "tcp://127.0.0.1:9"], "no Dask scheduler answers at"),
+    ):
+        assert said in refused(*words)
+    job.write_text(JOB.replace('feed = "10 um/rev"', 'feed = "9 um/rev"'), encoding="utf-8")
+    assert "holds the map of another job, tile or version" in refused(*command, "--tile", "128")
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_an_interrupt_keeps_the_finished_tiles_and_says_so(job, tmp_path):
@@ -206,6 +250,7 @@ def test_processes_make_the_same_map_and_one_that_is_killed_costs_nothing(tmp_pa
         ({"radius": None, "x": (1.0, 0.0), "y": (0.0, 1.0)}, "the map runs from 1 to 0 mm"),
         ({"radius": 0.001, "pixel": 0.01}, "the map has 1 x 1 pixels"),
         ({"tile": 8}, "a tile is 8 pixels wide"),
+        ({"store": "memory://map", "executor": LocalPool(workers=0, threads=1)}, "lies in the memory of this process"),
         ({"store": "nosuch://there"}, "cannot be used as a store"),
     ],
 )

@@ -109,6 +109,26 @@ def test_a_case_that_fails_is_a_reason(job, tmp_path, monkeypatch):
     assert found.outcomes["as planned"].probability.value == pytest.approx(kept / 24, abs=1e-12)
 
 
+def test_a_file_that_changes_or_goes_is_no_trouble_of_what_was_planned(tmp_path):
+    edge = tmp_path / "edge.csv"
+
+    def asked(rise):
+        edge.write_text(f"sweep [deg],deviation [um]\n-20,0\n-5,0\n5,0\n20,{rise}\n", encoding="utf-8")
+        return tw.Job.read({**JOB, "actual": {"tool": {"waviness_file": "edge.csv"}}}, folder=tmp_path)
+
+    one = study_of(asked(0.1), store=tmp_path / "store", correction=False)
+    # Another content of the same file is another study, in the same store.
+    two = study_of(asked(0.6), store=tmp_path / "store", correction=False)
+    assert (one.columns["form_pv_nm"] != two.columns["form_pv_nm"]).all()
+    store = Store.open(tmp_path / "store")
+    plans = [row for row in map(store.row, store.keys()) if "cuts" in row]
+    edge.unlink()
+    benches = [_draws.Bench.of(plan, store) for plan in plans]  # as on a machine that does not have the file
+    assert sorted(bench.cuts[""].job.actual_tool.deviation(np.deg2rad(20)) for bench in benches) == pytest.approx(
+        [0.1e-3, 0.6e-3], rel=1e-9
+    )
+
+
 def test_the_command_writes_a_table_and_a_page(tmp_path):
     (tmp_path / "job.toml").write_text(tomli_w.dumps(JOB))
     (tmp_path / "budget.toml").write_text(BUDGET)
@@ -223,3 +243,9 @@ def test_a_job_without_tolerances_is_refused(job):
         tw.tolerance(bare, count=20)
     with pytest.raises(InputError, match="the study has 3 cases, it needs at least 10"):
         tw.tolerance(job, count=3)
+
+
+def test_a_store_in_the_memory_of_one_process_is_refused_before_anything_is_planned(job):
+    pytest.importorskip("fsspec")
+    with pytest.raises(InputError, match="'memory://kept' lies in the memory of this process"):
+        tw.tolerance(job, count=20, store="memory://kept", workers=1)

@@ -19,7 +19,7 @@ from turnwright.generation import generate_points
 from turnwright.job import correct
 from turnwright.studies import ErrorBudget, Spread
 from turnwright.studies import _draws as draws_of
-from turnwright.studies._scenes import Reach, kept, lines_of, moved, planned, scene_motion, scenes_of, stored
+from turnwright.studies._scenes import Reach, drifted, kept, lines_of, planned, scene_motion, scenes_of, stored
 from turnwright.studies._sensitivity import (
     MapModel,
     chance,
@@ -149,9 +149,9 @@ def test_the_thinned_program_leaves_what_the_whole_one_leaves(kind):
         assert head["duration"] == duration
         for draw in DEVIATIONS:
             real = draws_of.deviated(job.tool.tool, job.machine.machine, draw)
-            few = moved(scene_motion(head, rows, job.machine.machine, {}), *real.drift, duration, 5.0)
+            few = drifted(scene_motion(head, rows, job.machine.machine, {}), *real.drift, duration, 5.0)
             left = scene.generated(few, real.tool, real.machine, head["near"])
-            whole = moved(plan.motion, *real.drift, duration, 5.0)
+            whole = drifted(plan.motion, *real.drift, duration, 5.0)
             z = generate_points(whole, real.tool, x=left.x.ravel(), y=left.y.ravel(), machine=real.machine)
             if scene.polar:  # lines end where a tool above or below centre leaves a core
                 z[np.hypot(left.x, left.y).ravel() < 4 * abs(real.tool.offset[1]) - 1e-12] = np.nan

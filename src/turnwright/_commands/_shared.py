@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import re
 import shutil
+import socket
 import sys
 import tempfile
 from contextlib import contextmanager, suppress
@@ -15,6 +18,11 @@ import typer
 from turnwright import __version__
 from turnwright._stop import Stop
 from turnwright.errors import InputError
+
+try:
+    import fcntl
+except ImportError:  # Windows: there what a killed process left stays
+    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -147,7 +155,7 @@ def new_folder(out: Path, door: Door, *, force: bool) -> Iterator[Path]:
         raise InputError(
             f"{str(out)!r} is there already and not empty: name another folder, or add --force to keep it too"
         )
-    folder = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    folder, held = _begun(out)
     try:
         door.stop.deaf = False
         door.stop.check()
@@ -158,10 +166,7 @@ def new_folder(out: Path, door: Door, *, force: bool) -> Iterator[Path]:
         door.stop.check()
         door.stop.deaf = True  # from here on it is done
         if taken:
-            number = 1
-            while (kept := out.with_name(f"{out.name}.old-{number}")).exists():
-                number += 1
-            out.rename(kept)
+            _keep_under_another_name(out)
         elif out.exists():
             out.rmdir()
         folder.rename(out)
@@ -178,3 +183,65 @@ def new_folder(out: Path, door: Door, *, force: bool) -> Iterator[Path]:
             with suppress(OSError):  # somebody else put something in it meanwhile
                 parent.rmdir()
         raise
+    finally:
+        if held is not None:
+            os.close(held)
+
+
+def _keep_under_another_name(out: Path) -> None:
+    number = 1
+    while (kept := out.with_name(f"{out.name}.old-{number}")).exists():
+        number += 1
+    out.rename(kept)
+
+
+def _begun(out: Path) -> tuple[Path, int | None]:
+    """Return a new hidden folder beside another, and what holds its lock, after removing those of dead processes.
+
+    The system gives a lock up when the process that holds it is gone, however it went. A lock may hold on one machine
+    only, so the name of the folder says on which.
+    """
+    here = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
+    head = f".{out.name}-{here}-"
+    left = re.compile(re.escape(head) + "[a-z0-9_]{8}")  # as mkdtemp names them
+    others: list[Path] = []
+    with suppress(OSError):  # one may be allowed to write where one may not look
+        others = [one for one in out.parent.iterdir() if left.fullmatch(one.name)]
+    for other in others:
+        with suppress(BlockingIOError):
+            held = _lock(other)
+            if held is not None:
+                shutil.rmtree(other, ignore_errors=True)
+                os.close(held)
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=head, dir=out.parent))
+        with suppress(BlockingIOError):  # another process takes it for one that was left, and removes it
+            held = _lock(folder)
+            if folder.is_dir():
+                return folder, held
+            if held is not None:
+                os.close(held)
+
+
+def _lock(folder: Path) -> int | None:
+    """Return a descriptor that holds the lock of a folder; ``None`` where there are no locks.
+
+    Raises
+    ------
+    BlockingIOError
+        If another process holds it.
+    """
+    if fcntl is None:
+        return None
+    try:
+        number = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(number)
+        if isinstance(error, BlockingIOError):
+            raise
+        return None
+    return number

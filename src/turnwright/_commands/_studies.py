@@ -91,6 +91,8 @@ def study(
     _say(door, found)
     door.say(f"table: {out / 'study.csv'}")
     door.say(f"report: {out / 'report.html'}")
+    if not found.ok.any():
+        raise InputError(f"all {len(found)} cases are refused, the first for this: {found.reasons[0]}")
 
 
 def _varied(given: list[str]) -> dict[str, str]:
@@ -138,7 +140,7 @@ def _say(door: Door, found: Study) -> None:
     for one in found.measures:
         door.say(_range(found, one))
     reasons = list(dict.fromkeys(filter(None, found.reasons)))
-    if reasons:
+    if reasons and found.ok.any():
         door.say(f"refused, for instance: {reasons[0]}")
 
 

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+import json
+import os
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from turnwright._commands._shared import Door, JobFile, app, progress_of, warn
+from turnwright.errors import InputError
 
 if TYPE_CHECKING:
     from turnwright.tiling import TiledMap
 
 __all__: list[str] = []
+
+MAP, BEGUN = "map.zarr", "case.json"
+"""The map in its folder, and what says by which job, tile and program it was begun."""
 
 PER_FEED = 4
 """Pixels from cusp to cusp below which a map beats with them."""
@@ -32,22 +38,29 @@ def tile(
 ) -> None:
     """Predict the error of the whole part at a pixel, of any size, in tiles: a map on disk, its roughness, a report."""
     door: Door = context.obj
+    from turnwright.execution import case_key  # noqa: PLC0415
     from turnwright.job import Job, finishing_motion  # noqa: PLC0415 - costly
     from turnwright.tiling import generate_tiled, planned_layout  # noqa: PLC0415
     from turnwright.units import parse  # noqa: PLC0415
 
     recipe = Job.load(job)
     step = parse(pixel, "mm")
-    part, store = recipe.part.part, out / "map.zarr"
-    planned_layout(store, step, radius=part.radius)  # a disk too small is found before the part is planned
+    part, store = recipe.part.part, out / MAP
+    # Whatever can be refused is refused before the part is planned, which may take minutes.
+    _require_own(out)
+    planned_layout(store, step, radius=part.radius, tile=size)
+    key = case_key({"job": recipe.model_dump(mode="json"), "pixel": step, "tile": size})
+    _require_same(out, key)
     with ExitStack() as stack:
         progress = stack.enter_context(progress_of(door.stop))
-        motion, result = finishing_motion(recipe, progress=progress)
         workers = None
         if cluster is not None:
             from turnwright.execution import cluster as workers_of  # noqa: PLC0415 - of an extra
 
             workers = stack.enter_context(workers_of(cluster))
+        motion, result = finishing_motion(recipe, progress=progress)
+        out.mkdir(parents=True, exist_ok=True)
+        (out / BEGUN).write_text(json.dumps({"key": key}) + "\n", encoding="utf-8")
         door.partly = f"the finished tiles stay in {str(out)!r}: the same command makes the others"
         made = generate_tiled(
             motion, recipe.actual_tool, machine=recipe.actual_machine, pixel=step, radius=part.radius,
@@ -71,6 +84,32 @@ def tile(
         warn([f"the job removes {asked!r} before its roughness, a map in tiles takes a plane at most: a plane it was"])
     warn([*_doubts(made, result.passes[-1].feed), *result.warnings])
     door.say(f"report: {out / 'report.html'}")
+
+
+def _require_own(out: Path) -> None:
+    """Raise unless a map can be made, or gone on with, in a folder."""
+    if out.is_dir():
+        names = {one.name for one in out.iterdir()}
+        if names - {BEGUN} and MAP not in names:
+            raise InputError(f"{str(out)!r} is there already and holds something else: name another folder")
+    folder = out.absolute()
+    while not os.path.lexists(folder):
+        folder = folder.parent
+    if not folder.is_dir():
+        raise InputError(f"{str(folder)!r} is no folder, and the map needs one: name another")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"{str(folder)!r} cannot be written: change its rights, or name another folder")
+
+
+def _require_same(out: Path, key: str) -> None:
+    """Raise if the map in a folder was begun by another job."""
+    begun = key
+    with suppress(OSError, ValueError, KeyError, TypeError):  # of an older version, or not written to its end
+        begun = json.loads((out / BEGUN).read_text(encoding="utf-8"))["key"]
+    if begun != key and (out / MAP).exists():
+        raise InputError(
+            f"{str(out)!r} holds the map of another job, tile or version: name another folder, or delete it"
+        )
 
 
 def _doubts(made: TiledMap, feed: float) -> list[str]:

@@ -4,7 +4,7 @@ It knows nothing of jobs: a case is data, the work a function that turns data in
 """
 
 from turnwright.execution._conduct import Case, Row, Work, case_key, conduct, program_version
-from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, cluster, fitting, local
+from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, cluster, fitting, local, require_reach
 from turnwright.execution._store import Store
 
 __all__ = [
@@ -21,4 +21,5 @@ __all__ = [
     "fitting",
     "local",
     "program_version",
+    "require_reach",
 ]

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from turnwright.errors import InputError, Stopped, StudyError, TurnwrightError
-from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, fitting, local
+from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, fitting, local, require_reach
 from turnwright.execution._store import FULL, Store
 from turnwright.progress import THREADS, Progress, at_most, cores
 
@@ -155,12 +155,16 @@ def conduct(
 
     Raises
     ------
+    InputError
+        If the store lies in the memory of this process and the workers are others.
     StudyError
         If the work cannot go on: the store takes nothing more, or the executor is broken. What is finished stays.
     """
     if executor is None:
         with local(min(fitting(), max(1, len(cases)))) as pool:
             return conduct(work, cases, shared=shared, executor=pool, store=store, progress=progress)
+    if store is not None:
+        require_reach(store.place, executor)
     kept = set() if store is None else store.keys()
     rows: dict[str, Row] = {}
     todo: dict[str, Case] = {}

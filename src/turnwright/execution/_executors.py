@@ -17,7 +17,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from multiprocessing.connection import Connection, wait
@@ -29,7 +29,7 @@ from urllib.parse import urlsplit
 from turnwright.errors import InputError, StudyError
 from turnwright.progress import THREADS, cores
 
-__all__ = ["Cluster", "LocalPool", "WorkerDied", "cluster", "fitting", "local"]
+__all__ = ["Cluster", "LocalPool", "WorkerDied", "cluster", "fitting", "local", "require_reach"]
 
 MEMORY_GB = 2.0
 """What a worker may need if nobody says: a whole run of the freeform infrared lens with its maps takes 1.6 GB."""
@@ -318,6 +318,21 @@ def local(workers: int | None = None, memory_gb: float | None = None) -> Iterato
         pool.kill()
         raise
     pool.shutdown()
+
+
+def require_reach(place: str, executor: Executor) -> None:
+    """Raise if a store lies in the memory of this process, and the workers are others.
+
+    Raises
+    ------
+    InputError
+        Naming the store.
+    """
+    if place.rpartition("::")[2].startswith("memory:") and isinstance(executor, LocalPool | ProcessPoolExecutor):
+        raise InputError(
+            f"the store {place!r} lies in the memory of this process, its workers are others and keep nothing there: "
+            "name a folder, or use threads"
+        )
 
 
 def fitting(memory_gb: float | None = None) -> int:

@@ -16,15 +16,16 @@ from turnwright.heightmap import HeightMap
 from turnwright.job import Job, artefact
 from turnwright.metrology import remove_form
 from turnwright.studies._budget import ErrorBudget
+from turnwright.studies._files import at_hand, files_of, kept_files, moved
 from turnwright.studies._scenes import (
     Left,
     Planned,
     Reach,
     Scene,
     answers,
+    drifted,
     kept,
     lines_of,
-    moved,
     planned,
     scene_motion,
     scenes_of,
@@ -211,7 +212,8 @@ def laid_out(
             "scenes": [_put(plan, scene, reach, store) for scene in scenes],
         }
         del plan
-    return {"budget": budget.to_table(), "cuts": cuts}
+    files = files_of(job)
+    return {"budget": budget.to_table(), "cuts": cuts, "files": files, "kept": kept_files(files, store)}
 
 
 def _put(plan: Planned, scene: Scene, reach: Reach, store: Store) -> dict[str, Any]:
@@ -240,7 +242,7 @@ class _Cut:
     def made(self, view: _View, real: Real, settling: float | None) -> tuple[Left, Floats]:
         """Return what is left at the places of a scene, and how far that is off the design, released. [mm]."""
         motion = scene_motion(view.head, view.rows, self.job.machine.machine, real.faster)
-        motion = moved(motion, *real.drift, view.head["duration"], settling)
+        motion = drifted(motion, *real.drift, view.head["duration"], settling)
         left = view.scene.generated(motion, real.tool, real.machine, view.head["near"])
         surface, radius = self.job.part.part.surface, self.job.part.part.radius
         shape, x, y = left.z.shape, left.x.ravel(), left.y.ravel()
@@ -269,8 +271,12 @@ class Bench:
     def of(cls, shared: Mapping[str, Any], store: Store) -> Bench:
         """Return the bench of what `laid_out` has put into a store."""
         cuts = {}
+        with at_hand(shared["files"], shared["kept"], store) as places:
+            jobs = {kind: Job.read(moved(tomllib.loads(own["job"]), places)) for kind, own in shared["cuts"].items()}
+            for job in jobs.values():  # what reads a file reads it now
+                _ = job.actual_tool, job.actual_machine, job.part.aimed
         for kind, own in shared["cuts"].items():
-            job = Job.read(tomllib.loads(own["job"]))
+            job = jobs[kind]
             scenes = [lines_of(job, even=True)] if kind else scenes_of(job)
             views = tuple(
                 _View(scene=scene, head=head, rows=store.array(head["array"]))

@@ -35,9 +35,9 @@ __all__ = [
     "Reach",
     "Scene",
     "answers",
+    "drifted",
     "kept",
     "lines_of",
-    "moved",
     "planned",
     "scene_motion",
     "scenes_of",
@@ -428,7 +428,7 @@ def _lagrange(nodes: Floats, at: float) -> Floats:
     return np.asarray((off / apart).prod(axis=1))
 
 
-def moved(motion: Motion, x: float, z: float, duration: float, settling: float | None) -> Motion:
+def drifted(motion: Motion, x: float, z: float, duration: float, settling: float | None) -> Motion:
     r"""Return a motion whose tool drifts along X and Z, by so much at the end of the cut.
 
     .. math:: d(t) = d \, t/T \quad\text{or}\quad d \, \frac{1 - e^{-t/\tau}}{1 - e^{-T/\tau}}

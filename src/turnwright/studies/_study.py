@@ -19,8 +19,9 @@ from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.execution import Case, Store, case_key, conduct, local
 from turnwright.job import Job
-from turnwright.studies._evaluate import REFUSED, SECONDS, carry_out, files_of, kept_files
+from turnwright.studies._evaluate import REFUSED, SECONDS, carry_out
 from turnwright.studies._fields import changed, data_of
+from turnwright.studies._files import files_of, kept_files
 from turnwright.studies._measures import Measure, Own, measure_of
 from turnwright.studies._vary import Vary, design_cases, read_varied, stated
 

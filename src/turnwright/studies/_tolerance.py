@@ -16,9 +16,10 @@ import numpy as np
 
 from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, StudyError
-from turnwright.execution import Case, Store, case_key, conduct, local
+from turnwright.execution import Case, Store, case_key, conduct, local, require_reach
 from turnwright.studies._budget import ErrorBudget, Spread, group_of
 from turnwright.studies._draws import carry_out, laid_out
+from turnwright.studies._files import files_of
 from turnwright.studies._scenes import answers, lines_of
 from turnwright.studies._sensitivity import (
     Interval,
@@ -247,7 +248,7 @@ def tolerance(
     JobError
         If the job states no tolerance.
     InputError
-        If there are fewer than 10 cases, or the job cannot be planned.
+        If there are fewer than 10 cases, the job cannot be planned, or the workers do not reach the store.
     StudyError
         If the cases cannot go on, or hardly any can be carried out.
     """
@@ -263,6 +264,7 @@ def tolerance(
         place = store if isinstance(store, Store) else Store.open(store)
         if executor is None:
             executor = stack.enter_context(local(workers))
+        require_reach(place.place, executor)
         shared = _shared(job, budget, place, correction=correction, told=told)
         study = _Cases(
             shared=shared, executor=executor, store=place, seed=seed, correction=correction, told=told,
@@ -334,7 +336,8 @@ def _limits(job: Job) -> dict[str, float]:
 
 def _shared(job: Job, budget: ErrorBudget, store: Store, *, correction: bool, told: StageProgress) -> dict[str, Any]:
     """Return what all cases share, planned now or by an earlier study in the same store."""
-    key = case_key({"planned": job.to_toml(), "budget": budget.to_table(), "correction": correction})
+    planned = {"job": job.to_toml(), "files": files_of(job)}
+    key = case_key({"planned": planned, "budget": budget.to_table(), "correction": correction})
     row = store.row(key)
     if row is None:
         row = laid_out(

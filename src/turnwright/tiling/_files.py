@@ -36,6 +36,7 @@ __all__ = [
     "bytes_needed",
     "forget_motion",
     "named_place",
+    "require_own",
     "require_room",
     "told",
 ]
@@ -113,18 +114,14 @@ class Files:
         """
         import zarr  # noqa: PLC0415 - costly, and only for whole parts
 
+        require_own(place, layout)
         group = _group(place, mode="r+")
         known = _about(group)
         if known is None:
-            if group is not None or ("://" not in place and Path(place).exists() and any(Path(place).iterdir())):
-                raise InputError(f"{place!r} is there already and holds something else: name another place")
             said = {**about, "format": FORMAT, "layout": layout.plain(), "complete": False}
             group = zarr.open_group(place, mode="w-", attributes={"turnwright": said})
         elif known.get("key") != about["key"]:
-            raise InputError(
-                f"{place!r} holds the map of another motion, tool, surface or grid, or one of another version: name "
-                "another place, or delete it"
-            )
+            raise _another(place)
         assert group is not None  # noqa: S101 - opened or made
         for level in range(layout.levels):
             _require_level(group, layout, level)
@@ -149,6 +146,32 @@ class Files:
         group = _group(self.place, mode="r+")
         assert group is not None  # noqa: S101 - it was opened before
         group.attrs["turnwright"] = {**self.about, "complete": True}
+
+
+def require_own(place: str, layout: Layout) -> None:
+    """Raise if something else is at a place than a map on the same grid, in whichever tiles.
+
+    Raises
+    ------
+    InputError
+        If something is.
+    """
+    if "://" not in place and not os.path.lexists(place):
+        return
+    group = _group(place)
+    known = _about(group)
+    if known is None:
+        if group is not None or ("://" not in place and any(Path(place).iterdir())):
+            raise InputError(f"{place!r} is there already and holds something else: name another place")
+    elif known.get("format") != FORMAT or Layout.read(known["layout"]).in_tiles(layout.tile) != layout:
+        raise _another(place)
+
+
+def _another(place: str) -> InputError:
+    return InputError(
+        f"{place!r} holds the map of another motion, tool, surface or grid, or one of another version: name another "
+        "place, or delete it"
+    )
 
 
 def named_place(store: str | os.PathLike[str]) -> str:

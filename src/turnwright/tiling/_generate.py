@@ -18,8 +18,19 @@ from turnwright.generation import Prepared, Tiles
 from turnwright.heightmap import HeightMap
 from turnwright.path import Motion
 from turnwright.progress import Progress, cores
-from turnwright.tiling._files import ASKED, EDGES, MOTION, PLANE, Files, forget_motion, named_place, require_room, told
-from turnwright.tiling._layout import DEFAULT, INNER, Layout, Tile, tile_sides
+from turnwright.tiling._files import (
+    ASKED,
+    EDGES,
+    MOTION,
+    PLANE,
+    Files,
+    forget_motion,
+    named_place,
+    require_own,
+    require_room,
+    told,
+)
+from turnwright.tiling._layout import DEFAULT, INNER, Layout, Tile, require_tile, tile_sides
 from turnwright.tiling._map import TiledMap
 
 if TYPE_CHECKING:
@@ -174,8 +185,12 @@ def generate_tiled(
     -------
     Oracle: `generate` in one piece.
     """
+    from turnwright.execution import require_reach  # noqa: PLC0415 - what needs processes
+
     place = named_place(store)
-    layout = planned_layout(place, pixel, radius=radius, x=x, y=y)
+    layout = planned_layout(place, pixel, radius=radius, x=x, y=y, tile=tile)
+    if executor is not None:
+        require_reach(place, executor)
     ready = _ready(motion, tool, machine, layout)
     sides = ready.sides(layout.pixel[::-1])
     layout = layout.in_tiles(tile_sides(tile, sides, layout.shape))
@@ -213,10 +228,15 @@ def planned_layout(
     radius: float | None = None,
     x: tuple[float, float] | None = None,
     y: tuple[float, float] | None = None,
+    tile: int = DEFAULT,
 ) -> Layout:
-    """Return the grid of a map, not yet in tiles, if there is room for it; see `generate_tiled`."""
+    """Return the grid of a map, not yet in tiles, if it can be begun or gone on with there; see `generate_tiled`."""
     layout = Layout.of(pixel, radius=radius, x=x, y=y)
-    require_room(named_place(store), layout.in_tiles((DEFAULT, DEFAULT)))
+    require_tile(tile)
+    place = named_place(store)
+    with told(place, 0, 0):
+        require_own(place, layout)
+        require_room(place, layout.in_tiles((DEFAULT, DEFAULT)))
     return layout
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, positive
 from turnwright.errors import InputError
 
-__all__ = ["DEFAULT", "INNER", "Layout", "Tile", "tile_sides"]
+__all__ = ["DEFAULT", "INNER", "Layout", "Tile", "require_tile", "tile_sides"]
 
 INNER = 3
 """Overviews that a tile makes of itself; the coarser ones are made of these when all tiles are there."""
@@ -23,7 +23,8 @@ COARSEST = 512
 DEFAULT = 1024
 """Pixels along a tile, about: its arrays fit the memory of any machine, its file takes milliseconds to write."""
 
-MOST = 1 << 15
+FEWEST, MOST = 64, 1 << 15
+"""Pixels along a tile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,14 +182,20 @@ class Layout:
         return low, high if self.radius is None else min(high, self.radius * (1 + 1e-9))
 
 
+def require_tile(asked: object) -> None:
+    """Raise unless a tile can be about so many pixels wide."""
+    if isinstance(asked, bool) or not isinstance(asked, int) or not FEWEST <= asked <= MOST:
+        raise InputError(
+            f"a tile is {asked!r} pixels wide, the limits are {FEWEST} to {MOST}: give a whole number between"
+        )
+
+
 def tile_sides(asked: int, sides: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
     """Return rows and columns of a tile: near what is asked, and a whole number of groups of the generation's tiles.
 
     So each point meets the same neighbours as in one piece, and gets the same height to the last bit; and three
     overviews of a tile end where it ends.
     """
-    if not 64 <= asked <= MOST:
-        raise InputError(f"a tile is {asked} pixels wide, the limits are 64 to {MOST}: give a number between")
     found = []
     for side, size in zip(sides, shape, strict=True):
         whole = math.lcm(4 * side, 2**INNER)
