@@ -35,8 +35,9 @@ demo: $(VENV)/.installed ## install, run the main example (the freeform infrared
 serve: $(VENV)/.installed ## open the workbench, a page to plan, see, run and correct a part
 	$(BIN)/turnwright serve
 
+# A process of tests for each core: threads of linear algebra beside them only wait for each other, at full speed.
 test: $(VENV)/.testing ## install what tests need and run them, doctests included
-	$(BIN)/python -m pytest tests src README.md -q -n auto
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests src README.md -q -n auto --dist worksteal
 
 fmt: setup ## format, and mend what can be mended
 	$(BIN)/ruff format src tests benchmarks docs
