@@ -7,6 +7,7 @@ of 34,000 points or more, spikes, a hole, and a pose that nobody tells.
 
 import tomllib
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -35,43 +36,55 @@ def bump(x, y):
     return 1e-4 * np.exp(-((x - 2) ** 2 + (y - 1) ** 2) / 4) + 5e-5 * (x**3 - 3 * x * y**2) / APERTURE**3
 
 
+def recipe(per_rev, **measurement):
+    """The infrared lens, and how it is measured."""
+    table = tomllib.loads((EXAMPLES / "infrared_lens.toml").read_text())
+    table["strategy"] |= {"feed": f"{FEED * 1e3:g} um/rev", "points_per_rev": per_rev, "spindle_speed": "16 rpm"}
+    for key in ("passes", "simulation", "tolerances"):
+        table.pop(key)
+    table["part"].pop("stock")
+    table["measurement"] = {"worth": "0.05 nm", **measurement}
+    return Job.read(table)
+
+
+def motion_of(job, aim, tool, machine):
+    servo = job.servo(job.passes[-1])
+    return tw.drive(tw.place(servo.spiral(aim, tool), aim, tool), servo, machine)
+
+
+@cache
+def planned(per_rev):
+    """The motion of the job as it stands, which every case cuts first."""
+    job = recipe(per_rev)
+    return motion_of(job, job.part.part, job.tool.tool, job.machine.machine)
+
+
 class Loop:
     """The infrared lens on a machine that is not as planned."""
 
     def __init__(
         self, *, tool=(), machine=(), form=None, late=0.0, pixels=400, per_rev=2880, fiducial=False, **measurement
     ):
-        table = tomllib.loads((EXAMPLES / "infrared_lens.toml").read_text())
-        table["strategy"] |= {"feed": f"{FEED * 1e3:g} um/rev", "points_per_rev": per_rev, "spindle_speed": "16 rpm"}
-        for key in ("passes", "simulation", "tolerances"):
-            table.pop(key)
-        table["part"].pop("stock")
-        table["measurement"] = {"worth": "0.05 nm", **measurement}
-        self.job = Job.read(table)
+        self.job = recipe(per_rev, **measurement)
         self.part = self.job.part.part
         self.tool = replace(self.job.tool.tool, **dict(tool))
         self.machine = replace(self.job.machine.machine, **dict(machine))
         self.form, self.late, self.pixels, self.fiducial = form, late, pixels, fiducial
-        self.last = None
         self.rng = np.random.default_rng(1)
         count = np.arange(CELLS) + 0.5
         radius, angle = 7.15 * np.sqrt(count / CELLS), np.pi * (1 + np.sqrt(5)) * count
         self.x, self.y = radius * np.cos(angle), radius * np.sin(angle)
         across = (radius[:, None] + FEED * ((np.arange(16) + 0.5) / 16 - 0.5)).ravel()
         self.fine = across * np.cos(angle).repeat(16), across * np.sin(angle).repeat(16)
-        self.ideal = tw.generate_points(
-            self.motion(self.part, self.tool, self.machine), self.tool, x=self.fine[0], y=self.fine[1],
-            machine=self.machine,
-        )  # fmt: skip
-
-    def motion(self, aim, tool, machine):
-        servo = self.job.servo(self.job.passes[-1])
-        return tw.drive(tw.place(servo.spiral(aim, tool), aim, tool), servo, machine)
+        first = planned(per_rev)
+        self.last = self.job, first
+        known = motion_of(self.job, self.part, self.tool, self.machine) if tool or machine else first
+        self.ideal = tw.generate_points(known, self.tool, x=self.fine[0], y=self.fine[1], machine=self.machine)
 
     def cut(self, job, x, y):
         """Return the heights that a job leaves. [mm]."""
-        if self.last is None or self.last[0] is not job:
-            self.last = job, self.motion(job.part.aimed, job.tool.tool, job.machine.machine)
+        if self.last[0] is not job:
+            self.last = job, motion_of(job, job.part.aimed, job.tool.tool, job.machine.machine)
         motion = self.last[1]
         # Z that is late by an angle cuts the part turned by it.
         c, s = np.cos(self.late), np.sin(self.late)
