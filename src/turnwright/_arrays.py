@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
@@ -54,7 +54,20 @@ def same_length(arrays: Iterable[tuple[str, Floats]]) -> None:
     sizes = {name: array.shape[0] for name, array in arrays}
     if len(set(sizes.values())) > 1:
         listed = ", ".join(f"{name} {size}" for name, size in sizes.items())
-        raise InputError(f"arrays of one motion differ in length ({listed}): give them all the same number of points")
+        raise InputError(
+            f"arrays that belong together differ in length ({listed}): give them all the same number of points"
+        )
+
+
+def freeze(owner: object, names: Sequence[str], optional: Sequence[str] = (), *, of: str = "") -> None:
+    """Make arrays of one length of the fields of a frozen dataclass; those that are optional may be ``None``.
+
+    What the fields are said to be ``of`` follows their names in errors.
+    """
+    given = [*names, *(name for name in optional if getattr(owner, name) is not None)]
+    for name in given:
+        object.__setattr__(owner, name, frozen(getattr(owner, name), f"{name}{of}"))
+    same_length([(name, getattr(owner, name)) for name in given])
 
 
 def positive(value: float, name: str, unit: str) -> float:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
 
-from turnwright._arrays import Floats, Ints, frozen, same_length
+from turnwright._arrays import Floats, Ints, freeze, frozen, same_length
 from turnwright.errors import InputError
 from turnwright.machine import FAST, ROTARY, Machine
 
@@ -35,14 +35,6 @@ def _sense(angle: Floats, what: str) -> int:
     if (after < before).all():
         return -1
     raise InputError(f"the spindle angle of {what} turns back: make it grow or fall all the way")
-
-
-def _freeze(owner: Spiral | Path, names: Sequence[str], optional: Sequence[str]) -> None:
-    """Make arrays of one length of the fields of a frozen dataclass; those that are optional may be ``None``."""
-    given = [*names, *(name for name in optional if getattr(owner, name) is not None)]
-    for name in given:
-        object.__setattr__(owner, name, frozen(getattr(owner, name), name))
-    same_length([(name, getattr(owner, name)) for name in given])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -76,7 +68,7 @@ class Spiral:
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
-        _freeze(self, ("angle", "radius"), ("y", "radius_rate", "y_rate", "lift"))
+        freeze(self, ("angle", "radius"), ("y", "radius_rate", "y_rate", "lift"))
         object.__setattr__(self, "sense", _sense(self.angle, "a spiral"))
 
     @property
@@ -128,7 +120,7 @@ class Path:
 
     def __post_init__(self) -> None:
         names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
-        _freeze(self, names, ("y", "radius_rate", "y_rate", "z_rate", "lift"))
+        freeze(self, names, ("y", "radius_rate", "y_rate", "z_rate", "lift"))
         object.__setattr__(self, "sense", _sense(self.angle, "a path"))
 
 

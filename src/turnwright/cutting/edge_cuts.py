@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from turnwright._arrays import Floats, Ints, frozen, positive, same_length
+from turnwright._arrays import Floats, Ints, freeze, frozen, positive, same_length
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning import stretches
+from turnwright.cutting.learning import freeze_cuts, stretches
 from turnwright.cutting.signals import ForceRecord
 from turnwright.errors import InputError
 
@@ -74,25 +74,12 @@ class NoseCuts:
     record: Floats | None = None
 
     def __post_init__(self) -> None:
-        names = ["nose_radius", "depth", "feed"]
-        optional = ("axial", "feed_force", "cutting", "time", "record")
-        names += [one for one in optional if getattr(self, one) is not None]
-        for name in names:
-            object.__setattr__(self, name, frozen(getattr(self, name), f"{name} of the cuts"))
-        same = [(name, getattr(self, name)) for name in names]
         if not self.components:
             raise InputError(
                 "the cuts have 0 components of the force, at least 1 is needed: give axial, feed or cutting"
             )
-        if self.uncertainty is not None:
-            object.__setattr__(self, "uncertainty", frozen(self.uncertainty, "uncertainty of the cuts", ndim=2))
-            same.append(("uncertainty", self.uncertainty))
-            if self.uncertainty.shape[1] != len(self.components) or not (self.uncertainty > 0).all():
-                raise InputError(
-                    f"the uncertainties of the cuts are not {len(self.components)} positive numbers for each: give one "
-                    "for each component that was measured, or none at all"
-                )
-        same_length(same)
+        optional = ("axial", "feed_force", "cutting", "time", "record")
+        freeze_cuts(self, ("nose_radius", "depth", "feed"), optional, len(self.components))
         if self.feed.size and self.feed.min() < 0:
             raise InputError(f"the cuts have a feed of {self.feed.min():g} mm/rev, the limit is 0 mm/rev: correct it")
 
@@ -151,9 +138,8 @@ class InterruptedCuts:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "force", frozen(self.force, "the forces of the cuts", ndim=2))
-        for name in ("begin", "end"):
-            object.__setattr__(self, name, frozen(getattr(self, name), f"{name} of the cuts"))
-        same_length([("force", self.force), ("begin", self.begin), ("end", self.end)])
+        freeze(self, ("begin", "end"), of=" of the cuts")
+        same_length([("force", self.force), ("begin", self.begin)])
         if (
             not self.components
             or not set(self.components) <= set(MILLED)

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, between, frozen, positive, same_length
+from turnwright._arrays import Bools, Floats, Ints, between, freeze, frozen, positive, same_length
 from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
 from turnwright.errors import InputError
 
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import ArrayLike
+
+    from turnwright.cutting.edge_cuts import NoseCuts
 
 __all__ = ["Cuts", "Estimate", "ForceFit", "LearnedMaterial", "learn_material", "measured_cuts"]
 
@@ -61,6 +63,21 @@ FEWEST = 4
 """Rows that a part of the forces must have on either side of the transition."""
 
 HIGHEST_DRIFT = 6
+
+
+def freeze_cuts(cuts: Cuts | NoseCuts, names: Sequence[str], optional: Sequence[str], components: int) -> None:
+    """Make arrays of the fields of cuts, with positive uncertainties of all components if they are stated."""
+    freeze(cuts, names, optional, of=" of the cuts")
+    if cuts.uncertainty is None:
+        return
+    stated = frozen(cuts.uncertainty, "uncertainty of the cuts", ndim=2)
+    same_length([(names[0], getattr(cuts, names[0])), ("uncertainty", stated)])
+    if stated.shape[1] != components or not (stated > 0).all():
+        raise InputError(
+            f"the uncertainties of the cuts are not {components} positive numbers for each: give one for each "
+            "component that was measured, or none at all"
+        )
+    object.__setattr__(cuts, "uncertainty", stated)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,20 +126,8 @@ class Cuts:
     record: Floats | None = None
 
     def __post_init__(self) -> None:
-        names = ["thickness", "width", "cutting", "thrust"]
-        names += [one for one in ("area", "thrust_area", "time", "spread", "record") if getattr(self, one) is not None]
-        for name in names:
-            object.__setattr__(self, name, frozen(getattr(self, name), f"{name} of the cuts"))
-        same = [(name, getattr(self, name)) for name in names]
-        if self.uncertainty is not None:
-            object.__setattr__(self, "uncertainty", frozen(self.uncertainty, "uncertainty of the cuts", ndim=2))
-            same.append(("uncertainty", self.uncertainty))
-            if self.uncertainty.shape[1] != COMPONENTS or not (self.uncertainty > 0).all():
-                raise InputError(
-                    "the uncertainties of the cuts are not 2 positive numbers for each: give one for the cutting "
-                    "force and one for the thrust, or none at all"
-                )
-        same_length(same)
+        optional = ("area", "thrust_area", "time", "spread", "record")
+        freeze_cuts(self, ("thickness", "width", "cutting", "thrust"), optional, COMPONENTS)
         if self.thickness.size and min(self.thickness.min(), self.width.min()) < 0:
             raise InputError(
                 f"the cuts have a thickness or width of {min(self.thickness.min(), self.width.min()):g} mm, the "
