@@ -1,21 +1,31 @@
 """Hostile requests: each is refused in a sentence, the server lives on, and nothing is written outside its folder."""
 
 import asyncio
+import contextlib
+import io
 import json
 import os
 import re
 import socket
+import sys
 import threading
 import time
+import zipfile
+from functools import partial
+from pathlib import Path
 
+import numpy as np
 import pytest
 import uvicorn
 from fastapi.testclient import TestClient
 from job_files import changed
 
+import turnwright as tw
 from turnwright.errors import InputError
 from turnwright.web import create_app
 from turnwright.web._guard import Guard
+from turnwright.web._limits import FILE_BYTES
+from turnwright.web._workers import TooLong
 
 HERE = "http://127.0.0.1:8765"
 RUN = "0123456789abcdef"
@@ -27,15 +37,43 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("above") / "workbench"
 
 
+CHANGES = {"os.mkdir", "os.rename", "os.link", "os.symlink", "os.remove", "os.rmdir", "os.truncate", "shutil.rmtree"}
+"""What Python tells of that changes a file system."""
+
+
 @pytest.fixture(scope="module")
-def client(folder):
-    with TestClient(create_app(folder), base_url=HERE, raise_server_exceptions=False) as client:
+def client(folder, tmp_path_factory):
+    """A server of which every file that it opens for writing, makes, moves or removes is watched, by Python itself."""
+    touched, watching = [], [True]
+
+    def hear(event, arguments):
+        # The tests of this process write where they like; the server answers in threads of its own.
+        if not watching[0] or threading.current_thread() is threading.main_thread():
+            return
+        if event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+            touched.append(arguments[0])
+        elif event in CHANGES and not (event in ("os.remove", "os.rmdir") and arguments[1] != -1):  # below an rmtree
+            touched.extend(one for one in arguments if isinstance(one, str | os.PathLike))
+
+    sys.addaudithook(hear)
+    with TestClient(create_app(folder, nice=0), base_url=HERE, raise_server_exceptions=False) as client:
         yield client
+        assert client.get("/api/about").status_code == 200  # it is still there
+    watching[0] = False
+    places = {Path(os.fsdecode(one)).resolve() for one in touched if not isinstance(one, int)} - {Path(os.devnull)}
+    base = tmp_path_factory.getbasetemp().resolve()  # where other servers of these tests have their own folders
+    mine = {one for one in places if one.is_relative_to(folder.parent.resolve()) or not one.is_relative_to(base)}
+    assert mine
+    assert [one for one in mine if not one.is_relative_to(folder.resolve())] == []
 
 
 @pytest.fixture(scope="module")
 def cut(client, folder):
     """A run that is done, made by hand: what is sent for it is refused before anything is computed."""
+    return made_by_hand(client)
+
+
+def made_by_hand(client):
     from turnwright.web._queue import Run
 
     runs = client.app.state.runs
@@ -206,7 +244,196 @@ def test_a_large_body_is_refused_before_it_is_read(client):
     assert "8 MiB" in answer.json()["detail"]
 
 
+# --- the processes that compute
+
+
+def test_an_answer_that_takes_too_long_ends_its_process_only(client):
+    ask = client.app.state.workers.ask
+    with pytest.raises(TooLong, match=r"more than 0\.2 s"):
+        client.portal.call(partial(ask, time.sleep, 60, limit_s=0.2))
+    assert client.post("/api/job/check", json=job()).json()["errors"] == []
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="no other system limits memory so")
+def test_an_answer_that_takes_too_much_memory_is_refused(client):
+    with pytest.raises(TooLong, match="memory"):
+        client.portal.call(partial(client.app.state.workers.ask, bytearray, 8 * 2**30))
+    assert client.post("/api/job/check", json=job()).json()["errors"] == []
+
+
+# --- files that a job is to name
+
+TABLE = b",0,1,2,3,4,5\n" + b"".join(b"%d,0,0,0,0,0,0\n" % row for row in range(6))
+BAD_FILES = {
+    "a table cut short": ("heights", "a.csv", TABLE[:-4], 422),
+    "a head alone": ("heights", "a.csv", TABLE[:13], 422),
+    "not numbers": ("heights", "a.csv", TABLE.replace(b"0", b"=HYPERLINK(1)"), 422),
+    "not a number": ("heights", "a.csv", TABLE.replace(b"0,0,0,0,0,0\n", b"nan,0,0,0,0,0\n"), 422),
+    "not text": ("heights", "a.csv", b"\xff\xfe\x00\x01" * 50, 422),
+    "a certificate cut short": ("waviness", "a.csv", b"sweep [deg],deviation [nm]\n-30,1\n0,2\n30,", 422),
+    "a certificate without units": ("waviness", "a.csv", b"sweep,deviation\n-30,1\n0,2\n", 422),
+    "a certificate of nothing": ("straightness", "a.csv", b"x [mm],error [nm]\n", 422),
+    "a machine that is cut short": ("machine", "a.toml", b'base = "generic"\n[axes.X', 422),
+    "a machine upon a file": ("machine", "a.toml", b'base = "/etc/passwd"', 422),
+    "a machine upon a file above": ("machine", "a.toml", b'base = "../../machines/generic.toml"', 422),
+    "a machine upon itself": ("machine", "a.toml", b"base = 'a.toml'", 422),
+    "a machine with a file": (
+        "machine",
+        "a.toml",
+        b'base="generic"\n[axes.X]\nresponse = { file = "/etc/passwd" }',
+        422,
+    ),
+    "a machine of lists within lists": ("machine", "a.toml", b"a = " + b"[" * 50_000, 422),
+    "a material of endless digits": ("material", "a.toml", b"name = " + b"1" * 50_000, 422),
+    "a correction that is cut short": ("correction", "a.npz", b"PK\x03\x04", 422),
+    "a correction of objects": ("correction", "a.npz", None, 422),
+    "a correction without end": ("correction", "a.npz", None, 422),
+    "another kind of file": ("machine", "a.csv", TABLE, 422),
+    "no kind": ("shell", "a.csv", TABLE, 422),
+    "no ending": ("heights", "../../.ssh/authorized_keys", b"ssh-rsa", 422),
+    "a zero in the name": ("heights", "a.csv\0.exe", TABLE, 422),
+    "no bytes": ("heights", "a.csv", b"", 422),
+    "an endless name": ("heights", "a" * 5000 + ".csv", TABLE, 422),
+}
+
+
+class Touch:
+    """What unpickling would carry out."""
+
+    def __init__(self, place):
+        self.place = place
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.place),)
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_a_file_that_is_none_of_its_kind_is_refused_and_thrown_away(client, folder, tmp_path, name):
+    kind, called, content, status = BAD_FILES[name]
+    if content is None:
+        sink, trap = io.BytesIO(), Touch(tmp_path / "owned")
+        what = np.array([trap], dtype=object) if "objects" in name else np.broadcast_to(0.0, (30_000, 30_000))
+        if "objects" in name:
+            np.savez(sink, z=what, x=what, y=what, allow_pickle=True)
+        else:
+            with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("z.npy", "w") as file:
+                np.lib.format.write_array_header_2_0(
+                    file, {"descr": "<f8", "fortran_order": False, "shape": what.shape}
+                )
+                file.write(bytes(2**22))
+        content = sink.getvalue()
+    before = tree(folder)
+    answer = client.post("/api/files", params={"kind": kind, "name": called}, content=content)
+    assert answer.status_code == status, answer.text
+    assert re.fullmatch(r"\S[^\n]*", answer.json()["detail"])
+    assert str(folder) not in answer.text
+    assert len(answer.text) < 3000
+    assert tree(folder) == before
+    assert not (tmp_path / "owned").exists()
+
+
+NAMES = ["../../x.csv", "C:\\Windows\\x.csv", "CON.csv", "..csv", " .csv", "a\u202egnp.csv", "\u002e\u2024/x.csv",
+         "%2e%2e%2fx.csv", "$(id).csv", "<b>.csv", "a\nb.csv", "x.csv."[:-1], "ｘ" * 150 + ".csv"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES, ids=range(len(NAMES)))
+def test_a_file_has_the_name_that_the_server_gives_it(client, folder, name):
+    before = {one for one in tree(folder) if f"{os.sep}files{os.sep}" not in one}
+    answer = client.post("/api/files", params={"kind": "heights", "name": name}, content=TABLE)
+    assert answer.status_code == 201, answer.text
+    assert re.fullmatch(r"files/[0-9a-f]{32}/(?!(?i:con|nul)\.)[A-Za-z0-9_-]+\.csv", answer.json()["reference"])
+    assert {one for one in tree(folder) if f"{os.sep}files{os.sep}" not in one} == before
+    assert len(list((folder / "files").glob("*-heights.csv"))) == 1
+    assert len(list((folder / "files").glob("*-*"))) == len(list((folder / "files").iterdir()))
+
+
+@pytest.mark.parametrize(
+    "reference",
+    ["files/../../x/a.csv", "files/" + "0" * 32 + "/a.csv", "files/" + "0" * 32 + "/../a.csv", "files//a.csv",
+     "files/" + "0" * 31 + "g/a.csv", "FILES/" + "0" * 32 + "/a.csv", "files/" + "０" * 32 + "/a.csv", "", 7, ["a"],
+     "examples/../pyproject.toml", "file:///etc/passwd", "\\\\host\\share\\a.csv"],
+    ids=str,
+)  # fmt: skip
+def test_a_reference_leads_nowhere_else(client, reference):
+    surface = {"family": "gridded", "file": reference, "units": "mm", "sag_units": "um"}
+    told = client.post("/api/job/check", json=job(("part.surface", surface))).json()
+    assert told["errors"][0]["field"].startswith("part.surface.file")
+
+
+def test_reading_a_file_ends_at_its_limit(client, folder, monkeypatch):
+    from turnwright.web import _files
+
+    monkeypatch.setattr(_files, "FILE_S", 0.0)
+    before = tree(folder)
+    answer = client.post("/api/files", params={"kind": "heights", "name": "a.csv"}, content=TABLE + b"\n")
+    assert answer.status_code == 422
+    assert "within the limits" in answer.json()["detail"]
+    assert tree(folder) == before
+    assert client.post("/api/job/check", json=job()).json()["errors"] == []
+
+
+def test_a_file_in_chunks_is_counted(client, folder, monkeypatch):
+    from turnwright.web import _guard
+
+    monkeypatch.setattr(_guard, "FILE_BYTES", 2**20)
+    before = tree(folder)
+    answer = client.post(
+        "/api/files", params={"kind": "heights", "name": "a.csv"}, content=(b"0," * 2**15 for _ in range(64))
+    )
+    assert answer.status_code == 413
+    assert tree(folder) == before
+
+
+# --- measured files beyond the limits of time and memory
+
+
+def zeros():
+    """A map of 80 MB in some 80 kB."""
+    sink = io.BytesIO()
+    np.savez_compressed(sink, x=np.arange(3200.0), y=np.arange(3200.0), z=np.zeros((3200, 3200)))
+    return sink.getvalue()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="no other system limits memory so")
+@pytest.mark.parametrize(
+    ("limits", "sentence"),
+    [({"parse_s": 0.0}, "not read after 0 s, the limit"), ({"parse_bytes": 2**25}, "Unable to allocate")],
+    ids=["time", "memory"],
+)
+def test_reading_a_measured_file_ends_at_its_limit(tmp_path, limits, sentence):
+    folder = tmp_path / "workbench"
+    with TestClient(create_app(folder, nice=0, **limits), base_url=HERE) as client:
+        made_by_hand(client)
+        sent = client.post("/api/measurements", params={"run": RUN, "name": "a.npz"}, content=zeros()).json()["id"]
+        before = tree(folder)
+        with client.stream("GET", f"/api/runs/{sent}/events") as stream:
+            assert "failed" in "".join(stream.iter_text())
+        told = client.get(f"/api/measurements/{sent}").json()
+        assert sentence in told["sentence"]
+        assert "defect" not in told["sentence"]
+        left = set(tree(folder)) - set(before)
+        assert {Path(one).name for one in left} <= {"log.txt", "state.json"}
+        assert client.delete(f"/api/runs/{sent}").status_code == 204
+        assert client.post("/api/job/check", json=job()).json()["errors"] == []
+
+
 # --- uploads
+
+CUT_SHORT = ("x3p", "npz", "dat", "grd")
+
+
+@pytest.mark.parametrize("ending", CUT_SHORT)
+def test_a_measured_file_that_is_cut_short_is_refused(client, cut, tmp_path, ending):
+    """Read by what a process that was started for it calls; here in one that is there already, which takes less."""
+    file = tmp_path / f"a.{ending}"
+    x = np.linspace(-1, 1, 41)
+    tw.write_map(tw.HeightMap(x=x, y=x, z=np.outer(x, x) * 1e-3), file)
+    whole = file.read_bytes()
+    for share in (0.02, 0.5, 0.98):
+        file.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(InputError, match=r"^[^\n]+$"):
+            client.portal.call(partial(client.app.state.workers.ask, tw.read_map, str(file)))
+
 
 UPLOADS = {
     "10 GB by its own word": ({"name": "a.x3p"}, b"x", {"content-length": str(10 * 2**30)}, 413),
@@ -318,6 +545,11 @@ def port(tmp_path_factory):
         thread.join()
 
 
+def head(target, *more, method="GET", host="127.0.0.1"):
+    """The head of a request."""
+    return "\r\n".join([f"{method} {target} HTTP/1.1", f"Host: {host}", *more, "", ""]).encode("latin-1")
+
+
 RAW = {
     "rubbish": b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + os.urandom(200) + b"\r\n\r\n",
     "an endless header": b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"a" * 200_000 + b"\r\n\r\n",
@@ -326,7 +558,36 @@ RAW = {
     "another server as target": b"GET http://evil.example/api/about HTTP/1.1\r\nHost: evil.example\r\n\r\n",
     "two lengths": b"POST /api/job/parse HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 2\r\nContent-Length: 9\r\n\r\n",
     "a climb in the target": b"GET /../../../etc/passwd HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
-}
+    "a climb in overlong letters": head("/%c0%ae%c0%ae/%c0%ae%c0%ae/etc/passwd"),
+    "an id in full-width digits": head("/api/runs/" + "%EF%BC%90" * 16),
+    "a socket of the web": head("/api/runs", "Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
+                                "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Origin: http://evil.example"),
+    "a method that is none": head("/api/runs", method="EVIL"),
+    "a tunnel": head("evil.example:80", method="CONNECT"),
+    "an echo": head("/api/about", "X: secret", method="TRACE"),
+    "another method": head("/api/about", "Content-Length: 0", method="DELETE"),
+    "a method in a header": head(f"/api/runs/{RUN}", "X-HTTP-Method-Override: DELETE", method="POST"),
+    "a put of a file": head("/app.js", "Content-Length: 1", method="PUT") + b"x",
+    "a host of a proxy": head("/api/about", "X-Forwarded-Host: 127.0.0.1", host="evil.example"),
+    "a host with a line in it": head("/api/about", host="127.0.0.1\rX: y"),
+    "a host with a user": head("/api/about", host="127.0.0.1@evil.example"),
+    "two kinds of length": head("/api/job/parse", "Content-Length: 5", "Transfer-Encoding: chunked", method="POST")
+    + b"0\r\n\r\nGET /api/runs HTTP/1.1\r\nHost: evil.example\r\n\r\n",
+    "an unknown coding": head("/api/job/parse", "Transfer-Encoding: gzip, evil", method="POST") + b"x",
+    "a folded header": head("/api/about", "X: a", " b: c", "Host: evil.example"),
+    "a space before the colon": head("/api/about", "Content-Length : 5"),
+    "a line in the query": head("/api/runs/0%0d%0aSet-Cookie:%20a=b"),
+    "a plain form": head("/api/runs", "Content-Type: text/plain", "Content-Length: 26", method="POST")
+    + b'{"data": {}, "kind":"run"}',
+    "JSON in another alphabet": head("/api/runs", "Content-Type: application/json; charset=utf-7", "Content-Length: 6",
+                                     method="POST") + b"+AHs-x",
+    "half a letter": head("/api/job/parse", "Content-Type: application/json", "Content-Length: 18", method="POST")
+    + b'{"toml": "\\ud8"}  ',
+    "a file of 10 GB by its own word": head("/api/files?kind=heights&name=a.csv", "Content-Length: 10737418240",
+                                            method="POST"),
+    "an old version": b"GET /api/about HTTP/0.9\r\n\r\n",
+    "a later version": b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", RAW)
@@ -336,6 +597,30 @@ def test_requests_that_no_library_sends(port, name):
         answer = line.recv(65536)
     assert answer == b"" or re.match(rb"HTTP/1\.1 4\d\d", answer), answer[:100]
     assert _alive(port)
+
+
+def test_ten_gigabytes_in_chunks_end_at_the_limit(port):
+    """A client that never stops: the server hangs up when the limit is passed, and nothing of it stays."""
+    chunk = b"100000\r\n" + b"0," * 2**19 + b"\r\n"
+    sent = 0
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as line:
+        target = "/api/files?kind=heights&name=a.csv"
+        line.sendall(head(target, "Transfer-Encoding: chunked", method="POST"))
+        with contextlib.suppress(OSError):
+            while sent < 10 * 2**30:
+                line.sendall(chunk)
+                sent += len(chunk)
+    assert sent < 2 * FILE_BYTES
+    assert _alive(port)
+
+
+def test_clients_that_never_finish_a_question_keep_nobody_waiting(port):
+    with contextlib.ExitStack() as stack:
+        for number in range(200):
+            line = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10))
+            half = head("/api/job/parse", "Content-Length: 1000", method="POST")
+            line.sendall(half[:-2] if number % 2 else half + b"{")
+        assert _alive(port)
 
 
 def test_a_client_that_hangs_up_leaves_nothing(port):

@@ -21,6 +21,7 @@ from turnwright.errors import TurnwrightError
 from turnwright.progress import cores
 from turnwright.web._files import tidy
 from turnwright.web._guard import Guard, require_token
+from turnwright.web._limits import PARSE_BYTES, PARSE_S
 from turnwright.web._models import Problem
 from turnwright.web._queue import Runs
 from turnwright.web._workers import Busy, Superseded, Workers
@@ -68,6 +69,8 @@ def create_app(
     origin: str | None = None,
     at_a_time: int = 1,
     nice: int = NICE,
+    parse_s: float = PARSE_S,
+    parse_bytes: int = PARSE_BYTES,
 ) -> FastAPI:
     """Return the server of the workbench, to be run by any ASGI server.
 
@@ -83,6 +86,8 @@ def create_app(
         How many runs are carried out at a time; the others wait.
     nice
         How far runs stand back behind everything else on this computer, 0 to 19.
+    parse_s, parse_bytes
+        How long reading a measured file may take, and how much memory beyond what its process starts with. [s, byte]
 
     Raises
     ------
@@ -122,7 +127,7 @@ def create_app(
         },
     )
     app.state.folder, app.state.workers, app.state.at_a_time = folder, workers, at_a_time
-    app.state.runs = Runs(folder, at_a_time=at_a_time, nice=nice)
+    app.state.runs = Runs(folder, at_a_time=at_a_time, nice=nice, parse_s=parse_s, parse_bytes=parse_bytes)
     tidy(folder)
     for name in ROUTERS:
         app.include_router(import_module(f"turnwright.web.{name}").router)

@@ -19,6 +19,7 @@ from fastapi import APIRouter, HTTPException, Query, Request
 from starlette.requests import ClientDisconnect
 
 from turnwright.errors import InputError
+from turnwright.web._guard import HANG_UP
 from turnwright.web._limits import FILE_BYTES, FILE_ENDINGS, FILE_S, SPARE_BYTES
 from turnwright.web._models import Kept
 from turnwright.web._references import BROUGHT, place_of
@@ -113,6 +114,7 @@ async def stored(request: Request, file: File, most: int) -> tuple[int, str]:
                         413,
                         f"the file is larger than {max(most, 0) / 1e9:.3g} GB, which is what the server takes or has "
                         "room for: bring a smaller one",
+                        HANG_UP,
                     )
                 stream.write(chunk)
                 digest.update(chunk)

@@ -24,7 +24,7 @@ from turnwright.web._limits import FILE_BYTES
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-__all__ = ["BODY_BYTES", "UPLOAD_BYTES", "Guard", "is_loopback", "require_token"]
+__all__ = ["BODY_BYTES", "HANG_UP", "UPLOAD_BYTES", "Guard", "is_loopback", "require_token"]
 
 BODY_BYTES = 8 * 2**20
 """Of a job or any other JSON."""
@@ -49,6 +49,10 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
+
+TOO_LARGE = 413
+HANG_UP = {"Connection": "close"}
+"""Goes along with that, or the rest of what is too large would still be read, and thrown away."""
 
 HARMLESS = {"GET", "HEAD", "OPTIONS"}
 
@@ -106,7 +110,8 @@ class Guard:
         refusal = self._refusal(scope, headers)
         if refusal is not None:
             status, sentence = refusal
-            await JSONResponse({"detail": sentence}, status, headers=HEADERS)(scope, receive, send)
+            headers_sent = HEADERS | (HANG_UP if status == TOO_LARGE else {})
+            await JSONResponse({"detail": sentence}, status, headers=headers_sent)(scope, receive, send)
             return
         given = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         if self.token is not None and scope["method"] == "GET" and any(name == "token" for name, _ in given):
@@ -135,7 +140,7 @@ class Guard:
         length = headers.get("content-length")
         limit = _limit(scope)
         if length is not None and (not re.fullmatch("[0-9]{1,15}", length) or int(length) > limit):
-            return 413, _too_large(limit)
+            return TOO_LARGE, _too_large(limit)
         return None
 
     def _is_mine(self, name: str) -> bool:
@@ -200,7 +205,7 @@ def _counted(scope: Scope, receive: Receive) -> Receive:
         message = await receive()
         seen += len(message.get("body", b""))
         if seen > limit:
-            raise HTTPException(413, _too_large(limit))
+            raise HTTPException(TOO_LARGE, _too_large(limit), HANG_UP)
         return message
 
     return counted

@@ -21,7 +21,7 @@ from turnwright._toml import read_toml
 from turnwright.errors import InputError, TurnwrightError
 from turnwright.job import Job, faults, preview
 from turnwright.job._prescriptions import GriddedTable
-from turnwright.job._schema import MachineDeviations, PartTable, ToolDeviations
+from turnwright.job._schema import MachineTable, PartTable, ToolDeviations
 from turnwright.job._table import Table, sentences
 from turnwright.machine import Machine
 from turnwright.material import Material
@@ -141,7 +141,7 @@ def look_into(file: str, kind: str) -> None:
 READERS: dict[str, tuple[type[Table], dict[str, str]]] = {
     "heights": (GriddedTable, {"family": "gridded", "units": "mm", "sag_units": "mm"}),
     "waviness": (ToolDeviations, {}),
-    "straightness": (MachineDeviations, {}),
+    "straightness": (MachineTable, {"name": "generic"}),
 }
 """Tables of a job that read a kind of file, and what else they need."""
 

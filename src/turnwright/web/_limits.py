@@ -17,7 +17,7 @@ MAP_TYPES = (
 )  # fmt: skip
 """Endings of measured files; what a file really is decides its reader."""
 
-PARSE_S = 300
+PARSE_S = 300.0
 """How long reading a measured file may take. [s]"""
 
 PARSE_BYTES = 8 * 2**30

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 from turnwright._whole import write_whole
 from turnwright.errors import InputError
 from turnwright.progress import THREADS, cores
-from turnwright.web._limits import LONGEST_H
+from turnwright.web._limits import LONGEST_H, PARSE_BYTES, PARSE_S
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Mapping
@@ -96,10 +96,21 @@ class Runs:
         How many are carried out at a time.
     nice
         How far their processes stand back behind everything else.
+    parse_s, parse_bytes
+        How long reading a measured file may take, and how much memory. [s, byte]
     """
 
-    def __init__(self, folder: Path, *, at_a_time: int, nice: int = 0) -> None:
-        self.folder, self.at_a_time, self.nice = folder, at_a_time, nice
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        at_a_time: int,
+        nice: int = 0,
+        parse_s: float = PARSE_S,
+        parse_bytes: int = PARSE_BYTES,
+    ) -> None:
+        self.folder, self.at_a_time = folder, at_a_time
+        self._limits = (nice, parse_s, parse_bytes)
         self.place = folder / "runs"
         self.place.mkdir(parents=True, exist_ok=True)
         self._runs: dict[str, Run] = {}
@@ -292,7 +303,7 @@ class Runs:
         with (folder / "log.txt").open("wb") as log:
             process = await asyncio.create_subprocess_exec(
                 sys.executable, "-P", "-m", "turnwright.web._worker", str(folder), str(self.folder),
-                str(self.nice),
+                *map(str, self._limits),
                 stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=log, limit=2**20,
                 env={
                     **os.environ,

@@ -1,5 +1,6 @@
-"""``python -m turnwright.web._worker RUN FOLDER NICE``: carry out one run of the workbench as the command line would.
+"""``python -m turnwright.web._worker RUN FOLDER NICE SECONDS BYTES``: carry out one run as the command line would.
 
+Reading a measured file may take so many seconds and bytes.
 It tells its progress in a file and ends when whoever started it is gone, which it hears by the end of its input.
 """
 
@@ -19,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 
 from turnwright._stop import Stop
 from turnwright.errors import InputError, TurnwrightError
-from turnwright.web._limits import PARSE_BYTES, PARSE_S
 from turnwright.web._references import BUNDLE, CORRECTION, job_in, located
 
 if TYPE_CHECKING:
@@ -177,9 +177,10 @@ def _measured(run: Path, server: Path, tell: _Teller, name: str, job: Job | None
     from turnwright.web._jobs import limit_memory  # noqa: PLC0415
 
     recipe = job or _job(run, server)
-    limit_memory(PARSE_BYTES)
+    seconds, most = float(sys.argv[4]), int(sys.argv[5])
     tell("read the file", 0, 1)
-    with _deadline(PARSE_S, f"the file is not read after {PARSE_S} s, the limit: it is damaged, or too large"):
+    with _deadline(seconds, f"the file is not read after {seconds:g} s, the limit: it is damaged, or too large"):
+        limit_memory(most)
         try:
             heights = read_map(run / name)
         except InputError as error:
