@@ -12,7 +12,7 @@ import numpy as np
 from turnwright.path import Motion
 from turnwright.report._comparison import write_comparison
 from turnwright.report._measured import write_correction, write_diagnosis, write_measured
-from turnwright.report._page import page_file, set_page, version_of_page
+from turnwright.report._page import Page, page_file, set_page
 from turnwright.report._study import write_study
 from turnwright.report._tiled import write_tiled
 from turnwright.report._tolerance import write_tolerance
@@ -127,11 +127,9 @@ class _Link(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Page:
+class _Page(Page):
     """What the page says, ready to be set."""
 
-    title: str
-    kind: str
     verdict: _Verdict
     numbers: Sequence[_Number]
     warnings: Sequence[str]
@@ -154,8 +152,6 @@ class _Page:
     head: str
     timings: Sequence[_Row]
     peak_memory: str
-    job: str
-    version: str
 
 
 def write_report(result: Result, path: str | PathLike[str]) -> File:
@@ -258,7 +254,6 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
         timings=_timings(result.timings),
         peak_memory=f"{result.peak_memory_gb:.2f} GB" if math.isfinite(result.peak_memory_gb) else "not known here",
         job=result.job.to_toml(),
-        version=version_of_page(),
     )
     return set_page("run.html.j2", page, path)
 
@@ -337,7 +332,6 @@ def write_backplot(
         timings=[],
         peak_memory="",
         job=job.to_toml(),
-        version=version_of_page(),
     )
     return set_page("run.html.j2", page, path)
 

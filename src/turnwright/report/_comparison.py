@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from turnwright.report._page import page_file, set_page, version_of_page
+from turnwright.report._page import Page, page_file, set_page
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,11 +30,9 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Page:
+class _Page(Page):
     """What the page says, ready to be set."""
 
-    title: str
-    kind: str
     asked: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -43,8 +41,6 @@ class _Page:
     refused: Sequence[tuple[str, str]]
     pictures: Sequence[Picture]
     maps: Sequence[tuple[str, Picture]]
-    job: str
-    version: str
 
 
 def _shown(value: float) -> str:
@@ -106,7 +102,6 @@ def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
         pictures=[draw.minutes_and_errors(done), draw.shares_of(done)] if done else [],
         maps=[(one.name, draw.error_map(one.shares.error)) for one in done if one.shares],
         job=found.job.to_toml(),
-        version=version_of_page(),
     )
     return set_page("comparison.html.j2", page, path)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from turnwright.errors import InputError
-from turnwright.report._page import page_file, set_page, version_of_page
+from turnwright.report._page import Page, page_file, set_page
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -78,19 +78,15 @@ class _Section:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Sheet:
+class _Sheet(Page):
     """What a page says, ready to be set."""
 
-    title: str
-    kind: str
     grade: str
     word: str
     why: str
     numbers: Sequence[_Number]
     notes: Sequence[str]
     sections: Sequence[_Section]
-    job: str
-    version: str
 
 
 def _number(label: str, value: float, note: str) -> _Number:
@@ -127,7 +123,6 @@ def write_measured(measured: Measured, path: str | PathLike[str]) -> File:
         notes=_open_questions(measured),
         sections=[*_form(measured), *_lens_section(measured), _placed(measured)],
         job=measured.job.to_toml(),
-        version=version_of_page(),
     )
     return set_page("sheet.html.j2", sheet, path)
 
@@ -160,7 +155,6 @@ def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | 
         notes=[note for one in measured for note in _open_questions(one)],
         sections=[_causes(found), *_setup(measured, found), _marks(measured, found)],
         job=measured[0].job.to_toml(),
-        version=version_of_page(),
     )  # fmt: skip
     return set_page("sheet.html.j2", sheet, path)
 
@@ -214,7 +208,6 @@ def write_correction(
             _causes(found),
         ],
         job=better.job.to_toml(),
-        version=version_of_page(),
     )  # fmt: skip
     return set_page("sheet.html.j2", sheet, path)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path as File
 from typing import TYPE_CHECKING
@@ -12,7 +13,25 @@ from turnwright._whole import write_whole
 if TYPE_CHECKING:
     from os import PathLike
 
-__all__ = ["page_file", "set_page", "version_of_page"]
+__all__ = ["Page", "page_file", "set_page"]
+
+
+def _version() -> str:
+    """Return which version sets the page."""
+    try:
+        return version("turnwright")
+    except PackageNotFoundError:
+        return "not installed"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Page:
+    """What every page says beside what is its own, ready to be set."""
+
+    title: str
+    kind: str
+    job: str
+    version: str = field(default_factory=_version)
 
 
 def page_file(path: str | PathLike[str]) -> File:
@@ -21,7 +40,7 @@ def page_file(path: str | PathLike[str]) -> File:
     return path / "report.html" if path.is_dir() else path
 
 
-def set_page(template: str, page: object, path: File) -> File:
+def set_page(template: str, page: Page, path: File) -> File:
     """Set a page; it appears under its name only when it is whole."""
     import jinja2  # noqa: PLC0415 - only a page needs it
 
@@ -37,11 +56,3 @@ def set_page(template: str, page: object, path: File) -> File:
     text = re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "", text)  # no page may hold them, whatever a name does
     write_whole(path, text)
     return path
-
-
-def version_of_page() -> str:
-    """Return which version sets the page."""
-    try:
-        return version("turnwright")
-    except PackageNotFoundError:
-        return "not installed"

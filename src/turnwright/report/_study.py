@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from turnwright.report._page import page_file, set_page, version_of_page
+from turnwright.report._page import Page, page_file, set_page
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,11 +31,9 @@ SHOWN = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Page:
+class _Page(Page):
     """What the page says, ready to be set."""
 
-    title: str
-    kind: str
     asked: Sequence[str]
     pictures: Sequence[Picture]
     wide: bool
@@ -43,8 +41,6 @@ class _Page:
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
     reasons: Sequence[tuple[int, str]]
-    job: str
-    version: str
 
 
 def write_study(found: Study, path: str | PathLike[str]) -> File:
@@ -76,7 +72,6 @@ def write_study(found: Study, path: str | PathLike[str]) -> File:
         rows=[[str(number), *(_shown(one.values[number]) for one in found.columns)] for number in best],
         reasons=_reasons(found),
         job=found.job.to_toml(),
-        version=version_of_page(),
     )
     return set_page("study.html.j2", page, path)
 

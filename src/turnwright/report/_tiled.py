@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from turnwright.report._page import page_file, set_page, version_of_page
+from turnwright.report._page import Page, page_file, set_page
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,19 +27,15 @@ ZOOMS = 300
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Page:
+class _Page(Page):
     """What the page says, ready to be set."""
 
-    title: str
-    kind: str
     facts: Sequence[str]
     whole: Picture
     windows: Sequence[tuple[str, Picture]]
     spectrum: Picture
     rows: Sequence[tuple[str, str, str]]
     notes: Sequence[str]
-    job: str
-    version: str
 
 
 def write_tiled(job: Job, made: TiledMap, rough: Roughness, spectrum: Spectrum, path: str | PathLike[str]) -> File:
@@ -87,7 +83,6 @@ def write_tiled(job: Job, made: TiledMap, rough: Roughness, spectrum: Spectrum, 
         rows=_rows(rough),
         notes=[f"{what}: {note}" for what, one in (("roughness", rough), ("spectrum", spectrum)) for note in one.notes],
         job=job.to_toml(),
-        version=version_of_page(),
     )
     return set_page("tiled.html.j2", page, path)
 

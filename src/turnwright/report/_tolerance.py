@@ -7,7 +7,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from turnwright.report._measured import _Number, _Section, _Sheet
-from turnwright.report._page import page_file, set_page, version_of_page
+from turnwright.report._page import page_file, set_page
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -60,7 +60,6 @@ def write_tolerance(found: ToleranceStudy, path: str | PathLike[str]) -> File:
         notes=_notes(found),
         sections=[_distributions(found), *_sensitivities(found), _budget(found)],
         job=found.job.to_toml(),
-        version=version_of_page(),
     )
     return set_page("sheet.html.j2", page, path)
 
