@@ -12,7 +12,6 @@ from importlib import resources
 import jsonschema
 import numpy as np
 import pytest
-import tomli_w
 from fastapi.testclient import TestClient
 from job_files import changed, written
 from test_measuring import DISH, OFFSET, seen
@@ -121,6 +120,24 @@ def test_every_field_of_the_schema_explains_itself(client):
         if "unit" in field:
             # What is shown measures the same as what is meant.
             assert convert(1.0, field["unit"], field["display"]) > 0, (table, name)
+
+
+def test_every_field_that_names_a_file_says_which_it_takes(client):
+    """What the page offers there is what the server then takes."""
+    schema = client.get("/api/schema").json()
+    fields = [leaf for node in [schema, *schema["$defs"].values()] for leaf in leaves(schema, node)]
+    holds = {(name, field["holds"]) for _, name, field in fields if "holds" in field}
+    assert holds == {
+        ("file", "heights"), ("file", "machine"), ("waviness_file", "waviness"), ("straightness_file", "straightness"),
+        ("correction", "correction"), ("material", "material"),
+    }  # fmt: skip
+    for _, name, field in fields:
+        if field.get("format") == "reference":
+            assert field["holds"], name
+        for ending in field.get("endings", []):
+            answer = client.post("/api/files", params={"kind": field["holds"], "name": f"x{ending}"}, content=b"?")
+            assert answer.status_code == 422
+            assert "ends in" not in answer.json()["detail"], name
 
 
 def test_errors_stand_where_the_field_is(client):
@@ -382,11 +399,13 @@ def with_files(names):
         ("part.stock", "5 um"),
         ("tool.waviness_file", names["waviness"]),
         ("machine", {"file": names["machine"], "straightness_file": names["straightness"]}),
+        ("simulation", {"whole_part": {"radii": 11, "angles": 6}, "patches": []}),
+        ("strategy.feed", "40 um/rev"),
     )
 
 
 def test_files_travel_with_a_job_to_the_command_line(client, folder, tmp_path):
-    """Oracle: the command line, once with files written by hand and once with what the server gives away."""
+    """Oracles: the bytes that were brought, and the command line with them on disk."""
     told = {}
     for kind, (name, content) in BROUGHT.items():
         answer = client.post("/api/files", params={"kind": kind, "name": name}, content=content)
@@ -404,35 +423,19 @@ def test_files_travel_with_a_job_to_the_command_line(client, folder, tmp_path):
     files = {one["name"]: one for one in client.get(f"/api/runs/{name}").json()["files"]}
     ours = client.get(f"/api/runs/{name}/files/program").content
 
-    hand = {
-        "heights": "sag.csv",
-        "waviness": "w.csv",
-        "straightness": "s.csv",
-        "machine": "m.toml",
-        "material": "l.toml",
-    }
-    for kind, (_, content) in BROUGHT.items():
-        (tmp_path / hand[kind]).write_bytes(content)
-    (tmp_path / "job.toml").write_text(tomli_w.dumps(with_files(hand)))
-    assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
-    assert ours == (tmp_path / "out" / "part.nc").read_bytes()
-
     packed = client.get(f"/api/runs/{name}/files/bundle").content
     assert len(packed) == files["bundle"]["bytes"]
     assert client.post("/api/job/bundle", json={"data": job}).headers["content-type"] == "application/zip"
     with zipfile.ZipFile(io.BytesIO(packed)) as archive:
-        assert sorted(archive.namelist()) == [
-            "edge-2.csv", "edge.csv", "job.toml", "lot.toml", "room7.toml", "sag_table_2.csv"
-        ]  # fmt: skip
-        archive.extractall(tmp_path / "given")
-    assert tw.check_access(*_of(tmp_path / "given" / "job.toml")) == tw.check_access(*_of(tmp_path / "job.toml"))
-    assert main(["run", str(tmp_path / "given" / "job.toml"), "--out", str(tmp_path / "again")]) == 0
-    assert ours == (tmp_path / "again" / "part.nc").read_bytes()
-
-
-def _of(file):
-    job = Job.load(file)
-    return job.part.part, job.tool.tool
+        archive.extractall(tmp_path)
+    names = {"heights": "sag_table_2.csv", "material": "lot.toml", "machine": "room7.toml"}
+    names |= {"waviness": "edge.csv", "straightness": "edge-2.csv"}
+    assert {one.name for one in tmp_path.iterdir()} == {"job.toml", *names.values()}
+    for kind, (_, content) in BROUGHT.items():
+        assert (tmp_path / names[kind]).read_bytes() == content
+    assert tomllib.loads((tmp_path / "job.toml").read_text()) == with_files(names)
+    assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert ours == (tmp_path / "out" / "part.nc").read_bytes()
 
 
 def test_a_job_without_files_comes_as_it_is(client, dish):
