@@ -434,7 +434,7 @@ export class MapView {
     for (const [axis, low, high] of [["x", x0, x1], ["y", y0, y1]]) {
       const along = axis === "x" ? room.width : room.height;
       const from = origin(low, high);
-      const marks = ticks((low - from) * scale.factor, (high - from) * scale.factor, Math.max(2, along / 90));
+      const marks = ticks((low - from) * scale.factor, (high - from) * scale.factor, Math.max(2, along / (axis === "x" ? 90 : 45)));
       const title = `${axis}${from ? ` − ${from.toPrecision(6).replace(/\.?0+$/, "")} mm` : ""}  [${scale.unit}]`.replace("− -", "+ ");
       context.fillStyle = colours.quiet;
       for (const mark of marks) {
@@ -487,12 +487,12 @@ export function mount(panel) {
   const about = element("span", { class: "quiet" });
   const bar = element("div", { class: "bar mapbarrow" }, [names, quantity, lining, hold, all, element("span", { class: "gap" }), about]);
   const box = element("div", { class: "mapbox" });
-  const side = element("div", { class: "mapside", hidden: true });
+  const side = element("div", { class: "mapside" });
   const body = element("div", { class: "mapbody" }, [box, side]);
   panel.append(teach, bar, body);
 
   let shown = null;
-  let profile = null;
+  const profile = mountProfile(side);
   const tell = (packed) => {
     const { source, pixel, mean_of: many } = packed.header;
     const from = source === "generated" ? "computed from the program" : many > 1 ? `mean of ${many} stored heights a pixel` : "as stored";
@@ -547,15 +547,13 @@ export function mount(panel) {
     on(["run", "maps", "map"], open, { now: true }),
     on("line", ({ line }) => {
       view.setLine(line);
-      side.hidden = !line;
-      if (line && !profile) profile = mountProfile(side);
     }, { now: true }),
     on("cursor", ({ cursor }) => view.setCursor(cursor)),
   ];
   return {
     destroy() {
       unheard.forEach((stop) => stop());
-      profile?.destroy();
+      profile.destroy();
       view.destroy();
       panel.replaceChildren();
     },

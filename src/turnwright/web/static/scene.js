@@ -122,6 +122,7 @@ class View {
       this.renderer.setSize(width, height, false);
       this.camera.aspect = width / height;
       this.stagebox.classList.toggle("low", height < 300);
+      this.stagebox.classList.toggle("tiny", height < 130);
       if (this.moved) this.frame();
       else this.look(this.from ?? "iso");
       this.draw();
@@ -140,7 +141,7 @@ class View {
     const low = this.stagebox.clientHeight < 240;
     for (const sprite of this.axes.children) {
       if (!sprite.isSprite) continue;
-      sprite.visible = !low || sprite.userData.pixels > 14;
+      sprite.visible = this.stagebox.clientHeight > 130 && (!low || sprite.userData.pixels > 14);
       const far = sprite.position.distanceTo(this.camera.position);
       const high = (2 * far * Math.tan((this.camera.fov * Math.PI) / 360) * sprite.userData.pixels) / Math.max(1, this.stagebox.clientHeight);
       sprite.scale.set(high * sprite.userData.aspect, high, 1);
@@ -1068,9 +1069,12 @@ export function mount(box) {
     const view = new View(box);
     return { destroy: () => view.destroy() };
   } catch (error) {
+    console.info(error);
+    box.classList.remove("scenebox");
     box.replaceChildren(element("div", { class: "teach" }, [
-      element("h3", {}, ["No 3-D here"]),
-      element("p", {}, [`This browser draws no WebGL (${error.message}). Maps, profiles and results work without it.`]),
+      element("h3", {}, ["The part cannot be drawn here"]),
+      element("p", {}, ["This browser has no 3-D graphics (WebGL): switch on hardware acceleration in its settings, or take another one."]),
+      element("p", {}, ["Fields, verdict, runs, maps, profiles and programs work without it."]),
     ]));
     return { destroy: () => box.replaceChildren() };
   }
