@@ -94,7 +94,7 @@ def test_an_end_in_the_middle_keeps_what_is_finished_and_leaves_no_half(how, tmp
     ("more", "sentence"),
     [
         ([], "2 jobs are named 'a', and so would be their folders"),
-        (["b"], "0 workers carry out nothing: use at least 1"),
+        (["b"], "the number of workers is 0, it must be a whole number, 1 to 1000: give one"),
     ],
 )
 def test_a_batch_that_cannot_be_is_refused_first(more, sentence, tmp_path, capsys):

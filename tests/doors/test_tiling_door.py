@@ -124,7 +124,10 @@ def test_what_cannot_be_is_told_before_the_part_is_planned(job, tmp_path, capsys
     file.write_text("mine", encoding="utf-8")
     before = sorted(tmp_path.rglob("*"))
     for words, said in (
-        ([*command, "--tile", "8"], "a tile is 8 pixels wide, the limits are 64 to 32768"),
+        (
+            [*command, "--tile", "8"],
+            "the width of a tile in pixels is 8, it must be a whole number, 64 to 32768: give one",
+        ),
         ([*command, "--tile", "256"], "holds the map of another job, tile or version"),
         (
             [*command[:2], "--pixel", "3 um", *command[4:], "--tile", "128"],
@@ -247,9 +250,9 @@ def test_processes_make_the_same_map_and_one_that_is_killed_costs_nothing(tmp_pa
         ({"pixel": 0.0}, "the pixel along x is 0 mm"),
         ({"radius": None}, "the extent of the map is not stated"),
         ({"radius": None, "x": (0.0, 1.0)}, "the extent of the map is not stated"),
-        ({"radius": None, "x": (1.0, 0.0), "y": (0.0, 1.0)}, "the map runs from 1 to 0 mm"),
+        ({"radius": None, "x": (1.0, 0.0), "y": (0.0, 1.0)}, "the extent of the map along x is 1 to 0, it must ascend"),
         ({"radius": 0.001, "pixel": 0.01}, "the map has 1 x 1 pixels"),
-        ({"tile": 8}, "a tile is 8 pixels wide"),
+        ({"tile": 8}, "the width of a tile in pixels is 8"),
         ({"store": "memory://map", "executor": LocalPool(workers=0, threads=1)}, "lies in the memory of this process"),
         ({"store": "nosuch://there"}, "cannot be used as a store"),
     ],
@@ -268,12 +271,12 @@ def test_what_is_refused(tmp_path, asked, said):
 def test_what_a_map_refuses(tmp_path):
     found = made(tmp_path / "map")
     for call, said in (
-        (lambda: found.height_map(9), "level 9 is asked for"),
-        (lambda: found.window(x=(1, 0), y=(0, 1)), "let both ascend"),
-        (lambda: found.window(x=(0, 1), y=(0, 1), pixels=0), "a window of 0 pixels"),
+        (lambda: found.height_map(9), r"the level is 9, it must be a whole number, 0 to \d: give one"),
+        (lambda: found.window(x=(1, 0), y=(0, 1)), "the window along x is 1 to 0, it must ascend"),
+        (lambda: found.window(x=(0, 1), y=(0, 1), pixels=0), "the width of a window in pixels is 0"),
         (lambda: found.window(x=(5, 6), y=(0, 1)), "holds no pixel of the map"),
         (lambda: found.roughness(form="sphere"), "a map in tiles takes"),
-        (lambda: found.area_psd(segment=2), "a segment is 2 pixels wide"),
+        (lambda: found.area_psd(segment=2), "the width of a segment in pixels is 2, it must be"),
         (lambda: found.area_psd(segment=700), "no segment of 700 x 700 pixels is whole"),
         (lambda: found.line_psd(along="radius", segment=64), "along is 'radius'"),
         (lambda: tw.TiledMap.open(tmp_path), "holds no tiled map"),

@@ -17,6 +17,7 @@ from os import environ
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from turnwright import _given as given
 from turnwright.errors import InputError, Stopped, StudyError, TurnwrightError
 from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, fitting, local, require_reach
 from turnwright.execution._store import FULL, Store
@@ -160,8 +161,10 @@ def conduct(
     StudyError
         If the work cannot go on: the store takes nothing more, or the executor is broken. What is finished stays.
     """
+    _require_kinds(cases, shared, executor, store)
     if executor is None:
-        with local(min(fitting(), max(1, len(cases)))) as pool:
+        workers = min(fitting(), max(1, len(cases)))
+        with local(workers, threads=max(1, cores() // workers)) as pool:
             return conduct(work, cases, shared=shared, executor=pool, store=store, progress=progress)
     if store is not None:
         require_reach(store.place, executor)
@@ -176,6 +179,21 @@ def conduct(
             todo[case.key] = case
     _Conductor(work, shared or {}, executor, store, rows, progress).carry_out(todo.values())
     return [rows[case.key] for case in cases]
+
+
+def _require_kinds(cases: object, shared: object, executor: object, store: object) -> None:
+    """Raise unless all is of the kind that `conduct` takes."""
+    if not isinstance(cases, Sequence) or not all(isinstance(one, Case) for one in cases):
+        raise InputError(f"the cases are a {type(cases).__name__}, they must be a list of Case: make it so")
+    for one in cases:
+        if not isinstance(one.key, str) or not isinstance(one.data, Mapping):
+            raise InputError(f"a case has the key {one.key!r}, it must be a text, and its data a mapping: use case_key")
+    if shared is not None:
+        given.thing(shared, Mapping, "what the cases share")
+    if executor is not None:
+        given.thing(executor, Executor, "the executor")
+    if store is not None:
+        given.thing(store, Store, "the store")
 
 
 class _Conductor:

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import urlsplit
 
+from turnwright import _given as given
 from turnwright.errors import InputError, StudyError
 from turnwright.progress import THREADS, cores
 
@@ -33,6 +34,8 @@ __all__ = ["Cluster", "LocalPool", "WorkerDied", "cluster", "fitting", "local", 
 
 MEMORY_GB = 2.0
 """What a worker may need if nobody says: a whole run of the freeform infrared lens with its maps takes 1.6 GB."""
+MOST_WORKERS = 1000
+"""Processes of one machine: each has a thread of its own here."""
 _REACH_S = 5.0
 _GRACE_S = 0.7  # for a worker whose driver is gone: within a second so is it
 _FAREWELL_S = 5.0  # for a worker that is told to stop; nearly all go at once
@@ -290,7 +293,9 @@ class Cluster(Executor):
 
 
 @contextmanager
-def local(workers: int | None = None, memory_gb: float | None = None) -> Iterator[LocalPool]:
+def local(
+    workers: int | None = None, memory_gb: float | None = None, *, threads: int | None = None
+) -> Iterator[LocalPool]:
     """Yield a pool of processes of this machine; it ends with the block, at once if that ends with an error.
 
     Parameters
@@ -299,19 +304,25 @@ def local(workers: int | None = None, memory_gb: float | None = None) -> Iterato
         How many; as many as there are cores and as there is memory for, if not given.
     memory_gb
         What one worker may need, 2 if not given. [GB]
+    threads
+        How many threads each may use. If not given, one each of the workers asked for, which thus use as many cores as
+        they are; all cores together where memory has decided how many.
 
     Raises
     ------
     InputError
         If a number is not positive.
     """
-    if workers is not None and workers < 1:
-        raise InputError(f"{workers} workers carry out nothing: use at least 1")
-    if memory_gb is not None and not memory_gb > 0:
+    if workers is not None:
+        workers = given.whole(workers, "the number of workers", 1, MOST_WORKERS)
+    if memory_gb is not None and not given.number(memory_gb, "the memory of a worker") > 0:
         raise InputError(f"a worker cannot do with {memory_gb} GB of memory: use more than 0")
+    if threads is not None:
+        threads = given.whole(threads, "the number of threads", 1, MOST_WORKERS)
     if workers is None:
         workers = fitting(memory_gb)
-    pool = LocalPool(workers=workers, threads=max(1, cores() // workers))
+        threads = threads or max(1, cores() // workers)
+    pool = LocalPool(workers=workers, threads=threads or 1)
     try:
         yield pool
     except BaseException:
@@ -384,6 +395,8 @@ def cluster(address: str) -> Iterator[Cluster]:
         raise InputError(
             "a cluster needs distributed, which is not installed: pip install 'turnwright[cluster]'"
         ) from None
+    if not isinstance(address, str):
+        raise InputError(f"{address!r} is no address of a Dask scheduler: write tcp://host:port, or tls://host:port")
     _knock(address)
     # They tell of a lost scheduler by tracebacks, this by a sentence.
     with _quiet("distributed"), _quiet("distributed.client"):

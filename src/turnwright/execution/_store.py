@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Self
 from uuid import uuid4
 
+from turnwright import _given as given
 from turnwright.errors import InputError, StudyError
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class Store:
         StudyError
             If the place cannot be made.
         """
-        text = os.fspath(place)
+        text = given.path(place, "the store")
         store = cls(place=text.rstrip("/") if "://" in text else str(Path(text).expanduser().absolute()))
         if not store._remote:
             try:
@@ -84,8 +85,9 @@ class Store:
 
         A row that a failing disk has spoiled counts as none: it is computed again.
         """
+        file = f"{_checked(key)}.json"
         try:
-            row = json.loads(self._read("rows", f"{_checked(key)}.json"))
+            row = json.loads(self._read("rows", file))
         except (FileNotFoundError, ValueError):
             return None
         except OSError as error:
@@ -107,7 +109,10 @@ class Store:
         StudyError
             If the place takes nothing more; what is in it stays.
         """
-        text = json.dumps(row).encode()
+        try:
+            text = json.dumps(row).encode()
+        except (TypeError, ValueError) as error:
+            raise InputError(f"a row must be plain data ({error}): use numbers, texts and None") from None
         self._write("rows", f"{_checked(key)}.json", lambda stream: stream.write(text))
 
     def keys(self) -> set[str]:
@@ -137,6 +142,8 @@ class Store:
         import numpy as np  # noqa: PLC0415 - a worker that has no arrays starts without
 
         array = np.ascontiguousarray(array)
+        if array.dtype.hasobject:
+            raise InputError(f"the array {name!r} holds objects, which no file takes: give plain numbers")
         digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
         digest.update(array.view(np.uint8).data if array.size else b"")
         full = f"{_checked(name)}-{digest.hexdigest()[:24]}"
@@ -254,6 +261,6 @@ class Store:
 
 
 def _checked(name: str) -> str:
-    if not _NAME.fullmatch(name):
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise InputError(f"{name!r} is no name in a store: use letters, digits, dots, dashes and underscores")
     return name

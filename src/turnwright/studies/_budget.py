@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright._arrays import positive
 from turnwright._toml import read_toml
 from turnwright.errors import InputError
@@ -27,7 +29,10 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats
 
-__all__ = ["ErrorBudget", "Spread", "group_of", "unit_of"]
+__all__ = ["MOST_DRAWS", "ErrorBudget", "Spread", "group_of", "unit_of"]
+
+MOST_DRAWS = 10_000_000
+"""Cases of a study, at most."""
 
 
 class _Kind(NamedTuple):
@@ -258,6 +263,7 @@ class ErrorBudget:
     _units: Mapping[str, str] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        given.thing(self.errors, Mapping, "the errors of a budget")
         if not self.errors:
             raise InputError("a budget has 0 errors, it needs at least 1: say what cannot be set exactly")
         units = {name: unit_of(name) for name in self.errors}
@@ -272,10 +278,11 @@ class ErrorBudget:
         kinds = {name[9] for name in self.errors if name.startswith("waviness")}
         if len(kinds) > 1:
             raise InputError("the waviness is stated by P and by c, one of both can be right: leave the other out")
-        if not (np.isfinite(self.noise) and self.noise >= 0):
+        noise = given.number(self.noise, "the noise")
+        if not (math.isfinite(noise) and noise >= 0):
             raise InputError(f"the noise is {self.noise:g} mm, it must be at least 0 mm: give its standard deviation")
         if self.settling is not None:
-            positive(self.settling, "settling", "s")
+            positive(given.number(self.settling, "settling"), "settling", "s")
         named = set(self.artefacts)
         if not named or len(named) < len(self.artefacts) or not named <= set(ARTEFACTS):
             raise InputError(
@@ -291,6 +298,7 @@ class ErrorBudget:
     @classmethod
     def read(cls, table: Mapping[str, Any]) -> ErrorBudget:
         """Return the budget that a mapping describes, with quantities as text, as a TOML file reads."""
+        given.thing(table, Mapping, "a budget")
         known = {"name", "noise", "settling", "artefacts", "errors"}
         for key in table:
             if key not in known:
@@ -330,7 +338,7 @@ class ErrorBudget:
         InputError
             If the file cannot be read, is not TOML, or describes no budget.
         """
-        path = Path(path)
+        path = Path(given.path(path, "the budget file"))
         try:
             data = path.read_bytes()
         except OSError as error:
@@ -364,10 +372,12 @@ class ErrorBudget:
 
     def only(self, *groups: str) -> ErrorBudget:
         """Return the budget with the errors of some groups alone, such as ``"tool offset"`` and ``"drift"``."""
-        kept = {name: spread for name, spread in self.errors.items() if group_of(name) in groups}
+        kept = {name: spread for name, spread in self.errors.items() if group_of(name) in list(map(str, groups))}
         if not kept:
             every = ", ".join(dict.fromkeys(map(group_of, self.errors)))
-            raise InputError(f"no error of the budget is of {', '.join(groups)}, its groups are {every}: name some")
+            raise InputError(
+                f"no error of the budget is of {', '.join(map(str, groups))}, its groups are {every}: name some"
+            )
         return replace(self, errors=kept)
 
     def inputs(self, *, correction: bool) -> dict[str, Spread]:
@@ -383,6 +393,7 @@ class ErrorBudget:
 
         The draws of the part are the same with and without a correction.
         """
+        count, seed = given.whole(count, "the number of draws", 1, MOST_DRAWS), given.whole(seed, "the seed", 0)
         drawn = {}
         for name, spread in self.inputs(correction=correction).items():
             entropy = [seed, *name.encode()]

@@ -141,6 +141,8 @@ def field_of(job: Job, name: str) -> Field:
     InputError
         If there is no such field, naming the nearest.
     """
+    if not isinstance(name, str):
+        raise InputError(f"{name!r} is no name of a field: write it as in the job file, such as 'tool.nose_radius'")
     steps = name.split(".")
     value: Any = job
     annotation: Any = type(job)

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, TypeAlias, ove
 import numpy as np
 from numpy.typing import NDArray
 
+from turnwright import _given as given
 from turnwright._arrays import Bools, Floats, frozen
 from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, StudyError
@@ -23,10 +25,9 @@ from turnwright.studies._evaluate import REFUSED, SECONDS, carry_out
 from turnwright.studies._fields import changed, data_of
 from turnwright.studies._files import files_of, kept_files
 from turnwright.studies._measures import Measure, Own, measure_of
-from turnwright.studies._vary import Vary, design_cases, read_varied, stated
+from turnwright.studies._vary import MOST_CASES, Vary, design_cases, read_varied, stated
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
     from os import PathLike
 
     from turnwright.progress import Progress
@@ -160,7 +161,7 @@ class Study:
             If there is none.
         """
         for one in self.columns:
-            if one.name == name:
+            if isinstance(name, str) and one.name == name:
                 return one
         raise InputError(f"the study has no column {name!r}, it has {', '.join(one.name for one in self.columns)}")
 
@@ -172,6 +173,8 @@ class Study:
         """Return the values of a column by its name, or a case by its number."""
         if isinstance(which, str):
             return self.column(which).values
+        if isinstance(which, bool) or not isinstance(which, int | np.integer) or abs(which) > MOST_CASES:
+            raise InputError(f"{which!r} is neither a column nor the number of a case: give one of them")
         reason = self.reasons[which]  # raises IndexError where there is no such case, which ends a loop over all
         return {**{one.name: one.values[which].item() for one in self.columns}, REASON: reason}
 
@@ -190,6 +193,7 @@ class Study:
         largest
             Whether more is better.
         """
+        count = given.whole(count, "the number of cases", 0)
         values = self.column(measure).values
         if values.dtype.kind not in "fi":
             raise InputError(f"{measure} is no number, so no case is best: name another measure")
@@ -217,10 +221,17 @@ class Study:
             if len(self.fields) < 2:
                 raise InputError(f"a map is over 2 fields, the study varies {len(self.fields)}: draw a line")
             over = self.fields[0].name, self.fields[1].name
+        if not isinstance(over, tuple | list) or len(over) != 2:
+            raise InputError(f"a map is over {over!r}, it must be over 2 fields: name them")
+        if at is not None:
+            given.thing(at, Mapping, "where the other fields stand")
         kept = np.ones(len(self), dtype=np.bool_)
         for name, value in (at or {}).items():
             column = self.column(name).values
-            kept &= np.isclose(column, value, rtol=1e-12, atol=0) if column.dtype.kind == "f" else column == value
+            if column.dtype.kind == "f":
+                kept &= np.isclose(column, given.number(value, name), rtol=1e-12, atol=0)
+            else:
+                kept &= np.array([one == value for one in column.tolist()], dtype=np.bool_)
         rows, row = np.unique(self.column(over[0]).values[kept], return_inverse=True)
         columns, place = np.unique(self.column(over[1]).values[kept], return_inverse=True)
         if rows.size * columns.size == 0:
@@ -264,7 +275,7 @@ class Study:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.headings)
         writer.writerows([_cell(one) for one in row] for row in self._rows())
-        write_whole(Path(path), text.getvalue())
+        write_whole(Path(given.path(path, "the table")), text.getvalue())
 
     def to_parquet(self, path: str | PathLike[str]) -> None:
         """Write the table as Parquet, with the job in its metadata; needs pyarrow, extra `parquet`.
@@ -286,11 +297,11 @@ class Study:
         table = table.replace_schema_metadata({"turnwright.job": self.job.to_toml(), "turnwright.design": self.design})
         sink = io.BytesIO()
         parquet.write_table(table, sink)
-        write_whole(Path(path), sink.getvalue())
+        write_whole(Path(given.path(path, "the table")), sink.getvalue())
 
     def save(self, folder: str | PathLike[str]) -> None:
         """Write the study into a folder: ``study.csv``, ``study.json`` and ``job.toml``, which `load` reads again."""
-        folder = Path(folder)
+        folder = Path(given.path(folder, "the folder of a study"))
         folder.mkdir(parents=True, exist_ok=True)
         said = {
             "form": FORM,
@@ -312,7 +323,7 @@ class Study:
         StudyError
             If the folder holds none.
         """
-        folder = Path(folder)
+        folder = Path(given.path(folder, "the folder of a study"))
         try:
             said = json.loads((folder / "study.json").read_text(encoding="utf-8"))
             if said["form"] != FORM:
@@ -450,6 +461,13 @@ def study(
     >>> found[2]["strategy.feed"], found[2]["reason"]
     (20.0, '')
     """
+    given.thing(job, Job, "the job")
+    if vary is not None:
+        given.thing(vary, Mapping, "what is varied")
+    if executor is not None:
+        given.thing(executor, Executor, "the executor")
+    if workers is not None:
+        workers = given.whole(workers, "the number of workers", 1)
     fields, rows = design_cases(
         job,
         [read_varied(job, name, given) for name, given in (vary or {}).items()],

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.execution import Case, Store, case_key, conduct, local, require_reach
-from turnwright.studies._budget import ErrorBudget, Spread, group_of
+from turnwright.job import Job
+from turnwright.studies._budget import MOST_DRAWS, ErrorBudget, Spread, group_of
 from turnwright.studies._draws import carry_out, laid_out
 from turnwright.studies._files import files_of
 from turnwright.studies._scenes import answers, lines_of
@@ -38,7 +40,7 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Bools, Floats
     from turnwright.execution import Row
-    from turnwright.job import Job, StageProgress
+    from turnwright.job import StageProgress
 
 __all__ = ["Outcome", "Sensitivity", "Tightening", "ToleranceStudy", "tolerance"]
 
@@ -182,7 +184,7 @@ class ToleranceStudy:
 
     def percentiles(self, measure: str) -> dict[float, Interval]:
         """Return percentiles of a measure, each with its interval. [nm]."""
-        if measure not in self.columns:
+        if measure not in list(self.columns):
             raise InputError(f"there is no measure {measure!r} among {', '.join(self.columns)}: name one of them")
         return {share: percentile(self.columns[measure], share) for share in PERCENTILES}
 
@@ -253,10 +255,12 @@ def tolerance(
         If the cases cannot go on, or hardly any can be carried out.
     """
     told = progress or (lambda _stage, _done, _total: None)
+    given.thing(job, Job, "the job")
     limits = _limits(job)
+    count, seed = given.whole(count, "the number of cases", 0, MOST_DRAWS), given.whole(seed, "the seed", 0)
     if count < FEWEST:
         raise InputError(f"the study has {count} cases, it needs at least {FEWEST}: give a larger count")
-    budget = ErrorBudget.typical() if budget is None else budget
+    budget = ErrorBudget.typical() if budget is None else given.thing(budget, ErrorBudget, "the budget")
     _check_axes(job, budget)
     with ExitStack() as stack:
         if store is None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
+from turnwright import _given
 from turnwright.errors import InputError, UnitError
 from turnwright.studies._fields import Field, Token, changed, data_of, field_of
 from turnwright.units import convert, parse
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.job import Job
 
-__all__ = ["DESIGNS", "Design", "Varied", "Vary", "design_cases", "read_varied", "stated"]
+__all__ = ["DESIGNS", "MOST_CASES", "Design", "Varied", "Vary", "design_cases", "read_varied", "stated"]
 
 Vary: TypeAlias = Any
 """A text such as "0.1..1 mm:10", a list of texts or numbers, or a frozen distribution of ``scipy.stats``."""
@@ -157,7 +158,9 @@ def _read_list(field: Field, given: list[Any]) -> Varied:
         if isinstance(one, bool) or not isinstance(one, int | float):
             raise InputError(f"{field.name} cannot be {one!r}: give numbers, or texts with a unit")
     whole = field.kind == "whole"
-    return Varied(field=field, unit=_own(field), values=tuple(one if whole else float(one) for one in plain))
+    return Varied(
+        field=field, unit=_own(field), values=tuple(one if whole else _given.number(one, field.name) for one in plain)
+    )
 
 
 def _flag(field: Field, one: Any) -> Token:

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright._arrays import Floats
-from turnwright.errors import StudyError
+from turnwright.errors import InputError, StudyError
 from turnwright.generation import Prepared, Tiles
 from turnwright.heightmap import HeightMap
+from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress, cores
 from turnwright.tiling._files import (
@@ -32,13 +34,12 @@ from turnwright.tiling._files import (
 )
 from turnwright.tiling._layout import DEFAULT, INNER, Layout, Tile, require_tile, tile_sides
 from turnwright.tiling._map import TiledMap
+from turnwright.tool import Tool
 
 if TYPE_CHECKING:
     from turnwright._arrays import Ints
     from turnwright.execution import Store
-    from turnwright.machine import Machine
     from turnwright.surface import Surface
-    from turnwright.tool import Tool
 
 __all__ = ["generate_tiled", "planned_layout"]
 
@@ -187,6 +188,14 @@ def generate_tiled(
     """
     from turnwright.execution import require_reach  # noqa: PLC0415 - what needs processes
 
+    given.thing(motion, Motion, "the motion")
+    given.thing(tool, Tool, "the tool")
+    if machine is not None:
+        given.thing(machine, Machine, "the machine")
+    if executor is not None:
+        given.thing(executor, Executor, "the executor")
+    if minus is not None and not callable(getattr(minus, "sag", None)):
+        raise InputError(f"what is subtracted is a {type(minus).__name__}, it must be a surface: give one")
     place = named_place(store)
     layout = planned_layout(place, pixel, radius=radius, x=x, y=y, tile=tile)
     if executor is not None:

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright._arrays import Bools, Floats, positive
 from turnwright.errors import InputError
 
@@ -76,26 +77,31 @@ class Layout:
         y: tuple[float, float] | None,
     ) -> Self:
         """Lay a grid over a disc, a pixel on its axis, or over a rectangle, a pixel on its corner; not yet in tiles."""
-        both = pixel if isinstance(pixel, tuple) else (pixel, pixel)
-        steps = positive(both[0], "the pixel along x", "mm"), positive(both[1], "the pixel along y", "mm")
+        both = pixel if isinstance(pixel, tuple | list) else (pixel, pixel)
+        if len(both) != 2:
+            raise InputError(
+                f"the pixel is {both!r}, it must be one number, or one along x and one along y: give these"
+            )
+        steps = [
+            positive(given.number(one, f"the pixel along {name}"), f"the pixel along {name}", "mm")
+            for one, name in zip(both, "xy", strict=True)
+        ]
         if (x is None) != (y is None) or (x is None and radius is None):
             raise InputError(
                 "the extent of the map is not stated: give a radius for a disc, or x and y as (first, last) in mm"
             )
         if radius is not None:
-            radius = positive(radius, "the radius of the map", "mm")
+            radius = positive(given.number(radius, "the radius of the map"), "the radius of the map", "mm")
         origin, counts = [], []
-        for step, span in zip(steps, (x, y), strict=True):
+        for step, name, span in zip(steps, "xy", (x, y), strict=True):
             if span is None:
                 assert radius is not None  # noqa: S101 - refused above
                 half = math.floor(radius / step + 1e-9)
                 origin.append(-half * step)
                 counts.append(2 * half + 1)
             else:
-                low, high = span
-                if not (math.isfinite(low) and math.isfinite(high) and low < high):
-                    raise InputError(f"the map runs from {low:g} to {high:g} mm, it must ascend: swap the two")
-                origin.append(float(low))
+                low, high = given.span(span, f"the extent of the map along {name}")
+                origin.append(low)
                 counts.append(math.floor((high - low) / step + 1e-9) + 1)
         if min(counts) < 2:
             raise InputError(
@@ -103,7 +109,7 @@ class Layout:
                 f"{max(steps):g} mm"
             )
         shape = counts[1], counts[0]
-        return cls(pixel=steps, origin=(origin[0], origin[1]), shape=shape, tile=shape, radius=radius)
+        return cls(pixel=(steps[0], steps[1]), origin=(origin[0], origin[1]), shape=shape, tile=shape, radius=radius)
 
     @classmethod
     def read(cls, data: dict[str, Any]) -> Self:
@@ -184,10 +190,7 @@ class Layout:
 
 def require_tile(asked: object) -> None:
     """Raise unless a tile can be about so many pixels wide."""
-    if isinstance(asked, bool) or not isinstance(asked, int) or not FEWEST <= asked <= MOST:
-        raise InputError(
-            f"a tile is {asked!r} pixels wide, the limits are {FEWEST} to {MOST}: give a whole number between"
-        )
+    given.whole(asked, "the width of a tile in pixels", FEWEST, MOST)
 
 
 def tile_sides(asked: int, sides: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:

@@ -8,6 +8,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright._arrays import Floats
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
@@ -103,8 +104,7 @@ class TiledMap:
         InputError
             If there is no such level.
         """
-        if not 0 <= level < self.levels:
-            raise InputError(f"level {level} is asked for, there are 0 to {self.levels - 1}: choose one of them")
+        level = given.whole(level, "the level", 0, self.levels - 1)
         rows, columns = self.files.layout.level_shape(level)
         return self._read(level, slice(0, rows), slice(0, columns))
 
@@ -123,10 +123,8 @@ class TiledMap:
         InputError
             If the window does not ascend, or holds nothing of the map.
         """
-        if not (x[0] < x[1] and y[0] < y[1]):
-            raise InputError(f"the window is x {x[0]:g} to {x[1]:g}, y {y[0]:g} to {y[1]:g} mm: let both ascend")
-        if pixels < 1:
-            raise InputError(f"a window of {pixels} pixels shows nothing: ask for 1 or more")
+        x, y = given.span(x, "the window along x"), given.span(y, "the window along y")
+        pixels = given.whole(pixels, "the width of a window in pixels", 1)
         found: tuple[slice, slice] | None = None
         for level in reversed(range(self.levels)):
             spans = [_within(axis, span) for axis, span in zip(self.files.layout.axes(level), (x, y), strict=True)]

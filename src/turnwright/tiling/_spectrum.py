@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright._arrays import Floats, frozen
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
@@ -101,9 +102,5 @@ def _mean(
 
 def _segment(layout: Layout, segment: int | None) -> int:
     if segment is None:
-        segment = max(FEWEST, min(SEGMENT, 1 << int(math.log2(min(layout.shape) / 4))))
-    if not FEWEST <= segment <= min(layout.shape):
-        raise InputError(
-            f"a segment is {segment} pixels wide, the limits are {FEWEST} to {min(layout.shape)}: give a number between"
-        )
-    return segment
+        return max(FEWEST, min(SEGMENT, 1 << int(math.log2(min(layout.shape) / 4))))
+    return given.whole(segment, "the width of a segment in pixels", FEWEST, min(layout.shape))
