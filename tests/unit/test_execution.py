@@ -355,13 +355,18 @@ def test_a_url_without_what_it_needs_is_one_sentence(monkeypatch):
         Store.open("memory://study")
 
 
-def test_a_worker_uses_its_share_of_the_cores(monkeypatch):
+@pytest.mark.parametrize(
+    ("asked", "threads"),
+    [({}, 2), ({"threads": 3}, 3), ({"workers": 2}, 1), ({"workers": 2, "threads": 2}, 2)],
+)
+def test_a_worker_uses_its_share_of_the_cores(monkeypatch, asked, threads):
     monkeypatch.setattr(_executors, "cores", lambda: 5)
+    monkeypatch.setattr(_executors, "fitting", lambda _memory_gb: 2)
     before = dict(os.environ)
-    with local(2) as made:
+    with local(**asked) as made:
         rows = conduct(ours.threads, cases(6), executor=made)
     there = len(os.sched_getaffinity(0))
-    assert {(row["cores"], row["omp"]) for row in rows} == {(min(2, there), "2")}
+    assert {(row["cores"], row["omp"]) for row in rows} == {(min(threads, there), str(threads))}
     assert len({row["pid"] for row in rows}) == 2
     assert dict(os.environ) == before
 
@@ -427,7 +432,7 @@ def test_a_store_that_cannot_be_read_is_one_sentence(store):
         store.keys()
 
 
-@pytest.mark.parametrize("wrong", [{"workers": 0}, {"memory_gb": 0.0}, {"memory_gb": math.nan}])
+@pytest.mark.parametrize("wrong", [{"workers": 0}, {"memory_gb": 0.0}, {"memory_gb": math.nan}, {"threads": 0}])
 def test_a_pool_of_nothing_is_refused(wrong):
     with pytest.raises(InputError, match=r"(use|give) "), local(**wrong):
         pass

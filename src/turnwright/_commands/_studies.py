@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 __all__ = ["Cluster", "KeptAt", "Workers", "kept_cases", "over"]
 
 Workers = Annotated[
-    int | None, typer.Option(min=1, help="Processes of this machine; as many as it has cores if not given.")
+    int | None,
+    typer.Option(min=1, help="Processes of this machine, a core each; as many as it has cores if not given."),
 ]
 Cluster = Annotated[
     str | None, typer.Option(metavar="URL", help='A Dask scheduler that runs, such as "tcp://head:8786".')
