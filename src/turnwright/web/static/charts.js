@@ -169,6 +169,8 @@ export function mountProfile(panel) {
     if (!run || !line) return;
     const mine = (asking = new AbortController());
     box.classList.add("stale");
+    // The first line of a run waits until its program is read.
+    if (!drawn) head.replaceChildren(element("span", { role: "status" }, ["The surface along the line is computed from the program …"]));
     try {
       const { header, arrays } = await getPacked(`/runs/${run}/profile`, { ...line, n: 2400, client: `${CLIENT}${panel.id}` }, { signal: mine.signal });
       if (mine.signal.aborted) return;
