@@ -1,6 +1,7 @@
 """The swinging tool. Oracles: circles in closed form for spheres, brute force over them, and SciPy's optimiser."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -35,13 +36,20 @@ def each_lens(angle, radius, y):
     return np.nan_to_num(height, nan=-1.0)
 
 
+@cache
+def course_of(name):
+    """The spiral of the steady tool, and the swing that a servo makes of it; many tests ask for it."""
+    servo = SERVOS.get(name) or FALLING[name]
+    plain = servo._base().spiral(PART, TOOL)
+    return plain, servo._plan(plain, PART, TOOL, None)[0]
+
+
 @pytest.fixture(scope="module")
 def found():
-    both = {}
-    for name, servo in SERVOS.items():
-        course = servo._plan(servo._base().spiral(PART, TOOL), PART, TOOL, None)[0]
-        both[name] = servo.valleys(PART, TOOL), lambda angle, course=course: course.spiral(np.asarray(angle))
-    return both
+    return {
+        name: (servo.valleys(PART, TOOL), lambda angle, name=name: course_of(name)[1].spiral(np.asarray(angle)))
+        for name, servo in SERVOS.items()
+    }
 
 
 def apart(swing, angles, one, other):
@@ -54,7 +62,7 @@ def apart(swing, angles, one, other):
 @pytest.mark.parametrize("name", SERVOS)
 def test_placed_heights_are_those_of_the_closed_form(found, name):
     """Must show: the relative trajectory is the exact placement at the true pose."""
-    path = tw.place(found[name][1](SERVOS[name]._base().spiral(PART, TOOL).angle), PART, TOOL)
+    path = tw.place(found[name][1](course_of(name)[0].angle), PART, TOOL)
     inside = np.flatnonzero(np.hypot(path.radius, path.y) < 0.2)
     for k in np.random.default_rng(3).choice(inside, 200):
         expected = each_lens(path.angle[k], path.radius[k], path.y[k]).max()
@@ -65,7 +73,7 @@ def test_placed_heights_are_those_of_the_closed_form(found, name):
 def test_the_tip_stays_on_its_radius_and_does_not_drift(name):
     servo = SERVOS.get(name) or FALLING[name]
     swung = servo.spiral(PART, TOOL)
-    plain = servo._base().spiral(PART, TOOL)
+    plain, course = course_of(name)
     np.testing.assert_allclose(np.hypot(swung.radius, swung.y), np.abs(plain.radius), rtol=0, atol=1e-15)
     swing = np.arctan2(swung.y, swung.radius)
     assert np.abs(swing).max() < 0.5
@@ -73,7 +81,6 @@ def test_the_tip_stays_on_its_radius_and_does_not_drift(name):
     assert np.count_nonzero(np.diff(np.sign(swing[np.abs(swing) > 1e-9]))) > swung.turns * 5
     assert abs(swing[-1]) < 1e-12
     # The stated rates are derivatives.
-    course = servo._plan(plain, PART, TOOL, None)[0]
     some = slice(100, -100, 97)
     before, after = (course.spiral(swung.angle[some] + way * 1e-5) for way in (-1, 1))
     np.testing.assert_allclose((after.radius - before.radius) / 2e-5, swung.radius_rate[some], atol=1e-7)
@@ -139,7 +146,7 @@ def test_slow_keeps_the_limit_of_the_y_axis_at_the_least_displacement(found):
     # The tool is early at some valleys and late at others.
     off = found["slow"][0].angle - found["slow"][0].azimuth
     assert off[found["slow"][0].stood].min() < -1e-3 < 1e-3 < off[found["slow"][0].stood].max()
-    course = SLOW._plan(SLOW._base().spiral(PART, TOOL), PART, TOOL, None)[0]
+    course = course_of("slow")[1]
     line = np.sort(np.random.default_rng(2).uniform(30.0, 32.0, 7))
     moment = SLOW._moments(course, line, np.zeros(7))
     edges = np.concatenate([course.moment[:1], line, course.moment[-1:]])
