@@ -1,5 +1,5 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve fmt check lint types layers test doctest docs bench clean
+.PHONY: help setup demo serve fmt check lint types layers test docs screenshots bench clean
 
 PYTHON ?= python3
 VENV := .venv
@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 LENS := out/infrared_lens
 
 help: ## list the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /	/' | expand -t 10
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /	/' | expand -t 13
 
 # Stamps: an environment is made once, and again when what it is made from changes.
 $(VENV)/.installed: pyproject.toml
@@ -56,6 +56,9 @@ layers: setup
 docs: setup ## build the documentation; every page is run
 	$(BIN)/sphinx-build -q -W --keep-going -j auto -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
+
+screenshots: $(VENV)/.testing ## take the pictures of the workbench that docs and README show; needs Chromium
+	TURNWRIGHT_SCREENSHOTS=docs/images/workbench $(BIN)/python -m pytest tests/doors/test_web_page.py -q -k picture
 
 check: setup lint types layers test docs ## everything CI runs
 

@@ -1,0 +1,210 @@
+"""The workbench as a person meets it: `turnwright serve` as a process, and its page in a real Chromium.
+
+`TURNWRIGHT_BROWSER` names another browser of that family; `TURNWRIGHT_BROWSER_REQUIRED` makes its absence a failure.
+"""
+
+import contextlib
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+from PIL import Image
+
+PATIENCE_S = 120
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+ARGUMENTS = [
+    # Pictures in three dimensions without a graphics card.
+    "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    # Nothing but what the page asks for.
+    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run",
+]  # fmt: skip
+
+SLOWLY = "GPU stall due to ReadPixels"  # what Chromium says of a picture that is taken without a graphics card
+
+
+def browser():
+    """Return where the browser is, or None."""
+    named = os.environ.get("TURNWRIGHT_BROWSER")
+    return shutil.which(named) if named else next(filter(None, map(shutil.which, NAMES)), None)
+
+
+def wait(call, *, what):
+    """Return the first answer of `call` that is true. The page's policy forbids that it waits by itself."""
+    until = time.monotonic() + PATIENCE_S
+    while not (found := call()):
+        assert time.monotonic() < until, f"waited {PATIENCE_S} s in vain for {what}"
+        time.sleep(0.02)
+    return found
+
+
+@contextlib.contextmanager
+def serving(folder):
+    """Start the server as a person does, and yield its address."""
+    command = [sys.executable, "-m", "turnwright", "serve", "--port", "0", "--no-open", "--folder", str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process.stdout.readline().split()[-1]
+        finally:
+            process.terminate()
+            process.wait(PATIENCE_S)
+
+
+@contextlib.contextmanager
+def chromium(playwright):
+    """Start the browser; whoever is root has no sandbox."""
+    alone = ["--no-sandbox"] if hasattr(os, "getuid") and os.getuid() == 0 else []
+    started = playwright.chromium.launch(executable_path=browser(), args=[*alone, *ARGUMENTS])
+    try:
+        yield started
+    finally:
+        started.close()
+
+
+class Bench:
+    """A page that is open, and all that goes wrong in it."""
+
+    def __init__(self, chrome, address, *, size=(1280, 800), dark=False, touch=False):
+        self.address = address
+        self.wrong = []
+        width, height = size
+        self.context = chrome.new_context(
+            viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light", has_touch=touch
+        )
+        self.context.set_default_timeout(PATIENCE_S * 1000)
+        self.page = self.context.new_page()
+        for event, hear in {
+            "console": self._said,
+            "pageerror": lambda error: self.wrong.append(f"error: {error}"),
+            "request": self._asked,
+            "requestfailed": self._failed,
+            "response": self._answered,
+        }.items():
+            self.page.on(event, hear)
+
+    def _said(self, message):
+        # The browser says here, too, what a policy has forbidden.
+        if message.type in ("error", "warning") and SLOWLY not in message.text:
+            self.wrong.append(f"{message.type}: {message.text}")
+
+    def _asked(self, request):
+        asked = urlsplit(request.url)
+        if asked.scheme not in ("blob", "data") and asked[:2] != urlsplit(self.address)[:2]:
+            self.wrong.append(f"asked elsewhere: {request.url}")
+
+    def _failed(self, request):
+        # A question that a later one has replaced is given up by the page itself.
+        if request.failure != "net::ERR_ABORTED":
+            self.wrong.append(f"failed: {request.url}, {request.failure}")
+
+    def _answered(self, response):
+        # 409 says to a question that a later one has taken its place.
+        if response.status >= 400 and response.status != 409:
+            self.wrong.append(f"answered {response.status}: {response.url}")
+
+    def open(self):
+        """Open the page, and wait until a person can use it."""
+        self.page.goto(self.address)
+        self.page.locator("#examples option").nth(1).wait_for(state="attached")
+        return self
+
+    def take(self, file):
+        """Open a job file by the button for it."""
+        with self.page.expect_file_chooser() as chosen:
+            self.page.get_by_role("button", name="Open a job file").first.click()
+        self.answer("/api/job/parse", lambda: chosen.value.set_files(file))
+        self.page.locator("#pill").filter(has_not_text="looking").wait_for()
+        return self
+
+    def look_at(self, kind):
+        """Look at what a run of this kind has found, which is done: "run", "compare", "measure" or "correct"."""
+        runs = self.page.get_by_role("tab", name=re.compile("^Runs"))
+        if not runs.is_visible():  # where there is room for one pane only
+            self.page.get_by_role("button", name="Results pane").click()
+        runs.click()
+        done = self.page.locator(".run[data-state=done]")
+        named = re.compile("(compare|measure|correct),")
+        of_kind = done.filter(has_not_text=named) if kind == "run" else done.filter(has_text=f"{kind},")
+        of_kind.last.locator(".line").click()
+        found = {"compare": "svg.pareto", "measure": "#measured .cause"}.get(kind, "#outcome")
+        self.page.locator(found).first.wait_for()
+        return self
+
+    def store(self, key):
+        """Return what the page itself keeps."""
+        return self.page.evaluate("async (key) => (await import('/state.js')).state[key]", key)
+
+    def answer(self, path, act):
+        """Return what the server answers to the first question at a path that `act` makes the page ask."""
+        with self.page.expect_response(lambda one: urlsplit(one.url).path.endswith(path) and one.ok) as told:
+            act()
+        return told.value
+
+    def download(self, link):
+        """Return the bytes that a link leads to."""
+        with self.page.expect_download() as taken:
+            link.click()
+        return Path(taken.value.path()).read_bytes()
+
+    def png(self, locator=None):
+        """Return a picture of the page, or of a part of it."""
+        return (locator or self.page).screenshot(animations="disabled")
+
+    def drawn(self, selector, *, colours):
+        """Wait until a part of the page has so many colours, and return its picture."""
+        part = self.page.locator(selector)
+        part.wait_for()
+        return wait(
+            lambda: picture if colours_of(picture := self.png(part)) >= colours else None,
+            what=f"{colours} colours in {selector}",
+        )
+
+    def settled(self):
+        """Return a picture of the page once nothing moves in it any more, or of one that goes on moving."""
+        before = self.png()
+        for _ in range(6):
+            time.sleep(0.2)
+            now = self.png()
+            if now == before:
+                break
+            before = now
+        return now
+
+    def close(self):
+        """Close the page, in which nothing may have gone wrong."""
+        self.context.close()
+        assert not self.wrong, "\n".join(self.wrong)
+
+
+def pixels(png):
+    """Return the colours of a picture, (rows, columns, 3) from 0 to 255."""
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+
+
+def colours_of(png):
+    """Count the colours of a picture."""
+    return len(np.unique(pixels(png) @ (65536, 256, 1)))
+
+
+def plain(text):
+    """Return a text of the page with the signs and gaps of a keyboard."""
+    return text.replace("\u202f", " ").replace("\u2212", "-")
+
+
+def figures(text):
+    """Return the numbers of a text of the page."""
+    return [float(one.replace(" ", "")) for one in re.findall(r"-?\d+(?: \d{3})*(?:\.\d+)?", plain(text))]
+
+
+def smaller(png):
+    """Return a picture in fewer bytes."""
+    found = io.BytesIO()
+    Image.open(io.BytesIO(png)).convert("RGB").save(found, "PNG", optimize=True)
+    return found.getvalue()
