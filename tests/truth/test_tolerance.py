@@ -19,7 +19,17 @@ from turnwright.generation import generate_points
 from turnwright.job import correct
 from turnwright.studies import ErrorBudget, Spread
 from turnwright.studies import _draws as draws_of
-from turnwright.studies._scenes import Reach, drifted, kept, lines_of, planned, scene_motion, scenes_of, stored
+from turnwright.studies._scenes import (
+    Reach,
+    drift_share,
+    drifted,
+    kept,
+    lines_of,
+    planned,
+    scene_motion,
+    scenes_of,
+    stored,
+)
 from turnwright.studies._sensitivity import (
     MapModel,
     chance,
@@ -149,9 +159,10 @@ def test_the_thinned_program_leaves_what_the_whole_one_leaves(kind):
         assert head["duration"] == duration
         for draw in DEVIATIONS:
             real = draws_of.deviated(job.tool.tool, job.machine.machine, draw)
-            few = drifted(scene_motion(head, rows, job.machine.machine, {}), *real.drift, duration, 5.0)
+            few = scene_motion(head, rows, job.machine.machine, {})
+            few = drifted(few, *real.drift, drift_share(few.time, duration, 5.0))
             left = scene.generated(few, real.tool, real.machine, head["near"])
-            whole = drifted(plan.motion, *real.drift, duration, 5.0)
+            whole = drifted(plan.motion, *real.drift, drift_share(plan.motion.time, duration, 5.0))
             z = generate_points(whole, real.tool, x=left.x.ravel(), y=left.y.ravel(), machine=real.machine)
             if scene.polar:  # lines end where a tool above or below centre leaves a core
                 z[np.hypot(left.x, left.y).ravel() < 4 * abs(real.tool.offset[1]) - 1e-12] = np.nan
@@ -269,7 +280,7 @@ def test_drift_leaves_its_own_history(tmp_path, settling):
     bench = bench_of(job, one_budget(settling, drift_z="normal(0, 100) nm"), tmp_path)
     cut = bench.cuts[""]
     still, drifting = (
-        cut.made(cut.views[0], bench.real({"drift z": by}), settling)[1] for by in (0.0, 5e-4)
+        cut.made(cut.views[0], bench.real({"drift z": by}))[1] for by in (0.0, 5e-4)
     )  # fmt: skip
     # Passes come in at an even feed, and each radius is as low as the last pass over it.
     strategy, head = job.strategy, cut.views[0].head
@@ -287,15 +298,15 @@ def test_a_part_springs_back_and_stands_upright(tmp_path):
     bench = bench_of(job, one_budget(mounting_Z5="normal(0, 100) nm"), tmp_path)
     cut = bench.cuts[""]
     view, free = cut.views[0], bench.real({})
-    left, straight = cut.made(view, free, None)
-    bent = cut.made(view, bench.real({"mounting Z5": 2e-4, "mounting Z9": 1e-4}), None)[1]
+    left, straight = cut.made(view, free)
+    bent = cut.made(view, bench.real({"mounting Z5": 2e-4, "mounting Z9": 1e-4}))[1]
     x, y = left.x / 3.0, left.y / 3.0
     q = x**2 + y**2
     expected = -2e-4 * (x**2 - y**2) - 1e-4 * (6 * q**2 - 6 * q + 1)
     assert np.abs(bent - straight - expected).max() < 1e-15
     # A sphere that leaned by two small angles stands upright again: its centre has turned about the vertex.
     about_x, about_y = 3e-5, -2e-5
-    tilted = cut.made(view, bench.real({"chuck tilt x": about_x, "chuck tilt y": about_y}), None)
+    tilted = cut.made(view, bench.real({"chuck tilt x": about_x, "chuck tilt y": about_y}))
     size = 40.0
     centre = np.array(
         [-size * math.sin(about_y), size * math.sin(about_x), size * math.cos(math.hypot(about_x, about_y))]

@@ -23,6 +23,7 @@ from turnwright.studies._scenes import (
     Reach,
     Scene,
     answers,
+    drift_share,
     drifted,
     kept,
     lines_of,
@@ -229,6 +230,7 @@ class _View:
     scene: Scene
     head: Mapping[str, Any]
     rows: Floats
+    share: Floats  # of the drift that there is at each point: the same in all cases
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -239,10 +241,10 @@ class _Cut:
     feed: float
     views: tuple[_View, ...]
 
-    def made(self, view: _View, real: Real, settling: float | None) -> tuple[Left, Floats]:
+    def made(self, view: _View, real: Real) -> tuple[Left, Floats]:
         """Return what is left at the places of a scene, and how far that is off the design, released. [mm]."""
         motion = scene_motion(view.head, view.rows, self.job.machine.machine, real.faster)
-        motion = drifted(motion, *real.drift, view.head["duration"], settling)
+        motion = drifted(motion, *real.drift, view.share)
         left = view.scene.generated(motion, real.tool, real.machine, view.head["near"])
         surface, radius = self.job.part.part.surface, self.job.part.part.radius
         shape, x, y = left.z.shape, left.x.ravel(), left.y.ravel()
@@ -270,7 +272,7 @@ class Bench:
     @classmethod
     def of(cls, shared: Mapping[str, Any], store: Store) -> Bench:
         """Return the bench of what `laid_out` has put into a store."""
-        cuts = {}
+        cuts, budget = {}, ErrorBudget.read(shared["budget"])
         with at_hand(shared["files"], shared["kept"], store) as places:
             jobs = {kind: Job.read(moved(tomllib.loads(own["job"]), places)) for kind, own in shared["cuts"].items()}
             for job in jobs.values():  # what reads a file reads it now
@@ -278,12 +280,13 @@ class Bench:
         for kind, own in shared["cuts"].items():
             job = jobs[kind]
             scenes = [lines_of(job, even=True)] if kind else scenes_of(job)
-            views = tuple(
-                _View(scene=scene, head=head, rows=store.array(head["array"]))
-                for scene, head in zip(scenes, own["scenes"], strict=True)
-            )
-            cuts[kind] = _Cut(job=job, feed=own["feed"], views=views)
-        return cls(budget=ErrorBudget.read(shared["budget"]), cuts=cuts)
+            views = []
+            for scene, head in zip(scenes, own["scenes"], strict=True):
+                rows = store.array(head["array"])
+                share = drift_share(rows[0], head["duration"], budget.settling)
+                views.append(_View(scene=scene, head=head, rows=rows, share=share))
+            cuts[kind] = _Cut(job=job, feed=own["feed"], views=tuple(views))
+        return cls(budget=budget, cuts=cuts)
 
     def real(self, draw: Mapping[str, float], cut: str = "") -> Real:
         """Return what a draw makes of tool and machine."""
@@ -297,7 +300,7 @@ class Bench:
         numbers: dict[str, float] = {}
         form: Floats | None = None
         for view in part.views:
-            left, error = part.made(view, real, self.budget.settling)
+            left, error = part.made(view, real)
             if view.scene.polar:
                 form = form_error(part.job, left, error, view.scene.weight)
                 weight = np.broadcast_to(view.scene.weight, form.shape)[np.isfinite(form)]
@@ -321,7 +324,7 @@ class Bench:
         for kind, cut in self.cuts.items():
             if not kind:
                 continue
-            left, error = cut.made(cut.views[0], self.real(draw, kind), self.budget.settling)
+            left, error = cut.made(cut.views[0], self.real(draw, kind))
             design = cut.job.part.part
             x, y = left.x.ravel(), left.y.ravel()
             seen = error.ravel() + rng.normal(0.0, 1.0, x.size) * self.budget.noise

@@ -35,6 +35,7 @@ __all__ = [
     "Reach",
     "Scene",
     "answers",
+    "drift_share",
     "drifted",
     "kept",
     "lines_of",
@@ -428,16 +429,20 @@ def _lagrange(nodes: Floats, at: float) -> Floats:
     return np.asarray((off / apart).prod(axis=1))
 
 
-def drifted(motion: Motion, x: float, z: float, duration: float, settling: float | None) -> Motion:
-    r"""Return a motion whose tool drifts along X and Z, by so much at the end of the cut.
+def drift_share(time: Floats, duration: float, settling: float | None) -> Floats:
+    r"""Return how much of a drift there is at each time, 1 at the end of the cut.
 
-    .. math:: d(t) = d \, t/T \quad\text{or}\quad d \, \frac{1 - e^{-t/\tau}}{1 - e^{-T/\tau}}
+    .. math:: \frac{t}{T} \quad\text{or}\quad \frac{1 - e^{-t/\tau}}{1 - e^{-T/\tau}}
     """
+    if settling is None:
+        return time / duration
+    return np.asarray(np.expm1(-time / settling) / math.expm1(-duration / settling))
+
+
+def drifted(motion: Motion, x: float, z: float, share: Floats) -> Motion:
+    """Return a motion whose tool drifts along X and Z, by so much at the end of the cut; see `drift_share`."""
     if not x and not z:
         return motion
-    share = motion.time / duration
-    if settling is not None:
-        share = np.expm1(-motion.time / settling) / math.expm1(-duration / settling)
     return replace(motion, axes={**motion.axes, "X": motion.axes["X"] + x * share, "Z": motion.axes["Z"] + z * share})
 
 
