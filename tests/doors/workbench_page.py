@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 from PIL import Image
+from playwright.sync_api import Error
 
 PATIENCE_S = 120
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -161,10 +162,14 @@ class Bench:
         """Wait until a part of the page has so many colours, and return its picture."""
         part = self.page.locator(selector)
         part.wait_for()
-        return wait(
-            lambda: picture if colours_of(picture := self.png(part)) >= colours else None,
-            what=f"{colours} colours in {selector}",
-        )
+
+        def picture():
+            # What is drawn anew just now has none yet.
+            with contextlib.suppress(Error):
+                png = self.png(part)
+                return png if colours_of(png) >= colours else None
+
+        return wait(picture, what=f"{colours} colours in {selector}")
 
     def settled(self):
         """Return a picture of the page once nothing moves in it any more, or of one that goes on moving."""
@@ -204,7 +209,9 @@ def figures(text):
 
 
 def smaller(png):
-    """Return a picture in fewer bytes."""
+    """Return a picture in fewer bytes: six bits of each colour are enough for a page."""
     found = io.BytesIO()
-    Image.open(io.BytesIO(png)).convert("RGB").save(found, "PNG", optimize=True)
+    Image.open(io.BytesIO(png)).convert("RGB").point(lambda value: value & 252 | value >> 6).save(
+        found, "PNG", optimize=True
+    )
     return found.getvalue()
