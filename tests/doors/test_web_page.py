@@ -587,6 +587,7 @@ def test_every_state_has_its_picture(chrome, tmp_path):
         def keep(state):
             both_schemes(one, shown / state)
 
+        page.get_by_text("No job yet.").wait_for()
         keep("empty")
         one.take(job)
         one.drawn("canvas.scene", colours=1000)
