@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, frozen, positive
+from turnwright._arrays import Bools, Floats, Ints, frozen, positive
 from turnwright.diagnosis._causes import CAUSES, DEFAULT, Cause, Column, Columns
 from turnwright.diagnosis._findings import Diagnosis, Finding, Said, around, judge
 from turnwright.diagnosis._fit import (
@@ -534,15 +534,18 @@ def _whole(thin: Sight, thinned: HeightMap, heights: HeightMap, part: Part, colu
     if not heights.scattered:
         held = np.zeros(thin.where.shape, dtype=np.bool_)
         held[thin.where] = thin.good | thin.apart
-        near = [
-            np.rint(np.interp(full, few, np.arange(few.size))).astype(np.int64)
-            for full, few in zip(_axes(heights), _axes(thinned), strict=True)
-        ]
+        near = [_nearest(full, few) for full, few in zip(_axes(heights), _axes(thinned), strict=True)]
         sight.good = held[np.ix_(*near)][where]
     if thin.stands is not None:
         sight.stands = z
     _mark(sight, columns)
     return sight
+
+
+def _nearest(full: Floats, few: Floats) -> Ints:
+    """Return which of few positions along an axis, which may fall, is about the nearest to each of all. (n,)."""
+    order = np.argsort(few)
+    return np.asarray(np.rint(np.interp(full, few[order], order)).astype(np.int64))
 
 
 def _corrected(findings: Sequence[Finding], fit: Fit, tool: Tool, machine: Machine) -> tuple[Tool, Machine]:

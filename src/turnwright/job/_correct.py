@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tomli_w
+from numpy.typing import NDArray
 
 from turnwright._whole import write_whole
 from turnwright.errors import InputError
@@ -173,12 +174,12 @@ def _left(found: Diagnosis, own: Sequence[bool]) -> HeightMap:
     for residual, signatures, counts in zip(found.residuals, found.signatures, own, strict=True):
         if not counts:
             continue
-        z, x, y = residual.z, *residual.points()
+        z, x, y = (one.ravel() for one in (residual.z, *residual.points()))
         if also:
             # The marks are known at some of the points.
             marks = [signatures[name] for name in also]
             at = _among(marks[0], residual)
-            z, x, y = z[at] + sum(mark.z for mark in marks), x[at], y[at]
+            z, x, y = z[at] + sum(mark.z.ravel() for mark in marks), x[at], y[at]
         known = ~np.isnan(z)
         points.append((x[known], y[known], z[known]))
     x, y, z = (np.concatenate(one) for one in zip(*points, strict=True))
@@ -191,8 +192,19 @@ def _step(many: HeightMap) -> int:
 
 
 def _among(few: HeightMap, many: HeightMap) -> Ints:
-    """Return which of many points the few are: every so-manieth."""
-    return np.arange(0, many.z.size, -(-many.z.size // few.z.size))
+    """Return which points of a map those of a part of it are, in order of rows on a grid. (n,)."""
+    if many.scattered:
+        return _found(*(x + 1j * y for x, y in (few.points(), many.points())))
+    rows, columns = (
+        _found(getattr(few, name), getattr(many, name)) for name in (("angle", "radius") if many.polar else ("y", "x"))
+    )
+    return np.asarray((rows[:, None] * many.z.shape[1] + columns).ravel())
+
+
+def _found(few: NDArray[Any], many: NDArray[Any]) -> Ints:
+    """Return where values stand among others, which hold each of them. (n,)."""
+    order = np.argsort(many, kind="stable")
+    return np.asarray(order[np.searchsorted(many, few, sorter=order)])
 
 
 def _put_tool(table: dict[str, Any], tool: Tool, planned: Tool, out: File) -> None:
