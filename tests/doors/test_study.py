@@ -339,7 +339,8 @@ def response_files(folder):
     (folder / "shop" / "base.toml").write_text(
         f'base = "nanotech-350fg"\n[axes.Z.response]\nfile = "{folder / "z.csv"}"\n', encoding="utf-8"
     )
-    (folder / "shop" / "lathe.toml").write_text('base = "base.toml"\nname = "ours"\n', encoding="utf-8")
+    # With a byte order mark, as some editors save.
+    (folder / "shop" / "lathe.toml").write_text('base = "base.toml"\nname = "ours"\n', encoding="utf-8-sig")
     return str(folder / "shop" / "lathe.toml")
 
 

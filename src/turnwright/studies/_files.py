@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from turnwright._toml import read_toml
 from turnwright.errors import StudyError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def _add(file: Path, found: set[str]) -> None:
     found.add(str(file))
     if file.suffix != ".toml":
         return
-    for text in _texts(tomllib.loads(file.read_text(encoding="utf-8"))):
+    for text in _texts(read_toml(file.read_bytes(), f"the file {str(file)!r}")):
         with suppress(OSError, ValueError):  # no name of a file after all
             other = Path(os.path.normpath(file.parent / text))
             if other.is_file():
