@@ -438,6 +438,22 @@ def test_files_travel_with_a_job_to_the_command_line(client, folder, tmp_path):
     assert ours == (tmp_path / "out" / "part.nc").read_bytes()
 
 
+def test_a_file_that_was_brought_by_two_names_is_in_the_archive_by_both(client):
+    """Oracle: the bytes that were brought."""
+    first, second = (
+        client.post("/api/files", params={"kind": "waviness", "name": name}, content=WAVY).json()["reference"]
+        for name in ("edge.csv", "same.csv")
+    )
+    job = changed(("tool.waviness_file", first), ("actual.tool.waviness_file", second))
+    packed = client.post("/api/job/bundle", json={"data": job})
+    assert packed.status_code == 200, packed.text
+    with zipfile.ZipFile(io.BytesIO(packed.content)) as archive:
+        told = tomllib.loads(archive.read("job.toml").decode())
+        assert told["tool"]["waviness_file"] == "edge.csv"
+        assert told["actual"]["tool"]["waviness_file"] == "same.csv"
+        assert [archive.read(name) for name in ("edge.csv", "same.csv")] == [WAVY, WAVY]
+
+
 def test_a_job_without_files_comes_as_it_is(client, dish):
     packed = client.post("/api/job/bundle", json={"data": changed(*DISH)})
     with zipfile.ZipFile(io.BytesIO(packed.content)) as archive:

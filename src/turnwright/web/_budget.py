@@ -7,9 +7,9 @@ import math
 from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path as File
-from tempfile import NamedTemporaryFile
 from typing import Any
 
+from turnwright._whole import write_whole
 from turnwright.errors import InputError
 from turnwright.job import Job, Shares, shares
 from turnwright.job._run import Watch, planned, read_back
@@ -49,9 +49,8 @@ def budget(folder: str) -> dict[str, Any]:
     found = {one.name: _number(getattr(told, one.name)) for one in fields(Shares) if one.name != "error"}
     found["rounding_nm"] = numbers["rounding_nm"]
     found["servos"] = any(one.response is not None or one.dead_time for one in job.machine.machine.axes.values())
-    with suppress(OSError), NamedTemporaryFile("w", dir=kept.parent, delete=False, encoding="utf-8") as file:
-        json.dump(found, file)
-        File(file.name).rename(kept)
+    with suppress(OSError):  # a full disk: it is found again
+        write_whole(kept, json.dumps(found))
     return found
 
 

@@ -96,7 +96,7 @@ def read(data: dict[str, Any], folder: str) -> tuple[Job | None, list[dict[str, 
 
 def _with_names(sentence: str, references: Mapping[str, str]) -> str:
     """Return a sentence with the files in it as who brought them calls them."""
-    for path, reference in references.items():
+    for reference, path in references.items():
         name = reference.rpartition("/")[2]
         sentence = sentence.replace(path, name).replace(Path(path).name, name)
     return sentence

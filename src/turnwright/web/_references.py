@@ -63,7 +63,7 @@ class Located(NamedTuple):
     problems
         What is wrong with its references.
     references
-        Those that lead to a file, by its path.
+        Those that lead to a file, with its path. A file may have several: as often as it was brought by other names.
     """
 
     data: dict[str, Any]
@@ -139,7 +139,7 @@ def _path(value: object, field: str, key: str, folder: Path, found: Located) -> 
         return None
     file = _file(value, kind_of(field, key), folder) if isinstance(value, str) else None
     if file is not None:
-        found.references[str(file)] = str(value)
+        found.references[str(value)] = str(file)
         return str(file)
     text = repr(value)
     text = text if len(text) <= 60 else f"{text[:57]}..."
@@ -174,7 +174,7 @@ def beside(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], dict[str
     folder
         Of the server.
     """
-    references = {reference: Path(path) for path, reference in located(data, folder).references.items()}
+    references = {reference: Path(path) for reference, path in located(data, folder).references.items()}
     files: dict[str, Path] = {}
     names: dict[str, str] = {}
     for reference, path in references.items():
@@ -202,7 +202,8 @@ def job_in(run: Path, folder: Path) -> dict[str, Any]:
     if not corrected.is_file():
         return data
     # Beside the corrected job stands what the correction has made; the rest is where it was before.
-    known = {str(path): name for name, path in example_files().items()} | located(data, folder).references
+    known = {str(path): name for name, path in example_files().items()}
+    known |= {path: name for name, path in located(data, folder).references.items()}
 
     def reference(value: str) -> str:
         mine = f"runs/{run.name}/{value}"
