@@ -502,6 +502,17 @@ def test_the_key_is_that_of_data_program_and_files(tmp_path, monkeypatch):
         case_key({"a": {1}})
 
 
+@pytest.mark.parametrize("text", ['\ufeffbase = "generic"\nname = "{}"\n', "no TOML {}\n", "caf\udce9 {}\n"])
+def test_the_key_is_that_of_any_toml_file_as_people_save_it(tmp_path, text):
+    """With a byte order mark, and none at all: a changed file is another one."""
+    machine = tmp_path / "machine.toml"
+    keys = set()
+    for name in ("one", "two"):
+        machine.write_bytes(text.format(name).encode("utf-8", "surrogateescape"))
+        keys.add(case_key({"machine": str(machine)}))
+    assert len(keys) == 2
+
+
 def test_the_program_is_its_own_files():
     assert program_version() == program_version()
     assert program_version().startswith(f"{tw.__version__}+")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import json
-import tomllib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from turnwright import _given as given
+from turnwright._toml import read_toml
 from turnwright.errors import InputError, Stopped, StudyError, TurnwrightError
 from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, fitting, local, require_reach
 from turnwright.execution._store import FULL, Store
@@ -93,11 +93,12 @@ def _stated(value: Any, folder: Path | None = None, above: frozenset[Path] = fro
             return value
         state = file.stat()
         content: Any = _digest(file, state.st_mtime_ns, state.st_size)
-        if file.suffix == ".toml":
-            table = tomllib.loads(file.read_text(encoding="utf-8"))
-            content = [content, _stated(table, file.parent, above | {file})]
-    except (OSError, ValueError):  # no path after all, or no TOML
+    except (OSError, ValueError):  # no path after all
         return value
+    if file.suffix == ".toml":
+        with suppress(OSError, InputError):  # no TOML: its bytes are all there is
+            table = read_toml(file.read_bytes(), f"the file {str(file)!r}")
+            content = [content, _stated(table, file.parent, above | {file})]
     return {"file": content}
 
 
