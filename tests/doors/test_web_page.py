@@ -196,6 +196,41 @@ def test_a_job_goes_in_and_out_as_toml(bench, by_hand):
         expect(feed).to_have_value(wanted)
 
 
+def test_a_file_that_is_no_job_leaves_the_job_as_it_is(bench, by_hand, tmp_path):
+    one = bench().take(by_hand.parent / "job.toml")
+    (tmp_path / "odd.toml").write_text("[part", encoding="utf-8")
+    one.take(tmp_path / "odd.toml")
+    expect(one.page.locator("#foot")).to_contain_text("odd.toml: the job is not TOML")
+    assert not one.store("errors")
+    assert tomllib.loads(one.store("toml")) == changed(*DISH)
+    expect(one.page.locator("#run")).to_be_enabled()
+    one.take(by_hand.parent / "job.toml")
+    expect(one.page.locator("#foot")).not_to_contain_text("odd.toml")
+
+
+def test_two_terms_never_become_one(bench, tmp_path):
+    terms = {"4": 2e-6, "6": -3e-8}
+    asphere = {"family": "even asphere", "radius": "40 mm", "conic": -0.8, "units": "mm", "terms": terms}
+    one = bench().take(written(tmp_path, ("part.surface", asphere)))
+    name = one.page.get_by_label("name of term 2")
+    name.fill("4")
+    name.blur()
+    expect(one.page.locator("#foot")).to_contain_text("There is a term 4 already")
+    assert name.input_value() == "6"
+    one.page.get_by_label("value of 6").fill("\N{MINUS SIGN}5e-8")
+    assert one.store("job")["part"]["surface"]["terms"] == {"4": 2e-6, "6": -5e-8}
+
+
+def test_a_map_of_one_value_has_a_scale_around_it(bench, by_hand):
+    """Closed form: along the cut a part of revolution does not fall, so the whole clearance is left everywhere."""
+    one = bench().take(by_hand.parent / "job.toml")
+    one.drawn("canvas.scene", colours=200)
+    one.page.get_by_label("Colour the part by").select_option("clearance margin")
+    expect(one.page.locator("#scene")).to_contain_text("clearance angle of the tool, 10 deg")
+    # The bar has its colours and its numbers, the part the middle of them.
+    one.drawn("canvas.scenecolours", colours=100)
+
+
 # -------------------------------------------------------------------------------------------------------- a long run
 
 

@@ -94,9 +94,9 @@ const takeEmpty = () => takeJob({ job: structuredClone(EMPTY), title: "new job" 
 
 async function takeFile(file) {
   try {
-    if (!(await readToml(await file.text(), { title: file.name.replace(/\.toml$/i, ""), fresh: true }))) {
-      say(`${file.name}: ${state.errors[0]?.sentence ?? "it is not a job file."}`, "bad");
-    }
+    const why = await readToml(await file.text(), { title: file.name.replace(/\.toml$/i, ""), fresh: true });
+    if (why) say(`${file.name}: ${why}`, "bad");
+    else say("");
   } catch (error) {
     say(error.message, "bad");
   }
@@ -152,7 +152,7 @@ function Top({ panes }) {
   const word = !job ? null
     : errors.length && check?.errors === errors && !check.access.ok ? { ok: false, text: "does not reach the part" }
     : errors.length ? { ok: false, text: errors.length === 1 ? "1 field to mend" : `${errors.length} fields to mend` }
-    : !check ? { ok: null, text: "looking …" }
+    : !check ? { ok: null, text: checking ? "looking …" : "not judged" }
     : check.access.ok && !refused ? { ok: true, text: "reaches the part" }
     : { ok: false, text: check.access.ok ? "would be refused" : "does not reach the part" };
   return html`<${Fragment}>

@@ -90,10 +90,21 @@ export function scaleOf(unit, largest) {
   return { factor: 1, unit };
 }
 
+const SAME = 3e-7; // of a value: what its 32 bits do not tell apart
+
+/** The ends of a scale of colours; of values that are all the same but for rounding, some way to both sides of them. */
+export function spanned(low, high) {
+  const most = Math.max(Math.abs(low), Math.abs(high));
+  if (high - low > SAME * most) return [low, high];
+  const half = 0.05 * most || 1e-9;
+  return [(low + high) / 2 - half, (low + high) / 2 + half];
+}
+
 /** Round numbers between two ends, about `count` of them. */
 export function ticks(low, high, count = 5) {
   const span = high - low;
-  if (!(span > 0) || !Number.isFinite(span)) return [low];
+  // Ends that rounding alone tells apart have no numbers between them.
+  if (!(span > 1e-12 * Math.max(Math.abs(low), Math.abs(high))) || !Number.isFinite(span)) return [low];
   const raw = span / Math.max(1, count);
   const power = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 2.5, 5, 10].find((one) => one * power >= raw * 0.999) * power;
@@ -104,7 +115,8 @@ export function ticks(low, high, count = 5) {
 
 /** As many digits as tell neighbouring ticks apart. */
 export function tickText(value, marks) {
-  const step = marks.length > 1 ? marks[1] - marks[0] : Math.abs(value) || 1;
+  if (marks.length < 2) return number(value, 4);
+  const step = marks[1] - marks[0];
   const decimals = Math.max(0, Math.min(9, Math.ceil(-Math.log10(step) - 1e-9) + (Math.abs(step * 10 ** Math.ceil(-Math.log10(step)) - 2.5) < 1e-6 ? 1 : 0)));
   if (Math.abs(value) < step * 1e-6) return "0";
   if (decimals > 4) return number(value, 2);

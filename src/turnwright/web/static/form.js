@@ -90,6 +90,7 @@ const isTable = (value) => value !== null && typeof value === "object" && !Array
 let checkTimer = 0;
 let checking = null;
 let changed = -REST;
+let unjudged = ""; // why the job was not judged, as it was said
 
 /** Check the job as it stands; what is still asked of an earlier one no longer counts. */
 export function checkSoon(pause = performance.now() - changed > REST ? 0 : PAUSE) {
@@ -108,6 +109,9 @@ async function checkNow() {
   try {
     const answer = await post("/job/check", { data: state.job, client: CLIENT }, { signal: mine.signal });
     set({ errors: answer.errors, checking: false, ...(answer.access ? { check: answer } : {}) });
+    // What kept the server from judging the job before is over.
+    if (unjudged && state.notice?.sentence === unjudged) say("");
+    unjudged = "";
   } catch (error) {
     // A later question took the place of this one: its answer comes.
     if (error.name === "AbortError" || mine !== checking) return;
@@ -115,8 +119,10 @@ async function checkNow() {
       checkSoon(PAUSE);
       return;
     }
-    set({ checking: false });
-    say(error.message, "bad");
+    // The last verdict was of another job.
+    set({ checking: false, check: null });
+    unjudged = error.message;
+    say(unjudged, "bad");
   }
 }
 
@@ -153,15 +159,20 @@ export function namesFiles(value = state.job) {
   return value !== null && typeof value === "object" && Object.values(value).some((one) => namesFiles(one));
 }
 
-/** Read a job file's text into the form; say whether it could be read. */
+let reading = 0;
+
+/** Read a job file's text into the form; of text that is no job return why. A file that is none leaves the job as it is. */
 export async function readToml(text, { title, fresh = false } = {}) {
+  const mine = (reading += 1);
   const { data, errors = [] } = await post("/job/parse", { toml: text });
+  // What was typed or opened since counts.
+  if (mine !== reading) return "";
   if (!Object.keys(data).length) {
-    set({ errors, toml: text });
-    return false;
+    if (!fresh) set({ errors, toml: text });
+    return errors[0]?.sentence ?? "it is not a job file.";
   }
   takeJob({ job: data, toml: text, title, errors, fresh });
-  return true;
+  return "";
 }
 
 // ----------------------------------------------------------------------------------------------- reading the schema
@@ -478,7 +489,10 @@ function Tuple({ node, path, value, required }) {
   </${Row}>`;
 }
 
-const numberOr = (text) => (NUMBER.test(text.trim()) ? Number(text) : text.trim());
+const numberOr = (text) => {
+  const typed = text.trim().replaceAll("−", "-");
+  return NUMBER.test(typed) ? Number(typed) : text.trim();
+};
 
 /** Values in a line, parted by commas. */
 function Series({ node, path, value, required }) {
@@ -524,9 +538,17 @@ function Terms({ node, path, value, required }) {
   const entries = Object.entries(value ?? {});
   const item = resolve(typeof node.additionalProperties === "object" ? node.additionalProperties : Object.values(node.patternProperties ?? {})[0] ?? {});
   const write = (list) => edit(path, list.length ? Object.fromEntries(list) : undefined);
+  const rename = (index, { target }) => {
+    const name = target.value.trim();
+    // A name that is there already would take the place of the other term.
+    if (entries.some(([key], at) => at !== index && key === name)) {
+      target.value = entries[index][0];
+      say(`There is a term ${name} already: give this one another name, or remove that one first.`, "bad");
+    } else write(entries.map((entry, at) => (at === index ? [name, entry[1]] : entry)));
+  };
   return html`<${Row} node=${node} path=${path} required=${required} wide of=${null} kind="terms" wrong=${sentencesWithin(path)}>
     ${entries.map(([key, one], index) => html`<div class="term" key=${index}>
-      <input type="text" value=${key} aria-label=${`name of term ${index + 1}`} onChange=${(event) => write(entries.map((entry, at) => (at === index ? [event.target.value.trim(), one] : entry)))} />
+      <input type="text" value=${key} aria-label=${`name of term ${index + 1}`} onChange=${(event) => rename(index, event)} />
       <input type="text" id=${idOf([...path, key])} value=${showValue(one)} placeholder=${shownUnit(item)} aria-label=${`value of ${key}`} aria-invalid=${errorsWithin([...path, key]).length ? "true" : null}
         onInput=${(event) => write(entries.map((entry, at) => (at === index ? [key, numberOr(event.target.value)] : entry)))} />
       <${Tool} icon="close" name=${`Remove ${key}`} onClick=${() => write(entries.filter((_, at) => at !== index))} />

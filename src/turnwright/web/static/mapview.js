@@ -4,7 +4,7 @@
    only the answer to the last question counts. Rows of a map run from low to high y, pictures from the top down. */
 
 import { getPacked } from "./api.js";
-import { drawBar, fitted, inks, paint, said, scaleOf, tableOf, ticks, tickText } from "./colour.js";
+import { drawBar, fitted, inks, paint, said, scaleOf, spanned, tableOf, ticks, tickText } from "./colour.js";
 import { mountProfile } from "./charts.js";
 import { CLIENT, element, framed } from "./dom.js";
 import { on, say, set, state } from "./state.js";
@@ -352,7 +352,7 @@ export class MapView {
       most = Math.max(Math.abs(least), Math.abs(most)) || 1e-9;
       least = -most;
     }
-    return most > least ? [least, most] : [least - 1e-9, most + 1e-9];
+    return spanned(least, most);
   }
 
   drawNow() {

@@ -11,6 +11,7 @@ const AGAIN = 700; // ms between looks at a measurement that is worked on
 const GOING = new Set(["queued", "running"]);
 
 let timer = 0;
+let wanted = null; // id of the measurement that was asked for last
 let sending = () => {};
 
 /** Take an instrument's file, for the part of the run looked at. */
@@ -18,7 +19,7 @@ export async function take(file, run = measuredRun()) {
   if (!run) return say("Run the job first: a measurement is judged against the part that a run has planned.", "bad");
   const limit = state.about?.limits.upload_bytes;
   if (limit && file.size > limit) return say(`${file.name} has ${bytes(file.size)}, the limit is ${bytes(limit)}: crop it.`, "bad");
-  set({ measurement: null });
+  none();
   sending({ name: file.name, share: 0 });
   try {
     const { id } = await upload("/measurements", { run, name: file.name }, file, (sent, total) => sending({ name: file.name, share: sent / total }));
@@ -36,11 +37,21 @@ function measuredRun() {
   return (looked ?? state.runs.find(fit))?.id ?? null;
 }
 
+/** Show no measurement, nor one that is on its way. */
+function none() {
+  clearTimeout(timer);
+  wanted = null;
+  set({ measurement: null });
+}
+
 /** Show a measurement, and follow it while it is worked on. */
 export async function follow(id) {
   clearTimeout(timer);
+  wanted = id;
   try {
     const measurement = { id, ...(await get(`/measurements/${id}`)) };
+    // Whoever chose another one meanwhile, or none, wants that.
+    if (wanted !== id) return;
     set({ measurement });
     if (GOING.has(measurement.state)) timer = setTimeout(() => follow(id), AGAIN);
     if (measurement.state === "failed") say(measurement.sentence ?? "The file could not be read.", "bad");
@@ -89,7 +100,7 @@ function placed({ pose, std, held }) {
 
 function Seen({ measurement }) {
   const { alignment, roughness } = measurement;
-  return html`<div><div class="panehead"><strong>${measurement.name}</strong><span class="gap"></span><${Tool} icon="close" name="Bring another measurement" onClick=${() => set({ measurement: null })} /></div>
+  return html`<div><div class="panehead"><strong>${measurement.name}</strong><span class="gap"></span><${Tool} icon="close" name="Bring another measurement" onClick=${none} /></div>
   <div class="scroll"><div class="cards">
     <${Numbers} title="Off the design" rows=${[
       ["form, PV", height(measurement.form_pv_nm)], ["form, RMS", height(measurement.form_rms_nm)],
@@ -223,12 +234,19 @@ function Findings({ measurement }) {
     <div class="decide">
       <div class="bar"><button type="button" class="button accent" id="correct" disabled=${!chosen.size || going} onClick=${correct}>${chosen.size > 1 ? `Correct these ${chosen.size}` : "Correct this"}</button>
       ${going && html`<span class="quiet" role="status">${run.progress ? `${run.progress.stage}, ${percent(run.progress.done / (run.progress.total || 1))}` : "waits"}</span>`}
-      ${predicted && run?.state === "done" && html`<span><${Mark} ok /> then ${Object.entries(predicted).map(([name, { pv_nm, rms_nm }]) => `${name}: PV ${height(pv_nm)}, RMS ${height(rms_nm)}`).at(-1)}</span>`}</div>
+      ${predicted && run?.state === "done" && html`<${Predicted} predicted=${predicted} measured=${measurement.form_rms_nm} />`}</div>
       ${run?.state === "done" && html`<${Fragment}><${Downloads} path=${`/runs/${run.id}`} files=${files} only=${["job", "program", "table", "report", "correction"]} />
         <button type="button" class="add" onClick=${() => editAgain(run.id)}><${Icon} name="left" />Take the corrected job into the fields</button></${Fragment}>`}
       ${run?.state === "failed" && html`<p class="wrong">${run.sentence}</p>`}
     </div>
   </div>`;
+}
+
+/** What a correction leaves; one that leaves no less than was measured is not judged good. */
+function Predicted({ predicted, measured }) {
+  const [name, { pv_nm, rms_nm }] = Object.entries(predicted).at(-1);
+  const better = rms_nm < measured;
+  return html`<span><${Mark} ok=${better} warn /> then ${name}: PV ${height(pv_nm)}, RMS ${height(rms_nm)}${better ? "" : `, no less than the ${height(measured)} that were measured`}</span>`;
 }
 
 /** Where each lens sits against where it should: a table, and arrows drawn large. */

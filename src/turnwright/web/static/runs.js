@@ -51,8 +51,9 @@ export async function refresh() {
     const runs = await get("/runs");
     const before = new Map(state.runs.map((run) => [run.id, run]));
     set({ runs: runs.map((run) => ({ ...run, progress: run.progress ?? before.get(run.id)?.progress })) });
-    for (const id of [state.run, state.comparison?.run]) {
-      if (id && !runs.some((run) => run.id === id)) forget(id);
+    for (const id of [state.run, state.comparison?.run, state.measurement?.id]) {
+      // One that was begun while the list was on its way is not in it yet.
+      if (id && before.has(id) && !runs.some((run) => run.id === id)) forget(id);
     }
     for (const run of runs) {
       follow(run);
@@ -120,6 +121,7 @@ export async function editAgain(id) {
 function forget(id) {
   if (state.run === id) set({ run: null, ...NOTHING });
   if (state.comparison?.run === id) set({ comparison: null });
+  if (state.measurement?.id === id) set({ measurement: null });
 }
 
 async function drop(run) {

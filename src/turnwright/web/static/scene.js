@@ -10,7 +10,7 @@ import {
   SRGBColorSpace, UnsignedByteType, Vector2, Vector3, WebGLRenderer,
 } from "./vendor/three.js";
 import { getPacked, postPacked } from "./api.js";
-import { drawBar, fitted, inks, paint, said, scaleOf, tableOf, ticks, tickText } from "./colour.js";
+import { drawBar, fitted, inks, paint, said, scaleOf, spanned, tableOf, ticks, tickText } from "./colour.js";
 import { CLIENT, element, framed } from "./dom.js";
 import { on, say, set, state } from "./state.js";
 import { length, number } from "./ui.js";
@@ -408,7 +408,10 @@ class View {
   shown() {
     const of = this.found ?? this.surface;
     const { header } = of;
-    if (!header.diverging) return { of, header, low: header.p1 ?? header.low, high: header.p99 ?? header.high, unit: header.unit, label: header.label };
+    if (!header.diverging) {
+      const [low, high] = spanned(header.p1 ?? header.low, header.p99 ?? header.high);
+      return { of, header, low, high, unit: header.unit, label: header.label };
+    }
     const most = Math.max(Math.abs(header.p1), Math.abs(header.p99)) || 1e-9;
     return { of, header, low: -most, high: most, unit: header.unit, label: "cut − design" };
   }
@@ -417,7 +420,7 @@ class View {
     const { of, header, low, high } = this.shown();
     const [rows, columns] = of.arrays.values.shape;
     const pixels = new Uint32Array(rows * columns);
-    paint(of.arrays.values.data, columns, rows, low, high > low ? high : low + 1e-12, tableOf(header.diverging, state.theme), pixels);
+    paint(of.arrays.values.data, columns, rows, low, high, tableOf(header.diverging, state.theme), pixels);
     const plain = new Color(inks().edge);
     // Textures count rows from below, pictures from above; and no value is the colour of the bare part.
     const bare = (255 << 24) | (Math.round(255 * plain.b) << 16) | (Math.round(255 * plain.g) << 8) | Math.round(255 * plain.r);

@@ -36,7 +36,7 @@ function Finding({ finding }) {
 function Plan() {
   const { job, check, errors, checking } = useStore(["job", "check", "errors", "checking"]);
   if (!job) return html`<p class="quiet pad">Once there is a job, this is where it is judged: whether the tool reaches every place, how long the program is, what limits it.</p>`;
-  if (!check) return html`<p class="quiet pad">${errors.length ? "The fields marked on the left come first." : "Looking at the job …"}</p>`;
+  if (!check) return html`<p class="quiet pad">${errors.length ? "The fields marked on the left come first." : checking ? "Looking at the job …" : "The job could not be judged; the line at the foot says why."}</p>`;
   const { access, preview, chips = {}, warnings = [] } = check;
   // Of a job that can be read the access is judged, even where its path is not.
   const stale = errors.length > 0 && check.errors !== errors;
