@@ -301,3 +301,18 @@ def test_a_part_that_uses_little_of_the_nose_is_diagnosed_too():
     low, high = found["offset x"].simplest_interval
     assert low < 0.002 < high
     assert found["offset x"].simplest == pytest.approx(0.002, abs=2e-4)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.003])
+def test_cusps_are_not_taken_for_waves_of_the_nose(offset):
+    """Cusps of 24 nm, seen at pixels of six feeds, on slopes of 0.4 deg, where waves could bend the nose at will."""
+    grid = tw.Part(surface=tw.SineGrid(amplitude=(0.002, 0.002), period=(2.5, 2.5)), radius=5.0)
+    tool = tw.Tool(nose_radius=0.514, included=np.deg2rad(60), clearance=np.deg2rad(10))
+    actual = replace(tool, offset=(offset, 0.0, 0.0))
+    seen = cut(grid, actual, planned=tool, per_turn=720, size=151, feed=0.01)
+    for some in ({"causes": ("offset x", "waviness")}, {}):
+        found = tw.diagnose(seen, grid, tool, MACHINE, feed=0.01, **some)
+        low, high = found["offset x"].simplest_interval if offset else found["offset x"].interval
+        assert low <= offset <= high
+        assert found["offset x"].simplest == pytest.approx(offset, abs=5e-5)
+        assert found.unexplained_rms_nm < 7.5  # of cusps alone: feed²/(8 R) · 2/sqrt(45) = 7.25 nm

@@ -1,9 +1,10 @@
-"""The marks of errors. Oracles: the simulator, which knows nothing of the model; closed forms on spheres and flats."""
+"""The marks of errors. Oracles: the simulator, which knows nothing of the model; closed forms; SymPy."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import sympy as sp
 
 import turnwright as tw
 from turnwright.diagnosis._model import Deviations, Powers, Splines, Swept
@@ -193,3 +194,18 @@ def test_cusps_stand_as_high_as_the_curvature_says():
     made = tw.generate_points(motion, tool, x=x, y=0 * x) - surface.sag(x, 0)
     between = modelled(surface, tool, Deviations(), x[::40], 0 * x[::40]).between
     assert made.mean() == pytest.approx(feed**2 / 24 * between.mean(), rel=2e-3)
+
+
+def test_cusps_grow_with_the_bend_of_a_wave():
+    """Of w'' = (w″u′ - w′u″)/u′³ by r, r' and r'' of the nose (r sin s, R - r cos s), by SymPy."""
+    s, r0, r1, r2, at = sp.symbols("s r0 r1 r2 at")
+    r = r0 + r1 * (s - at) + r2 * (s - at) ** 2 / 2
+    u, w = r * sp.sin(s), -r * sp.cos(s)
+    bent = (sp.diff(w, s, 2) * sp.diff(u, s) - sp.diff(w, s) * sp.diff(u, s, 2)) / sp.diff(u, s) ** 3
+    tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(120), rake=np.deg2rad(-10), waviness=(0.0, 1e-3, 2e-3))
+    found = modelled(SURFACES["freeform"], tool, Deviations(), np.array([2.0, -1.5]), np.array([1.0, 2.5]))
+    for k, sweep in enumerate(found.sweep):
+        here = {s: sweep, at: sweep, r0: 0.5 + 1e-3 * sweep**2 + 2e-3 * sweep**3,
+                r1: 2e-3 * sweep + 6e-3 * sweep**2, r2: 2e-3 + 12e-3 * sweep}  # fmt: skip
+        told = [float(sp.diff(bent, one).subs(here)) * np.cos(tool.rake) for one in (r0, r1, r2)]
+        assert found.between_by[:, k] == pytest.approx(told, rel=1e-10)

@@ -103,11 +103,11 @@ def heights(
     radius, azimuth, planned, breaks, coefficients, real, more, late, slide, slide_slope, rho, psi,
     f, fx, fy, fxx, fxy, fyy, touch, cut, out,
 ):  # fmt: skip
-    """Fill ``out`` (11, n) with the height and what it changes by, the places of touch and cut having been found.
+    """Fill ``out`` (14, n) with the height and what it changes by, the places of touch and cut having been found.
 
     Rows: height; its slopes along x and y; its derivatives by dx, dy, dz of the tip, by the radius, by a deviation of
-    the edge where it cuts, by the azimuth (Z early); the second derivative of Z by the azimuth; and the curvature of
-    the passes against each other, which makes the cusps.
+    the edge where it cuts, by the azimuth (Z early); the second derivative of Z by the azimuth; the curvature of the
+    passes against each other, which makes the cusps; and its derivatives by a deviation and by its two derivatives.
     """
     for i in range(radius.size):
         sine, cosine = sincos(psi[i] - late)
@@ -144,4 +144,14 @@ def heights(
         g_pp = frr * across * across - 2.0 * frt * across * along + ftt * along * along - fr * along - ft * across
         out[9, i] = g_pp - turned * turned / h_11
         # Along rho, of Z and of the edge upside down; a leaning edge counts as if it were upright.
-        out[10, i] = frr - h_r * h_r / h_11 + (real[3] * ddwa - real[3] * dwa * ddua / dua) / (dua * dua)
+        bent = (ddwa - dwa * ddua / dua) / (dua * dua)
+        out[10, i] = frr - h_r * h_r / h_11 + real[3] * bent
+        # By what u', w', u'' and w'' change with the deviation and its derivatives.
+        cubed = dua * dua * dua
+        out[11, i] = real[3] * (
+            (cosine * dua + ddwa * cosine - sine * ddua + dwa * sine) / cubed - 3.0 * bent * cosine / dua
+        )
+        out[12, i] = real[3] * (
+            (2.0 * sine * dua + ddwa * sine + cosine * ddua - 2.0 * dwa * cosine) / cubed - 3.0 * bent * sine / dua
+        )
+        out[13, i] = -real[3] * (cosine * dua + dwa * sine) / cubed

@@ -56,6 +56,9 @@ DEFAULT = (
 STEEP = 0.02
 """Slope of the waviness against the nose that is plausible at most. [rad]"""
 
+BENT = 0.5
+"""Change of the nose's own radius by a wave that is plausible at most, as a share of it."""
+
 HARMONIC = MappingProxyType({"astigmatism": 2, "trefoil": 3})
 
 
@@ -140,6 +143,8 @@ class Columns:
                     unit = "mm/rad" if k == 1 else f"mm/rad^{k}"
                     # Over a short sweep a wave as high as elsewhere would be steeper than an edge can be.
                     size = min(known.typical, STEEP * self.nose * self.reach[0] / k)
+                    if k > 1:  # nor can it bend so much that the nose is no longer round
+                        size = min(size, BENT * self.nose * self.reach[0] ** 2 / (k * (k - 1)))
                     columns.append(Column(f"waviness c{k}", cause, unit, size / self.reach[0] ** k, k))
             elif cause == "waviness":
                 columns += [
@@ -193,8 +198,11 @@ class Columns:
                 marks[cause] = np.stack([wave.real, wave.imag])
         return marks
 
-    def slopes(self, cutting: Cutting, added: Mapping[str, Floats], sense: int) -> Floats:
-        """Return the derivative of the height by each number. (n, k)."""
+    def slopes(self, cutting: Cutting, added: Mapping[str, Floats], sense: int, cusp: float) -> Floats:
+        """Return the derivative of the height by each number, that of cusps of ``cusp`` per curvature [mm²] included.
+
+        (n, k).
+        """
         rows: list[Floats] = []
         for cause in self.causes:
             name = cause if isinstance(cause, str) else cause.name
@@ -203,9 +211,10 @@ class Columns:
             elif name.startswith("offset"):
                 rows.append(cutting.by_tip["xyz".index(name[-1])])
             elif name == "radius error":
-                rows.append(cutting.by_radius)
+                rows.append(cutting.by_radius + cusp * cutting.between_by[0])
             elif name == "waviness":
-                rows += list(self.basis.values(np.nan_to_num(cutting.sweep))[0] * cutting.by_edge)
+                waves = self.basis.values(np.nan_to_num(cutting.sweep))
+                rows += list(waves[0] * cutting.by_edge + cusp * (waves * cutting.between_by[:, None]).sum(axis=0))
             elif name == "squareness":
                 rows.append(cutting.tip_radius)
             elif name == "straightness":

@@ -279,7 +279,7 @@ class Fit:
         """Take one map at the present numbers."""
         sight, values = self.sights[k], self.values[k]
         residual, cutting = sight.cut(self.columns.deviations(values))
-        marks = self.columns.slopes(cutting, sight.added, self.sense)
+        marks = self.columns.slopes(cutting, sight.added, self.sense, sight.cusp)
         for cause, mark in sight.added.items():
             residual = residual - values[[column.cause == cause for column in self.names]] @ mark
         sight.good = sight.usable & ~sight.apart & np.isfinite(residual) & (cutting.tip_radius >= 0)

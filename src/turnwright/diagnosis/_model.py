@@ -42,7 +42,7 @@ REACHED = 1e-9
 CHUNK = 1 << 14
 """Points at a time."""
 
-ROWS = 11
+ROWS = 14
 """What `turnwright._kernels.swept.heights` fills."""
 
 
@@ -162,8 +162,9 @@ class Cutting(NamedTuple):
 
     ``z``, ``zx`` and ``zy`` are the height left and its slopes; ``by_tip`` (3, n) its derivatives by the offset of the
     tip, ``by_radius`` that by the nose radius, ``by_edge`` that by a deviation of the edge where it cut, ``by_azimuth``
-    that by an azimuth by which Z is early, ``bend`` the second derivative of the height of the tip by its azimuth, and
-    ``between`` the curvature that makes the cusps. [mm, 1, mm/rad, mm/rad², 1/mm]
+    that by an azimuth by which Z is early, ``bend`` the second derivative of the height of the tip by its azimuth,
+    ``between`` the curvature that makes the cusps, and ``between_by`` (3, n) its derivatives by a deviation of the edge
+    and by the first two derivatives of that. [mm, 1, mm/rad, mm/rad², 1/mm, 1/mm²]
     """
 
     x: Floats
@@ -180,6 +181,7 @@ class Cutting(NamedTuple):
     by_azimuth: Floats
     bend: Floats
     between: Floats
+    between_by: Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -261,11 +263,11 @@ class Swept:
             work(0, x.size)
         else:
             run_chunks(work, x.size, CHUNK)
-        z, zx, zy, by_x, by_y, by_z, by_radius, by_edge, by_azimuth, bend, between = out
+        z, zx, zy, by_x, by_y, by_z, by_radius, by_edge, by_azimuth, bend, between = out[:11]
         return Cutting(
             x=x, y=y, tip_radius=rho, tip_angle=psi, sweep=sweeps.cut, z=z, zx=zx, zy=zy,
             by_tip=np.stack([by_x, by_y, by_z]), by_radius=by_radius, by_edge=by_edge, by_azimuth=by_azimuth,
-            bend=bend, between=between,
+            bend=bend, between=between, between_by=out[11:],
         )  # fmt: skip
 
     def _chunk(
