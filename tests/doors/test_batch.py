@@ -57,6 +57,10 @@ def test_each_job_is_a_line_and_a_folder_and_none_is_done_twice(tmp_path, capsys
     assert "as before" not in capsys.readouterr().out.splitlines()[1]
     assert sorted(file.name for file in out.iterdir()) == ["good", "other", "other.old-1"]
 
+    (out / "good" / "case.json").write_text("[1]")  # somebody else's
+    assert main([*command[:2], files[2], "--out", str(out)]) == 2
+    assert "is there already and not empty" in capsys.readouterr().out.splitlines()[0]
+
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "kill -9"])
 def test_an_end_in_the_middle_keeps_what_is_finished_and_leaves_no_half(how, tmp_path):

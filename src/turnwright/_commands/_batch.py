@@ -94,7 +94,7 @@ def _run_case(data: Mapping[str, Any], shared: Mapping[str, Any], _store: Store 
     job = Job.load(data["job"])
     key = case_key({"job": job.model_dump(mode="json")})
     out = Path(shared["out"]) / data["name"]
-    with suppress(OSError, ValueError, KeyError):
+    with suppress(OSError, ValueError, KeyError, TypeError):  # TypeError: JSON, but of something else
         done = json.loads((out / DONE).read_text(encoding="utf-8"))
         if done["key"] == key:
             return {"outcome": f"as before: {done['outcome']}"}
