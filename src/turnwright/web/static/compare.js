@@ -12,8 +12,8 @@ const COLUMNS = [
   { key: "name", title: "strategy", value: ({ name }) => name, show: ({ name, limits, turns, size_bytes: size }) => html`${name}<small class="block">${count(limits.points)} points, ${number(turns, 4)} turns, ${bytes(size)}</small>` },
   { key: "time", title: "time", value: ({ limits }) => limits.cycle_time_s, show: ({ limits }) => html`${duration(limits.cycle_time_s)}<small class="block">${limits.binding ?? "no limit"}</small>` },
   ...[["pv_nm", "PV", "peak to valley of cut minus design"], ["rms_nm", "RMS", "of cut minus design"], ["sq_nm", "Sq", "finish: of rings a few feeds wide"],
-    ["cusp_nm", "cusps", "what the nose leaves between turns"], ["chord_nm", "chords", "what is left between the points of the program"], ["tracking_nm", "servos", "what the axes make of it"]]
-    .map(([key, title, meaning]) => ({ key, title, meaning, value: ({ shares }) => shares[key], show: ({ shares }) => height(shares[key]) })),
+    ["cusp_nm", "cusps", "what the nose leaves between turns"], ["chord_nm", "chords", "what is left between the points of the program"], ["tracking_nm", "servos", "what the axes make of it; nothing is known of it where the machine file does not state its servos"]]
+    .map(([key, title, meaning]) => ({ key, title, meaning, value: ({ shares }) => shares[key], show: ({ shares }) => height(key === "tracking_nm" && shares[key] === 0 ? Number.NaN : shares[key]) })),
 ];
 
 /** Take a strategy into the fields; one step back undoes it. */

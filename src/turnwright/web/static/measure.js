@@ -23,7 +23,7 @@ export async function take(file, run = measuredRun()) {
   sending({ name: file.name, share: 0 });
   try {
     const { id } = await upload("/measurements", { run, name: file.name }, file, (sent, total) => sending({ name: file.name, share: sent / total }));
-    await follow(id);
+    await Promise.all([follow(id), refresh()]);
   } catch (error) {
     say(error.message, "bad");
   } finally {

@@ -67,16 +67,21 @@ export async function refresh() {
   if (state.runs.some((run) => GOING.has(run.state))) timer = setTimeout(refresh, state.runs.some((run) => run.state === "queued") ? 1000 : EVERY);
 }
 
-/** Start a run or a comparison of the job as it stands. */
+let starting = false;
+
+/** Start a run or a comparison of the job as it stands; a double click starts one. */
 export async function start(kind = "run") {
-  if (!state.job) return;
+  if (!state.job || starting) return;
   if (state.errors.length) return say(`The job is not whole: ${state.errors[0].sentence}`, "bad");
+  starting = true;
   try {
     const { id } = await post("/runs", { data: state.job, kind, name: state.job.part?.name || state.title || "job" });
     set({ run: id, ...NOTHING, ...(kind === "compare" ? { comparison: null } : {}) });
     await refresh();
   } catch (error) {
     say(error.message, "bad");
+  } finally {
+    starting = false;
   }
 }
 
