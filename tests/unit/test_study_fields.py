@@ -1,5 +1,7 @@
 """What a study says to fields, values and measures that are wrong, before anything is computed."""
 
+from concurrent.futures import Executor
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -223,7 +225,7 @@ def test_every_whole_number_of_a_range_is_drawn_as_often(job, design):
 def test_a_study_that_cannot_be_is_refused_before_anything_is_computed(job, how, said):
     asked = {"vary": {"strategy.feed": "5, 10 um/rev"}, "measure": "minutes", **how}
     with pytest.raises(InputError) as error:
-        study(job, executor=object(), **asked)  # whoever asked that executor for anything would fail
+        study(job, executor=Executor(), **asked)  # whoever asked that executor for anything would fail
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 
