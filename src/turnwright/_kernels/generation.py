@@ -642,6 +642,18 @@ def useful_by_ring(bounds, profile, table, rings, out):
 
 
 @jit
+def nearest_use(begin, end, which, aside, low, high):
+    """Return the place on the edge, toward its side, nearest the tip that can be over a ring, at most ``aside``.
+
+    The tip stands between ``begin`` and ``end`` along its own side; the ring lies between ``low`` and ``high``.
+    """
+    inner = np.sqrt(max(low * low - aside * aside, 0.0)) if aside < low else 0.0
+    first = -end if which == 1 else begin
+    last = -begin if which == 1 else end
+    return high - first if first > high else max(inner - last, 0.0)
+
+
+@jit
 def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, core):
     """Fill ``out`` like `useful_by_ring`, for any edge; mark in ``core`` the rings that need `core_height`.
 
@@ -704,19 +716,13 @@ def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, cor
             for k in range(heaps):
                 rise = (ceiling - heap[5, k] - row[7]) / row[3]
                 aside = off + lean * max(rise, dip)
-                inner = np.sqrt(max(low * low - aside * aside, 0.0)) if aside < low else 0.0
-                first = -heap[1, k] if which == 1 else heap[0, k]
-                last = -heap[0, k] if which == 1 else heap[1, k]
-                u = high - first if first > high else max(inner - last, 0.0)
+                u = nearest_use(heap[0, k], heap[1, k], which, aside, low, high)
                 if height(profile, table, side * u) - 2.0 * gap > rise:
                     continue
                 for m in range(HEAP * k, min(HEAP * (k + 1), turns)):
                     rise = (ceiling - bounds[2, m] - row[7]) / row[3]
                     aside = off + lean * max(rise, dip)
-                    inner = np.sqrt(max(low * low - aside * aside, 0.0)) if aside < low else 0.0
-                    first = -bounds[1, m] if which == 1 else bounds[0, m]
-                    last = -bounds[0, m] if which == 1 else bounds[1, m]
-                    u = high - first if first > high else max(inner - last, 0.0)
+                    u = nearest_use(bounds[0, m], bounds[1, m], which, aside, low, high)
                     if height(profile, table, side * u) - gap <= rise:
                         out[ring, which, 0] = min(out[ring, which, 0], m)
                         out[ring, which, 1] = m
