@@ -50,8 +50,7 @@ def run_batch(jobs: Sequence[Path], out: Path, door: Door, *, force: bool, worke
     typer.Exit
         With the code of bad input, if a job failed.
     """
-    from turnwright.execution import Case, conduct, fitting, local  # noqa: PLC0415 - only for several jobs
-    from turnwright.progress import cores  # noqa: PLC0415
+    from turnwright.execution import Case, conduct, fitting, local, share_of  # noqa: PLC0415 - only for several jobs
 
     named = Counter(job.stem for job in jobs)
     twice = next((name for name, count in named.items() if count > 1), None)
@@ -63,11 +62,10 @@ def run_batch(jobs: Sequence[Path], out: Path, door: Door, *, force: bool, worke
     shared = {"out": str(out.absolute()), "force": force}
     made = [folder for folder in (out.absolute(), *out.absolute().parents) if not folder.exists()]
     side_by_side = min(fitting() if workers is None else workers, len(jobs))
-    threads = max(1, cores() // max(side_by_side, 1))  # a job is long: what the others leave is its own
     out.mkdir(parents=True, exist_ok=True)
     door.partly = f"what is finished stays in {out}: give the same command to go on"
     try:
-        with progress_of(door.stop) as progress, local(side_by_side, threads=threads) as pool:
+        with progress_of(door.stop) as progress, local(side_by_side, threads=share_of(side_by_side)) as pool:
             rows = conduct(
                 _run_case, cases, shared=shared, executor=pool,
                 progress=lambda done, total: progress("jobs", done, total),

@@ -4,7 +4,16 @@ It knows nothing of jobs: a case is data, the work a function that turns data in
 """
 
 from turnwright.execution._conduct import Case, Row, Work, case_key, conduct, program_version
-from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, cluster, fitting, local, require_reach
+from turnwright.execution._executors import (
+    Cluster,
+    LocalPool,
+    WorkerDied,
+    cluster,
+    fitting,
+    local,
+    require_reach,
+    share_of,
+)
 from turnwright.execution._store import Store
 
 __all__ = [
@@ -22,4 +31,5 @@ __all__ = [
     "local",
     "program_version",
     "require_reach",
+    "share_of",
 ]

@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 from turnwright import _given as given
 from turnwright._toml import read_toml
 from turnwright.errors import InputError, Stopped, StudyError, TurnwrightError
-from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, fitting, local, require_reach
+from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, fitting, local, require_reach, share_of
 from turnwright.execution._store import FULL, Store
 from turnwright.progress import THREADS, Progress, at_most, cores
 
@@ -165,7 +165,7 @@ def conduct(
     _require_kinds(cases, shared, executor, store)
     if executor is None:
         workers = min(fitting(), max(1, len(cases)))
-        with local(workers, threads=max(1, cores() // workers)) as pool:
+        with local(workers, threads=share_of(workers)) as pool:
             return conduct(work, cases, shared=shared, executor=pool, store=store, progress=progress)
     if store is not None:
         require_reach(store.place, executor)

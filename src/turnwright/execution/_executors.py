@@ -30,7 +30,7 @@ from turnwright import _given as given
 from turnwright.errors import InputError, StudyError
 from turnwright.progress import THREADS, cores
 
-__all__ = ["Cluster", "LocalPool", "WorkerDied", "cluster", "fitting", "local", "require_reach"]
+__all__ = ["Cluster", "LocalPool", "WorkerDied", "cluster", "fitting", "local", "require_reach", "share_of"]
 
 MEMORY_GB = 2.0
 """What a worker may need if nobody says: a whole run of the freeform infrared lens with its maps takes 1.6 GB."""
@@ -321,7 +321,7 @@ def local(
         threads = given.whole(threads, "the number of threads", 1, MOST_WORKERS)
     if workers is None:
         workers = fitting(memory_gb)
-        threads = threads or max(1, cores() // workers)
+        threads = threads or share_of(workers)
     pool = LocalPool(workers=workers, threads=threads or 1)
     try:
         yield pool
@@ -344,6 +344,11 @@ def require_reach(place: str, executor: Executor) -> None:
             f"the store {place!r} lies in the memory of this process, its workers are others and keep nothing there: "
             "name a folder, or use threads"
         )
+
+
+def share_of(workers: int) -> int:
+    """Return how many threads each of so many workers can have of all cores, at least one."""
+    return max(1, cores() // max(workers, 1))
 
 
 def fitting(memory_gb: float | None = None) -> int:
