@@ -32,7 +32,14 @@ __all__ = [
     "RunLine",
     "Toml",
     "Written",
+    "archived",
 ]
+
+
+def archived(description: str) -> dict[int | str, dict[str, Any]]:
+    """Return what the schema says of an answer that is a ZIP archive."""
+    content = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
+    return {200: {"description": description, "content": content}}
 
 
 class Model(BaseModel):

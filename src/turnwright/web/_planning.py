@@ -22,6 +22,7 @@ from turnwright.web._models import (
     Question,
     Toml,
     Written,
+    archived,
 )
 
 __all__ = ["router"]
@@ -85,12 +86,7 @@ async def write(job: Data, request: Request) -> Any:
 @router.post(
     "/job/bundle",
     response_class=Response,
-    responses={
-        200: {
-            "description": "A ZIP archive of job.toml and the files that it names, for the command line.",
-            "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
-        }
-    },
+    responses=archived("A ZIP archive of job.toml and the files that it names, for the command line."),
 )
 async def bundle(job: Data, request: Request) -> Response:
     """Return a job as a file, with the files that it names beside it."""

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, HTTPException, Path, Query, Request
 from fastapi.responses import FileResponse, Response, StreamingResponse
 
-from turnwright.web._models import Id, Line, Lines, NewRun, RunDetail, RunFile, RunLine
+from turnwright.web._models import Id, Line, Lines, NewRun, RunDetail, RunFile, RunLine, archived
 from turnwright.web._queue import ENDED, Run, Runs
 from turnwright.web._references import BUNDLE, CORRECTION, job_in
 
@@ -211,12 +211,7 @@ async def program(
 @router.get(
     "/{id}/files/programs",
     response_class=StreamingResponse,
-    responses={
-        200: {
-            "description": "A ZIP archive of all files of the program, each byte for byte.",
-            "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
-        }
-    },
+    responses=archived("A ZIP archive of all files of the program, each byte for byte."),
 )
 async def programs(id: RunId, request: Request) -> StreamingResponse:  # noqa: A002
     """Return all files that the lathe needs: the program, its sub-programs, the table of a fast tool."""
