@@ -166,7 +166,7 @@ function Panel() {
   }
   return html`<div class="programs">
     <div class="bar">
-      <label>Go to line <input type="text" inputmode="numeric" class="short" aria-label="Go to line" onChange=${(event) => {
+      <label>Go to line <input type="text" inputmode="numeric" class="short" aria-label="Go to line" disabled=${total === 0} onChange=${(event) => {
         const line = Number(event.target.value.replace(/\D/g, "")) - 1;
         if (line >= 0) set({ block: Math.min(total - 1, line) });
       }} /></label>
