@@ -55,7 +55,7 @@ def run_chunks(
     *,
     threads: int | None = None,
 ) -> None:
-    """Call ``work(start, stop)`` over ``range(total)`` in chunks, on ``threads`` threads.
+    """Call ``work(start, stop)`` over ``range(total)`` in chunks, on ``threads`` threads; a single one is the caller's.
 
     The kernels release the interpreter lock, so threads use all cores. Few chunks are in flight at a time, so a stop
     (an exception from ``progress``, or Ctrl-C) ends the work within the length of one chunk.
@@ -68,6 +68,12 @@ def run_chunks(
     threads = threads or cores()
     spans = [(start, min(start + chunk, total)) for start in range(0, total, chunk)]
     finished = 0
+    if threads == 1:  # a thread made anew for each call takes memory anew too: a tenth of the time of a case of a study
+        for start, stop in spans:
+            work(start, stop)
+            if progress is not None:
+                progress(stop, total)
+        return
     with ThreadPoolExecutor(threads) as pool:
         waiting = iter(spans)
         running = {pool.submit(work, *span): span for span in islice(waiting, 2 * threads)}
