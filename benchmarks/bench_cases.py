@@ -1,12 +1,24 @@
-"""What a case costs besides its work; the workers import this module, so it imports little."""
+"""What a case costs besides its work, and what a second worker is worth.
+
+Workers import this module, so it imports little.
+"""
 
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from itertools import count
 from multiprocessing import get_context
 from time import perf_counter
 
-from turnwright.execution import Case, Store, conduct, local
+from turnwright.execution import Case, Store, cluster, conduct, local
+
+RARELY = {
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.worker.memory.monitor-interval": "2s",
+    "distributed.worker.profile.enabled": False,
+}
+"""What docs/howto/many_jobs.md advises for cases of seconds: Dask looks after itself once a second, not fifty times."""
 
 FRESH = count()
 
@@ -37,3 +49,36 @@ def overhead(cases, times=5):
                 ours.append((middle - start) / cases)
                 theirs.append((perf_counter() - middle) / cases)
     return ours, theirs
+
+
+@contextmanager
+def dask(workers):
+    """Yield an executor over a Dask cluster on loopback, of so many processes."""
+    from dask import config  # noqa: PLC0415 - of an extra
+    from distributed import LocalCluster  # noqa: PLC0415
+
+    with (
+        config.set(RARELY),
+        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as there,
+        cluster(there.scheduler_address) as executor,
+    ):
+        yield executor
+
+
+def lens_cases(job, executors, cases, rounds):
+    """Seconds that the cases of an error budget take each executor, in turns; all compute the same cases."""
+    from turnwright.studies import tolerance  # noqa: PLC0415 - a worker of empty cases needs none of it
+
+    taken = [[] for _ in executors]
+    for turn in range(rounds):
+        for executor, spent in zip(executors, taken, strict=True):
+            told = []  # when the first case was sent, and when the last was there
+
+            def tell(stage, done, total, told=told):
+                if stage == "cases" and (not told or done == total):
+                    told.append(perf_counter())
+
+            with executor() as pool, tempfile.TemporaryDirectory() as folder:
+                tolerance(job, count=cases, seed=turn, executor=pool, store=folder, progress=tell)
+            spent.append(told[1] - told[0])
+    return taken

@@ -1,11 +1,12 @@
 """Ratios, each against a yardstick measured in the same run, so that they mean the same on any machine.
 
-    python benchmarks/run.py [--quick]
+    python benchmarks/run.py [--quick] [part ...]
 
 Every measurement is warmed up, then taken in turns with its yardstick; the table states medians,
 the ratio being that of the pairs. Arrays that are timed
 are reused: fresh memory costs a page fault every 4 KiB on either side, as much as the heights in it. The full run takes
-some minutes and writes RESULTS.md beside this file; ``--quick`` takes a fraction of the sizes and writes nothing.
+twenty minutes and writes RESULTS.md beside this file; ``--quick`` takes a fraction of the sizes and writes nothing, nor
+does a run of some parts only.
 """
 
 import argparse
@@ -33,6 +34,7 @@ from scipy import fft
 from scipy.signal import lsim, lti
 
 from turnwright.contact import place
+from turnwright.execution import local
 from turnwright.generation import generate, generate_polar
 from turnwright.heightmap import HeightMap
 from turnwright.job import Job
@@ -449,6 +451,20 @@ def bench_execution(table, scale):
     table.add(what="the same", ours=ours, yardstick="the standard pool, no store", theirs=theirs)
 
 
+def bench_workers(table, scale):
+    """The error budget of the freeform infrared lens by two processes, against one."""
+    tables = tomllib.loads((EXAMPLES / "infrared_lens.toml").read_text(encoding="utf-8"))
+    job = Job.read(tables | {"tolerances": {"form_pv": "300 nm", "sq": "20 nm"}}, folder=EXAMPLES)
+    cases = max(10, int(100 * scale))
+    executors = [lambda: local(1), lambda: local(2), lambda: bench_cases.dask(2)]
+    one, two, dask = bench_cases.lens_cases(job, executors, cases, rounds=2 if scale == 1 else 1)
+    for what, ours, limit in (("two local processes", two, 1.8), ("a Dask cluster of two processes", dask, 1.7)):
+        table.add(
+            what=f"{cases} cases of the lens's error budget, {what}",
+            ours=ours, yardstick="one local process", theirs=one, faster=True, limit=limit,
+        )  # fmt: skip
+
+
 def bench_page(table, scale):
     ready, page, first = bench_workbench.start(times=3 if scale == 1 else 1)
     table.add(what="turnwright serve, until a browser may come", ours=ready)
@@ -518,30 +534,41 @@ def bench_thesis(table, scale):
         )  # fmt: skip
 
 
+BENCHES = {
+    "place": bench_place,
+    "polar": bench_polar,
+    "patch": bench_patch,
+    "tiling": bench_tiling,
+    "files": bench_program_files,
+    "planning": bench_planning,
+    "tracking": bench_tracking,
+    "metrology": bench_metrology,
+    "analysis": bench_analysis,
+    "overhead": bench_execution,
+    "workers": bench_workers,
+    "doors": bench_doors,
+    "thesis": bench_thesis,
+    "page": bench_page,
+}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="a fraction of the sizes; nothing is written")
-    scale = 0.04 if parser.parse_args().quick else 1
+    parser.add_argument("parts", nargs="*", metavar="part", help=f"of {', '.join(BENCHES)}")
+    asked = parser.parse_args()
+    for name in set(asked.parts) - set(BENCHES):
+        parser.error(f"there is no part {name!r}")
+    scale = 0.04 if asked.quick else 1
     table = Table()
     table.note(
         f"Measured on {plural(cores())} ({platform.machine()}), Python {platform.python_version()}, NumPy "
         f"{np.__version__}, numba {version('numba')}, Turnwright {version('turnwright')}; other work kept "
         f"{os.getloadavg()[0]:.1f} cores busy."
     )
-    programs = (bench_program_files, bench_planning, bench_tracking, bench_metrology, bench_analysis)
-    for bench in (
-        bench_place,
-        bench_polar,
-        bench_patch,
-        bench_tiling,
-        *programs,
-        bench_execution,
-        bench_doors,
-        bench_thesis,
-        bench_page,
-    ):
-        bench(table, scale)
-    if scale == 1:
+    for name in asked.parts or BENCHES:
+        BENCHES[name](table, scale)
+    if scale == 1 and not asked.parts:
         (HERE / "RESULTS.md").write_text(table.markdown(), encoding="utf-8")
 
 
