@@ -6,6 +6,7 @@ were planned, moved or tracked whole.
 """
 
 import math
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -151,7 +152,7 @@ def test_the_thinned_program_leaves_what_the_whole_one_leaves(kind):
     reach = Reach(along=0.03, across=0.012, servos={})
     plan = planned(job, reach)
     duration = float(plan.motion.time[-1])
-    for scene in scenes_of(job):
+    for scene in scenes_of(job, plan.motion.feed):
         keep = kept(plan, scene, reach)
         # A coarse program is needed whole for its lines, never for a patch.
         assert keep.mean() < (0.9 if kind == "mirror" or not scene.polar else 1.01)
@@ -177,16 +178,19 @@ def test_few_lines_tell_the_form_of_many():
         "waviness P6": 2e-5})  # fmt: skip
     reach = draws_of.reach_of(budget, job)
     plan = planned(job, reach)
-    few = lines_of(job)
-    radius = np.linspace(0.008, 3.0, 301)  # from the core on
-    many = few._replace(columns=radius, weight=radius, rows=np.linspace(0, 2 * np.pi, 180, endpoint=False))
+    few = lines_of(job, plan.motion.feed)
+    ends = np.linspace(0.008, 3.0, 302)  # from the core on
+    many = few._replace(
+        columns=(ends[1:] + ends[:-1]) / 2, twist=np.zeros(301), weight=np.diff(ends**2),
+        rows=np.linspace(0, 2 * np.pi, 180, endpoint=False),
+    )  # fmt: skip
     numbers = []
     for scene in (few, many):
         left = scene.generated(plan.motion, real.tool, real.machine, 0.1)
         error = left.z - job.part.part.surface.sag(left.x.ravel(), left.y.ravel()).reshape(left.z.shape)
-        form = draws_of.form_error(job, left, error, scene.weight)
+        form = draws_of.form_error(job, left, error)
         there = np.isfinite(form)
-        rms = math.sqrt(np.average(form[there] ** 2, weights=np.broadcast_to(scene.weight, form.shape)[there]))
+        rms = math.sqrt(np.average(form[there] ** 2, weights=np.broadcast_to(left.weight, form.shape)[there]))
         numbers.append((np.ptp(form[there]), rms))
     assert numbers[0] == pytest.approx(numbers[1], rel=0.04)
 
@@ -194,7 +198,7 @@ def test_few_lines_tell_the_form_of_many():
 def left_by(job, plan, **offset):
     """The error at the lines of a job whose tool stands off, from its thinned program. [mm]"""
     tool = replace(job.tool.tool, offset=(offset.get("x", 0.0), offset.get("y", 0.0), 0.0))
-    scene, reach = lines_of(job), Reach(along=0.02, across=0.01, servos={})
+    scene, reach = lines_of(job, plan.motion.feed), Reach(along=0.02, across=0.01, servos={})
     head, rows = stored(plan, kept(plan, scene, reach), reach)
     left = scene.generated(scene_motion(head, rows, job.machine.machine, {}), tool, job.machine.machine, head["near"])
     return left, left.z - job.part.part.surface.sag(left.x.ravel(), left.y.ravel()).reshape(left.z.shape), tool
@@ -212,16 +216,64 @@ def test_lines_reach_the_axis_where_a_tool_that_stands_off_along_x_leaves_the_ti
         left, error, tool = left_by(job, plan, x=off)
         assert (left.x[:, 0] == 0).all()
         # Closed form: the sphere stands off with the tool. Where it stops short of the axis the round nose leaves a
-        # core; where it passes by it has cut the axis from beyond.
+        # core, highest a quarter of a feed from the axis, between passes whose middle is three quarters of a feed more
+        # than the offset away; where it passes by it has cut the axis from beyond.
         at_rim = sphere(rim - off) - sphere(rim)
         at_axis = nose - math.sqrt(nose**2 - off**2) if off > 0 else sphere(off)
+        top = nose - math.sqrt(nose**2 - (off + 0.75 * 0.002) ** 2) if off > 0 else sphere(off)
         assert error[:, 0] == pytest.approx(at_axis, abs=0.01 / NM)
         assert error[:, -1] == pytest.approx(at_rim, abs=2.5 / NM)
-        assert np.ptp(error) == pytest.approx(abs(at_rim - at_axis), abs=2.5 / NM)
-        # And the whole map of the whole program at as many rings as `run` has.
-        rings, azimuth = np.linspace(0, rim, 400), np.linspace(0, 2 * np.pi, 48, endpoint=False)
+        assert np.ptp(error) == pytest.approx(abs(at_rim - top), abs=2.5 / NM)
+        # And the whole map of the whole program at many rings.
+        rings = np.concatenate([np.linspace(0, 0.01, 81), np.linspace(0.02, rim, 400)])
+        azimuth = np.linspace(0, 2 * np.pi, 48, endpoint=False)
         whole = tw.generate_polar(plan.motion, tool, radius=rings, angle=azimuth).minus(job.part.part.surface).z
         assert np.ptp(error) == pytest.approx(np.ptp(whole), abs=2.5 / NM)
+
+
+@pytest.mark.parametrize("overrun", [False, True])
+def test_form_sees_the_highest_cusp_of_the_last_turn_with_a_tool_above_centre_or_not(overrun):
+    table = tomllib.loads(job_of("flat").to_toml())
+    feed, nose = 0.005, 0.5
+    if overrun:
+        table["strategy"]["overrun"] = "1.25 um"
+    job = tw.Job.read(table)
+    plan = planned(job, Reach(along=0.02, across=0.01, servos={}))
+    # Closed form: neighbouring passes leave a cusp of half a feed; half a turn apart on either side of the axis one of
+    # three quarters, which a quarter of a feed more closes.
+    half = feed / 2 if overrun else 0.75 * feed
+    cusp = nose - math.sqrt(nose**2 - half**2)
+    still = np.ptp(left_by(job, plan)[1])
+    assert cusp * (0.98 if overrun else 1 - 4 / (48 * 4)) <= still < cusp * (1 + 1e-9)
+    for y in (1e-9, -1e-9, 1e-6, -1e-6):  # a micrometre of a nanometre, and a nanometre
+        aside = np.ptp(left_by(job, plan, y=y)[1])
+        # A pass over a place y aside of its line comes so much earlier or later: it is off by feed y / (2 pi r).
+        moved = half / nose * 2 * feed * abs(y) / (2 * math.pi * feed / 4)
+        assert abs(aside - still) <= moved + 1e-6 / NM
+
+
+def test_nothing_leaps_while_a_core_grows():
+    job = job_of("fine mirror")
+    plan = planned(job, Reach(along=0.02, across=0.01, servos={}))
+    scene, rim = lines_of(job, plan.motion.feed), 3.0
+    close = tw.Motion(  # what cuts farther out is of no interest here
+        time=plan.motion.time[-9000:], axes={letter: one[-9000:] for letter, one in plan.motion.axes.items()},
+        machine=plan.motion.machine,
+    )  # fmt: skip
+
+    def seen(core):
+        tool = replace(job.tool.tool, offset=(0.0, core / 4, 0.0))
+        left = scene.generated(close, tool, job.machine.machine, 0.1)
+        there = np.isfinite(left.z)
+        return np.broadcast_to(left.weight, there.shape)[there], np.hypot(left.x, left.y)[there] ** 2
+
+    for core in (*scene.columns[scene.columns > 0][:12], 0.075, 0.15):
+        (few, inside), (many, outside) = (seen(core * (1 + share)) for share in (-1e-9, 1e-9))
+        # Closed form: the ring from the core to the rim has so much area, and so much of its second moment.
+        for weight, away in ((few, inside), (many, outside)):
+            assert weight.sum() / 48 == pytest.approx(rim**2 - core**2, rel=1e-8)
+            assert weight @ away / weight.sum() == pytest.approx((rim**2 + core**2) / 2, rel=1e-3)
+        assert few @ inside == pytest.approx(many @ outside, rel=1e-7)
 
 
 @pytest.mark.parametrize("kind", ["fine mirror", "raked over the axis"])
@@ -315,8 +367,7 @@ def test_a_part_springs_back_and_stands_upright(tmp_path):
     upright = size - np.sqrt(size**2 - left.x**2 - left.y**2)
     assert np.abs(tilted[1] - straight - (turned - upright)).max() * NM < 0.01
     # What measuring leaves free takes it away.
-    weight = view.scene.weight
-    apart = draws_of.form_error(job, *tilted, weight) - draws_of.form_error(job, left, straight, weight)
+    apart = draws_of.form_error(job, *tilted) - draws_of.form_error(job, left, straight)
     assert np.abs(apart).max() * NM < 0.01
 
 
@@ -324,7 +375,7 @@ def test_servos_between_the_nodes_are_tracked_ones(tmp_path):
     job = job_of("servo", tmp_path)
     reach = Reach(along=0.01, across=0.002, servos={"X": 0.2, "Z": 0.2, "C": 0.2})
     plan = planned(job, reach)
-    scene = lines_of(job)
+    scene = lines_of(job, plan.motion.feed)
     head, rows = stored(plan, kept(plan, scene, reach), reach)
     assert set(head["nodes"]) == {"X", "Z"}
     machine = job.machine.machine

@@ -206,10 +206,11 @@ def laid_out(
             told(number * total + done, len(jobs) * total)
 
         plan = planned(own, reach, tell)
-        scenes = [lines_of(own, even=True)] if kind else scenes_of(own)
+        feed = plan.motion.feed
+        scenes = [lines_of(own, feed, even=True)] if kind else scenes_of(own, feed)
         cuts[kind] = {
             "job": own.to_toml(),
-            "feed": plan.motion.feed,
+            "feed": feed,
             "scenes": [_put(plan, scene, reach, store) for scene in scenes],
         }
         del plan
@@ -279,13 +280,14 @@ class Bench:
                 _ = job.actual_tool, job.actual_machine, job.part.aimed
         for kind, own in shared["cuts"].items():
             job = jobs[kind]
-            scenes = [lines_of(job, even=True)] if kind else scenes_of(job)
+            feed = own["feed"]
+            scenes = [lines_of(job, feed, even=True)] if kind else scenes_of(job, feed)
             views = []
             for scene, head in zip(scenes, own["scenes"], strict=True):
                 rows = store.array(head["array"])
                 share = drift_share(rows[0], head["duration"], budget.settling)
                 views.append(_View(scene=scene, head=head, rows=rows, share=share))
-            cuts[kind] = _Cut(job=job, feed=own["feed"], views=tuple(views))
+            cuts[kind] = _Cut(job=job, feed=feed, views=tuple(views))
         return cls(budget=budget, cuts=cuts)
 
     def real(self, draw: Mapping[str, float], cut: str = "") -> Real:
@@ -302,8 +304,8 @@ class Bench:
         for view in part.views:
             left, error = part.made(view, real)
             if view.scene.polar:
-                form = form_error(part.job, left, error, view.scene.weight)
-                weight = np.broadcast_to(view.scene.weight, form.shape)[np.isfinite(form)]
+                form = form_error(part.job, left, error)
+                weight = np.broadcast_to(left.weight, form.shape)[np.isfinite(form)]
                 there = form[np.isfinite(form)]
                 numbers["form_pv_nm"] = float(np.ptp(there)) * NM
                 numbers["form_rms_nm"] = math.sqrt(float(np.average(there**2, weights=weight))) * NM
@@ -342,11 +344,11 @@ class Bench:
         )  # fmt: skip
 
 
-def form_error(job: Job, left: Left, error: Floats, weight: Floats) -> Floats:
+def form_error(job: Job, left: Left, error: Floats) -> Floats:
     """Return the departure from the design beyond the rigid motions that measuring leaves free.
 
     They are the motions of the job's ``measurement``, ``free`` but for what is ``fixed``, fitted with each place by its
-    area, ``weight`` of its column.
+    area.
     """
     asked = job.measurement
     fixed = {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
@@ -370,7 +372,7 @@ def form_error(job: Job, left: Left, error: Floats, weight: Floats) -> Floats:
     if not columns:
         return error
     there = np.isfinite(flat)
-    root = np.sqrt(np.broadcast_to(weight, error.shape)).ravel()
+    root = np.sqrt(np.broadcast_to(left.weight, error.shape)).ravel()
     matrix = np.stack(columns, axis=1)
     share = np.linalg.lstsq(matrix[there] * root[there, None], flat[there] * root[there], rcond=RANK)[0]
     return np.asarray((flat - matrix @ share).reshape(error.shape), dtype=np.float64)

@@ -16,7 +16,7 @@ import numpy as np
 
 from turnwright.access import check_access
 from turnwright.contact import place
-from turnwright.generation import generate, generate_polar
+from turnwright.generation import generate, generate_points, generate_polar
 from turnwright.job._shares import has_servos, without_servos
 from turnwright.motion import drive
 from turnwright.path import Motion
@@ -49,6 +49,17 @@ TURN = 2 * math.pi
 
 INWARD = 2
 """How many times nearer to the axis each ring is than the one before, where lines go on inward."""
+
+GAP = 0.25
+"""Where the last turn of a spiral leaves its highest cusp, in feeds from the axis: the passes on either side of it are
+half a turn apart, so that the middle between them is a quarter of a feed aside."""
+
+AROUND = 4
+"""How many times as finely that cusp is looked at: it rises along half a turn and falls at once, where the cut ends."""
+
+GOLDEN = (math.sqrt(5) - 1) / 2
+"""Where these places lie between lines, in steps: never at the azimuth of that fall, which is a fraction of a turn, so
+that the least turn of the surface does not lift or drop one."""
 
 PER_FEATURE = 6
 """Places to a feature of the surface, along the radius and around the rim."""
@@ -102,29 +113,27 @@ class Reach:
 
 
 class Left(NamedTuple):
-    """A surface at some places. Each (rows, columns) [mm]."""
+    """A surface at some places, each (rows, columns) [mm], and the area that those of a column stand for (columns,)."""
 
     x: Floats
     y: Floats
     z: Floats
-
-    def after(self, scene: Scene, inmost: int) -> Left:
-        """Return it with as many columns of nan before as the lines of a scene have within a core."""
-        x, y = (one[:, :inmost] for one in scene.points())
-        return Left(*map(np.hstack, zip((x, y, np.full(x.shape, np.nan)), self, strict=True)))
+    weight: Floats
 
 
 class Scene(NamedTuple):
     """A grid over the part: lines across all passes, or a patch.
 
-    ``rows`` and ``columns`` are azimuths and radii of lines [rad, mm], y and x of a patch [mm]; ``weight`` says for how
-    much area, in any unit, a place of each column stands.
+    ``rows`` and ``columns`` are azimuths and radii of lines [rad, mm], y and x of a patch [mm]; ``twist`` is how far
+    around from its line a place of each column is [rad]; ``weight`` is the area that a place of each column stands for,
+    of lines in such a unit that the whole disc has the square of its radius.
     """
 
     name: str
     polar: bool
     rows: Floats
     columns: Floats
+    twist: Floats
     weight: Floats
 
     def generated(self, motion: Motion, tool: Tool, machine: Machine, near: float) -> Left:
@@ -140,37 +149,57 @@ class Scene(NamedTuple):
         Returns
         -------
         Left
-            On lines that end where a tool above or below centre leaves a core; there is nan for what lies within.
+            On lines that end where a tool above or below centre leaves a core; there is nan for what lies within. The
+            place before the edge of the core is moved there, so that nothing leaps while a core grows.
         """
         if not self.polar:
             made = generate(motion, tool, x=self.columns, y=self.rows, machine=machine)
-            return Left(*made.points(), made.z)
+            return Left(*made.points(), made.z, self.weight)
+        scene, there = self._beyond(min(CORE * abs(tool.offset[1]), float(self.columns[-1]) / 2))
+        x, y = scene.points()
+        z = np.full(x.shape, np.nan)
+        fine = there & (scene.twist > 0)
+        if fine.any():
+            close = self._inner(motion, near)
+            ring = generate_points(close, tool, x=x[:, fine].ravel(), y=y[:, fine].ravel(), machine=machine)
+            z[:, fine] = ring.reshape(scene.rows.size, -1)
+        plain = there & ~fine
+        x[:, plain], y[:, plain], z[:, plain] = self._along(scene.columns[plain], motion, tool, machine, near)
+        return Left(x, y, z, scene.weight)
+
+    def _along(
+        self, radius: Floats, motion: Motion, tool: Tool, machine: Machine, near: float
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return places at some radii of the lines, and what is left there. Each (rows, radii) [mm]."""
         aside = tool.offset[1]
-        core = min(CORE * abs(aside), float(self.columns[-1]) / 2)
-        within = int(np.searchsorted(self.columns, core))
-        if within:
-            return self._beyond(core, within - 1).generated(motion, tool, machine, near).after(self, within - 1)
-        outer = self.columns > near
+        outer = radius > near
         if not aside or tool.rake or "Y" in motion.axes or not outer.any():
-            made = generate_polar(motion, tool, radius=self.columns, angle=self.rows, machine=machine)
-            return Left(*made.points(), made.z)
+            made = generate_polar(motion, tool, radius=radius, angle=self.rows, machine=machine)
+            return *made.points(), made.z
         # A whole edge that stands beside the plane through the axis cuts what it would cut in that plane, a little
         # farther out and around: so lines stay lines, which are quick. Near the axis both sides mix.
         level = replace(tool, offset=(tool.offset[0], 0.0, tool.offset[2]))
-        r = self.columns[outer]
+        r = radius[outer]
         made = generate_polar(motion, level, radius=r, angle=self.rows, machine=machine)
         x, y = made.points()
         turned = aside / r
-        parts = [Left(x - turned * y, y + turned * x, made.z)]
+        parts = [(x - turned * y, y + turned * x, made.z)]
         if not outer.all():
             inner = self._inner(motion, near)
-            close = generate_polar(inner, tool, radius=self.columns[~outer], angle=self.rows, machine=machine)
-            parts.insert(0, Left(*close.points(), close.z))
-        return Left(*(np.concatenate(one, axis=1) for one in zip(*parts, strict=True)))
+            close = generate_polar(inner, tool, radius=radius[~outer], angle=self.rows, machine=machine)
+            parts.insert(0, (*close.points(), close.z))
+        x, y, z = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))
+        return x, y, z
 
-    def _beyond(self, core: float, inmost: int) -> Scene:
-        """Return the lines from the edge of a core on, where the place of a given number is moved to."""
-        return self._replace(columns=np.maximum(self.columns[inmost:], core), weight=self.weight[inmost:])
+    def _beyond(self, core: float) -> tuple[Scene, Bools]:
+        """Return the lines from the edge of a core on, and which of their columns there are. (columns,)."""
+        within = int(np.searchsorted(self.columns, core, side="right"))
+        inmost = int(np.searchsorted(self.columns, self.columns[within - 1])) if within else 0
+        there = np.arange(self.columns.size) >= inmost
+        outside = np.cumsum(self.weight[::-1])[::-1]
+        outside = np.minimum(outside, outside[0] - core**2)
+        moved = np.where(there, np.maximum(self.columns, core), self.columns)
+        return self._replace(columns=moved, weight=outside - np.append(outside[1:], 0.0)), there
 
     @staticmethod
     def _inner(motion: Motion, near: float) -> Motion:
@@ -183,21 +212,24 @@ class Scene(NamedTuple):
     def points(self) -> tuple[Floats, Floats]:
         """Return x and y of every place. Each (rows, columns) [mm]."""
         if self.polar:
-            return np.cos(self.rows)[:, None] * self.columns, np.sin(self.rows)[:, None] * self.columns
+            azimuth = self.rows[:, None] + self.twist
+            return np.cos(azimuth) * self.columns, np.sin(azimuth) * self.columns
         x, y = np.meshgrid(self.columns, self.rows)
         return x, y
 
 
-def lines_of(job: Job, *, even: bool = False) -> Scene:
+def lines_of(job: Job, feed: float, *, even: bool = False) -> Scene:
     """Return lines across the whole part, as many as its features need.
 
-    They run from the axis, by some of the innermost rings that `run` looks at, to the rim, where most errors are
-    largest. These stand for no area: the places between do for all of it.
+    They run from the axis, by the ring of the highest cusp there, to the rim, where most errors are largest. These
+    stand for no area: the places between do for all of it.
 
     Parameters
     ----------
     job
         Of the part.
+    feed
+        Of the finishing pass. [mm]
     even
         Whether every place stands for the same area, as for a map of an instrument, which sees neither.
     """
@@ -206,23 +238,35 @@ def lines_of(job: Job, *, even: bool = False) -> Scene:
     radii = int(np.clip(math.ceil(asked), FEWEST_RADII, MOST_RADII))
     angles = 2 * int(np.clip(math.ceil(TURN * asked / 2), FEWEST_ANGLES // 2, MOST_ANGLES // 2))
     share = (np.arange(radii) + 0.5) / radii
-    if even:
-        radius, weight = np.sqrt(share), np.ones(radii)
-    else:
-        ring = 1 / (job.simulation.whole_part.radii - 1)
-        inward = [0.0]
-        while ring < share[0] / 2:
-            inward.append(ring)
-            ring *= INWARD
-        radius = np.concatenate([inward, share, [RIM]])
-        weight = np.concatenate([np.zeros(len(inward)), share, [0.0]])
     azimuth = np.linspace(0, TURN, angles, endpoint=False)
-    return Scene("whole part", polar=True, rows=azimuth, columns=part.radius * radius, weight=weight)
+    if even:
+        radius, weight = np.sqrt(share), np.full(radii, 1 / radii)
+        twist = np.zeros(radii)
+    else:
+        rings = [GAP * feed / part.radius]
+        while INWARD * rings[-1] < share[0]:
+            rings.append(INWARD * rings[-1])
+        fine = (np.arange(AROUND) + GOLDEN) / AROUND * azimuth[1]
+        radius = np.concatenate([[0.0], np.full(AROUND, rings[0]), rings[1:], share, [RIM]])
+        twist = np.zeros(radius.size)
+        twist[1 : 1 + AROUND] = fine
+        weight = np.zeros(radius.size)
+        weight[-1 - radii : -1] = 2 * share / radii
+        order = np.argsort(radius, kind="stable")
+        radius, twist, weight = radius[order], twist[order], weight[order]
+    return Scene(
+        "whole part",
+        polar=True,
+        rows=azimuth,
+        columns=part.radius * radius,
+        twist=twist,
+        weight=part.radius**2 * weight,
+    )
 
 
-def scenes_of(job: Job) -> list[Scene]:
+def scenes_of(job: Job, feed: float) -> list[Scene]:
     """Return the lines for the form of a part, and its patches, in as many rows as their finish needs."""
-    scenes = [lines_of(job)]
+    scenes = [lines_of(job, feed)]
     for patch in job.simulation.patches:
         x, y = patch.axes
         every = max(1.0, x.size * y.size / MOST_IN_PATCH)
@@ -234,7 +278,8 @@ def scenes_of(job: Job) -> list[Scene]:
         else:
             steps = max(1, min(round(every), x.size // FEWEST_ACROSS)), 1
         x, y = (axis[step // 2 :: step] for axis, step in zip((x, y), steps, strict=True))
-        scenes.append(Scene(patch.name, polar=False, rows=y, columns=x, weight=np.ones(x.size)))
+        one = np.ones(x.size)
+        scenes.append(Scene(patch.name, polar=False, rows=y, columns=x, twist=0 * one, weight=one))
     return scenes
 
 

@@ -299,7 +299,7 @@ def tolerance(
             maps = np.stack([place.array(rows[k][_named("map", kind)]).ravel() for k in good])
             outcomes[kind] = _outcome(
                 job, {name: inputs[name] for name in inputs if name in own}, kept, columns, maps, limits, kind, seed,
-                failed=len(reasons),
+                failed=len(reasons), feed=shared["cuts"][""]["feed"],
             )  # fmt: skip
         told("sensitivity", 1, 1)
         tightening = None
@@ -401,6 +401,7 @@ def _outcome(
     seed: int,
     *,
     failed: int,
+    feed: float,
 ) -> Outcome:
     """Return what the cases say, as planned or corrected; those that failed keep nothing."""
     keeps = _keeps(columns, limits, kind)
@@ -409,7 +410,7 @@ def _outcome(
     groups = grouped(list(inputs), group_of)
     scaled = np.stack([(draws[name] - one.mean) / one.deviation for name, one in inputs.items()], axis=1)
     given = neighbour_indices(scaled, columns[_named("form_pv_nm", kind)], list(groups.values()))
-    lines = lines_of(job)
+    lines = lines_of(job, feed)
     weight = np.broadcast_to(lines.weight, (lines.rows.size, lines.columns.size)).ravel()
     seen = np.flatnonzero(np.isfinite(maps).all(axis=0))
     if seen.size > HEIGHTS:  # at random, so that no pattern of the part is met at one phase only
