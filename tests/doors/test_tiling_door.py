@@ -17,7 +17,7 @@ import zarr
 
 import turnwright as tw
 from turnwright.cli import main
-from turnwright.execution import LocalPool
+from turnwright.execution import Cluster, LocalPool
 
 JOB = """
 [part]
@@ -254,6 +254,10 @@ def test_processes_make_the_same_map_and_one_that_is_killed_costs_nothing(tmp_pa
         ({"radius": 0.001, "pixel": 0.01}, "the map has 1 x 1 pixels"),
         ({"tile": 8}, "the width of a tile in pixels is 8"),
         ({"store": "memory://map", "executor": LocalPool(workers=0, threads=1)}, "lies in the memory of this process"),
+        (
+            {"store": "memory://map", "executor": Cluster(SimpleNamespace(get_executor=lambda **_: None))},
+            "lies in the memory of this process",
+        ),
         ({"store": "nosuch://there"}, "cannot be used as a store"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import csv
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import turnwright as tw
 from turnwright._commands import Door, app
 from turnwright._stop import Stop
 from turnwright.errors import InputError, JobError
-from turnwright.execution import Store
+from turnwright.execution import Cluster, Store
 from turnwright.studies import ErrorBudget, Spread, _draws
 
 JOB = {
@@ -249,3 +250,7 @@ def test_a_store_in_the_memory_of_one_process_is_refused_before_anything_is_plan
     pytest.importorskip("fsspec")
     with pytest.raises(InputError, match="'memory://kept' lies in the memory of this process"):
         tw.tolerance(job, count=20, store="memory://kept", workers=1)
+    # Workers of a cluster, whose rows would be brought here, would not find the motion either.
+    dask = Cluster(SimpleNamespace(get_executor=lambda **_: None))
+    with pytest.raises(InputError, match="'memory://kept' lies in the memory of this process"):
+        tw.tolerance(job, count=20, store="memory://kept", executor=dask)

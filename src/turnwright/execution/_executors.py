@@ -331,15 +331,27 @@ def local(
     pool.shutdown()
 
 
-def require_reach(place: str, executor: Executor) -> None:
+def require_reach(place: str, executor: Executor, *, arrays: bool = False) -> None:
     """Raise if a store lies in the memory of this process, and the workers are others.
+
+    Parameters
+    ----------
+    place
+        Of the store.
+    executor
+        Whose workers they are.
+    arrays
+        Whether the workers must find what this process has put there: rows of the workers of a cluster, or of an
+        executor of somebody else, are brought here, but no array of ours goes there.
 
     Raises
     ------
     InputError
         Naming the store.
     """
-    if place.rpartition("::")[2].startswith("memory:") and isinstance(executor, LocalPool | ProcessPoolExecutor):
+    processes = isinstance(executor, LocalPool | ProcessPoolExecutor)
+    apart = not isinstance(executor, ThreadPoolExecutor) if arrays else processes
+    if apart and place.rpartition("::")[2].startswith("memory:"):
         raise InputError(
             f"the store {place!r} lies in the memory of this process, its workers are others and keep nothing there: "
             "name a folder, or use threads"

@@ -268,7 +268,7 @@ def tolerance(
         place = store if isinstance(store, Store) else Store.open(store)
         if executor is None:
             executor = stack.enter_context(local(workers))
-        require_reach(place.place, executor)
+        require_reach(place.place, executor, arrays=True)
         shared = _shared(job, budget, place, correction=correction, told=told)
         study = _Cases(
             shared=shared, executor=executor, store=place, seed=seed, correction=correction, told=told,

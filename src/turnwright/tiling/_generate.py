@@ -199,7 +199,7 @@ def generate_tiled(
     place = named_place(store)
     layout = planned_layout(place, pixel, radius=radius, x=x, y=y, tile=tile)
     if executor is not None:
-        require_reach(place, executor)
+        require_reach(place, executor, arrays=True)
     ready = _ready(motion, tool, machine, layout)
     sides = ready.sides(layout.pixel[::-1])
     layout = layout.in_tiles(tile_sides(tile, sides, layout.shape))
