@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turnwright.errors import InputError
+from turnwright.units import LEAST, MOST
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
@@ -71,11 +72,15 @@ def freeze(owner: object, names: Sequence[str], optional: Sequence[str] = (), *,
 
 
 def positive(value: float, name: str, unit: str) -> float:
-    """Return ``value`` if it is a finite number above zero."""
+    """Return ``value`` if it is a number above zero, of a size that is none by a slip."""
     if isinstance(value, int) and value.bit_length() > 1000:
         raise InputError(f"{name} is beyond the range of numbers, about 1e308 {unit}: give a smaller value")
     if not np.isfinite(value) or value <= 0:
         raise InputError(f"{name} is {value:g} {unit}, it must be finite and above 0 {unit}: give a positive value")
+    if not LEAST <= value <= MOST:
+        raise InputError(
+            f"{name} is {value:g} {unit}, the limits are {LEAST:g} to {MOST:g} {unit}: check its exponent and its unit"
+        )
     return float(value)
 
 

@@ -27,6 +27,9 @@ MOST_PLACES = 400_000
 STARTS = 32
 """Best places that the search narrows from."""
 
+STEEPEST = 1e6
+"""A surface steeper than this, in mm per mm, is described wrongly: no part has such a wall."""
+
 SHARP = 1e-6
 """A slope that jumps by less than this, or a height by less than this many mm, is rounding."""
 
@@ -260,6 +263,14 @@ def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) ->
             f"the surface has no finite slope and curvature {_at((x, y))} ({np.count_nonzero(bad)} of {bad.size} "
             "places), everywhere but on the axis it needs both: keep the part clear of poles and of places where a "
             "term ends"
+        )
+    steepness = np.where(radius > 1e-9, np.hypot(fu, fv), 0.0)
+    if steepness.max(initial=0.0) > STEEPEST:
+        worst = int(np.argmax(steepness))
+        x, y = float((radius * c)[worst]), float((radius * s)[worst])
+        raise DomainError(
+            f"the surface climbs by {steepness[worst]:.3g} mm per mm {_at((x, y))}, the limit is {STEEPEST:g}, as good "
+            "as a vertical wall: check the units and the exponents of its terms"
         )
     up, back = math.cos(tool.rake), -sense * math.sin(tool.rake)
     # Not positive where the surface climbs over the rake face: there no edge cuts, and the limit of the nose is zero.

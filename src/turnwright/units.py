@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 __all__ = ["convert", "parse", "say_length", "unit", "write"]
 
+LEAST, MOST = 1e-30, 1e30
+"""Of any size that is stated, in the units inside: beyond, it is a slip, and its powers leave the range of numbers."""
+
 LONGEST = 100
 """Characters in a quantity: beyond this it is a mistake, and exact arithmetic on it would be slow."""
 
@@ -263,6 +266,12 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
             with suppress(UnitError):
                 return parse(text, other)
         value = parse(text, self.units[0])
+        if abs(value) > MOST or (self.above == 0 and 0 < value < LEAST):
+            limit = f"{MOST:g}" if abs(value) > MOST else f"{LEAST:g}"
+            raise UnitError(
+                f"{text!r} is {'above' if abs(value) > MOST else 'below'} {limit} {self.units[0]}, the limit for any "
+                "size: check its exponent and its unit"
+            )
         if not value > self.above:
             raise UnitError(f"{text!r} is not above {self.above:g} {self.units[0]}: give a larger value")
         if not value >= self.least:

@@ -28,7 +28,8 @@ Angle: TypeAlias = Annotated[float, unit("rad")]
 Feed: TypeAlias = Annotated[float, unit("mm/rev", above=0.0)]
 Speed: TypeAlias = Annotated[float, unit("rpm", above=0.0)]
 Slope: TypeAlias = Annotated[float, unit("rad", "1")]
-Number: TypeAlias = Annotated[float, Strict(), AllowInfNan(False)]
+# A coefficient may be of any unit; its powers must still be numbers.
+Number: TypeAlias = Annotated[float, Strict(), AllowInfNan(False), Ge(-1e100), Le(1e100)]
 Count: TypeAlias = Annotated[int, Strict(), Ge(1), Le(10**9)]
 Text: TypeAlias = Annotated[str, Strict()]
 
