@@ -12,6 +12,7 @@ from importlib import resources
 import jsonschema
 import numpy as np
 import pytest
+import tomli_w
 from fastapi.testclient import TestClient
 from job_files import changed, written
 from test_measuring import DISH, OFFSET, seen
@@ -436,6 +437,47 @@ def test_files_travel_with_a_job_to_the_command_line(client, folder, tmp_path):
     assert tomllib.loads((tmp_path / "job.toml").read_text()) == with_files(names)
     assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
     assert ours == (tmp_path / "out" / "part.nc").read_bytes()
+
+
+def test_an_archive_of_a_job_is_opened_again(client):
+    """Oracles: the archive that the page itself saves, the bytes that were brought, and the remarks in its text."""
+    told = {
+        kind: client.post("/api/files", params={"kind": kind, "name": name}, content=content).json()["reference"]
+        for kind, (name, content) in BROUGHT.items()
+    }
+    job = with_files(told)
+    text = client.post("/api/job/write", json={"data": job}).json()["toml"].replace("[tool]", "# the good one\n[tool]")
+    saved = client.post("/api/job/bundle", json={"data": job, "toml": text}).content
+    with zipfile.ZipFile(io.BytesIO(saved)) as archive:
+        assert "# the good one" in archive.read("job.toml").decode()
+    opened = client.post("/api/files/archive", content=saved)
+    assert opened.status_code == 201, opened.text
+    assert opened.json()["errors"] == []
+    assert "# the good one" in opened.json()["toml"]
+    assert tomllib.loads(opened.json()["toml"]) == opened.json()["data"]
+    again = client.post("/api/job/bundle", json={"data": opened.json()["data"]}).content
+    with zipfile.ZipFile(io.BytesIO(saved)) as first, zipfile.ZipFile(io.BytesIO(again)) as second:
+        assert sorted(first.namelist()) == sorted(second.namelist())
+        for name in first.namelist()[1:]:
+            assert first.read(name) == second.read(name)
+        assert tomllib.loads(first.read("job.toml").decode()) == tomllib.loads(second.read("job.toml").decode())
+
+
+def test_a_job_is_kept_as_it_was_written(client):
+    """Oracle: the text itself."""
+    text = tomli_w.dumps(changed(*DISH)).replace("[tool]", "# from the drawer\n[tool]")
+    job = changed(*DISH, ("strategy.feed", "25 um/rev"))
+    wanted = text.replace("20 um/rev", "25 um/rev")
+    assert client.post("/api/job/write", json={"data": job, "toml": text}).json() == {"toml": wanted, "errors": []}
+    name = client.post("/api/runs", json={"data": job, "toml": text, "kind": "run"}).json()["id"]
+    ended(client, name)
+    told = client.get(f"/api/runs/{name}").json()
+    assert told["toml"] == wanted
+    assert client.get(f"/api/runs/{name}/files/written").text == wanted
+    plain = client.post("/api/runs", json={"data": job, "kind": "run"}).json()["id"]
+    assert client.get(f"/api/runs/{plain}").json()["toml"] == ""
+    assert client.get(f"/api/runs/{plain}/files/written").status_code == 404
+    client.post(f"/api/runs/{plain}/cancel")
 
 
 def test_a_file_that_was_brought_by_two_names_is_in_the_archive_by_both(client):

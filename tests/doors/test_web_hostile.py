@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 import uvicorn
 from fastapi.testclient import TestClient
 from job_files import changed
@@ -381,6 +382,99 @@ def test_a_file_in_chunks_is_counted(client, folder, monkeypatch):
         "/api/files", params={"kind": "heights", "name": "a.csv"}, content=(b"0," * 2**15 for _ in range(64))
     )
     assert answer.status_code == 413
+    assert tree(folder) == before
+
+
+# --- archives of a job and its files
+
+
+def packed(entries, kind=zipfile.ZIP_DEFLATED):
+    sink = io.BytesIO()
+    with zipfile.ZipFile(sink, "w", kind) as archive:
+        for name, content in entries:
+            archive.writestr(name, content)
+    return sink.getvalue()
+
+
+def naming(name, *more):
+    surface = {"family": "gridded", "units": "mm", "sag_units": "mm", "file": name}
+    return "job.toml", tomli_w.dumps(changed(("part.surface", surface), *more))
+
+
+def sealed():
+    """An archive that asks for a password: a flag in both of its records."""
+    found = bytearray(packed([naming("a.csv"), ("a.csv", TABLE)]))
+    for mark, at in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        found[found.index(mark) + at] |= 1
+    return bytes(found)
+
+
+def lying():
+    """An archive that says of a large file that it is small."""
+    found = bytearray(packed([naming("a.csv"), ("a.csv", bytes(FILE_BYTES + 1))]))
+    size = (FILE_BYTES + 1).to_bytes(4, "little")
+    return bytes(found).replace(size, (100).to_bytes(4, "little"))
+
+
+ARCHIVES = {
+    "no archive": (lambda: b"not a zip", "cannot be read"),
+    "one that breaks off": (lambda: packed([naming("a.csv"), ("a.csv", TABLE)])[:-40], "cannot be read"),
+    "one without a job": (lambda: packed([("a.csv", TABLE)]), "holds no job.toml"),
+    "a job that is no text": (lambda: packed([("job.toml", b"\xff\xfe")]), "not UTF-8"),
+    "a job that is none": (lambda: packed([("job.toml", "[part")]), "not TOML"),
+    "a job too long": (lambda: packed([("job.toml", b" " * (8 * 2**20 + 1))]), "more than 8 MiB"),
+    "a way up": (lambda: packed([naming("../a.csv"), ("../a.csv", TABLE)]), "leads out of it"),
+    "a way up under Windows": (lambda: packed([naming("a.csv"), ("x\\..\\..\\a.csv", TABLE)]), "leads out of it"),
+    "a place on the disk": (lambda: packed([naming("/etc/passwd"), ("/etc/passwd", TABLE)]), "leads out of it"),
+    "a place on a drive": (lambda: packed([naming("C:/a.csv"), ("C:/a.csv", TABLE)]), "leads out of it"),
+    "a file that is none of its kind": (lambda: packed([naming("a.csv"), ("a.csv", b"<html>")]), "a.csv: "),
+    "a file of another ending": (lambda: packed([naming("a.exe"), ("a.exe", TABLE)]), "can end in .csv"),
+    "a bomb": (lambda: packed([naming("a.csv"), ("a.csv", bytes(FILE_BYTES + 1))]), "more than 64 MiB"),
+    "a bomb that lies": (lying, "cannot be read"),
+    "a password": (sealed, "cannot be read"),
+    "another packing": (lambda: packed([naming("a.csv")], zipfile.ZIP_LZMA), "pack it by deflate"),
+    "a crowd": (lambda: packed([naming("a.csv"), *((f"{n}.csv", "") for n in range(300))]), "the limit is 200"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_an_archive_that_is_none_is_refused_and_leaves_nothing(client, folder, name):
+    content, said = ARCHIVES[name]
+    before = tree(folder)
+    answer = client.post("/api/files/archive", content=content())
+    assert answer.status_code == 422, answer.text
+    assert said in answer.json()["detail"]
+    assert "root:" not in answer.text
+    assert tree(folder) == before
+
+
+def test_what_an_archive_does_not_hold_is_not_looked_for(client, folder):
+    """Neither on this disk nor among what was brought: the field says that it must be brought."""
+    for name in ("/etc/hosts", "../../secret.csv", "other.csv"):
+        before = tree(folder)
+        told = client.post("/api/files/archive", content=packed([naming(name), ("__MACOSX/._job.toml", "x")]))
+        assert told.status_code == 201, told.text
+        (error,) = told.json()["errors"]
+        assert error["field"] == "part.surface.file"
+        assert "can only name files that were brought" in error["sentence"]
+        assert tree(folder) == before
+
+
+def test_an_archive_beyond_the_limits_of_the_upload_is_not_read(client, folder):
+    before = tree(folder)
+    answer = client.post("/api/files/archive", content=(bytes(2**20) for _ in range(FILE_BYTES // 2**20 + 1)))
+    assert answer.status_code == 413
+    assert tree(folder) == before
+
+
+def test_an_archive_has_its_time(client, folder, monkeypatch):
+    from turnwright.web import _files
+
+    monkeypatch.setattr(_files, "FILE_S", 0.0)
+    before = tree(folder)
+    answer = client.post("/api/files/archive", content=packed([naming("a.csv"), ("a.csv", TABLE)]))
+    assert answer.status_code == 422
+    assert "the archive cannot be read within the limits" in answer.json()["detail"]
     assert tree(folder) == before
 
 

@@ -6,8 +6,8 @@ file takes its place once; what it was called stands in the reference alone.
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
-import re
 import secrets
 import shutil
 import time
@@ -21,11 +21,11 @@ from starlette.requests import ClientDisconnect
 from turnwright.errors import InputError
 from turnwright.web._guard import HANG_UP
 from turnwright.web._limits import FILE_BYTES, FILE_ENDINGS, FILE_S, SPARE_BYTES
-from turnwright.web._models import Kept
-from turnwright.web._references import BROUGHT, place_of
+from turnwright.web._models import Kept, Opened
+from turnwright.web._references import BROUGHT, place_of, plain_name, shown_name
 from turnwright.web._workers import TooLong
 
-__all__ = ["RAW_BODY", "router", "shown_name", "stored", "tidy"]
+__all__ = ["RAW_BODY", "router", "stored", "tidy"]
 
 router = APIRouter(prefix="/api/files", tags=["files"])
 
@@ -65,30 +65,39 @@ async def bring(
         try:
             await state.workers.ask("_jobs:look_into", str(new), kind, limit_s=FILE_S)
         except TooLong as error:
-            raise InputError(
-                f"the file cannot be read within the limits, {FILE_S:g} s and the memory of a page ({error})"
-            ) from None
+            raise InputError(_too_long("file", error)) from None
         new.replace(place_of(state.folder, digest, kind, ending))
     finally:
         new.unlink(missing_ok=True)
-    label = f"{_plain(name)}{ending}"
+    label = f"{plain_name(name)}{ending}"
     return Kept(reference=f"files/{digest}/{label}", name=label, bytes=size)
 
 
-def shown_name(name: str) -> str:
-    r"""Return what a file is called, without folders and marks.
+@router.post("/archive", status_code=201, openapi_extra=RAW_BODY)
+async def open_archive(request: Request) -> Opened:
+    """Open an archive of a job and the files that it names, as the page or a run packs it, and keep those files."""
+    state = request.app.state
+    folder: File = state.folder / "files"
+    new = folder / f".{secrets.token_hex(16)}.zip"
+    try:
+        await stored(request, new, FILE_BYTES)
+        try:
+            found = await state.workers.ask("_bundles:opened", str(new), str(state.folder), limit_s=FILE_S)
+        except TooLong as error:
+            raise InputError(_too_long("archive", error)) from None
+    finally:
+        await asyncio.to_thread(_forget, new)
+    return Opened(**found)
 
-    >>> shown_name("C:\\maps\\my <part>.x3p")
-    'my _part_.x3p'
-    """
-    return re.sub(r"[^\w .()+-]", "_", File(name.replace("\\", "/")).name)
+
+def _forget(archive: File) -> None:
+    """Remove an archive, and what a process was about to take out of it when it was ended."""
+    for one in archive.parent.glob(f"{archive.name}*"):
+        one.unlink(missing_ok=True)
 
 
-def _plain(name: str) -> str:
-    """Return a name that any computer takes as that of a file, without its ending."""
-    text = re.sub("[^A-Za-z0-9_-]+", "_", File(shown_name(name)).stem)[:60].strip("_-")
-    # Windows takes a few short names for devices.
-    return f"{text or 'file'}_" if re.fullmatch("(?i)con|prn|aux|nul|com.|lpt.", text) else text or "file"
+def _too_long(what: str, error: TooLong) -> str:
+    return f"the {what} cannot be read within the limits, {FILE_S:g} s and the memory of a page ({error})"
 
 
 async def stored(request: Request, file: File, most: int) -> tuple[int, str]:

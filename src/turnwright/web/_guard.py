@@ -19,15 +19,12 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, RedirectResponse
 
 from turnwright.errors import InputError
-from turnwright.web._limits import FILE_BYTES
+from turnwright.web._limits import BODY_BYTES, FILE_BYTES
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 __all__ = ["BODY_BYTES", "HANG_UP", "UPLOAD_BYTES", "Guard", "is_loopback", "require_token"]
-
-BODY_BYTES = 8 * 2**20
-"""Of a job or any other JSON."""
 
 UPLOAD_BYTES = 2 * 2**30
 """Of a measured file."""
@@ -188,7 +185,9 @@ def _plain(path: str) -> str:
 
 
 def _limit(scope: Scope) -> int:
-    return {"/api/measurements": UPLOAD_BYTES, "/api/files": FILE_BYTES}.get(scope["path"], BODY_BYTES)
+    return {"/api/measurements": UPLOAD_BYTES, "/api/files": FILE_BYTES, "/api/files/archive": FILE_BYTES}.get(
+        scope["path"], BODY_BYTES
+    )
 
 
 def _too_large(limit: int) -> str:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import math
-import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
@@ -13,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 from pydantic import ValidationError
 
 from turnwright import access as _access
@@ -26,10 +23,11 @@ from turnwright.job._table import Table, sentences
 from turnwright.machine import Machine
 from turnwright.material import Material
 from turnwright.web._limits import MOST_POINTS
-from turnwright.web._references import beside, located
+from turnwright.web._references import located
+from turnwright.web._text import as_tables, written
 
 __all__ = [
-    "bundle", "check", "look_into", "machines", "parse", "plain", "read", "require", "warm", "warm_kernels", "write",
+    "check", "look_into", "machines", "parse", "plain", "read", "require", "warm", "warm_kernels", "write",
 ]  # fmt: skip
 
 MEMORY_BYTES = 6 * 2**30
@@ -202,54 +200,14 @@ def require(data: dict[str, Any], folder: str) -> Job:
 def parse(toml: str, folder: str) -> dict[str, Any]:
     """Return a job file as data, and what is wrong with it."""
     try:
-        data = plain(_as_tables(read_toml(toml.encode("utf-8", "surrogatepass"), "the job")))
+        data = plain(as_tables(read_toml(toml.encode("utf-8", "surrogatepass"), "the job")))
     except InputError as error:
         return {"data": {}, "errors": [{"field": "", "sentence": str(error)}]}
     return {"data": data, "errors": read(data, folder)[1]}
 
 
-SURFACES = ("surface", "lenslet", "surround", "base")
-
-
-def _as_tables(value: Any, depth: int = 0) -> Any:
-    """Write the short forms of a surface, a list for a sum and a height for a plane, as the tables they mean."""
-    if depth > 60:
-        return value
-    if isinstance(value, list):
-        return [_as_tables(one, depth + 1) for one in value]
-    if not isinstance(value, dict):
-        return value
-    found = {key: _as_tables(one, depth + 1) for key, one in value.items()}
-    for key in SURFACES:
-        if isinstance(found.get(key), list):
-            found[key] = {"family": "sum", "terms": found[key]}
-    if "family" in found and isinstance(found.get("surround"), str):
-        found["surround"] = {"family": "plane", "placed": {"shift": ["0 mm", "0 mm", found["surround"]]}}
-    return found
-
-
-def write(data: dict[str, Any], folder: str) -> dict[str, Any]:
-    """Return a job as a file, and what is wrong with it."""
-    _, problems = read(data, folder)
-    try:
-        toml = tomli_w.dumps(_without_none(data))
-    except (TypeError, ValueError, RecursionError, AttributeError) as error:
-        problems = problems or [{"field": "", "sentence": f"the job cannot be written as TOML ({error}): correct it"}]
-        return {"toml": "", "errors": problems}
-    return {"toml": toml, "errors": problems}
-
-
-def _without_none(value: Any) -> Any:
-    """Leave out what is not stated: TOML has no word for nothing."""
-    if isinstance(value, dict):
-        return {key: _without_none(one) for key, one in value.items() if one is not None}
-    if isinstance(value, list):
-        return [_without_none(one) for one in value if one is not None]
-    return value
-
-
-def bundle(data: dict[str, Any], folder: str) -> bytes:
-    """Return an archive of a job and the files that it names, as the command line takes them.
+def write(data: dict[str, Any], folder: str, before: str = "") -> dict[str, Any]:
+    """Return a job as a file, and what is wrong with it.
 
     Parameters
     ----------
@@ -257,20 +215,17 @@ def bundle(data: dict[str, Any], folder: str) -> bytes:
         As JSON has it.
     folder
         Of the server, where references lead.
-
-    Raises
-    ------
-    InputError
-        With all that is wrong with the job, in one text.
+    before
+        The file before the job was changed, whose remarks and layout stay.
     """
-    require(data, folder)
-    told, files = beside(data, Path(folder))
-    sink = io.BytesIO()
-    with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
-        archive.writestr("job.toml", tomli_w.dumps(_without_none(told)))
-        for name, file in files.items():
-            archive.write(file, name)
-    return sink.getvalue()
+    _, problems = read(data, folder)
+    try:
+        toml = written(data, before)
+        toml.encode()
+    except (TypeError, ValueError, RecursionError, AttributeError) as error:
+        problems = problems or [{"field": "", "sentence": f"the job cannot be written as TOML ({error}): correct it"}]
+        return {"toml": "", "errors": problems}
+    return {"toml": toml, "errors": problems}
 
 
 def check(data: dict[str, Any], folder: str) -> dict[str, Any]:

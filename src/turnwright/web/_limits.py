@@ -1,8 +1,8 @@
 """What the server takes, known to it and to the processes that work for it."""
 
 __all__ = [
-    "FILE_BYTES", "FILE_ENDINGS", "FILE_S", "FINER", "LONGEST_H", "MAP_TYPES", "MOST_POINTS", "PARSE_BYTES", "PARSE_S",
-    "SPARE_BYTES",
+    "BODY_BYTES", "FILE_BYTES", "FILE_ENDINGS", "FILE_S", "FINER", "LONGEST_H", "MAP_TYPES", "MOST_POINTS",
+    "PARSE_BYTES", "PARSE_S", "SPARE_BYTES",
 ]  # fmt: skip
 
 FINER = 0.75
@@ -35,6 +35,9 @@ FILE_ENDINGS = {
     "material": (".toml",),
 }
 """Kinds of files that a job may name, with their endings."""
+
+BODY_BYTES = 8 * 2**20
+"""Of a job or any other JSON."""
 
 FILE_BYTES = 64 * 2**20
 """Of one of them."""

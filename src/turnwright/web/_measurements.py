@@ -11,13 +11,13 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import FileResponse, Response
 
-from turnwright.web._files import RAW_BODY, shown_name, stored
+from turnwright.web._files import RAW_BODY, stored
 from turnwright.web._guard import UPLOAD_BYTES
 from turnwright.web._limits import MAP_TYPES
 from turnwright.web._models import Causes, Id, Measurement
 from turnwright.web._packed import MEDIA_TYPE
 from turnwright.web._queue import Run, Runs
-from turnwright.web._references import CORRECTION
+from turnwright.web._references import CORRECTION, shown_name
 from turnwright.web._runs import A_FILE, RunId, job_of, line_of, one_file, the_run
 
 __all__ = ["router"]
@@ -53,7 +53,10 @@ async def bring(
         # Whatever the file is called, its place and name on this disk are the server's own.
         file = folder / f"measured{suffix}"
         await stored(request, file, UPLOAD_BYTES)
-        measured = runs.add(folder, job_of(runs, cut), kind="measure", name=shown_name(name), of=cut.id, file=file.name)
+        measured = runs.add(
+            folder, job_of(runs, cut), kind="measure", name=shown_name(name), text=runs.text(cut), of=cut.id,
+            file=file.name,
+        )  # fmt: skip
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
@@ -145,7 +148,10 @@ async def correct(id: RunId, chosen: Causes, request: Request) -> Id:  # noqa: A
         except OSError:
             shutil.copyfile(runs.folder_of(run) / run.file, folder / run.file)
         name = f"{run.name}, corrected"
-        made = runs.add(folder, data, kind="correct", name=name, of=run.id, file=run.file, causes=tuple(before))
+        made = runs.add(
+            folder, data, kind="correct", name=name, text=runs.text(run), of=run.id, file=run.file,
+            causes=tuple(before),
+        )  # fmt: skip
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise

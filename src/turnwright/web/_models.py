@@ -12,6 +12,7 @@ __all__ = [
     "Causes",
     "Check",
     "Data",
+    "Edited",
     "ExampleJob",
     "ExampleLine",
     "Fault",
@@ -22,6 +23,7 @@ __all__ = [
     "Lines",
     "Measurement",
     "NewRun",
+    "Opened",
     "Parsed",
     "Preview",
     "Problem",
@@ -100,6 +102,14 @@ class Data(Model):
     data: dict[str, Any]
 
 
+class Edited(Data):
+    """A job as data, and the text that it was before it was changed."""
+
+    toml: Annotated[str, MaxLen(8 * 2**20)] = Field(
+        default="", description="Remarks and layout of this text are kept; without it the job is written anew."
+    )
+
+
 class Question(Data):
     """A job and who asks, so that of several questions of one page only the last is answered."""
 
@@ -125,6 +135,10 @@ class ExampleJob(Parsed):
     """An example."""
 
     toml: str
+
+
+class Opened(ExampleJob):
+    """The job of an archive, with references to the files that came with it."""
 
 
 class Written(Model):
@@ -181,7 +195,7 @@ RunState = Literal["queued", "running", "done", "failed", "cancelled"]
 Time = Annotated[str, Field(description="In UTC as ISO 8601 writes it.")]
 
 
-class NewRun(Data):
+class NewRun(Edited):
     """A job to be carried out."""
 
     kind: Literal["run", "compare"]
@@ -231,6 +245,7 @@ class RunDetail(RunLine):
     """A run."""
 
     data: dict[str, Any] = Field(description="The job; of a correction, the corrected one.")
+    toml: str = Field(description="What a person wrote of the job that was run or measured; empty if nobody did.")
     files: list[RunFile]
 
 

@@ -14,7 +14,7 @@ from turnwright.web._limits import FILE_BYTES, MAP_TYPES, MOST_POINTS
 from turnwright.web._models import (
     About,
     Check,
-    Data,
+    Edited,
     ExampleJob,
     ExampleLine,
     Limits,
@@ -77,10 +77,10 @@ async def parse(job: Toml, request: Request) -> Any:
 
 
 @router.post("/job/write", response_model=Written)
-async def write(job: Data, request: Request) -> Any:
+async def write(job: Edited, request: Request) -> Any:
     """Write a job as a file."""
     state = request.app.state
-    return await state.workers.ask("_jobs:write", job.data, str(state.folder))
+    return await state.workers.ask("_jobs:write", job.data, str(state.folder), job.toml)
 
 
 @router.post(
@@ -88,10 +88,10 @@ async def write(job: Data, request: Request) -> Any:
     response_class=Response,
     responses=archived("A ZIP archive of job.toml and the files that it names, for the command line."),
 )
-async def bundle(job: Data, request: Request) -> Response:
+async def bundle(job: Edited, request: Request) -> Response:
     """Return a job as a file, with the files that it names beside it."""
     state = request.app.state
-    found = await state.workers.ask("_jobs:bundle", job.data, str(state.folder))
+    found = await state.workers.ask("_bundles:bundle", job.data, str(state.folder), job.toml)
     return Response(
         found, media_type="application/zip", headers={"Content-Disposition": 'attachment; filename="job.zip"'}
     )

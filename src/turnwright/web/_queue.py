@@ -1,8 +1,9 @@
 """Runs on disk and those who carry them out: a folder each, a process each, a few at a time.
 
 ``<folder>/runs/<id>/`` holds ``state.json`` (this server alone writes it), ``job.json`` (the job as the page sent it),
-``progress.jsonl`` (of the process), ``log.txt`` (what went wrong in it) and, once all is done, ``out/``. A server that
-starts finds what an earlier one left; what was under way is queued again.
+``job.toml`` (as somebody wrote it, if anybody did), ``progress.jsonl`` (of the process), ``log.txt`` (what went wrong
+in it) and, once all is done, ``out/``. A server that starts finds what an earlier one left; what was under way is
+queued again.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from turnwright._whole import write_whole
 from turnwright.errors import InputError
 from turnwright.progress import THREADS, cores
 from turnwright.web._limits import LONGEST_H, PARSE_BYTES, PARSE_S
+from turnwright.web._references import JOB
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Mapping
@@ -157,7 +159,7 @@ class Runs:
         folder.mkdir()
         return folder
 
-    def add(self, folder: Path, data: Mapping[str, Any], *, kind: str, name: str, **more: Any) -> Run:
+    def add(self, folder: Path, data: Mapping[str, Any], *, kind: str, name: str, text: str = "", **more: Any) -> Run:
         """Queue a run.
 
         Parameters
@@ -168,6 +170,8 @@ class Runs:
             The job.
         kind, name, more
             See `Run`.
+        text
+            The job as somebody wrote it.
 
         Raises
         ------
@@ -181,6 +185,8 @@ class Runs:
             )
         run = Run(id=folder.name[1:], kind=kind, name=name[:120], created=_now(), **more)
         (folder / "job.json").write_text(json.dumps(data), encoding="utf-8")
+        if text:
+            (folder / JOB).write_text(text, encoding="utf-8")
         (folder / "state.json").write_text(json.dumps(asdict(run)), encoding="utf-8")
         folder.rename(self.place / run.id)
         self._runs[run.id] = run
@@ -191,6 +197,12 @@ class Runs:
         """Return the job of a run, as the page sent it."""
         found: dict[str, Any] = json.loads((self.place / run.id / "job.json").read_text(encoding="utf-8"))
         return found
+
+    def text(self, run: Run) -> str:
+        """Return the job of a run as somebody wrote it; empty if nobody did."""
+        with suppress(OSError, UnicodeDecodeError):
+            return (self.place / run.id / JOB).read_text(encoding="utf-8")
+        return ""
 
     def start(self) -> None:
         """Begin as many of the runs that wait as there is room for."""

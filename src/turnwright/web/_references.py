@@ -23,12 +23,17 @@ __all__ = [
     "CORRECTION",
     "DEEPEST",
     "FILE_KEYS",
+    "JOB",
     "Located",
     "beside",
     "job_in",
     "kind_of",
     "located",
+    "named",
     "place_of",
+    "plain_name",
+    "renamed",
+    "shown_name",
 ]
 
 FILE_KEYS = frozenset({"file", "correction", "waviness_file", "straightness_file"})
@@ -38,6 +43,9 @@ DEEPEST = 40
 """Tables and lists within each other."""
 
 MOST_VALUES = 500_000
+
+JOB = "job.toml"
+"""A job as text, wherever it is kept."""
 
 CORRECTION = "correction"
 """Folder in that of a run for a corrected job and the files that it names."""
@@ -80,6 +88,22 @@ def kind_of(field: str, key: str) -> str:
     if key == "file":
         return "machine" if field == "machine.file" else "heights"
     return key.removesuffix("_file")
+
+
+def shown_name(name: str) -> str:
+    r"""Return what a file is called, without folders and marks.
+
+    >>> shown_name("C:\\maps\\my <part>.x3p")
+    'my _part_.x3p'
+    """
+    return re.sub(r"[^\w .()+-]", "_", Path(name.replace("\\", "/")).name)
+
+
+def plain_name(name: str) -> str:
+    """Return a name that any computer takes as that of a file, without its ending."""
+    text = re.sub("[^A-Za-z0-9_-]+", "_", Path(shown_name(name)).stem)[:60].strip("_-")
+    # Windows takes a few short names for devices.
+    return f"{text or 'file'}_" if re.fullmatch("(?i)con|prn|aux|nul|com.|lpt.", text) else text or "file"
 
 
 def place_of(folder: Path, name: str, kind: str, ending: str) -> Path:
@@ -180,11 +204,11 @@ def beside(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], dict[str
     for reference, path in references.items():
         name = reference.rpartition("/")[2]
         number = 1
-        while name.casefold() in {"job.toml", *(one.casefold() for one in files)}:
+        while name.casefold() in {JOB, *(one.casefold() for one in files)}:
             number += 1
             name = f"{Path(reference).stem}-{number}{path.suffix}"
         files[name], names[reference] = path, name
-    return _renamed(data, lambda value: names.get(value, value)), files
+    return renamed(data, lambda _, value: names.get(value, value)), files
 
 
 def job_in(run: Path, folder: Path) -> dict[str, Any]:
@@ -198,28 +222,64 @@ def job_in(run: Path, folder: Path) -> dict[str, Any]:
         Of the server.
     """
     data: dict[str, Any] = json.loads((run / "job.json").read_text(encoding="utf-8"))
-    corrected = run / CORRECTION / "job.toml"
+    corrected = run / CORRECTION / JOB
     if not corrected.is_file():
         return data
     # Beside the corrected job stands what the correction has made; the rest is where it was before.
     known = {str(path): name for name, path in example_files().items()}
     known |= {path: name for name, path in located(data, folder).references.items()}
 
-    def reference(value: str) -> str:
+    def reference(_: str, value: str) -> str:
         mine = f"runs/{run.name}/{value}"
         return known.get(value) or (mine if KEPT.fullmatch(mine) else value)
 
-    return _renamed(tomllib.loads(corrected.read_text(encoding="utf-8")), reference)
+    return renamed(tomllib.loads(corrected.read_text(encoding="utf-8")), reference)
 
 
-def _renamed(data: dict[str, Any], name: Callable[[str], str]) -> dict[str, Any]:
-    """Return a job with each name of a file as a function says."""
+class Named(NamedTuple):
+    """A file that a job names.
 
-    def walked(value: object, key: str) -> Any:
+    Parameters
+    ----------
+    field
+        Where.
+    kind
+        See `kind_of`.
+    name
+        As it stands there.
+    """
+
+    field: str
+    kind: str
+    name: str
+
+
+def named(data: dict[str, Any]) -> list[Named]:
+    """Return the files that a job names."""
+    found: list[Named] = []
+
+    def walked(value: object, field: str, key: str) -> None:
         if isinstance(value, dict):
-            return {field: walked(one, field) for field, one in value.items()}
-        if isinstance(value, list):
-            return [walked(one, key) for one in value]
-        return name(value) if isinstance(value, str) and _names_file(key, value) else value
+            for name, one in value.items():
+                walked(one, f"{field}.{name}" if field else name, name)
+        elif isinstance(value, list):
+            for place, one in enumerate(value, 1):
+                walked(one, f"{field}[{place}]", key)
+        elif isinstance(value, str) and _names_file(key, value):
+            found.append(Named(field, kind_of(field, key), value))
 
-    return walked(data, "")  # type: ignore[no-any-return]
+    walked(data, "", "")
+    return found
+
+
+def renamed(data: dict[str, Any], name: Callable[[str, str], str]) -> dict[str, Any]:
+    """Return a job with each name of a file as a function of its kind and its name says."""
+
+    def walked(value: object, field: str, key: str) -> Any:
+        if isinstance(value, dict):
+            return {one: walked(inner, f"{field}.{one}" if field else one, one) for one, inner in value.items()}
+        if isinstance(value, list):
+            return [walked(one, field, key) for one in value]
+        return name(kind_of(field, key), value) if isinstance(value, str) and _names_file(key, value) else value
+
+    return walked(data, "", "")  # type: ignore[no-any-return]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import zipfile
@@ -15,14 +16,14 @@ from fastapi.responses import FileResponse, Response, StreamingResponse
 
 from turnwright.web._models import Id, Line, Lines, NewRun, RunDetail, RunFile, RunLine, archived
 from turnwright.web._queue import ENDED, Run, Runs
-from turnwright.web._references import BUNDLE, CORRECTION, job_in
+from turnwright.web._references import BUNDLE, CORRECTION, JOB, job_in
 
 __all__ = ["RunId", "job_of", "line_of", "router", "the_run"]
 
 router = APIRouter(prefix="/api/runs", tags=["runs"])
 
 RunId = Annotated[str, Path(pattern="^[0-9a-f]{16}$", description="Of the run.")]
-Kept = Literal["program", "table", "report", "job", "bundle", "result", "archive", "correction"]
+Kept = Literal["program", "table", "report", "job", "written", "bundle", "result", "archive", "correction"]
 Coordinate = Annotated[float, Query(ge=-1e5, le=1e5, allow_inf_nan=False)]
 
 NUMBERS = {"run": "result.json", "compare": "comparison.json", "measure": "diagnosis.json", "correct": "result.json"}
@@ -75,7 +76,9 @@ def _files(runs: Runs, run: Run) -> list[tuple[str, int, File]]:
         found += [("program", part, out / name) for part, name in enumerate(program)]
         found += [("table", part, out / name) for part, name in enumerate(n for n in names if n.endswith(".csv"))]
     mine = better if run.kind == "correct" else out
-    found += [("report", 0, mine / "report.html"), ("job", 0, mine / "job.toml"), ("bundle", 0, out / BUNDLE)]
+    found += [("report", 0, mine / "report.html"), ("job", 0, mine / JOB), ("bundle", 0, out / BUNDLE)]
+    if run.kind in ("run", "compare") and not (out / BUNDLE).is_file():  # it holds the text, with the names of files
+        found.append(("written", 0, folder / JOB))
     found += [("result", 0, out / NUMBERS[run.kind]), ("archive", 0, out / "run.h5")]
     beside = ("correction.npz", "waviness.csv", "straightness.csv")
     there = [better / name for name in beside if (better / name).is_file()]
@@ -100,8 +103,11 @@ async def begin(asked: NewRun, request: Request) -> Id:
         raise HTTPException(422, "; ".join(one["sentence"] for one in told["errors"][:5]))
     part = asked.data.get("part")
     name = asked.name.strip() or (str(part.get("name") or "") if isinstance(part, dict) else "") or "job"
+    text = ""
+    if asked.toml:
+        text = (await state.workers.ask("_jobs:write", asked.data, str(state.folder), asked.toml))["toml"]
     runs: Runs = state.runs
-    return Id(id=runs.add(runs.new_folder(), asked.data, kind=asked.kind, name=name).id)
+    return Id(id=runs.add(runs.new_folder(), asked.data, kind=asked.kind, name=name, text=text).id)
 
 
 @router.get("")
@@ -120,7 +126,10 @@ async def run(id: RunId, request: Request) -> RunDetail:  # noqa: A002 - the wor
         RunFile(name=name, part=part, file=file.name, bytes=file.stat().st_size)
         for name, part, file in _files(runs, run)
     ]
-    return RunDetail(**line_of(runs, run).model_dump(), data=job_of(runs, run), files=files)
+    return RunDetail(
+        **line_of(runs, run).model_dump(), data=job_of(runs, run), toml=await asyncio.to_thread(runs.text, run),
+        files=files,
+    )  # fmt: skip
 
 
 @router.post("/{id}/cancel")

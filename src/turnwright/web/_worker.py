@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from turnwright._stop import Stop
 from turnwright.errors import InputError, TurnwrightError
-from turnwright.web._references import BUNDLE, CORRECTION, job_in, located
+from turnwright.web._references import BUNDLE, CORRECTION, JOB, job_in, located
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -127,11 +127,12 @@ def _job(run: Path, server: Path) -> Job:
 
 def _pack(run: Path, server: Path, out: Path) -> None:
     """Keep the job with the files that it names, if it names any, as the command line takes them."""
-    from turnwright.web._jobs import bundle  # noqa: PLC0415
+    from turnwright.web._bundles import bundle  # noqa: PLC0415
 
     data = job_in(run, server)
     if located(data, server).references:
-        (out / BUNDLE).write_bytes(bundle(data, str(server)))
+        before = (run / JOB).read_text(encoding="utf-8") if (run / JOB).is_file() else ""
+        (out / BUNDLE).write_bytes(bundle(data, str(server), before))
 
 
 def _run(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> str:

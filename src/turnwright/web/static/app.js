@@ -1,8 +1,8 @@
 /* The page itself: what it starts with, its bars and panes, keys, files in and out, light and dark. */
 
 import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
-import { get, postForFile, reach } from "./api.js";
-import { checkSoon, currentToml, mount as mountForm, namesFiles, readToml, redo, takeJob, undo } from "./form.js";
+import { get, postForFile, reach, upload } from "./api.js";
+import { checkSoon, currentToml, lastText, mount as mountForm, namesFiles, readToml, redo, settled, takeJob, undo } from "./form.js";
 import { mount as mountVerdict } from "./verdict.js";
 import { mount as mountRuns, refresh, start } from "./runs.js";
 import { on, say, set, state } from "./state.js";
@@ -93,6 +93,7 @@ const EMPTY = {
 const takeEmpty = () => takeJob({ job: structuredClone(EMPTY), title: "new job" });
 
 async function takeFile(file) {
+  if (/\.zip$/i.test(file.name)) return takeArchive(file);
   try {
     const why = await readToml(await file.text(), { title: file.name.replace(/\.toml$/i, ""), fresh: true });
     if (why) say(`${file.name}: ${why}`, "bad");
@@ -102,10 +103,26 @@ async function takeFile(file) {
   }
 }
 
+/** Open a job that was saved with its files. */
+async function takeArchive(file) {
+  const most = state.about?.limits.file_bytes ?? Infinity;
+  if (file.size > most) return say(`${file.name} has ${Math.ceil(file.size / 2 ** 20)} MiB, the limit is ${most / 2 ** 20}: bring the files one by one.`, "bad");
+  const mine = (wanted = file);
+  try {
+    const { data, toml, errors } = await upload("/files/archive", {}, file);
+    // Whoever chose another one meanwhile wants that.
+    if (wanted !== mine) return;
+    takeJob({ job: data, toml, title: file.name.replace(/\.zip$/i, ""), errors });
+    say("");
+  } catch (error) {
+    say(`${file.name}: ${error.message}`, "bad");
+  }
+}
+
 function openFile() {
   const input = document.createElement("input");
   input.type = "file";
-  input.accept = ".toml,text/plain";
+  input.accept = ".toml,.zip,text/plain";
   input.addEventListener("change", () => input.files[0] && takeFile(input.files[0]));
   input.click();
 }
@@ -114,7 +131,8 @@ async function saveFile() {
   if (!state.job) return;
   const name = fileName(state.job.part?.name || state.title);
   try {
-    if (namesFiles()) saveText(await postForFile("/job/bundle", { data: state.job }), `${name}.zip`);
+    await settled();
+    if (namesFiles()) saveText(await postForFile("/job/bundle", { data: state.job, toml: lastText() }), `${name}.zip`);
     else saveText(await currentToml(), `${name}.toml`);
   } catch (error) {
     say(error.message, "bad");
@@ -136,7 +154,7 @@ function takeDrops() {
     document.body.classList.remove("dropping");
     const file = event.dataTransfer.files[0];
     if (!file) return;
-    if (/\.toml$/i.test(file.name)) return takeFile(file);
+    if (/\.(toml|zip)$/i.test(file.name)) return takeFile(file);
     set({ drawer: "measure" });
     const { take } = await import("./measure.js");
     take(file);
@@ -342,6 +360,9 @@ function takeKeys(panes) {
       const act = { Enter: () => start("run"), s: saveFile, o: openFile }[event.key];
       if (act) {
         event.preventDefault();
+        // What stands in a field counts, also where a field takes it only when it is left.
+        typing?.blur();
+        typing?.focus();
         return act();
       }
       if (!typing && event.key.toLowerCase() === "z") {
@@ -442,8 +463,8 @@ async function begin() {
   reach.lost = lost;
   await ask();
   const last = tab.read();
-  if (last?.job && !state.job) takeJob({ job: last.job, title: last.title, errors: last.errors ?? [] });
-  on(["job", "title", "errors"], ({ job, title, errors }) => tab.write({ job, title, errors }));
+  if (last?.job && !state.job) takeJob({ job: last.job, written: last.written, title: last.title, errors: last.errors ?? [] });
+  on(["job", "title", "errors", "toml"], ({ job, title, errors }) => tab.write({ job, title, errors, written: lastText() }));
   addEventListener("focus", refresh);
 }
 

@@ -24,13 +24,21 @@ const past = [];
 const future = [];
 let lastEdit = { key: "", when: 0 };
 
-/** Take a job as a whole: from an example, a file or the text; `fresh` forgets what could be undone. */
-export function takeJob({ job, toml, title, errors = [], fresh = true }) {
+/** The last text that was read or written, and the job that it is the text of; its remarks are kept when the job changes. */
+let base = { job: null, toml: "" };
+
+/** The last text of the job: what has changed since is not in it yet. */
+export const lastText = () => base.toml;
+
+/** Take a job as a whole: from an example, a file or the text `toml`; one that was changed since it was `written` keeps the
+    remarks of that. `fresh` forgets what could be undone. */
+export function takeJob({ job, toml, written = "", title, errors = [], fresh = true }) {
   if (fresh) {
     past.length = future.length = 0;
   } else {
     remember("whole job");
   }
+  base = toml === undefined ? { job: null, toml: written } : { job, toml };
   set({ job, errors, ...(toml === undefined ? {} : { toml }), ...(title === undefined ? {} : { title }) });
   checkSoon(0);
   if (toml === undefined) writeSoon();
@@ -40,7 +48,7 @@ function remember(key) {
   const now = Date.now();
   // Letters typed into one field are one step back.
   if (key !== lastEdit.key || now - lastEdit.when > 1500) {
-    past.push(state.job);
+    past.push({ job: state.job, base });
     if (past.length > STEPS_BACK) past.shift();
   }
   lastEdit = { key, when: now };
@@ -56,9 +64,12 @@ function edit(path, value) {
 
 function step(from, to) {
   if (!from.length) return;
-  to.push(state.job);
+  to.push({ job: state.job, base });
   lastEdit = { key: "", when: 0 };
-  set({ job: from.pop() });
+  // With the job comes the text that it had then, so remarks that went with a table come back.
+  const { job, base: before } = from.pop();
+  base = before;
+  set({ job, ...(base.job === job ? { toml: base.toml } : {}) });
   checkSoon(0);
   writeSoon();
 }
@@ -130,26 +141,26 @@ let writeTimer = 0;
 
 function writeSoon() {
   clearTimeout(writeTimer);
-  writeTimer = setTimeout(writeNow, PAUSE_TOML);
+  writeTimer = setTimeout(() => writeNow().catch((error) => say(error.message, "bad")), PAUSE_TOML);
 }
 
-/** The job as text, of what the form holds now. */
-export async function writeNow() {
+/** Write the job as the form holds it; what was typed meanwhile is written after it. */
+async function writeNow() {
   clearTimeout(writeTimer);
-  writeTimer = 0;
-  const job = state.job;
-  if (!job) return;
-  try {
-    const { toml } = await post("/job/write", { data: job });
-    if (toml !== null && toml !== undefined && job === state.job) set({ toml });
-  } catch (error) {
-    say(error.message, "bad");
-  }
+  const { job } = state;
+  if (!job || base.job === job) return;
+  const before = base;
+  const { toml, errors } = await post("/job/write", { data: job, toml: before.toml });
+  if (!toml) throw new Error(errors[0]?.sentence ?? "The job cannot be written as TOML: correct it.");
+  if (job !== state.job || before !== base) return;
+  base = { job, toml };
+  set({ toml });
 }
 
-/** The job as text, waiting for what is still to be written. */
+/** The job as text, waiting for what is still to be read and written. */
 export async function currentToml() {
-  if (writeTimer) await writeNow();
+  await settled();
+  while (base.job !== state.job) await writeNow();
   return state.toml;
 }
 
@@ -160,6 +171,26 @@ export function namesFiles(value = state.job) {
 }
 
 let reading = 0;
+let unread = null; // text that was typed and not read yet: {text, timer}
+
+/** Read text a moment after the last key. */
+function readSoon(text) {
+  clearTimeout(unread?.timer);
+  unread = { text, timer: setTimeout(settled, PAUSE_TOML) };
+}
+
+let settling = Promise.resolve();
+
+/** Wait until what was typed as text is the job. */
+export function settled() {
+  if (unread) {
+    const { text, timer } = unread;
+    clearTimeout(timer);
+    unread = null;
+    settling = settling.then(() => readToml(text)).catch((error) => say(error.message, "bad"));
+  }
+  return settling;
+}
 
 /** Read a job file's text into the form; of text that is no job return why. A file that is none leaves the job as it is. */
 export async function readToml(text, { title, fresh = false } = {}) {
@@ -714,21 +745,15 @@ function Fieldset() {
 function TextPane() {
   const { toml, job, errors } = useStore(["toml", "job", "errors"]);
   const [draft, setDraft] = useState(null);
-  const timer = useRef(0);
   const change = (text) => {
     setDraft(text);
-    clearTimeout(timer.current);
-    timer.current = setTimeout(async () => {
-      try {
-        await readToml(text);
-      } catch (error) {
-        say(error.message, "bad");
-      }
-    }, PAUSE_TOML);
+    readSoon(text);
   };
+  // The draft stays until it is the text of the page, or a blur would show the text before it.
+  const leave = () => settled().then(() => unread ?? setDraft(null));
   return html`<div class="toml">
     <textarea aria-label="The job as TOML" spellcheck=${false} autocapitalize="off" wrap="off" value=${draft ?? toml}
-      placeholder=${job ? "" : "Paste a job file here."} onInput=${(event) => change(event.target.value)} onBlur=${() => setDraft(null)} />
+      placeholder=${job ? "" : "Paste a job file here."} onInput=${(event) => change(event.target.value)} onBlur=${leave} />
     ${errors.length > 0 && html`<div class="pad"><${Wrong} id="toml-wrong" sentences=${errors.map((error) => error.sentence)} /></div>`}
   </div>`;
 }

@@ -2,7 +2,7 @@
 
 import { html, useState } from "./vendor/preact.js";
 import { events, get, post, remove } from "./api.js";
-import { takeJob } from "./form.js";
+import { lastText, settled, takeJob } from "./form.js";
 import { say, set, state } from "./state.js";
 import { Bar, Mark, Tool, clock, duration, useStore } from "./ui.js";
 
@@ -72,10 +72,11 @@ let starting = false;
 /** Start a run or a comparison of the job as it stands; a double click starts one. */
 export async function start(kind = "run") {
   if (!state.job || starting) return;
-  if (state.errors.length) return say(`The job is not whole: ${state.errors[0].sentence}`, "bad");
   starting = true;
   try {
-    const { id } = await post("/runs", { data: state.job, kind, name: state.job.part?.name || state.title || "job" });
+    await settled();
+    if (state.errors.length) return say(`The job is not whole: ${state.errors[0].sentence}`, "bad");
+    const { id } = await post("/runs", { data: state.job, toml: lastText(), kind, name: state.job.part?.name || state.title || "job" });
     set({ run: id, ...NOTHING, ...(kind === "compare" ? { comparison: null } : {}) });
     await refresh();
   } catch (error) {
@@ -115,8 +116,8 @@ export async function look(id) {
 /** Take the job that a run carried out into the fields. */
 export async function editAgain(id) {
   try {
-    const { data, name } = await get(`/runs/${id}`);
-    takeJob({ job: data, title: name, fresh: false });
+    const { data, toml, name } = await get(`/runs/${id}`);
+    takeJob({ job: data, written: toml, title: name, fresh: false });
   } catch (error) {
     say(error.message, "bad");
   }

@@ -193,7 +193,7 @@ export function Bar({ share, kind = "" }) {
   return html`<svg class=${`share ${kind}`} viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true"><rect class="track" width="100" height="4" /><rect class="fill" width=${width} height="4" /></svg>`;
 }
 
-const FILES = { program: "Program", table: "Table of the fast tool", report: "Report", job: "Job", bundle: "Job with its files", correction: "Correction", archive: "Archive", result: "Numbers" };
+const FILES = { program: "Program", table: "Table of the fast tool", report: "Report", job: "Job", written: "Job as written", bundle: "Job with its files", correction: "Correction", archive: "Archive", result: "Numbers" };
 
 /** Links to the files of a run: [{name, part, file, bytes}]; many of one kind fold. */
 export function Downloads({ path, files, only = Object.keys(FILES) }) {
