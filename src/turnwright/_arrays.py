@@ -50,6 +50,16 @@ def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool =
     return view
 
 
+def only_read(values: Floats) -> Floats:
+    """Return an array as a kernel takes what it only reads: contiguous and not to be written.
+
+    A kernel is compiled anew for each mixture of arrays that may be written and that may not, which costs seconds.
+    """
+    view = np.ascontiguousarray(values).view()
+    view.flags.writeable = False
+    return view
+
+
 def same_length(arrays: Iterable[tuple[str, Floats]]) -> None:
     """Raise unless all named arrays have one length."""
     sizes = {name: array.shape[0] for name, array in arrays}

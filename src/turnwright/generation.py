@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._arrays import Bools, Floats, Ints, frozen, only_read
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
@@ -77,6 +77,7 @@ def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
     y = motion.axes.get("Y", np.empty(0))
     if not y.any():
         y = np.empty(0)
+    c, x, y, z = (only_read(one) for one in (c, x, y, z))
     turns = max(int(np.ceil(abs(c[-1] - c[0]) / (2 * np.pi) - 1e-12)), 1)
     starts = np.empty(turns + 1, dtype=np.int64)
     kernel.turn_starts(c, motion.sense, starts)
@@ -211,8 +212,8 @@ class Prepared:
         cut = self.cut
         kernel.tiles(
             cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, self.blocks, self.rings, self.useful,
-            self.core, cut.row, cut.profile, cut.table, cut.gap, cut.bend, self.most_y, x, y, tiles.offsets,
-            tiles.groups, *span, out,
+            self.core, cut.row, cut.profile, cut.table, cut.gap, cut.bend, self.most_y, only_read(x), only_read(y),
+            tiles.offsets, tiles.groups, *span, out,
         )  # fmt: skip
 
 

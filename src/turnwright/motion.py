@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from turnwright._arrays import frozen, same_length
+from turnwright._arrays import frozen, only_read, same_length
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, ROTARY, Axis
 from turnwright.path import STRAIGHT, TURNED, Motion, Path, block_points
@@ -319,7 +319,7 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
 
     blocks = motion.blocks
     peaks = _all_peaks(motion.time, motion.axes, blocks)
-    number, shortest = kernel.shortest(motion.time[blocks])
+    number, shortest = kernel.shortest(only_read(motion.time[blocks]))
     length = float(motion.time[-1] - motion.time[0])
     turning = TURN / 60
     mean_rpm = abs(float(motion.axes["C"][-1] - motion.axes["C"][0])) / length / turning
@@ -419,7 +419,10 @@ def _highest(time: Floats, turned: Floats, axes: Mapping[str, Floats], machine: 
 
     blocks = block_points(time, axes)
     turning = float((np.diff(turned) / np.diff(time)).max())
-    allowed = [machine.spindle_rpm * TURN / 60 / turning, machine.block_rate_hz * kernel.shortest(time[blocks])[1]]
+    allowed = [
+        machine.spindle_rpm * TURN / 60 / turning,
+        machine.block_rate_hz * kernel.shortest(only_read(time[blocks]))[1],
+    ]
     for letter, (top, _) in _all_peaks(time, axes, blocks).items():
         for kind, power in POWERS.items():
             limit, value = getattr(machine.axes[letter], kind), top[kind]
@@ -735,7 +738,7 @@ def _peaks(time: Floats, position: Floats) -> tuple[dict[str, float], dict[str, 
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
     value, place = np.empty(5), np.empty(5, dtype=np.int64)
-    kernel.peaks(time, position, value, place)
+    kernel.peaks(only_read(time), only_read(position), value, place)
     names = ("low", "high", *POWERS)
     return dict(zip(names, value.tolist(), strict=True)), dict(zip(names, place.tolist(), strict=True))
 

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from turnwright._arrays import Floats, frozen, positive, same_length
+from turnwright._arrays import Floats, frozen, only_read, positive, same_length
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, INTERPOLATIONS, ROTARY, Axis, Machine
 from turnwright.path import Motion
@@ -118,7 +118,9 @@ def track(
             axes[letter] = _follow(letter, motion.axes[letter][own], speed, time[own], machine, samples)
         if asked is not None:
             break
-        bulge = max(kernel.bulge(samples, position) for letter, position in axes.items() if letter not in ROTARY)
+        bulge = max(
+            kernel.bulge(only_read(samples), position) for letter, position in axes.items() if letter not in ROTARY
+        )
         # The second differences of few points may hide a part of what curves between them, but not that of a corner.
         if bulge <= chord or (parts > 1 and machine.controller.interpolation == "linear") or rounds == ROUNDS:
             break
@@ -320,6 +322,7 @@ def _follow(
     """Return where an axis really stands at some times."""
     from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
 
+    time, at = only_read(time), only_read(at)
     axis = machine.axes.get(letter)
     response = axis.response if axis is not None else None
     delay = (axis.dead_time or 0.0) if axis is not None else 0.0
@@ -328,7 +331,7 @@ def _follow(
     if kind == kernel.CUBIC and velocity is not None:
         rate[:] = velocity
     elif kind == kernel.CUBIC:
-        kernel.rates(time, position, rate)
+        kernel.rates(time, only_read(position), rate)
     # A spindle turns far: what it turns steadily is kept apart, so that it costs the rest no digits.
     # Splines over uneven blocks do not keep a straight line.
     straight = kind in (kernel.LINEAR, kernel.CUBIC)
@@ -350,7 +353,7 @@ def _follow(
         return out
     step = (at[-1] - at[0]) / (at.size - 1)
     beyond = max(1, math.ceil(max(QUIET_S, 4 / _lowest(response)) / step))
-    wide = at[0] + step * np.arange(-beyond, at.size + beyond)
+    wide = only_read(at[0] + step * np.arange(-beyond, at.size + beyond))
     out = np.empty(wide.size)
     kernel.command(kind, time, rest, rate, delay, wide, out)
     # The part that runs straight on beyond both ends is thrown away again, once the ends' own answer has died in it.

@@ -56,7 +56,8 @@ def refine(path, parts, out):
             out[5, m] = s[k] + share * (s[k + 1] - s[k])
             out[6, m] = aside[k] + share * (aside[k + 1] - aside[k])
             m += 1
-    out[:, m] = path[:, parts.size]
+    for row in range(out.shape[0]):
+        out[row, m] = path[row, parts.size]
 
 
 @jit

@@ -236,7 +236,10 @@ def envelope(position, level, count, mirrored, first, profile, table, radius, ou
     """Lower ``out`` (n_radius,) to the lowest of ``count`` passes; with ``first`` set it instead of lowering it."""
     low, high = radius[0], radius[radius.size - 1]
     if count > 1 and position[0] < position[count - 1]:
-        position[:count], level[:count] = position[:count][::-1].copy(), level[:count][::-1].copy()
+        for i in range(count // 2):
+            j = count - 1 - i
+            position[i], position[j] = position[j], position[i]
+            level[i], level[j] = level[j], level[i]
     # From outside in; a spiral's passes are nearly in order, so insertion sorts them in linear time.
     for i in range(1, count):
         p, z = position[i], level[i]
@@ -320,42 +323,19 @@ def polar_block(c, x, z, sense, starts, bounds, dx, dz, profile, table, radius, 
                 level[row, k] = z[i] + share * (z[i + 1] - z[i]) + dz
                 count[row] = k + 1
         if side == 0:
-            split[:] = count
+            for row in range(rows):
+                split[row] = count[row]
     for row in range(rows):
-        if symmetric:
-            envelope(
-                position[row],
-                level[row],
-                count[row],
-                False,
-                True,
-                profile,
-                table,
-                radius,
-                out[row],
-                stack,
-                limit,
-                winner,
-            )
-        else:
-            n = split[row]
-            envelope(position[row], level[row], n, False, True, profile, table, radius, out[row], stack, limit, winner)
-            if count[row] > n:
-                m = count[row] - n
+        # A symmetric edge is the same from both sides, so that all passes make one envelope.
+        ends = (0, count[row], count[row]) if symmetric else (0, split[row], count[row])
+        for side in range(2):
+            n = ends[side + 1] - ends[side]
+            if side == 0 or n > 0:
+                some = slice(ends[side], ends[side + 1])
                 envelope(
-                    position[row, n:],
-                    level[row, n:],
-                    m,
-                    True,
-                    False,
-                    profile,
-                    table,
-                    radius,
-                    out[row],
-                    stack,
-                    limit,
-                    winner,
-                )
+                    position[row, some], level[row, some], n, side == 1, side == 0, profile, table, radius, out[row],
+                    stack, limit, winner,
+                )  # fmt: skip
 
 
 @jit
@@ -591,7 +571,7 @@ def core_height(
 def axis_height(x, z, starts, bounds, dx, dz, profile, table):
     """Return the height on the axis itself, which an upright tool passes at every moment: the least of them all.
 
-    Turns whose bounds stand above what is found already are passed over; those at the axis come first.
+    Turns whose bounds stand above what is found already are passed over; the one with the least comes first.
     """
     turns = starts.size - 1
     floor = np.empty(turns)
@@ -600,10 +580,15 @@ def axis_height(x, z, starts, bounds, dx, dz, profile, table):
         floor[m] = bounds[2, m] + dz
         if low * high > 0.0:
             floor[m] += min(height(profile, table, -low), height(profile, table, -high))
+    best = 0
+    for m in range(1, turns):
+        best = m if floor[m] < floor[best] else best
     lowest = FAR
-    for m in np.argsort(floor):
+    for step in range(turns):
+        # The most promising one first, and the one that it has changed places with in its stead.
+        m = best if step == 0 else (0 if step == best else step)
         if floor[m] > lowest:
-            break
+            continue
         for i in range(max(starts[m] - 1, 0), min(starts[m + 1] + 1, x.size - 1)):
             first, last = -(x[i] + dx), -(x[i + 1] + dx)
             bottom = min(z[i], z[i + 1]) + dz
@@ -743,8 +728,22 @@ def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, cor
 @jit
 def rings_between(rings, low, high):
     """Return the first ring between the distances ``low`` and ``high`` from the axis, and the one after the last."""
-    inner, outer = np.searchsorted(rings, low, side="right") - 1, np.searchsorted(rings, high)
-    return max(inner, 0), min(max(outer, inner + 1), rings.size - 1)
+    inner, last = 0, rings.size
+    while inner < last:
+        middle = (inner + last) // 2
+        if rings[middle] <= low:
+            inner = middle + 1
+        else:
+            last = middle
+    outer, last = 0, rings.size
+    while outer < last:
+        middle = (outer + last) // 2
+        if rings[middle] < high:
+            outer = middle + 1
+        else:
+            last = middle
+    inner = max(inner - 1, 0)
+    return inner, min(max(outer, inner + 1), rings.size - 1)
 
 
 @jit

@@ -45,15 +45,12 @@ def plane_sums(z, out):
             sii += i * i
             sz += h - first
             siz += i * (h - first)
-        add(totals, lost, 0, float(n))
-        add(totals, lost, 4, float(si))
-        add(totals, lost, 5, float(j * n))
-        add(totals, lost, 6, float(sii))
-        add(totals, lost, 7, float(j * si))
-        add(totals, lost, 8, float(j * j * n))
-        add(totals, lost, 9, sz)
-        add(totals, lost, 10, siz)
-        add(totals, lost, 11, j * sz)
+        row = (
+            float(n), 0.0, 0.0, 0.0, float(si), float(j * n), float(sii), float(j * si), float(j * j * n), sz, siz,
+            j * sz,
+        )  # fmt: skip
+        for k in range(12):
+            add(totals, lost, k, row[k])
     for k in range(12):
         out[k] = totals[k] + lost[k]
     out[1], out[2], out[3] = low, high, first
@@ -108,17 +105,11 @@ def residual_sums(z, rows, columns, level, along_x, along_y, dx, dy, out):
                         for steep in (upper + left, upper + right, lower + left, lower + right):
                             cells += steep / (1.0 + np.sqrt(1.0 + steep))
             left = right
-        add(totals, lost, 0, first)
-        add(totals, lost, 1, second)
-        add(totals, lost, 2, third)
-        add(totals, lost, 3, fourth)
-        add(totals, lost, 4, float(n))
-        add(totals, lost, 5, across)
-        add(totals, lost, 6, float(n_across))
-        add(totals, lost, 7, down)
-        add(totals, lost, 8, float(n_down))
-        add(totals, lost, 9, cells)
-        add(totals, lost, 10, float(n_cells))
+        row = (
+            first, second, third, fourth, float(n), across, float(n_across), down, float(n_down), cells, float(n_cells),
+        )  # fmt: skip
+        for k in range(SUMS):
+            add(totals, lost, k, row[k])
     for k in range(SUMS):
         out[k] = totals[k] + lost[k]
     out[SUMS], out[SUMS + 1] = low, high

@@ -37,8 +37,9 @@ def knot(kind, time, k):
 
 
 @jit
-def blossom(time, value, k, degree, kind, t, out):
+def blossom(kind, time, value, k, t, out):
     """Fill ``out`` with the derivatives 0 to 3 over factorials, at t, of piece k of a spline with control ``value``."""
+    degree = 2 if kind == QUADRATIC_SPLINE else 3
     # De Boor's triangle on the control values, differentiated as it is built: row j holds a polynomial in s = t' - t.
     work = np.zeros((4, 4))
     for j in range(degree + 1):
@@ -65,11 +66,8 @@ def piece(kind, time, value, rate, k, out):
     """
     last = time.size - 1
     out[:] = 0.0
-    if kind == QUADRATIC_SPLINE:
-        blossom(time, value, k, 2, kind, knot(kind, time, k), out)
-        return
-    if kind == CUBIC_SPLINE:
-        blossom(time, value, k, 3, kind, knot(kind, time, k), out)
+    if kind == QUADRATIC_SPLINE or kind == CUBIC_SPLINE:
+        blossom(kind, time, value, k, knot(kind, time, k), out)
         return
     i = min(max(k, 0), last - 1)
     span = time[i + 1] - time[i]

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, between, positive
+from turnwright._arrays import Bools, Floats, Ints, between, only_read, positive
 from turnwright.errors import InputError
 from turnwright.progress import run_chunks
 
@@ -324,7 +324,7 @@ class _Moved:
             x = x + dx
         if dz or error is not None:
             z = z + ((0.0 if error is None else error) + dz)
-        return cls(c, x, z, motion.sense, starts)
+        return cls(only_read(c), only_read(x), only_read(z), motion.sense, starts)
 
     def slope(self, at: Ints) -> Floats:
         """Radial slope of what is left at some points: that between the tips of neighbouring turns. (n,)."""
@@ -473,7 +473,7 @@ def _look(
 
     profile, upright = tool.profile(), float(np.cos(tool.rake))
     nothing = np.empty(0)
-    past = (nothing, nothing, nothing, 1, np.empty(0, dtype=np.int64))
+    past = (only_read(nothing), only_read(nothing), only_read(nothing), 1, np.empty(0, dtype=np.int64))
     if earlier is not None:
         past = (earlier.c, earlier.x, earlier.z, earlier.sense, earlier.starts)
     sides = _windows(moved, tool, stock, at)

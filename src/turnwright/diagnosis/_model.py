@@ -255,9 +255,9 @@ class Swept:
         rho, psi = np.empty(x.size), np.empty(x.size)
 
         def work(start: int, stop: int) -> None:
-            some = slice(start, stop)
-            self._chunk(x[some], y[some], sweeps.touch[some], sweeps.cut[some], deviations, out[:, some], rho[some],
-                        psi[some])  # fmt: skip
+            some, part = slice(start, stop), np.empty((ROWS, stop - start))
+            self._chunk(x[some], y[some], sweeps.touch[some], sweeps.cut[some], deviations, part, rho[some], psi[some])
+            out[:, some] = part
 
         if x.size <= CHUNK:
             work(0, x.size)

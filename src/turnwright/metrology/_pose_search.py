@@ -260,7 +260,9 @@ def _scores(tabled: _Tabled, places: Floats, *, thin: int = 1, share: float = LE
     out = np.empty((2, places.shape[0]))
 
     def work(start: int, stop: int) -> None:
-        misfit(x, y, z, places[start:stop], tabled.table, tabled.low, tabled.step, out[:, start:stop])
+        part = np.empty((2, stop - start))
+        misfit(x, y, z, places[start:stop], tabled.table, tabled.low, tabled.step, part)
+        out[:, start:stop] = part
 
     run_chunks(work, places.shape[0], PLACES_AT_A_TIME)
     most = max(out[0].max(), 1.0)

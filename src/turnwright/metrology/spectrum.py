@@ -341,7 +341,7 @@ def _cut(z: Floats, missing: str, steps: tuple[float, float], *, rows: int) -> t
     if missing == "rectangle":
         from turnwright._kernels.rectangle import largest_rectangle  # noqa: PLC0415 - numba is costly to import
 
-        row, tall, column, wide = largest_rectangle(valid, steps[1], steps[0])
+        row, tall, column, wide = largest_rectangle(np.ascontiguousarray(valid), steps[1], steps[0])
         part = z[row : row + tall, column : column + wide]
         share = part.size / np.count_nonzero(valid)
         note = f"of the valid heights {100 * share:.3g} % lie in the largest whole rectangle, the others are left out"

@@ -603,7 +603,7 @@ def _points(
         last = math.ceil(high * per_turn / TURN) + 1
         path = _sampled(steps, curve, np.arange(first, last + 1) * (TURN / per_turn), servo.chord, hermite=hermite)
         # The first node stands within the first interval.
-        path = path[:, max(int(np.searchsorted(path[0], nodes[-1][-1], side="right")) - 1, 0) :]
+        path = np.ascontiguousarray(path[:, max(int(np.searchsorted(path[0], nodes[-1][-1], side="right")) - 1, 0) :])
         begin, stop = float(nodes[-1][-1]), min(end, high)
         at, lift = np.empty((2, path.shape[1] + 1))
         if off:

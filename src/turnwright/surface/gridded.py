@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, frozen
+from turnwright._arrays import Bools, Floats, frozen, only_read
 from turnwright.errors import InputError
 from turnwright.surface._surface import Surface
 
@@ -91,7 +91,7 @@ class Gridded(Surface):
         from turnwright._kernels.bicubic import bicubic  # noqa: PLC0415 - numba is costly to import
 
         out = np.empty(((1, 3, 6)[order], x.size))
-        bicubic(x.ravel(), y.ravel(), self.x, self.y, self._nodes, order, out)
+        bicubic(only_read(x.ravel()), only_read(y.ravel()), self.x, self.y, self._nodes, order, out)
         return tuple(part.reshape(x.shape) for part in out)
 
     def inside(self, x: Floats, y: Floats) -> Bools:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright import _given as given
-from turnwright._arrays import Floats
+from turnwright._arrays import Floats, only_read
 from turnwright.errors import InputError, StudyError
 from turnwright.generation import Prepared, Tiles
 from turnwright.heightmap import HeightMap
@@ -103,7 +103,7 @@ class _Painter:
 
         z, asked = self.heights(tile)
         record = np.zeros(self.files.records.shape[2])
-        kernel.plane_sums(z, record[:PLANE])
+        kernel.plane_sums(only_read(z), record[:PLANE])
         wide = self.files.layout.tile[1]
         record[ASKED] = asked
         record[EDGES : EDGES + z.shape[1]] = z[0]
@@ -112,7 +112,7 @@ class _Painter:
         for level in range(INNER + 1):
             if level > 0:
                 finer, z = z, np.empty((-(-z.shape[0] // 2), -(-z.shape[1] // 2)))
-                kernel.halved(finer, z)
+                kernel.halved(only_read(finer), z)
             row, column = rows >> level, columns >> level
             self.files.levels[level][row : row + z.shape[0], column : column + z.shape[1]] = z
         self.files.records[tile.j, tile.i] = record
@@ -362,7 +362,7 @@ def _coarser(files: Files) -> None:
         for row in range(0, rows, tall):
             band = np.asarray(finer[2 * row : 2 * (row + tall)], dtype=np.float64)
             out = np.empty((min(tall, rows - row), columns))
-            kernel.halved(band, out)
+            kernel.halved(only_read(band), out)
             coarse[row : row + tall] = out
 
 
