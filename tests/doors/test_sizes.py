@@ -25,6 +25,10 @@ SURFACES = {
         {"family": "even asphere", "radius": "40 mm", "conic": -0.8, "units": "mm", "terms": {"4": 2e-6}},
         {"conic": None, "terms.4": None},
     ),
+    "biconic": (
+        {"family": "biconic", "radius_x": "50 mm", "radius_y": "60 mm", "conic_x": 0.1, "conic_y": -1.0},
+        {"radius_x": "mm", "radius_y": "mm", "conic_x": None},
+    ),
     "zernike": ({"family": "zernike", "units": "um", "terms": {"5": 0.1}, "radius": "2 mm", "indexing": "fringe"},
                 {"terms.5": None, "radius": "mm"}),
 }  # fmt: skip

@@ -11,6 +11,7 @@ import numpy as np
 
 from turnwright.errors import InputError
 from turnwright.surface._surface import Surface
+from turnwright.units import LEAST, MOST
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats
@@ -84,6 +85,11 @@ def curvature(radius: float, what: str) -> float:
         raise InputError(
             f"{what} is {radius!r} mm, it must not be 0 or nan: give it positive for a bowl, negative for a dome, "
             "inf for a flat"
+        )
+    if not LEAST <= abs(radius) <= MOST and not np.isinf(radius):
+        raise InputError(
+            f"{what} is {radius:g} mm, the limits of its size are {LEAST:g} to {MOST:g} mm: check its exponent and its "
+            "unit, or give inf for a flat"
         )
     return 1 / radius
 
