@@ -266,6 +266,21 @@ def test_a_long_run_tells_its_progress_outlives_a_reload_and_is_cancelled(bench,
     assert not (folder / "served" / "runs" / name / "out").exists()
 
 
+def test_what_one_page_throws_away_leaves_every_page(bench, by_hand):
+    first = bench().take(by_hand.parent / "job.toml")
+    first.page.locator("#field-part-name").fill("short-lived")
+    first.page.locator("#field-strategy-feed").fill("50 um/rev")
+    begun(first, first.page.locator("#run").click)
+    second = bench()
+    for one in (first, second):
+        one.page.get_by_role("tab", name="Runs").click()
+        expect(one.page.locator(".run", has_text="short-lived")).to_have_attribute("data-state", "done")
+    second.page.get_by_role("button", name="Delete short-lived").click()
+    second.page.get_by_role("button", name="Delete", exact=True).click()
+    for one in (second, first):
+        expect(one.page.locator(".run", has_text="short-lived")).to_have_count(0)
+
+
 # ------------------------------------------------------------------------------------------------------- what it left
 
 
@@ -448,6 +463,9 @@ def test_a_measurement_tells_the_injected_offset_and_becomes_a_better_program(be
     assert abs(value - OFFSET * 1e3) <= doubt
     # Squareness would do as well, which makes the doubt a large one; the offset itself is found.
     assert figures(cause.locator("p").inner_text())[0] == pytest.approx(OFFSET * 1e3, abs=0.1)
+    assert figures(cause.locator("p").inner_text())[:3] == [value, doubt, 95]  # number and sentence say the same
+    # A dish of revolution has no azimuth, so that part of the pose is held: nothing was found of it.
+    assert page.locator("dt", has_text="rotation").locator("+ dd").inner_text() == "held"
     one.drawn("#measured .map canvas.mapcanvas", colours=60)
     for box in page.locator(".cause input").all():
         box.set_checked(False)

@@ -33,7 +33,9 @@ def test_the_server_keeps_its_schema(tmp_path):
     app = create_app(tmp_path)
     try:
         schema = schemathesis.openapi.from_asgi("/api/openapi.json", app, headers=HOST)
-        tried = [_tried(operation.ok()) for operation in schema.get_all_operations()]
+        # A stream without end has no whole answer; `test_web_page` listens to it.
+        finite = schema.exclude(path="/api/runs/events")
+        tried = [_tried(operation.ok()) for operation in finite.get_all_operations()]
     finally:
         app.state.workers.close()
         _windows.close(app)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -167,16 +168,28 @@ class Diagnosis(Sequence[Finding]):
         return self.findings[index]
 
 
+def _scale(unit: str) -> tuple[str, float]:
+    """Return the unit that people read a value in, and what it is multiplied by."""
+    return (f"um{unit[2:]}", 1e3) if unit.startswith("mm/") else SHOWN.get(unit, (unit, 1.0))
+
+
 def shown(value: float, unit: str) -> str:
     """Return a value as people read it."""
-    if unit.startswith("mm/"):
-        return f"{value * 1e3:+.4g} um{unit[2:]}"
-    name, factor = SHOWN.get(unit, (unit, 1.0))
+    name, factor = _scale(unit)
     return f"{value * factor:+.4g} {name}".strip()
 
 
 def around(value: float, half: float, unit: str) -> str:
-    return f"{shown(value, unit)} within {shown(half, unit).removeprefix('+')}"
+    """Return a value and how far it may be off, to two digits of that, with the confidence.
+
+    >>> around(3.004e-3, 0.6076e-3, "mm")
+    '+3.00 um within 0.61 um (95 %)'
+    """
+    name, factor = _scale(unit)
+    if not 0 < half * factor < math.inf:
+        return shown(value, unit)
+    places = min(9, max(0, 1 - math.floor(math.log10(half * factor))))
+    return f"{value * factor:+.{places}f} {name} within {half * factor:.{places}f} {name} (95 %)".replace("  ", " ")
 
 
 class Said(NamedTuple):

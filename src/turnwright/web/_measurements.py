@@ -55,7 +55,7 @@ async def bring(
         await stored(request, file, UPLOAD_BYTES)
         measured = runs.add(
             folder, job_of(runs, cut), kind="measure", name=shown_name(name), text=runs.text(cut), of=cut.id,
-            file=file.name,
+            file=file.name, called=shown_name(name),
         )  # fmt: skip
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
@@ -150,7 +150,7 @@ async def correct(id: RunId, chosen: Causes, request: Request) -> Id:  # noqa: A
         name = f"{run.name}, corrected"
         made = runs.add(
             folder, data, kind="correct", name=name, text=runs.text(run), of=run.id, file=run.file,
-            causes=tuple(before),
+            called=run.called, causes=tuple(before),
         )  # fmt: skip
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)

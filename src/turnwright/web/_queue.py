@@ -44,6 +44,8 @@ LOOK_S = 0.2
 BEAT_S = 15.0
 """After so long without news a listener is sent a sign of life, or a proxy would hang up."""
 
+STILL = ": still there\n\n"
+
 TAIL = 4096
 ID = re.compile("[0-9a-f]{16}")
 
@@ -69,7 +71,9 @@ class Run:
     of
         The run that a measurement belongs to, or the measurement that a correction does.
     file
-        What a measured file was called.
+        The measured file, as the server has named it.
+    called
+        What it was called where it comes from.
     causes
         What a correction takes into account.
     """
@@ -84,6 +88,7 @@ class Run:
     sentence: str = ""
     of: str = ""
     file: str = ""
+    called: str = ""
     causes: tuple[str, ...] = ()
 
 
@@ -119,7 +124,8 @@ class Runs:
         self._processes: dict[str, asyncio.subprocess.Process] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._cancelled: set[str] = set()
-        self._closed = False
+        self._closed = self._hushed = False
+        self._changed = 0  # how often the list has
         self._find()
 
     def _find(self) -> None:
@@ -190,6 +196,7 @@ class Runs:
         (folder / "state.json").write_text(json.dumps(asdict(run)), encoding="utf-8")
         folder.rename(self.place / run.id)
         self._runs[run.id] = run
+        self._changed += 1
         self.start()
         return run
 
@@ -229,6 +236,7 @@ class Runs:
     async def remove(self, name: str) -> None:
         """Throw away a run that has ended."""
         del self._runs[name]
+        self._changed += 1
         self._tasks.pop(name, None)
         doomed = self.place / f".{name}-removed"
         (self.place / name).rename(doomed)
@@ -251,6 +259,24 @@ class Runs:
                 return found
         return None
 
+    def hush(self) -> None:
+        """Tell those who listen no more, for the server is about to end and waits for them."""
+        self._hushed = True
+
+    async def changes(self) -> AsyncIterator[str]:
+        """Yield an event at once, and whenever a run is begun, goes on to another state or is thrown away."""
+        told = -1
+        quiet = time.monotonic()
+        while not self._closed and not self._hushed:
+            if told != self._changed:
+                told = self._changed
+                yield _event("runs", {"changed": told})
+                quiet = time.monotonic()
+            elif time.monotonic() - quiet > BEAT_S:
+                quiet = time.monotonic()
+                yield STILL
+            await asyncio.sleep(LOOK_S)
+
     async def events(self, name: str) -> AsyncIterator[str]:
         """Yield what happens to a run as an event stream, beginning with its present state, until it has ended."""
         told: tuple[str, str] | None = None
@@ -264,7 +290,7 @@ class Runs:
                 told = run.state, run.sentence
                 yield _event("state", {"state": run.state, "sentence": run.sentence})
                 quiet = time.monotonic()
-            if run.state in ENDED or self._closed:
+            if run.state in ENDED or self._closed or self._hushed:
                 return
             progress = self.progress(name) if run.state == "running" else None
             if progress is not None and progress != last:
@@ -273,11 +299,12 @@ class Runs:
                 quiet = time.monotonic()
             elif time.monotonic() - quiet > BEAT_S:
                 quiet = time.monotonic()
-                yield ": still there\n\n"
+                yield STILL
             await asyncio.sleep(LOOK_S)
 
     def _keep(self, run: Run) -> None:
         self._runs[run.id] = run
+        self._changed += 1
         with suppress(OSError):  # a full disk: the state is at least known here
             write_whole(self.place / run.id / "state.json", json.dumps(asdict(run)))
 

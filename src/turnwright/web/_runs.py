@@ -6,7 +6,7 @@ import asyncio
 import io
 import json
 import zipfile
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import suppress
 from pathlib import Path as File
 from typing import Annotated, Any, Literal
@@ -38,6 +38,11 @@ A_FILE: dict[int | str, dict[str, Any]] = {
 JSON_FILE: dict[int | str, dict[str, Any]] = {
     200: {"description": "The file, byte for byte.", "content": {"application/json": {"schema": {"type": "object"}}}}
 }
+
+
+def told_as_events(description: str) -> dict[int | str, dict[str, Any]]:
+    """Return what the schema says of an answer that is a stream of events."""
+    return {200: {"description": description, "content": {"text/event-stream": {"schema": {"type": "string"}}}}}
 
 
 def the_run(request: Request, name: str, *kinds: str) -> Run:
@@ -117,6 +122,16 @@ async def list_runs(request: Request) -> list[RunLine]:
     return [line_of(runs, run) for run in runs.all()]
 
 
+@router.get(
+    "/events",
+    response_class=StreamingResponse,
+    responses=told_as_events("Events runs {changed}, at once and whenever the list of runs has changed, without end."),
+)
+async def changes(request: Request) -> StreamingResponse:
+    """Tell when there is a run more or less in the list, or one in another state."""
+    return _stream(request.app.state.runs.changes())
+
+
 @router.get("/{id}")
 async def run(id: RunId, request: Request) -> RunDetail:  # noqa: A002 - the word of the contract
     """Say all that is known of a run."""
@@ -156,19 +171,16 @@ async def remove(id: RunId, request: Request) -> Response:  # noqa: A002
 @router.get(
     "/{id}/events",
     response_class=StreamingResponse,
-    responses={
-        200: {
-            "description": "Events progress {stage, done, total, left_s} and state {state, sentence}, until the end.",
-            "content": {"text/event-stream": {"schema": {"type": "string"}}},
-        }
-    },
+    responses=told_as_events("Events progress {stage, done, total, left_s} and state {state, sentence} until the end."),
 )
 async def events(id: RunId, request: Request) -> StreamingResponse:  # noqa: A002
     """Tell what happens to a run, beginning with its present state."""
     the_run(request, id)
-    return StreamingResponse(
-        request.app.state.runs.events(id), media_type="text/event-stream", headers={"X-Accel-Buffering": "no"}
-    )
+    return _stream(request.app.state.runs.events(id))
+
+
+def _stream(events: AsyncIterator[str]) -> StreamingResponse:
+    return StreamingResponse(events, media_type="text/event-stream", headers={"X-Accel-Buffering": "no"})
 
 
 @router.get("/{id}/result", response_class=FileResponse, responses=JSON_FILE)

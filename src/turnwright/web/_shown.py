@@ -71,7 +71,8 @@ def write_shown(measured: Measured, found: Diagnosis, out: Path) -> None:
         "findings": [
             {
                 **{name: getattr(one, name) for name in FIELDS},
-                "uncertainty": (one.simplest_interval[1] - one.simplest_interval[0]) / 2,
+                # As its sentence says: the farther side.
+                "uncertainty": max(one.simplest_interval[1] - one.simplest, one.simplest - one.simplest_interval[0]),
                 "sentence": one.why,
                 "correctable": one.verdict == "correct",
                 "chosen": one.verdict == "correct",

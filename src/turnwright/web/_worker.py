@@ -171,21 +171,22 @@ def _compare(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _T
     return f"{sum(not one.refused for one in found.candidates)} of {len(found.candidates)} strategies can cut it"
 
 
-def _measured(run: Path, server: Path, tell: _Teller, name: str, job: Job | None = None) -> Measured:
+def _measured(run: Path, server: Path, tell: _Teller, told: dict[str, Any]) -> Measured:
     """Read a measured file under limits, and register it."""
     from turnwright.files import read_map  # noqa: PLC0415
     from turnwright.job import measure  # noqa: PLC0415
     from turnwright.web._jobs import limit_memory  # noqa: PLC0415
 
-    recipe = job or _job(run, server)
+    recipe, file = _job(run, server), run / told["file"]
     seconds, most = float(sys.argv[4]), int(sys.argv[5])
     tell("read the file", 0, 1)
     with _deadline(seconds, f"the file is not read after {seconds:g} s, the limit: it is damaged, or too large"):
         limit_memory(most)
         try:
-            heights = read_map(run / name)
+            heights = read_map(file)
         except InputError as error:
-            raise InputError(str(error).replace(str(run / name), name)) from None
+            called = told["called"] or file.name
+            raise InputError(str(error).replace(str(file), called).replace(file.name, called)) from None
     tell("read the file", 1, 1)
     return measure(recipe, heights, progress=tell)
 
@@ -213,7 +214,7 @@ def _diagnose(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _T
     from turnwright.job import explain  # noqa: PLC0415
     from turnwright.web._shown import write_shown  # noqa: PLC0415
 
-    measured = [_measured(run, server, tell, told["file"])]
+    measured = [_measured(run, server, tell, told)]
     found = explain(measured, progress=tell)
     tell("report", 0, 1)
     archive.write_measured(measured[0], out)
@@ -232,7 +233,7 @@ def _correct(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _Te
     from turnwright.job import Job, correct, explain  # noqa: PLC0415
     from turnwright.web._shown import write_predicted  # noqa: PLC0415
 
-    measured = [_measured(run, server, tell, told["file"])]
+    measured = [_measured(run, server, tell, told)]
     found = explain(measured, progress=tell)
     better_folder = run / CORRECTION
     shutil.rmtree(better_folder, ignore_errors=True)

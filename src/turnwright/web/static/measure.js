@@ -90,12 +90,14 @@ function Numbers({ title, rows }) {
   return html`<section class="card"><header><h3>${title}</h3></header><dl class="pairs">${given.map(([name, value]) => html`<dt>${name}</dt><dd class="number">${value}</dd>`)}</dl></section>`;
 }
 
+const SETTLED = 1e-6; // mm or rad: where a pose that is held has less, it is of rounding
+
 const PLACES = [["x", "mm"], ["y", "mm"], ["z", "mm"], ["rotation", "rad"], ["tilt_x", "rad"], ["tilt_y", "rad"]];
 
 /** The numbers of a pose, each with its standard uncertainty, or that it was held. */
 function placed({ pose, std, held }) {
   const values = { x: pose.shift[0], y: pose.shift[1], z: pose.shift[2], rotation: pose.rotation, tilt_x: pose.tilt[0], tilt_y: pose.tilt[1] };
-  return PLACES.map(([name, unit]) => [name.replace("_", " "), held.includes(name) ? html`${doubted(values[name], null, unit)} <span class="quiet">held</span>` : doubted(values[name], std[name], unit)]);
+  return PLACES.map(([name, unit]) => [name.replace("_", " "), held.includes(name) ? (Math.abs(values[name]) < SETTLED ? "held" : html`held at ${quantity(values[name], unit)}`) : doubted(values[name], std[name], unit)]);
 }
 
 function Seen({ measurement }) {
@@ -224,6 +226,7 @@ function Findings({ measurement }) {
     <div class="panehead"><strong>Why it is off</strong><span class="gap"></span>${findings.length > called.length && html`<label class="flag"><input type="checkbox" checked=${all} onChange=${(event) => showAll(event.target.checked)} />all that was looked for</label>`}</div>
     <div class="scroll pad">
       ${!called.length && html`<p class="quiet">No cause is called for: what is left is not of tool, machine or mount.</p>`}
+      ${called.length > 0 && html`<p class="quiet" id="doubts">After ±: how far it may be off, in 95 of 100 cases, if there is no other cause than these. Where a sentence says “with all causes looked for”, all that was looked for may share in it.</p>`}
       ${(all ? findings : called).map((one) => html`<div class="cause" key=${one.name}>
         <input type="checkbox" id=${`cause-${one.name}`} checked=${chosen.has(one.cause)} disabled=${!one.correctable && !one.called_for} onChange=${() => flip(one.cause)} aria-describedby=${`why-${one.name}`} title="Correct this" />
         <label for=${`cause-${one.name}`}>${one.name}</label>

@@ -1,7 +1,7 @@
 /* The runs: started, followed while they last, looked at when they are done. */
 
 import { html, useState } from "./vendor/preact.js";
-import { events, get, post, remove } from "./api.js";
+import { address, events, get, post, remove } from "./api.js";
 import { lastText, settled, takeJob } from "./form.js";
 import { say, set, state } from "./state.js";
 import { Bar, Mark, Tool, clock, duration, useStore } from "./ui.js";
@@ -65,6 +65,17 @@ export async function refresh() {
     say(error.message, "bad");
   }
   if (state.runs.some((run) => GOING.has(run.state))) timer = setTimeout(refresh, state.runs.some((run) => run.state === "queued") ? 1000 : EVERY);
+}
+
+let hearing = null;
+
+/** Hear of every change of the list, whoever makes it, while the page is looked at: a browser keeps few such lines. */
+function hear() {
+  hearing?.close();
+  hearing = null;
+  if (document.visibilityState === "hidden") return;
+  hearing = new EventSource(address("/runs/events"));
+  hearing.addEventListener("runs", refresh);
 }
 
 let starting = false;
@@ -177,9 +188,14 @@ export function Queue() {
 
 /** Follow the runs; the list itself is drawn by the results pane. */
 export function mount() {
-  refresh();
+  // The first event comes at once; a page that nobody looks at has its list, too.
+  if (document.visibilityState === "hidden") refresh();
+  hear();
+  document.addEventListener("visibilitychange", hear);
   return {
     destroy: () => {
+      document.removeEventListener("visibilitychange", hear);
+      hearing?.close();
       clearTimeout(timer);
       for (const stop of heard.values()) stop();
       heard.clear();
