@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -12,6 +14,8 @@ __all__ = ["write_whole"]
 
 def write_whole(path: Path, text: str | bytes) -> None:
     """Write a file, which takes its name only when all of it is there; what stood there before is replaced."""
+    if not path.name:
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     part = path.with_name(f".{path.name}.part")
     try:
         if isinstance(text, bytes):

@@ -210,8 +210,11 @@ def test_every_whole_number_of_a_range_is_drawn_as_often(job, design):
         ({"vary": None, "design": []}, "the list of cases is empty"),
         ({"vary": None, "design": [3]}, "case 0 of the list is 3: write a mapping from fields to values"),
         ({"design": [{"tool.nose_radius": "1 mm"}]}, "and strategy.feed is varied beside it: leave one out"),
-        ({"design": "random", "count": 2.5}, "has 2.5 cases, it needs from 1 to"),
-        ({"design": "halton", "count": 2, "seed": -1}, "the seed is -1, it must be a whole number from 0"),
+        (
+            {"design": "random", "count": 2.5},
+            "the number of cases of the design 'random' is 2.5, it must be a whole number, 1 to",
+        ),
+        ({"design": "halton", "count": 2, "seed": -1}, "the seed is -1, it must be a whole number, at least 0"),
         ({"measure": "sq"}, "'sq' is not a measure: did you mean sq_nm?"),
         ({"measure": []}, "nothing is measured: name at least 1 measure"),
         ({"measure": ["minutes", "minutes"]}, "minutes is measured 2 times"),

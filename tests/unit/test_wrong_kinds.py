@@ -9,7 +9,7 @@ import pytest
 import turnwright as tw
 from turnwright.errors import InputError
 from turnwright.execution import Store, cluster, conduct, local
-from turnwright.studies import ErrorBudget
+from turnwright.studies import ErrorBudget, Spread
 
 WRONG = [
     math.nan, math.inf, -math.inf, -1, 10**400, -1.5, 1e300, "", "x", "1 um", b"x", None, True, [], [1], ["x"],
@@ -58,6 +58,11 @@ def study(at, **more):
     return tw.study(wanted.pop("job", at["job"]), **wanted)
 
 
+def tolerance(at, **more):
+    wanted = {"correction": False, "count": 10, "executor": at["threads"], "store": "nosuch://there", **more}
+    return tw.tolerance(at["job"], **wanted)
+
+
 CALLS = {
     "pixel": lambda at, it: tiled(at, pixel=it),
     "pixels": lambda at, it: tiled(at, pixel=[it, 0.01]),
@@ -99,6 +104,32 @@ CALLS = {
     "array": lambda at, it: at["store"].array(it),
     "cases": lambda _at, it: conduct(row, it, executor=ThreadPoolExecutor(1)),
     "case": lambda _at, it: conduct(row, [it], executor=ThreadPoolExecutor(1)),
+    "work": lambda _at, it: conduct(it, [], executor=ThreadPoolExecutor(1)),
+    "place": lambda _at, it: Store(place=it),
+    "told of a study": lambda at, it: study(at, progress=it),
+    "told of a tolerance": lambda at, it: tolerance(at, progress=it),
+    "told of tiles": lambda at, it: tiled(at, progress=it),
+    "told of a roughness": lambda at, it: at["made"].roughness(progress=it),
+    "told of cases": lambda _at, it: conduct(row, [], executor=ThreadPoolExecutor(1), progress=it),
+    "drawn": lambda at, it: study(at, vary={"tool.nose_radius": "0.1..1 mm"}, design="random", count=it),
+    "drawn by": lambda at, it: study(at, vary={"tool.nose_radius": "0.1..1 mm"}, design="sobol", count=2, seed=it),
+    "design": lambda at, it: study(at, design=it),
+    "largest": lambda at, it: at["study"].best("nose_radius_limit", largest=it),
+    "correction": lambda at, it: tolerance(at, correction=it),
+    "confirm": lambda at, it: tolerance(at, confirm=it),
+    "correction of draws": lambda _at, it: ErrorBudget.typical().draw(1, seed=0, correction=it),
+    "error": lambda _at, it: ErrorBudget.typical().unit(it),
+    "errors": lambda _at, it: ErrorBudget(errors={it: None} if isinstance(it, int | float | str) else it, noise=0.0),
+    "artefacts": lambda _at, it: ErrorBudget(errors=ErrorBudget.typical().errors, noise=0.0, artefacts=it),
+    "name": lambda _at, it: ErrorBudget(errors=ErrorBudget.typical().errors, noise=0.0, name=it),
+    "begins": lambda _at, it: ErrorBudget.typical().largest(it),
+    "unit": lambda _at, it: Spread.read("normal(0, 1) um", it, source="a"),
+    "kind": lambda _at, it: Spread(kind=it, numbers=(0.0, 1.0), source="a"),
+    "numbers": lambda _at, it: Spread(kind="normal", numbers=it, source="a"),
+    "a number": lambda _at, it: Spread(kind="normal", numbers=(0.0, it), source="a"),
+    "source": lambda _at, it: Spread(kind="normal", numbers=(0.0, 1.0), source=it),
+    "along": lambda at, it: at["made"].line_psd(along=it, segment=16),
+    "form": lambda at, it: at["made"].roughness(form=it),
 }
 """What is asked, with one argument that each wrong value is put into."""
 

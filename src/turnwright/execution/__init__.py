@@ -11,6 +11,7 @@ from turnwright.execution._executors import (
     cluster,
     fitting,
     local,
+    require_listener,
     require_reach,
     share_of,
 )
@@ -30,6 +31,7 @@ __all__ = [
     "fitting",
     "local",
     "program_version",
+    "require_listener",
     "require_reach",
     "share_of",
 ]

@@ -19,7 +19,16 @@ from typing import Any, TypeAlias
 from turnwright import _given as given
 from turnwright._toml import read_toml
 from turnwright.errors import InputError, Stopped, StudyError, TurnwrightError
-from turnwright.execution._executors import Cluster, LocalPool, WorkerDied, fitting, local, require_reach, share_of
+from turnwright.execution._executors import (
+    Cluster,
+    LocalPool,
+    WorkerDied,
+    fitting,
+    local,
+    require_listener,
+    require_reach,
+    share_of,
+)
 from turnwright.execution._store import FULL, Store
 from turnwright.progress import THREADS, Progress, at_most, cores
 
@@ -162,7 +171,8 @@ def conduct(
     StudyError
         If the work cannot go on: the store takes nothing more, or the executor is broken. What is finished stays.
     """
-    _require_kinds(cases, shared, executor, store)
+    _require_kinds(work, cases, shared, executor, store)
+    require_listener(progress)
     if executor is None:
         workers = min(fitting(), max(1, len(cases)))
         with local(workers, threads=share_of(workers)) as pool:
@@ -182,8 +192,10 @@ def conduct(
     return [rows[case.key] for case in cases]
 
 
-def _require_kinds(cases: object, shared: object, executor: object, store: object) -> None:
+def _require_kinds(work: object, cases: object, shared: object, executor: object, store: object) -> None:
     """Raise unless all is of the kind that `conduct` takes."""
+    if not callable(work):
+        raise InputError(f"the work is a {type(work).__name__}, it must be a function of a module: give one")
     if not isinstance(cases, Sequence) or not all(isinstance(one, Case) for one in cases):
         raise InputError(f"the cases are a {type(cases).__name__}, they must be a list of Case: make it so")
     for one in cases:

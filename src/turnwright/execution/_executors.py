@@ -358,6 +358,15 @@ def require_reach(place: str, executor: Executor, *, arrays: bool = False) -> No
         )
 
 
+def require_listener(progress: object) -> None:
+    """Raise unless what is to be told of the progress can be called, or is None."""
+    if progress is not None and not callable(progress):
+        raise InputError(
+            f"the progress is told to a {type(progress).__name__}, it must be a function of how many are done and all: "
+            "give one, or none"
+        )
+
+
 def share_of(workers: int) -> int:
     """Return how many threads each of so many workers can have of all cores, at least one."""
     return max(1, cores() // max(workers, 1))

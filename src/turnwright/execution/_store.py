@@ -48,6 +48,9 @@ class Store:
 
     place: str
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "place", given.path(self.place, "the store"))
+
     @classmethod
     def open(cls, place: str | os.PathLike[str]) -> Self:
         """Name a store, and make sure that it can be written.
@@ -174,6 +177,8 @@ class Store:
             array: np.ndarray = np.load(io.BytesIO(self._read("arrays", file)), allow_pickle=False)
         except FileNotFoundError:
             raise InputError(f"the store {self.place!r} has no array {name!r}: put it first") from None
+        except OSError as error:
+            raise self._trouble(error, "read") from error
         array.flags.writeable = False
         return array
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import resources
@@ -121,15 +121,18 @@ class Spread:
     source: str
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
+        given.thing(self.source, str, "the source of a distribution")
+        if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise InputError(f"the distribution {self.kind!r} is not one of {', '.join(KINDS)}: choose one of them")
         known = KINDS[self.kind]
-        if len(self.numbers) != len(known.numbers) or not np.isfinite(self.numbers).all():
+        given.thing(self.numbers, Sequence, f"what states the {self.kind}")
+        numbers = tuple(given.number(one, f"a number of the {self.kind}") for one in self.numbers)
+        if len(numbers) != len(known.numbers) or not np.isfinite(numbers).all():
             raise InputError(
-                f"{self.kind} has {len(self.numbers)} numbers, it needs {len(known.numbers)} finite ones "
+                f"{self.kind} has {len(numbers)} numbers, it needs {len(known.numbers)} finite ones "
                 f"({', '.join(known.numbers)}): complete or correct them"
             )
-        object.__setattr__(self, "numbers", tuple(float(one) for one in self.numbers))
+        object.__setattr__(self, "numbers", numbers)
         n = self.numbers
         right = n[1] > 0 if "normal" in self.kind else n[0] < n[-1] and list(n) == sorted(n)
         if not right or (self.kind == "truncated normal" and not n[2] < n[3]):
@@ -140,6 +143,7 @@ class Spread:
     @classmethod
     def read(cls, text: object, unit: str, *, source: str) -> Spread:
         """Return the distribution that a text states, such as ``normal(0, 2) um``, in some unit."""
+        given.thing(unit, str, "the unit of a distribution")
         match = _TEXT.fullmatch(text) if isinstance(text, str) else None
         if match is None:
             example = "" if unit == "1" else " um" if unit == "mm" else f" {unit}"
@@ -202,6 +206,7 @@ def _scipy(kind: str, numbers: tuple[float, ...]) -> Any:
 
 def unit_of(name: str) -> str:
     """Return the unit of an error by its name."""
+    given.thing(name, str, "the name of an error")
     if name in NAMES:
         return NAMES[name]
     for pattern, unit in NUMBERED:
@@ -283,11 +288,11 @@ class ErrorBudget:
             raise InputError(f"the noise is {self.noise:g} mm, it must be at least 0 mm: give its standard deviation")
         if self.settling is not None:
             positive(given.number(self.settling, "settling"), "settling", "s")
-        named = set(self.artefacts)
-        if not named or len(named) < len(self.artefacts) or not named <= set(ARTEFACTS):
-            raise InputError(
-                f"artefacts are {list(self.artefacts)}, they can be {', '.join(ARTEFACTS)}: name each once"
-            )
+        given.thing(self.name, str, "the name of a budget")
+        stated = self.artefacts if isinstance(self.artefacts, list | tuple) else (self.artefacts,)
+        named = [str(one) for one in stated]
+        if not named or sorted(named) != sorted(one for one in ARTEFACTS if one in named):
+            raise InputError(f"artefacts are {named}, they can be {', '.join(ARTEFACTS)}: name each once")
         object.__setattr__(self, "errors", MappingProxyType(dict(self.errors)))
         object.__setattr__(self, "artefacts", tuple(self.artefacts))
         object.__setattr__(self, "_units", MappingProxyType(units))
@@ -368,7 +373,10 @@ class ErrorBudget:
 
     def unit(self, name: str) -> str:
         """Return the unit of an error, that of an artefact's own too."""
-        return self._units[name.rpartition(": ")[2]]
+        found = self._units.get(name.rpartition(": ")[2]) if isinstance(name, str) else None
+        if found is None:
+            raise InputError(f"the budget has no error {name!r}, it has {', '.join(self.errors)}: name one of them")
+        return found
 
     def only(self, *groups: str) -> ErrorBudget:
         """Return the budget with the errors of some groups alone, such as ``"tool offset"`` and ``"drift"``."""
@@ -382,6 +390,7 @@ class ErrorBudget:
 
     def inputs(self, *, correction: bool) -> dict[str, Spread]:
         """Return all that is drawn for a case: with a correction, what the artefacts have of their own too."""
+        given.thing(correction, bool, "whether there is a correction")
         part = {name: spread for name, spread in self.errors.items() if group_of(name) != "instrument"}
         if not correction:
             return part
@@ -402,4 +411,5 @@ class ErrorBudget:
 
     def largest(self, *names: str) -> float:
         """Return the sum of what errors may be at most, as far as it is foreseen; of those that begin so."""
-        return sum(spread.largest for name, spread in self.errors.items() if name.startswith(names))
+        begins = tuple(given.thing(name, str, "what an error begins with") for name in names)
+        return sum(spread.largest for name, spread in self.errors.items() if name.startswith(begins))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ from turnwright import _given as given
 from turnwright._arrays import Bools, Floats, frozen
 from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, StudyError
-from turnwright.execution import Case, Store, case_key, conduct, local
+from turnwright.execution import Case, Store, case_key, conduct, local, require_listener
 from turnwright.job import Job
 from turnwright.studies._evaluate import REFUSED, SECONDS, carry_out
 from turnwright.studies._fields import changed, data_of
@@ -194,6 +194,7 @@ class Study:
             Whether more is better.
         """
         count = given.whole(count, "the number of cases", 0)
+        given.thing(largest, bool, "whether more is better")
         values = self.column(measure).values
         if values.dtype.kind not in "fi":
             raise InputError(f"{measure} is no number, so no case is best: name another measure")
@@ -468,6 +469,7 @@ def study(
         given.thing(executor, Executor, "the executor")
     if workers is not None:
         workers = given.whole(workers, "the number of workers", 1)
+    require_listener(progress)
     fields, rows = design_cases(
         job,
         [read_varied(job, name, given) for name, given in (vary or {}).items()],
@@ -491,10 +493,9 @@ def study(
         changes = [(one.field, one.unit, token) for one, token in zip(fields, row, strict=True)]
         data = {"job": changed(base, changes), "files": files}
         cases.append(Case(key=case_key({**data, "measures": signs}), data=data))
-    told: Callable[[int, int], None] = progress or (lambda _done, _total: None)
     several = local(None if workers is None else min(workers, len(cases))) if executor is None else None
     with several or nullcontext(executor) as pool:
-        found = conduct(carry_out, cases, shared=shared, executor=pool, store=place, progress=told)
+        found = conduct(carry_out, cases, shared=shared, executor=pool, store=place, progress=progress)
     return Study(
         job=job,
         design=design if isinstance(design, str) else "list",

@@ -17,7 +17,7 @@ import numpy as np
 from turnwright import _given as given
 from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, StudyError
-from turnwright.execution import Case, Store, case_key, conduct, local, require_reach
+from turnwright.execution import Case, Store, case_key, conduct, local, require_listener, require_reach
 from turnwright.job import Job
 from turnwright.studies._budget import MOST_DRAWS, ErrorBudget, Spread, group_of
 from turnwright.studies._draws import carry_out, laid_out
@@ -196,7 +196,7 @@ class ToleranceStudy:
         writer.writerow([*heads, *(f"{name.replace('_nm', '')} [nm]" for name in self.columns)])
         for row in zip(*(one.tolist() for one in (*self.draws.values(), *self.columns.values())), strict=True):
             writer.writerow([repr(one) for one in row])
-        write_whole(Path(path), text.getvalue())
+        write_whole(Path(given.path(path, "the table")), text.getvalue())
 
 
 def tolerance(
@@ -254,8 +254,11 @@ def tolerance(
     StudyError
         If the cases cannot go on, or hardly any can be carried out.
     """
-    told = progress or (lambda _stage, _done, _total: None)
     given.thing(job, Job, "the job")
+    require_listener(progress)
+    told = progress or (lambda _stage, _done, _total: None)
+    given.thing(correction, bool, "whether there is a correction")
+    given.thing(confirm, bool, "whether the advice is confirmed")
     limits = _limits(job)
     count, seed = given.whole(count, "the number of cases", 0, MOST_DRAWS), given.whole(seed, "the seed", 0)
     if count < FEWEST:

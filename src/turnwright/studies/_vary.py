@@ -374,14 +374,12 @@ def _gridded(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Token,
 def _drawn(fields: tuple[Varied, ...], design: str, count: int | None, seed: int | None) -> list[tuple[Token, ...]]:
     if design not in DESIGNS:
         raise InputError(f"design is {design!r}, it can be {', '.join(DESIGNS)}: choose one of them")
-    if not isinstance(count, int | np.integer) or not 1 <= count <= MOST_CASES:
+    if count is None:
         raise InputError(
-            f"the design {design!r} has {'no number of cases' if count is None else f'{count} cases'}, it needs from 1 "
-            f"to {MOST_CASES:_}: state how many cases"
+            f"the design {design!r} has no number of cases, it needs from 1 to {MOST_CASES:_}: state how many cases"
         )
-    if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
-        raise InputError(f"the seed is {seed!r}, it must be a whole number from 0: change it")
-    shares = _shares(design, len(fields), count, seed)
+    count = _given.whole(count, f"the number of cases of the design {design!r}", 1, MOST_CASES)
+    shares = _shares(design, len(fields), count, None if seed is None else _given.whole(seed, "the seed", 0))
     return list(zip(*(one.at(shares[:, number]) for number, one in enumerate(fields)), strict=True))
 
 

@@ -35,7 +35,7 @@ def tiled_roughness(files: Files, form: str, progress: Progress | None) -> Rough
     """Return the surface parameters of a map in tiles."""
     from turnwright._kernels import tiled as kernel  # noqa: PLC0415 - numba is costly to import
 
-    if form not in ("none", "mean", "plane"):
+    if not isinstance(form, str) or form not in ("none", "mean", "plane"):
         raise InputError(
             f'the form is {form!r}, a map in tiles takes "none", "mean" or "plane": choose one of them, or subtract a '
             "surface when it is made"

@@ -46,7 +46,7 @@ def tiled_line_psd(
     files: Files, along: Literal["x", "y"], segment: int | None, form: Form, window: Window, progress: Progress | None
 ) -> Spectrum:
     """Return the mean of the spectra of the lines of all whole segments."""
-    if along not in ("x", "y"):
+    if not isinstance(along, str) or along not in ("x", "y"):
         raise InputError(f'along is {along!r}, the lines of a map in tiles run along "x" or "y": choose')
 
     def work(heights: HeightMap) -> Spectrum:
