@@ -6,7 +6,15 @@ from turnwright.job._correct import Correction, correct
 from turnwright.job._measure import Measured, explain, measure
 from turnwright.job._plan import Plan, Trial, plan
 from turnwright.job._result import Pass, Prediction, Preview, Result
-from turnwright.job._run import StageProgress, finishing_motion, predict, preview, run
+from turnwright.job._run import (
+    StageProgress,
+    finishing_motion,
+    predict,
+    predicted_motion,
+    preview,
+    program_shares,
+    run,
+)
 from turnwright.job._schema import Job, faults
 from turnwright.job._shares import Shares, shares
 from turnwright.job._stages import Stages
@@ -39,7 +47,9 @@ __all__ = [
     "measure",
     "plan",
     "predict",
+    "predicted_motion",
     "preview",
+    "program_shares",
     "run",
     "shares",
 ]

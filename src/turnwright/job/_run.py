@@ -21,7 +21,7 @@ from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate, generate_polar
 from turnwright.job._cutting import PassChips, chips_of, foretold
 from turnwright.job._result import Pass, Prediction, Preview, Result
-from turnwright.job._shares import has_servos, require_servos, without_servos
+from turnwright.job._shares import Shares, has_servos, require_servos, shares, without_servos
 from turnwright.metrology import roughness
 from turnwright.motion import check_limits, drive
 from turnwright.path import Spiral
@@ -402,6 +402,43 @@ def finishing_motion(job: Job, *, progress: StageProgress | None = None) -> tupl
         watch = Watch(progress)
         motion = finished(job, result.program.files[0], result.passes[-1].name, watch)
     return motion, result
+
+
+def predicted_motion(job: Job, file: File, name: str, *, progress: StageProgress | None = None) -> Motion:
+    """Return how the axes move in the finishing pass of a program on disk, as its run predicts it.
+
+    Parameters
+    ----------
+    job, file, name
+        See `program_shares`.
+    progress
+        Called with (stage, done, total).
+    """
+    return finished(job, file, name, Watch(progress))
+
+
+def program_shares(job: Job, file: File, name: str) -> Shares:
+    """Return what each cause adds to the form error of the finishing pass of a program on disk.
+
+    With the tool and the machine as planned, as `compare` does it. Where the job does not correct for the servos the
+    motion is that of the program, so that the share of its decimals is in that of the chords.
+
+    Parameters
+    ----------
+    job
+        What the program was written for.
+    file
+        The main program.
+    name
+        Of the finishing pass.
+    """
+    part, tool, cut = job.part.aimed, job.tool.tool, job.passes[-1]
+    again = read_back(job, file, name)
+    spiral = job.servo(cut).spiral(part, tool)
+    if not job.program.precorrect:
+        return shares(part, tool, spiral, again)
+    _, _, motion, meant = planned(job, cut, Watch(None))
+    return shares(part, tool, spiral, motion, again=again, meant=meant)
 
 
 def finished(job: Job, file: File, name: str, watch: Watch) -> Motion:

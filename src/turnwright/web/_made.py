@@ -11,15 +11,14 @@ import math
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from turnwright.errors import InputError
 from turnwright.generation import Prepared, Tiles
 from turnwright.heightmap import HeightMap
-from turnwright.job import Job
-from turnwright.job._run import Watch, finished
+from turnwright.job import Job, predicted_motion
 from turnwright.progress import run_chunks
 from turnwright.web._limits import FINER
 from turnwright.web._packed import pack
@@ -30,7 +29,18 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.path import Motion
 
-__all__ = ["chips", "generated", "listed", "motion", "numbers_of", "profile", "spectrum", "warm", "window"]
+__all__ = [
+    "chips",
+    "finishing_pass",
+    "generated",
+    "listed",
+    "motion",
+    "numbers_of",
+    "profile",
+    "spectrum",
+    "warm",
+    "window",
+]
 
 TURN = 2 * math.pi
 
@@ -97,16 +107,8 @@ def _ready(folder: str) -> _Opened:
     if folder in _opened:
         _opened.move_to_end(folder)
         return _opened[folder]
-    out = File(folder)
-    numbers = numbers_of(folder)
-    job = Job.load(out / "job.toml")
-    try:
-        program = numbers["program"]["files"][0], numbers["passes"][-1]["name"]
-    except (KeyError, IndexError) as error:
-        raise InputError(
-            "the run has written no program, so no window is finer than its maps: look at those"
-        ) from error
-    motion = finished(job, out / program[0], program[1], Watch(None))
+    job, file, name = finishing_pass(folder, "no window is finer than its maps: look at those")
+    motion = predicted_motion(job, file, name)
     radius = job.part.part.radius
     ready = Prepared.of(motion, job.actual_tool, job.actual_machine, distances=(0.0, radius), most_rings=10_000)
     points = motion.time.size
@@ -116,6 +118,34 @@ def _ready(folder: str) -> _Opened:
         _opened.popitem(last=False)
     _opened[folder] = _Opened(job, motion, ready)
     return _opened[folder]
+
+
+class FinishingPass(NamedTuple):
+    """The last pass of a run, on disk.
+
+    Parameters
+    ----------
+    job
+        That the run carried out.
+    file
+        Its main program.
+    name
+        Of the pass in it.
+    """
+
+    job: Job
+    file: File
+    name: str
+
+
+def finishing_pass(folder: str, so: str) -> FinishingPass:
+    """Return the last pass of a run; ``so`` says what comes of it that there is none, and what to do."""
+    numbers = numbers_of(folder)
+    try:
+        file, name = numbers["program"]["files"][0], numbers["passes"][-1]["name"]
+    except (KeyError, IndexError) as error:
+        raise InputError(f"the run has written no program, so {so}") from error
+    return FinishingPass(Job.load(File(folder) / "job.toml"), File(folder) / file, name)
 
 
 def numbers_of(folder: str) -> dict[str, Any]:

@@ -797,8 +797,11 @@ class View {
     context.fill();
     context.restore();
     Object.assign(context, { font: `11px ${colours.font}`, fillStyle: colours.ink, textBaseline: "alphabetic", textAlign: "left" });
-    context.fillText(box.width > 215 ? "Edge in contact, to scale" : "Edge, to scale", box.left, 13);
     const bar = round(wide / 3.5);
+    // The title is as long as the length of the bar leaves room for.
+    const room = box.width - context.measureText(length(bar, 2)).width - 8;
+    const title = ["Edge in contact, to scale", "Edge, to scale", "To scale", ""].find((one) => context.measureText(one).width <= room);
+    context.fillText(title, box.left, 13);
     context.fillStyle = colours.quiet;
     context.textAlign = "right";
     const right = box.left + box.width;
