@@ -95,6 +95,20 @@ def test_a_server_that_cannot_be_is_refused_in_a_sentence(tmp_path, more, senten
     assert sentence in capsys.readouterr().err
 
 
+def test_a_workbench_without_its_extra_says_what_to_install(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    assert main(["serve", "--no-open", "--port", "0", "--folder", str(tmp_path)]) == 2
+    assert "needs uvicorn, which is not installed: pip install 'turnwright[web]'" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_to_read_a_job_takes_none_of_its_stages():
+    script = "import sys, turnwright.web._jobs as jobs; jobs.warm(); print([one for one in {} if one in sys.modules])"
+    stages = ["turnwright.job._run", "turnwright.tracking", "turnwright.generation", "turnwright.metrology", "numba"]
+    ran = subprocess.run([sys.executable, "-c", script.format(stages)], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "[]"
+
+
 def test_a_port_that_is_taken_is_refused(tmp_path, capsys):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -35,12 +36,12 @@ def serve(
 ) -> None:
     """Open the workbench: a page to plan, see, run and correct a part."""
     door: Door = context.obj
-    try:
-        from turnwright.web._serve import is_loopback, listening, serve_until_stopped  # noqa: PLC0415 - of an extra
-    except ImportError as error:
-        raise InputError(
-            f"the workbench needs {error.name}, which is not installed: pip install 'turnwright[web]'"
-        ) from None
+    for name in ("fastapi", "uvicorn"):
+        if find_spec(name) is None:
+            raise InputError(f"the workbench needs {name}, which is not installed: pip install 'turnwright[web]'")
+    from turnwright.web._address import is_loopback, listening  # noqa: PLC0415 - no other command needs them
+    from turnwright.web._serve import serve_until_stopped  # noqa: PLC0415
+
     if not is_loopback(host) and token is None:
         raise InputError(
             f"host is {host!r}, so that others reach the server, and no token is given: state --token with 16 "

@@ -1,24 +1,46 @@
-"""The recipe: a job is data only, and `run` is the one place that knows the order of the stages."""
+"""The recipe: a job is data only, and `run` is the one place that knows the order of the stages.
 
-from turnwright.job._artefacts import Artefact, artefact
-from turnwright.job._compare import Candidate, Comparison, compare
-from turnwright.job._correct import Correction, correct
-from turnwright.job._measure import Measured, explain, measure
-from turnwright.job._plan import Plan, Trial, plan
-from turnwright.job._result import Pass, Prediction, Preview, Result
-from turnwright.job._run import (
-    StageProgress,
-    finishing_motion,
-    predict,
-    predicted_motion,
-    preview,
-    program_shares,
-    run,
-)
-from turnwright.job._schema import Job, faults
-from turnwright.job._shares import Shares, shares
-from turnwright.job._stages import Stages
-from turnwright.job._terms import Finish, finish
+Each name is imported when it is first asked for: to read a job takes none of the stages that carry it out.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from turnwright.job._artefacts import Artefact, artefact
+    from turnwright.job._compare import Candidate, Comparison, compare
+    from turnwright.job._correct import Correction, correct
+    from turnwright.job._measure import Measured, explain, measure
+    from turnwright.job._plan import Plan, Trial, plan
+    from turnwright.job._result import Pass, Prediction, Preview, Result
+    from turnwright.job._run import (
+        StageProgress,
+        finishing_motion,
+        predict,
+        predicted_motion,
+        preview,
+        program_shares,
+        run,
+    )
+    from turnwright.job._schema import Job, faults
+    from turnwright.job._shares import Shares, shares
+    from turnwright.job._stages import Stages
+    from turnwright.job._terms import Finish, finish
+
+_HOMES = {
+    "_artefacts": ("Artefact", "artefact"),
+    "_compare": ("Candidate", "Comparison", "compare"),
+    "_correct": ("Correction", "correct"),
+    "_measure": ("Measured", "explain", "measure"),
+    "_plan": ("Plan", "Trial", "plan"),
+    "_result": ("Pass", "Prediction", "Preview", "Result"),
+    "_run": ("StageProgress", "finishing_motion", "predict", "predicted_motion", "preview", "program_shares", "run"),
+    "_schema": ("Job", "faults"),
+    "_shares": ("Shares", "shares"),
+    "_stages": ("Stages",),
+    "_terms": ("Finish", "finish"),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "Artefact",
@@ -53,3 +75,12 @@ __all__ = [
     "run",
     "shares",
 ]
+
+
+def __getattr__(name: str) -> object:
+    """Import a name from where it lives."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = found
+    return found

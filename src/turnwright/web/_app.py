@@ -18,17 +18,18 @@ from starlette.middleware import Middleware
 
 from turnwright import __version__
 from turnwright.errors import TurnwrightError
-from turnwright.progress import cores
 from turnwright.web._files import tidy
 from turnwright.web._guard import Guard, require_token
 from turnwright.web._limits import PARSE_BYTES, PARSE_S
 from turnwright.web._models import Problem
 from turnwright.web._queue import Runs
-from turnwright.web._workers import Busy, Superseded, Workers
+from turnwright.web._workers import Busy, Superseded, planners
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Mapping
     from os import PathLike
+
+    from turnwright.web._workers import Workers
 
 __all__ = ["create_app"]
 
@@ -58,9 +59,6 @@ UNPROCESSABLE = 422
 NICE = 10
 """A page that waits gets nine tenths of a processor that a run wants too."""
 
-WORKERS = 2
-"""Processes kept warm for what a page waits for."""
-
 
 def create_app(
     folder: str | PathLike[str],
@@ -71,6 +69,7 @@ def create_app(
     nice: int = NICE,
     parse_s: float = PARSE_S,
     parse_bytes: int = PARSE_BYTES,
+    workers: Workers | None = None,
 ) -> FastAPI:
     """Return the server of the workbench, to be run by any ASGI server.
 
@@ -88,6 +87,8 @@ def create_app(
         How far runs stand back behind everything else on this computer, 0 to 19.
     parse_s, parse_bytes
         How long reading a measured file may take, and how much memory beyond what its process starts with. [s, byte]
+    workers
+        Who plans, if they were started before; they end with the server.
 
     Raises
     ------
@@ -97,7 +98,7 @@ def create_app(
     require_token(token)
     folder = Path(folder).resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    workers = Workers(WORKERS, threads=cores(), warm="_jobs:warm", then="_jobs:warm_kernels")
+    workers = workers or planners()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:

@@ -19,12 +19,13 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, RedirectResponse
 
 from turnwright.errors import InputError
+from turnwright.web._address import is_loopback
 from turnwright.web._limits import BODY_BYTES, FILE_BYTES
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-__all__ = ["BODY_BYTES", "HANG_UP", "UPLOAD_BYTES", "Guard", "is_loopback", "require_token"]
+__all__ = ["BODY_BYTES", "HANG_UP", "UPLOAD_BYTES", "Guard", "require_token"]
 
 UPLOAD_BYTES = 2 * 2**30
 """Of a measured file."""
@@ -52,20 +53,6 @@ HANG_UP = {"Connection": "close"}
 """Goes along with that, or the rest of what is too large would still be read, and thrown away."""
 
 HARMLESS = {"GET", "HEAD", "OPTIONS"}
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this computer reaches an address.
-
-    >>> is_loopback("127.0.0.1"), is_loopback("localhost"), is_loopback("::1"), is_loopback("0.0.0.0")
-    (True, True, True, False)
-    """
-    if host.casefold() == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False
 
 
 def require_token(token: str | None) -> None:

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from turnwright import access as _access
 from turnwright._toml import read_toml
 from turnwright.errors import InputError, TurnwrightError
-from turnwright.job import Job, faults, preview
+from turnwright.job import Job, faults
 from turnwright.job._prescriptions import GriddedTable
 from turnwright.job._schema import MachineTable, PartTable, ToolDeviations
 from turnwright.job._table import Table, sentences
@@ -40,7 +39,9 @@ def warm() -> None:
 
 
 def warm_kernels() -> None:
-    """Load the compiled kernels that the first check needs."""
+    """Load what the first check needs: the stages, and their compiled kernels."""
+    from turnwright.job import preview  # noqa: PLC0415 - whoever only reads a job, or looks at it, needs no stage
+
     preview(Job.read(SMALL))
 
 
@@ -230,6 +231,9 @@ def write(data: dict[str, Any], folder: str, before: str = "") -> dict[str, Any]
 
 def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
     """Say whether the tool reaches the part, how long the program will be, and what becomes of the material."""
+    from turnwright.access import check_access  # noqa: PLC0415
+    from turnwright.job import preview  # noqa: PLC0415
+
     found: dict[str, Any] = {"errors": [], "access": None, "preview": None, "chips": {}, "warnings": []}
     job, found["errors"] = read(data, folder)
     if job is None:
@@ -239,7 +243,7 @@ def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
     except TurnwrightError as error:
         found["errors"] = [{"field": "strategy", "sentence": str(error)}]
         with suppress(TurnwrightError):
-            found["access"] = plain(_access.check_access(job.part.aimed, job.tool.tool, sense=job.strategy.sense))
+            found["access"] = plain(check_access(job.part.aimed, job.tool.tool, sense=job.strategy.sense))
         return found
     found["access"] = plain(plan.access)
     found["preview"] = plain({"points": plan.points, "shortest_s": plan.shortest_s, "refused": plan.refused})

@@ -6,6 +6,7 @@ This runs in the warm processes and only calls what the command line calls; `_vi
 from __future__ import annotations
 
 import math
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from turnwright.access import reach_at
 from turnwright.contact import place
 from turnwright.errors import InputError
 from turnwright.path import Spiral
-from turnwright.web._jobs import require
+from turnwright.web._jobs import SMALL, require
 from turnwright.web._packed import pack
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from turnwright.strategy import Strategy
     from turnwright.tool import Tool
 
-__all__ = ["path", "section", "surface"]
+__all__ = ["path", "section", "surface", "warm_compiler", "warm_surface"]
 
 TURN = 2 * math.pi
 
@@ -49,6 +50,16 @@ class _Colours(NamedTuple):
     unit: str
     label: str
     note: str = ""
+
+
+def warm_compiler() -> None:
+    """Import what compiled kernels stand on."""
+    import_module("turnwright._kernels")
+
+
+def warm_surface() -> None:
+    """Load what the first surface needs: its kernel, and with it most of what kernels need at all."""
+    surface(SMALL, "", "height", 16)
 
 
 def surface(data: dict[str, Any], folder: str, quantity: str, pixels: int) -> bytes:

@@ -1,100 +1,19 @@
-"""The server as a program: it listens, says where, and ends when it is asked to."""
+"""The workbench as a program: it holds its folder, starts what plans, then the server, and ends when it is asked to."""
 
 from __future__ import annotations
 
-import asyncio
-import ipaddress
-import signal
-import socket
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from typing import TYPE_CHECKING
 
-import uvicorn
-
 from turnwright.errors import InputError
-from turnwright.web._app import create_app
-from turnwright.web._guard import is_loopback
+from turnwright.web._workers import planners
 
 if TYPE_CHECKING:
+    import socket
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-__all__ = ["is_loopback", "listening", "serve_until_stopped"]
-
-FAREWELL_S = 3
-"""For answers that are under way at the end."""
-
-
-class _Server(uvicorn.Server):
-    """Says when it is ready."""
-
-    def __init__(self, config: uvicorn.Config, ready: Callable[[], None]) -> None:
-        super().__init__(config)
-        self._ready = ready
-
-    @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """End at a wish to stop as a server ends, which is no error."""
-        numbers = (signal.SIGINT, signal.SIGTERM)
-        before = [signal.signal(number, self.handle_exit) for number in numbers]
-        try:
-            yield
-        finally:
-            for number, handler in zip(numbers, before, strict=True):
-                signal.signal(number, handler)
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to answer."""
-        await super().startup(sockets)
-        if self.started:
-            self._ready()
-
-
-@contextmanager
-def listening(host: str, port: int) -> Iterator[tuple[socket.socket, str]]:
-    """Yield a socket that listens, and the address of the page.
-
-    Parameters
-    ----------
-    host
-        A number or a name of this computer.
-    port
-        0 for any that is free.
-
-    Raises
-    ------
-    InputError
-        If nothing can be heard there.
-    """
-    try:
-        family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        door = socket.socket(family, kind, protocol)
-    except OSError as error:
-        raise _deaf(host, port, error) from error
-    with door:
-        try:
-            door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            door.bind(place)
-        except OSError as error:
-            raise _deaf(host, port, error) from error
-        number = door.getsockname()[1]
-        name = host
-        try:
-            address = ipaddress.ip_address(host)
-        except ValueError:
-            pass
-        else:
-            if address.is_unspecified:
-                name = socket.gethostname()
-            elif address.version == 6:
-                name = f"[{host}]"
-        yield door, f"http://{name}:{number}"
-
-
-def _deaf(host: str, port: int, error: OSError) -> InputError:
-    return InputError(
-        f"no server can listen at {host}:{port} ({error.strerror}): name another --port, or 0 for any that is free"
-    )
+__all__ = ["serve_until_stopped"]
 
 
 @contextmanager
@@ -141,11 +60,10 @@ def serve_until_stopped(
     InputError
         If another server has the folder, or the token is too short.
     """
-    with _alone(folder):
-        app = create_app(folder, token=token, origin=origin, at_a_time=at_a_time)
-        config = uvicorn.Config(
-            app, log_level="critical", access_log=False, server_header=False, lifespan="on", ws="none",
-            timeout_graceful_shutdown=FAREWELL_S, h11_max_incomplete_event_size=64 * 2**10, proxy_headers=False,
-        )  # fmt: skip
-        server = _Server(config, ready)
-        asyncio.run(server.serve(sockets=[door]))
+    with _alone(folder), closing(planners()) as workers:
+        # Costly to import: meanwhile the first of them warms up.
+        from turnwright.web._app import create_app  # noqa: PLC0415
+        from turnwright.web._server import answer  # noqa: PLC0415
+
+        app = create_app(folder, token=token, origin=origin, at_a_time=at_a_time, workers=workers)
+        answer(app, door, ready)

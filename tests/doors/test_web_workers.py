@@ -1,0 +1,87 @@
+"""The processes kept warm for a page. Oracle: the operating system's numbers of the processes that answer."""
+
+import asyncio
+import os
+import threading
+import time
+
+import pytest
+
+pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
+
+from turnwright.web import _workers
+from turnwright.web._workers import Busy, Workers
+
+PATIENCE_S = 60
+
+
+def carried_out(questions, count=2, **more):
+    """What `questions` makes of some workers, which then end."""
+
+    async def ask():
+        workers = Workers(count, threads=1, warm=os.getpid, **more)
+        try:
+            return await asyncio.wait_for(questions(workers), PATIENCE_S)
+        finally:
+            await asyncio.to_thread(workers.close)
+
+    return asyncio.run(ask())
+
+
+def test_what_is_asked_first_waits_for_the_process_that_warms_up_and_starts_no_other():
+    async def two(workers):
+        return await asyncio.gather(workers.ask(os.getpid), workers.ask(os.getpid))
+
+    first, second = carried_out(two)
+    assert first == second != os.getpid()
+
+
+def test_a_question_behind_a_long_one_gets_a_process_of_its_own(monkeypatch):
+    monkeypatch.setattr(_workers, "LATER_S", 1000.0)
+    monkeypatch.setattr(_workers, "PATIENCE_S", 0.1)
+
+    async def beside(workers):
+        first = await workers.ask(os.getpid)
+        long = asyncio.create_task(workers.ask(time.sleep, 1000))
+        await asyncio.sleep(0.1)
+        second = await workers.ask(os.getpid)
+        assert not long.done()
+        long.cancel()
+        return first, second
+
+    first, second = carried_out(beside)
+    assert first != second
+
+
+def test_what_may_be_asked_for_later_is_loaded_when_a_page_is_content(monkeypatch):
+    called, loading = [], threading.Event()
+    submit = _workers.LocalPool.submit
+
+    def noted(pool, call, function, arguments):
+        called.append((function, time.monotonic()))
+        if function == "_limits:later":
+            loading.set()
+        return submit(pool, call, function, arguments)
+
+    monkeypatch.setattr(_workers.LocalPool, "submit", noted)
+
+    async def three(workers):
+        await workers.ask(time.sleep, 0.2)
+        await workers.ask(time.sleep, 0.0)
+        await asyncio.to_thread(loading.wait, PATIENCE_S)
+
+    carried_out(three, 1, then=("_limits:later",))
+    assert [one for one, _ in called] == [os.getpid, time.sleep, time.sleep, "_limits:later"]
+    (_, asked), (_, loaded) = called[2:]
+    assert loaded - asked >= _workers.REST_S
+
+
+def test_who_waits_when_the_server_ends_is_told():
+    async def late(workers):
+        waiting = asyncio.create_task(workers.ask(os.getpid))
+        await asyncio.sleep(0)
+        await asyncio.to_thread(workers.close)
+        with pytest.raises(Busy, match="about to end"):
+            await waiting
+
+    carried_out(late)
