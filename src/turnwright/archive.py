@@ -39,6 +39,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright import __version__
+from turnwright._whole import whole_file, write_whole
 from turnwright.errors import InputError
 from turnwright.files import write_map
 from turnwright.heightmap import HeightMap
@@ -89,7 +90,7 @@ def write_archive(result: Result, folder: str | PathLike[str]) -> None:
     """
     folder = Path(folder)
     job = result.job.to_toml()
-    (folder / "job.toml").write_text(job, encoding="utf-8")
+    write_whole(folder / "job.toml", job)
     numbers = {
         "schema": 1,
         "turnwright": __version__,
@@ -115,7 +116,7 @@ def write_archive(result: Result, folder: str | PathLike[str]) -> None:
         "peak_memory_gb": result.peak_memory_gb,
     }
     text = json.dumps(_plain(numbers), indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / "result.json").write_text(text + "\n", encoding="utf-8")
+    write_whole(folder / "result.json", text + "\n")
     _write_h5(result, job, text, folder / "run.h5")
 
 
@@ -130,7 +131,7 @@ def write_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
         Where to.
     """
     folder = Path(folder)
-    (folder / "job.toml").write_text(found.job.to_toml(), encoding="utf-8")
+    write_whole(folder / "job.toml", found.job.to_toml())
     numbers = {
         "scallop": found.scallop,
         "chord": found.chord,
@@ -172,7 +173,7 @@ def write_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: st
     unit = spectrum.unit.replace("²", "2").replace(" ", "_")
     lines = (f"{one:.17g},{two:.17g}" for one, two in zip(spectrum.frequency, spectrum.density, strict=True))
     table = [f"frequency_per_mm,density_{unit}", *lines]
-    (folder / "spectrum.csv").write_text("\n".join(table) + "\n", encoding="utf-8")
+    write_whole(folder / "spectrum.csv", "\n".join(table) + "\n")
 
 
 def write_measured(measured: Measured, folder: str | PathLike[str]) -> None:
@@ -188,7 +189,7 @@ def write_measured(measured: Measured, folder: str | PathLike[str]) -> None:
     folder = Path(folder)
     write_map(measured.error, folder / "error.npz")
     if measured.lenslets is not None:
-        (folder / "lenslets.csv").write_text(measured.lenslets.csv(), encoding="utf-8")
+        write_whole(folder / "lenslets.csv", measured.lenslets.csv())
     _write_json(folder / "measured.json", {"part": measured.job.part.part.name, **_measured_numbers(measured)})
 
 
@@ -274,7 +275,7 @@ def write_correction(
 def _write_json(file: Path, numbers: Mapping[str, object]) -> None:
     """Write numbers with the version that they are of."""
     whole = {"schema": 1, "turnwright": __version__, **numbers}
-    file.write_text(json.dumps(_plain(whole), indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    write_whole(file, json.dumps(_plain(whole), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -> list[dict[str, Any]]:
@@ -290,14 +291,14 @@ def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -
     for one in predictions:
         stem = f"maps/{re.sub('[^A-Za-z0-9_-]+', '-', one.name)}"
         axes = {name: f"{stem}.{name}.npy" for name in AXES if getattr(one.error, name) is not None}
-        np.save(Path(folder) / f"{stem}.npy", one.error.z)
+        _save(Path(folder) / f"{stem}.npy", one.error.z)
         for name, file in axes.items():
-            np.save(Path(folder) / file, getattr(one.error, name))
+            _save(Path(folder) / file, getattr(one.error, name))
         tracking = None
         if one.tracking is not None and one.tracking_nm is not None:
             pv, rms = one.tracking_nm
             tracking = {"file": f"{stem}.tracking.npy", "pv_nm": pv, "rms_nm": rms}
-            np.save(Path(folder) / f"{stem}.tracking.npy", one.tracking.z)
+            _save(Path(folder) / f"{stem}.tracking.npy", one.tracking.z)
         told.append(
             {
                 "name": one.name,
@@ -309,6 +310,11 @@ def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -
             }
         )
     return told
+
+
+def _save(file: Path, values: Floats) -> None:
+    with whole_file(file) as stream:
+        np.save(stream, values)
 
 
 def _plain(value: object) -> object:
@@ -347,7 +353,7 @@ def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
         _store_motion(archive.create_group("motion"), result.motion)
         for number, turn in enumerate(result.turns):
             _store_motion(archive.create_group(f"turns/{number}"), turn)
-    file.write_bytes(image.getbuffer())
+    write_whole(file, image.getbuffer())
 
 
 def _store_motion(group: Any, motion: Motion) -> None:

@@ -16,6 +16,7 @@ import pytest
 import zarr
 
 import turnwright as tw
+from turnwright._commands import _tiling
 from turnwright.cli import main
 from turnwright.execution import Cluster, LocalPool
 
@@ -242,6 +243,14 @@ def test_processes_make_the_same_map_and_one_that_is_killed_costs_nothing(tmp_pa
     assert np.array_equal(found.height_map().z, made(tmp_path / "other").height_map().z, equal_nan=True)
     assert seen == sorted(set(seen))
     assert time.monotonic() - started < 60
+
+
+def test_a_map_that_was_killed_while_its_first_file_was_written_is_begun_again(tmp_path):
+    (tmp_path / ".case.json.part").write_text('{"ke')
+    _tiling._require_own(tmp_path)
+    (tmp_path / "thesis.txt").write_text("somebody's")
+    with pytest.raises(tw.InputError, match="holds something else"):
+        _tiling._require_own(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import typer
 
 from turnwright._commands._shared import Door, new_folder, progress_of
 from turnwright._stop import Stop
+from turnwright._whole import write_whole
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def _run_case(data: Mapping[str, Any], shared: Mapping[str, Any], _store: Store 
             return {"outcome": f"as before: {done['outcome']}"}
     with Stop() as stop, new_folder(out, Door(stop), force=shared["force"]) as folder:
         outcome = _outcome(run_into(folder, job, lambda *_: stop.check()))
-        (folder / DONE).write_text(json.dumps({"key": key, "outcome": outcome}) + "\n", encoding="utf-8")
+        write_whole(folder / DONE, json.dumps({"key": key, "outcome": outcome}) + "\n")
     return {"outcome": outcome}
 
 

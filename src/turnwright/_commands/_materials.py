@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turnwright._commands._shared import Door, app, progress_of, require_new
+from turnwright._whole import whole_file, write_whole
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def fit(context: typer.Context, data: Data, out: Out, picture: Picture = None) -
         progress("learn", 1, 1)
     if picture is not None:
         _draw(found, picture)
-    out.write_text(text, encoding="utf-8")
+    write_whole(out, text)
     for sentence in found.learned.sentences:
         door.say(sentence)
     door.say(f"material: {out}")
@@ -123,7 +124,8 @@ def _draw(found: Experiment, picture: Path) -> None:
                 )
         column[0].legend(fontsize=7)
     figure.suptitle(found.name)
-    figure.savefig(picture, dpi=150)
+    with whole_file(picture) as stream:
+        figure.savefig(stream, dpi=150, format=picture.suffix[1:])
 
 
 def _forces(material: Material) -> str:

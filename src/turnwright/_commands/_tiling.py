@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from turnwright._commands._shared import Door, JobFile, app, progress_of, warn
+from turnwright._whole import part_of, write_whole
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def tile(
             workers = stack.enter_context(workers_of(cluster))
         motion, result = finishing_motion(recipe, progress=progress)
         out.mkdir(parents=True, exist_ok=True)
-        (out / BEGUN).write_text(json.dumps({"key": key}) + "\n", encoding="utf-8")
+        write_whole(out / BEGUN, json.dumps({"key": key}) + "\n")
         door.partly = f"the finished tiles stay in {str(out)!r}: the same command makes the others"
         made = generate_tiled(
             motion, recipe.actual_tool, machine=recipe.actual_machine, pixel=step, radius=part.radius,
@@ -90,7 +91,7 @@ def _require_own(out: Path) -> None:
     """Raise unless a map can be made, or gone on with, in a folder."""
     if out.is_dir():
         names = {one.name for one in out.iterdir()}
-        if names - {BEGUN} and MAP not in names:
+        if names - {BEGUN, part_of(out / BEGUN).name} and MAP not in names:
             raise InputError(f"{str(out)!r} is there already and holds something else: name another folder")
     folder = out.absolute()
     while not os.path.lexists(folder):
