@@ -62,6 +62,15 @@ def test_each_job_is_a_line_and_a_folder_and_none_is_done_twice(tmp_path, capsys
     assert "is there already and not empty" in capsys.readouterr().out.splitlines()[0]
 
 
+def at_work(session):
+    """Whether a process of the session goes on; one that has ended and waits to be counted does not."""
+    found = subprocess.run(["ps", "-e", "-o", "sid=,stat="], capture_output=True, text=True, check=True)
+    return any(
+        int(number) == session and not state.startswith("Z")
+        for number, state in map(str.split, found.stdout.splitlines())
+    )
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "kill -9"])
 def test_an_end_in_the_middle_keeps_what_is_finished_and_leaves_no_half(how, tmp_path):
     files = jobs(tmp_path, **{f"job{n}": [("strategy.feed", f"{40 + n} um/rev")] for n in range(2)})
@@ -85,8 +94,9 @@ def test_an_end_in_the_middle_keeps_what_is_finished_and_leaves_no_half(how, tmp
             f"turnwright: interrupted, what is finished stays in {out}: give the same command to go on"
         )
         assert "Traceback" not in said
-    else:
-        time.sleep(2)  # its worker is gone by then
+    while at_work(process.pid):  # its worker notices
+        assert time.monotonic() - start < 120
+        time.sleep(0.05)
     assert {one.name for one in out.iterdir()} <= {"job0", "job1"}  # no half of a folder, and no hidden one
     before = (out / "job0" / "report.html").stat().st_mtime_ns
     assert main(command[3:]) == 0
