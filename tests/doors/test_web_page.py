@@ -4,13 +4,16 @@ Oracles: the command line's files, `generate` in this process, closed forms of a
 that was injected into a measurement, and the browser itself, which says what failed.
 """
 
+import io
 import itertools
 import json
 import math
 import os
+import re
 import tempfile
 import time
 import tomllib
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import parse_qsl, urlsplit
@@ -196,6 +199,98 @@ def test_a_job_goes_in_and_out_as_toml(bench, by_hand):
     for wanted in ("7 um/rev", "20 um/rev"):
         page.get_by_role("button", name="Undo").click()
         expect(feed).to_have_value(wanted)
+
+
+def test_remarks_stay_when_a_job_is_changed_undone_and_run(bench, by_hand, tmp_path):
+    """Oracle: the text that was opened."""
+    text = (by_hand.parent / "job.toml").read_text(encoding="utf-8")
+    text = text.replace("[tool]", "# from the drawer\n[tool]").replace(
+        "[strategy]", "\n# How it is cut\n[strategy] # slow"
+    )
+    text = text.replace('"dish"', '"annotated"  # as on the drawing')
+    (tmp_path / "annotated.toml").write_text(text, encoding="utf-8")
+    one = bench().take(tmp_path / "annotated.toml")
+    page = one.page
+    save = page.get_by_role("button", name="Save the job file")
+    feed = page.locator("#field-strategy-feed")
+    feed.fill("50 um/rev")
+    wanted = text.replace('"20 um/rev"', '"50 um/rev"')
+    assert one.download(save).decode() == wanted
+    feed.blur()
+    page.get_by_role("button", name="Undo").click()
+    assert one.download(save).decode() == text
+    page.get_by_role("button", name="Redo").click()
+    begun(one, page.locator("#run").click)
+    page.locator("#outcome").wait_for()
+    links = page.locator("#outcome .downloads")
+    assert one.download(links.get_by_role("link", name="Job as written")).decode() == wanted
+    one.take(by_hand.parent / "job.toml")
+    page.locator("#field-tool-nose_radius").fill("0.4 mm")
+    page.get_by_role("button", name="Take this job into the fields").click()
+    expect(feed).to_have_value("50 um/rev")
+    assert one.download(save).decode() == wanted
+    page.reload()
+    expect(feed).to_have_value("50 um/rev")
+    assert one.download(save).decode() == wanted
+
+
+def test_text_counts_as_soon_as_it_is_typed(bench, by_hand):
+    one = bench().take(by_hand.parent / "job.toml")
+    page = one.page
+    page.get_by_role("tab", name="TOML").click()
+    text = page.get_by_label("The job as TOML")
+    text.fill(text.input_value().replace('"20 um/rev"', '"49 um/rev"').replace('"dish"', '"quick"'))
+    asked = one.answer("/api/runs", lambda: text.press("Control+Enter")).request.post_data_json
+    assert asked["data"]["strategy"]["feed"] == "49 um/rev"
+    assert '"49 um/rev"' in asked["toml"]
+    text.fill(text.input_value().replace('"49 um/rev"', '"48 um/rev"'))
+    assert '"48 um/rev"' in one.download(page.get_by_role("button", name="Save the job file")).decode()
+    page.get_by_role("tab", name=re.compile("^Runs")).click()
+    expect(page.locator(".run", has_text="quick")).to_have_attribute("data-state", "done")
+
+
+def test_a_file_goes_to_its_field_into_the_archive_and_back(bench, tmp_path):
+    """Oracle: the bytes that were brought."""
+    axis = np.linspace(-2.5, 2.5, 11)
+    rows = [["", *axis], *([y, *(axis**2 + y**2) / 100] for y in axis)]
+    (tmp_path / "Sag table.csv").write_text("\n".join(",".join(map(str, row)) for row in rows), encoding="utf-8")
+    surface = {"family": "gridded", "units": "mm", "sag_units": "mm"}
+    file = written(tmp_path, *DISH, ("part.surface", surface))
+    file.write_text(file.read_text(encoding="utf-8").replace("[tool]", "# of steel\n[tool]"), encoding="utf-8")
+    one = bench().take(file)
+    page = one.page
+    picker, field = page.locator("#field-part-surface-file-file"), page.locator("#field-part-surface-file")
+    expect(page.locator("#run")).to_be_disabled()
+    picker.set_input_files(tmp_path / "Sag table.csv")
+    expect(field).to_have_text("Sag_table.csv")
+    expect(page.locator("#pill")).to_have_class("pill good")
+    packed = one.download(page.get_by_role("button", name="Save the job file"))
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        assert archive.read("Sag_table.csv") == (tmp_path / "Sag table.csv").read_bytes()
+        assert "# of steel" in archive.read("job.toml").decode()
+    (tmp_path / "dish.zip").write_bytes(packed)
+    page.get_by_role("button", name="Take Sag_table.csv out of the job").click()
+    expect(page.locator("#run")).to_be_disabled()
+    with page.expect_file_chooser() as chosen:
+        page.get_by_role("button", name="Open a job file").first.click()
+    chosen.value.set_files(tmp_path / "dish.zip")
+    expect(field).to_have_text("Sag_table.csv")
+    expect(page.locator("#pill")).to_have_class("pill good")
+    again = one.download(page.get_by_role("button", name="Save the job file"))
+    with zipfile.ZipFile(io.BytesIO(packed)) as first, zipfile.ZipFile(io.BytesIO(again)) as second:
+        assert [(name, first.read(name)) for name in first.namelist()] == [
+            (name, second.read(name)) for name in second.namelist()
+        ]
+
+
+def test_a_file_that_is_none_of_its_kind_is_told_of_by_its_name(bench, tmp_path):
+    (tmp_path / "no table.csv").write_text("<html>", encoding="utf-8")
+    surface = {"family": "gridded", "units": "mm", "sag_units": "mm"}
+    one = bench().take(written(tmp_path, *DISH, ("part.surface", surface)))
+    one.page.locator("#field-part-surface-file-file").set_input_files(tmp_path / "no table.csv")
+    expect(one.page.locator("#foot")).to_contain_text("no table.csv: ")
+    expect(one.page.locator("#run")).to_be_disabled()
+    one.wrong = [each for each in one.wrong if "422" not in each]  # as the browser says it, too
 
 
 def test_a_file_that_is_no_job_leaves_the_job_as_it_is(bench, by_hand, tmp_path):
@@ -571,6 +666,26 @@ def test_a_map_is_worked_by_keys_alone(bench):
     then = zoomed(one, lambda: [page.keyboard.press("+") for _ in range(4)])[0]
     assert then == pytest.approx(0.8**4 * first, rel=1e-6)
     one.answer("/profile", lambda: page.keyboard.press("l"))
+
+
+def test_the_part_is_asked_for_before_all_else_and_once(bench):
+    one = bench()
+    page = one.page
+    asked, held = [], []
+    page.on("request", lambda request: asked.append(urlsplit(request.url).path))
+    page.route("**/scene.js", held.append)
+    page.reload()
+    offered = page.locator("#welcome .examples button")
+    offered.first.wait_for()
+    wait(lambda: page.title() and held, what="the scene, which comes unasked")
+    with page.expect_response("**/api/view/surface"):
+        offered.filter(has_text="sinusoidal grid").first.click()
+    expect(page.locator("canvas.scene")).to_have_count(0)
+    held[0].continue_()
+    one.drawn("canvas.scene", colours=1500)
+    expect(page.locator("#verdict")).to_have_class("card verdict good")
+    questions = [path for path in asked if path in ("/api/view/surface", "/api/job/check")]
+    assert questions == ["/api/view/surface", "/api/job/check"]
 
 
 def test_light_and_dark_follow_the_system_and_the_switch(bench):

@@ -30,11 +30,14 @@ let base = { job: null, toml: "" };
 /** The last text of the job: what has changed since is not in it yet. */
 export const lastText = () => base.toml;
 
+let opened = 0; // jobs so far
+
 /** Take a job as a whole: from an example, a file or the text `toml`; one that was changed since it was `written` keeps the
     remarks of that. `fresh` forgets what could be undone. */
 export function takeJob({ job, toml, written = "", title, errors = [], fresh = true }) {
   if (fresh) {
     past.length = future.length = 0;
+    opened += 1;
   } else {
     remember("whole job");
   }
@@ -470,8 +473,11 @@ function Bring({ node, path }) {
     const most = state.about?.limits.file_bytes ?? Infinity;
     if (file.size > most) return say(`${file.name} has ${Math.ceil(file.size / 2 ** 20)} MiB, the limit is ${most / 2 ** 20}: bring a smaller one.`, "bad");
     setShare(0);
+    const mine = opened;
     try {
       const { reference } = await upload("/files", { kind: node.holds, name: file.name }, file, (sent, total) => setShare(sent / total));
+      // It was brought for the job that was there.
+      if (mine !== opened) return;
       edit(path, reference);
       say("");
     } catch (error) {

@@ -104,6 +104,7 @@ export class MapView {
     clearTimeout(this.resting);
     const asking = (this.asking = new AbortController());
     this.fine = null;
+    this.busy(!this.whole);
     try {
       const whole = new Picture(await this.load(null, asking.signal));
       if (asking.signal.aborted) return;
@@ -111,10 +112,17 @@ export class MapView {
       this.fit = !window;
       this.view = window ? this.shaped(window) : this.entire();
       this.draw();
+      this.busy(false);
       if (window) this.rest();
     } catch (error) {
       if (error.name !== "AbortError") say(error.message, "bad");
     }
+  }
+
+  /** Until there is a map nothing can be asked of it. */
+  busy(yes) {
+    this.canvas.setAttribute("aria-busy", String(yes));
+    this.calls.busy?.(yes);
   }
 
   /** A view as wide and high as the canvas shows it, of equal scale along both axes, around the same middle. */
@@ -505,6 +513,9 @@ export function mount(panel) {
       return tell(await getPacked(`/runs/${shown.run}/map`, asked, { signal }));
     },
     calls: {
+      busy: (yes) => {
+        for (const one of [lining, hold, all]) one.disabled = yes;
+      },
       moved: (window) => set({ window: view.fit ? null : { ...window } }),
       pointed: (cursor) => set({ cursor }),
       lined: (line) => {

@@ -15,7 +15,10 @@ let wanted = null; // id of the measurement that was asked for last
 let sending = () => {};
 
 /** Take an instrument's file, for the part of the run looked at. */
-export async function take(file, run = measuredRun()) {
+export async function take(file, of = measuredRun()) {
+  // Whoever is quick drops a file before the list of runs is there.
+  if (!of) await refresh();
+  const run = of ?? measuredRun();
   if (!run) return say("Run the job first: a measurement is judged against the part that a run has planned.", "bad");
   const limit = state.about?.limits.upload_bytes;
   if (limit && file.size > limit) return say(`${file.name} has ${bytes(file.size)}, the limit is ${bytes(limit)}: crop it.`, "bad");
@@ -210,7 +213,9 @@ function Findings({ measurement }) {
     if (!next.delete(cause)) next.add(cause);
     choose(next);
   };
+  const [asking, setAsking] = useState(false);
   const correct = async () => {
+    setAsking(true);
     try {
       await post(`/measurements/${measurement.id}/correct`, { causes: [...chosen] });
       setFiles([]);
@@ -218,6 +223,8 @@ function Findings({ measurement }) {
       await follow(measurement.id);
     } catch (error) {
       say(error.message, "bad");
+    } finally {
+      setAsking(false);
     }
   };
   const going = run && GOING.has(run.state);
@@ -235,7 +242,7 @@ function Findings({ measurement }) {
       ${lenslets.length > 0 && html`<${Lenslets} lenslets=${lenslets} />`}
     </div>
     <div class="decide">
-      <div class="bar"><button type="button" class="button accent" id="correct" disabled=${!chosen.size || going} onClick=${correct}>${chosen.size > 1 ? `Correct these ${chosen.size}` : "Correct this"}</button>
+      <div class="bar"><button type="button" class="button accent" id="correct" disabled=${!chosen.size || going || asking} onClick=${correct}>${chosen.size > 1 ? `Correct these ${chosen.size}` : "Correct this"}</button>
       ${going && html`<span class="quiet" role="status">${run.progress ? `${run.progress.stage}, ${percent(run.progress.done / (run.progress.total || 1))}` : "waits"}</span>`}
       ${predicted && run?.state === "done" && html`<${Predicted} predicted=${predicted} measured=${measurement.form_rms_nm} />`}</div>
       ${run?.state === "done" && html`<${Fragment}><${Downloads} path=${`/runs/${run.id}`} files=${files} only=${["job", "program", "table", "report", "correction"]} />

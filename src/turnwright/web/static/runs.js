@@ -141,7 +141,11 @@ function forget(id) {
   if (state.measurement?.id === id) set({ measurement: null });
 }
 
+const dropping = new Set(); // ids on their way out: a double click asks once
+
 async function drop(run) {
+  if (dropping.has(run.id)) return;
+  dropping.add(run.id);
   try {
     if (GOING.has(run.state)) {
       await post(`/runs/${run.id}/cancel`);
@@ -152,6 +156,8 @@ async function drop(run) {
     await refresh();
   } catch (error) {
     say(error.message, "bad");
+  } finally {
+    dropping.delete(run.id);
   }
 }
 
