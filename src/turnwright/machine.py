@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright import units
 from turnwright._arrays import Floats, between, frozen, positive
 from turnwright._toml import read_toml
@@ -150,9 +151,8 @@ class Controller:
             raise InputError(
                 f"other_interpolations names {self.interpolation!r}, which is the interpolation already: leave it out"
             )
-        ahead = self.look_ahead
-        if ahead is not None and (isinstance(ahead, bool) or not isinstance(ahead, int) or ahead < 1):
-            raise InputError(f"look_ahead is {ahead!r}, it must be a whole number of at least 1 block: change it")
+        if self.look_ahead is not None:
+            object.__setattr__(self, "look_ahead", given.whole(self.look_ahead, "look_ahead", 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

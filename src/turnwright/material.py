@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright import units
 from turnwright._arrays import Floats, between, frozen, positive
 from turnwright._toml import read_toml
@@ -58,8 +59,7 @@ class Lobes:
     maximum: float = 0.0
 
     def __post_init__(self) -> None:
-        if isinstance(self.count, bool) or not isinstance(self.count, int) or not 1 <= self.count <= MOST_LOBES:
-            raise InputError(f"lobes count is {self.count!r}, the limits are 1 to {MOST_LOBES}: give a whole number")
+        object.__setattr__(self, "count", given.whole(self.count, "lobes count", 1, MOST_LOBES))
         between(self.amplitude, "lobes amplitude", 0.0, 0.99, "of the mean")
         if not np.isfinite(self.maximum):
             raise InputError(f"lobes maximum is {self.maximum}, it must be finite: give an angle")

@@ -24,7 +24,7 @@ def motion(part, tool):
         (lambda: tw.SlotMill(radius=1.0, feed_per_tooth=0.1, depth=0.1, entry=2.0, exit=1.0), "entry be before exit"),
         (lambda: tw.SlotMill(radius=1.0, feed_per_tooth=0.1, depth=0.1, corner_radius=2.0), "the limits are 0 to 1 mm"),
         (lambda: tw.FlyCut(swing=1.0, nose_radius=5.0, feed=0.01, step=0.01, depth=2.0), "on a swing of 1 mm"),
-        (lambda: tw.Lobes(count=0, amplitude=0.1), "give a whole number"),
+        (lambda: tw.Lobes(count=0, amplitude=0.1), "lobes count is 0, it must be a whole number, 1 to 24"),
         (lambda: tw.Lobes(count=3, amplitude=1.0), "of the mean"),
         (lambda: tw.CuttingCoefficient(value=float("nan")), "must be finite"),
         (lambda: tw.CuttingCoefficient(value=1.0, uncertainty=-1.0), "at least 0"),

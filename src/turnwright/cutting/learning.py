@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright._arrays import Bools, Floats, Ints, between, freeze, frozen, positive, same_length
 from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
 from turnwright.errors import InputError
@@ -575,8 +576,7 @@ def drifts(time: Floats | None, record: Floats, air: Bools, degree: int) -> Floa
     """Return the columns of a drift of each record. (n, records times (degree + 1))."""
     if time is None:
         raise InputError("cuts without times have a drift to be found: give their times, or no drift")
-    if isinstance(degree, bool) or not isinstance(degree, int) or not 0 <= degree <= HIGHEST_DRIFT:
-        raise InputError(f"the degree of the drift is {degree!r}, the limits are 0 to 6: give a whole number")
+    degree = given.whole(degree, "the degree of the drift", 0, HIGHEST_DRIFT)
     columns = []
     for one in np.unique(record):
         inside = record == one

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright.errors import InputError
 from turnwright.machine import Axis
 from turnwright.strategy._split import smoothest
@@ -77,10 +78,10 @@ class HybridToolServo(Strategy):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "spindle_rpm", speed_of(self.plan))
-        given = [name for name in ("base", "tool", "fast") if getattr(self, name) is not None]
-        if given not in (["base", "tool"], ["fast"]):
+        ways = [name for name in ("base", "tool", "fast") if getattr(self, name) is not None]
+        if ways not in (["base", "tool"], ["fast"]):
             raise InputError(
-                f"the motion is split by {' and '.join(given) or 'nothing'}, it takes base and tool, or fast alone: "
+                f"the motion is split by {' and '.join(ways) or 'nothing'}, it takes base and tool, or fast alone: "
                 "give the slow share of the surface, or the limits of the fast tool"
             )
         for name, kind in (("base", Surface), ("tool", Tool), ("fast", Axis)):
@@ -92,9 +93,8 @@ class HybridToolServo(Strategy):
                 f"the fast tool travels from {self.fast.low} to {self.fast.high} mm, both ends are needed to split a "
                 "motion: state low and high"
             )
-        blocks = self.blocks_per_rev
-        if blocks is not None and not (isinstance(blocks, int) and blocks >= 8):
-            raise InputError(f"blocks_per_rev is {blocks}, it must be a whole number of at least 8: change it")
+        if self.blocks_per_rev is not None:
+            object.__setattr__(self, "blocks_per_rev", given.whole(self.blocks_per_rev, "blocks_per_rev", 8))
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
         """Return the spiral of the plan."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright._arrays import positive
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
@@ -145,10 +146,8 @@ class SlowToolServo(Strategy):
                 f"the points of the spiral are set by {' and '.join(ways) or 'nothing'}: give exactly one of "
                 "points_per_rev, arc_length and chord"
             )
-        if self.points_per_rev is not None and not (isinstance(self.points_per_rev, int) and self.points_per_rev >= 8):
-            raise InputError(
-                f"points_per_rev is {self.points_per_rev}, it must be a whole number of at least 8: change it"
-            )
+        if self.points_per_rev is not None:
+            object.__setattr__(self, "points_per_rev", given.whole(self.points_per_rev, "points_per_rev", 8))
         if self.max_step is not None:
             if self.points_per_rev is not None:
                 raise InputError(
@@ -187,24 +186,20 @@ class SlowToolServo(Strategy):
             If there are more points than any controller takes.
         """
         self._require_overlap(tool)
-        end = -tool.offset[0] - self.overrun
-        start = part.radius + self._lead(part, tool)
         if self.points_per_rev is not None:
-            step = TURN / self.points_per_rev
-            angle = turned = _steps((start - end) / self.feed * self.points_per_rev) * step
+            last = self._last(part, tool, self.points_per_rev)
+            spiral = self._some(np.arange(last + 1.0), last, self.points_per_rev, tool)
         else:
+            end, start = self._ends(part, tool)
             if self.chord is not None:
                 turned = self._by_chord(part, tool, end, start, progress)
             else:
                 turned = self._by_arc(end, start)
             angle = turned if self.inside_out else turned[-1] - turned[::-1]
-        radius = end + self.feed / TURN * turned
+            radius = end + self.feed / TURN * (turned if self.inside_out else turned[::-1])
+            spiral = Spiral(angle=self.sense * angle, radius=radius)
         outward = self.sense if self.inside_out else -self.sense
-        return Spiral(
-            angle=self.sense * angle,
-            radius=radius if self.inside_out else radius[::-1],
-            radius_rate=np.full(radius.size, outward * self.feed / TURN),
-        )
+        return replace(spiral, radius_rate=np.full(spiral.radius.size, outward * self.feed / TURN))
 
     def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
         """Return some of the points of `spiral`; where the same azimuths return in every turn, without making all."""
@@ -236,16 +231,22 @@ class SlowToolServo(Strategy):
 
     def _last(self, part: Part, tool: Tool, per_turn: int) -> int:
         """Return the number of the last point, from 0, where every turn has as many."""
-        end = -tool.offset[0] - self.overrun
-        last = max(math.ceil((part.radius + self._lead(part, tool) - end) / self.feed * per_turn - 1e-6), 0)
-        _check_count(last)
-        return last
+        end, start = self._ends(part, tool)
+        return _count((start - end) / self.feed * per_turn)
 
     def _some(self, at: Floats, last: int, per_turn: int, tool: Tool) -> Spiral:
         """Return points of `spiral` by their numbers. (n,)."""
         step = TURN / per_turn
         turned = (at if self.inside_out else last - at) * step
-        return Spiral(angle=self.sense * (at * step), radius=-tool.offset[0] - self.overrun + self.feed / TURN * turned)
+        return Spiral(angle=self.sense * (at * step), radius=self._end(tool) + self.feed / TURN * turned)
+
+    def _end(self, tool: Tool) -> float:
+        """Return the commanded radius of the inner end. [mm]."""
+        return -tool.offset[0] - self.overrun
+
+    def _ends(self, part: Part, tool: Tool) -> tuple[float, float]:
+        """Return the commanded radius of the inner end and, if no step were to be kept, of the outer one. [mm]."""
+        return self._end(tool), part.radius + self._lead(part, tool)
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm]."""
@@ -342,8 +343,13 @@ def _check_count(count: float) -> None:
 
 def _steps(count: float) -> Floats:
     """Return 0, 1, 2 and so on up to ``count``, rounded up but for what is rounding itself. (n,)."""
-    _check_count(count)
-    return np.arange(max(math.ceil(count - 1e-6), 0) + 1, dtype=np.float64)
+    return np.arange(_count(count) + 1, dtype=np.float64)
+
+
+def _count(steps: float) -> int:
+    """Return how many steps there are, rounded up but for what is rounding itself."""
+    _check_count(steps)
+    return max(math.ceil(steps - 1e-6), 0)
 
 
 def _arc(psi: Floats) -> Floats:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
+from turnwright import _given as given
 from turnwright.errors import InputError
 from turnwright.surface._surface import Surface
 from turnwright.units import LEAST, MOST
@@ -40,9 +41,7 @@ MAX_DEGREE = 100
 
 def whole(key: object, what: str) -> int:
     """Return ``key`` if it is a whole number of 0 or more."""
-    if isinstance(key, bool) or not isinstance(key, Integral) or int(key) < 0:
-        raise InputError(f"{what} is {key!r}, it must be a whole number of at least 0: correct it")
-    return int(key)
+    return given.whole(key, what, 0)
 
 
 def whole_pair(key: object, what: str) -> tuple[int, int]:
