@@ -1,6 +1,7 @@
 """Placing the edge. Oracles: closed form on planes and spheres, the tangent condition, brute-force dilation."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,38 +23,45 @@ def brute_force(surface, tool, angle, radius, sense):
     return brute_contact(surface, tool, angle, radius, sense, np.inf)[0]
 
 
+@cache
+def samples(tool, sense):
+    """Return places on the edge every 10 nm or less, and where they are."""
+    low, high = tool.arc
+    s = np.linspace(low, high, int((high - low) * tool.nose_radius / 1e-5) + 1)
+    return s, tool.edge(s, sense)
+
+
 def brute_contact(surface, tool, angle, radius, sense, rim):
     """Dilate by the surface inside the rim: sample the edge every 10 nm or less, refine around every near maximum.
 
     Return the height, and how far from the axis the contact is.
     """
-    low, high = tool.arc
 
-    def where(s):
-        u, v, e = tool.edge(s, sense)
+    def where(edge):
+        u, v, e = edge
         along, c, n = radius + u, np.cos(angle), np.sin(angle)
         return along * c - v * n, along * n + v * c, e
 
-    def lift(s):
-        x, y, e = where(s)
+    def lift(edge):
+        x, y, e = where(edge)
         # Within rounding of the axis the azimuth is noise; a contact there is approached from beside it.
         counts = (np.hypot(x, y) >= 1e-9) & (np.hypot(x, y) <= rim * (1 + 1e-14))
         return np.where(counts, surface.evaluate(x, y, 0)[0], -np.inf) - e
 
-    s = np.linspace(low, high, int((high - low) * tool.nose_radius / 1e-5) + 1)
-    g = lift(s)
+    s, edge = samples(tool, sense)
+    g = lift(edge)
     best, place = g.max(), s[g.argmax()]
     peaks = np.flatnonzero((g[1:-1] >= g[:-2]) & (g[1:-1] >= g[2:]) & (g[1:-1] > best - 1e-5)) + 1
     for i in peaks:
         a, b = s[i - 1], s[i + 1]
         for _ in range(9):
             fine = np.linspace(a, b, 101)
-            values = lift(fine)
+            values = lift(tool.edge(fine, sense))
             j = int(values.argmax())
             if values[j] > best:
                 best, place = float(values[j]), fine[j]
             a, b = fine[max(j - 1, 0)], fine[min(j + 1, 100)]
-    x, y, _ = where(np.array([place]))
+    x, y, _ = where(tool.edge(np.array([place]), sense))
     return best, float(np.hypot(x, y)[0])
 
 
