@@ -45,14 +45,16 @@ def study(
     out: Folder,
     measure: Annotated[
         list[str],
-        typer.Option(metavar="NAME", help='What to measure, such as "sq_nm", "minutes" or "peak_acceleration@X".'),
+        typer.Option(
+            metavar="NAME", help='What to measure, such as "sq_nm", "minutes" or "peak_acceleration@X"; once for each.'
+        ),
     ],
     vary: Annotated[
         list[str],
         typer.Option(
             metavar="FIELD=VALUES",
             help='A field of the job and its values: "tool.nose_radius=0.1..1 mm:10", "strategy.feed=2, 4, 8 um/rev", '
-            '"actual.tool.offset.0=normal(0, 2) um".',
+            '"actual.tool.offset.0=normal(0, 2) um"; once for each field.',
         ),
     ],
     design: Annotated[
