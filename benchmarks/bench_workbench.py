@@ -57,20 +57,32 @@ def typed(data, turn):
 
 
 def start(times=3):
-    """Seconds until the page can be opened, until it is there, and until the first check of the lens is."""
-    ready, page, first = [], [], []
+    """Seconds until the page can be opened, until it is there, and until the lens's first surface and check are."""
+    ready, page, surface, check = [], [], [], []
     for turn in range(times):
         with tempfile.TemporaryDirectory() as folder, serving(folder) as (address, spent):
             began = time.perf_counter()
             one = Page(address)
-            for path in ("/", "/app.js", "/form.js", "/style.css", "/api/about", "/api/schema", "/api/examples"):
+            for path in (
+                "/",
+                "/app.js",
+                "/form.js",
+                "/scene.js",
+                "/vendor/three.js",
+                "/style.css",
+                "/api/about",
+                "/api/schema",
+                "/api/examples",
+            ):
                 one.ask(path)
             page.append(time.perf_counter() - began)
             ready.append(spent)
-            lens = one.told("/api/examples/infrared_lens")["data"]
-            one.ask("/api/job/check", typed(lens, turn + 1))
-            first.append(time.perf_counter() - began)
-    return ready, page, first
+            lens = typed(one.told("/api/examples/infrared_lens")["data"], turn + 1)
+            one.ask("/api/view/surface", lens | {"quantity": "height", "pixels": 288})
+            surface.append(time.perf_counter() - began)
+            one.ask("/api/job/check", lens)
+            check.append(time.perf_counter() - began)
+    return ready, page, surface, check
 
 
 def checks(page, data, times, first=0):

@@ -5,6 +5,7 @@ import { get, postForFile, reach, upload } from "./api.js";
 import { checkSoon, currentToml, lastText, mount as mountForm, namesFiles, readToml, redo, settled, takeJob, undo } from "./form.js";
 import { mount as mountVerdict } from "./verdict.js";
 import { mount as mountRuns, refresh, start } from "./runs.js";
+import { askAhead } from "./seen.js";
 import { on, say, set, state } from "./state.js";
 import { Icon, Mark, Tool, fileName, saveText, useStore } from "./ui.js";
 
@@ -432,12 +433,18 @@ async function ask() {
 
 let scene = null;
 
-/** The scene is large: it is fetched when there is something to see. */
+/** The scene is large: it comes once the page stands, or with the first job. */
+function makeScene() {
+  scene ??= import("./scene.js").then(({ mount }) => mount($("scene")));
+  return scene;
+}
+
 async function showScene() {
   $("welcome").hidden = Boolean(state.job);
-  if (!state.job || scene) return;
-  scene = import("./scene.js");
-  (await scene).mount($("scene"));
+  $("scene").hidden = !state.job;
+  if (!state.job || $("scene").hasChildNodes()) return;
+  if (!state.errors.length) askAhead(state.job, state.quantity);
+  await makeScene();
 }
 
 async function begin() {
@@ -461,6 +468,11 @@ async function begin() {
   on("job", () => showScene().catch((error) => say(`The scene did not load (${error.message}): reload the page.`, "bad")), { now: true });
   on("run", ({ run }) => run && panes.show("right", true));
   reach.lost = lost;
+  // After the examples are painted: whoever is quick finds the scene made, or half made.
+  const stop = on("examples", () => {
+    stop();
+    requestAnimationFrame(() => setTimeout(() => makeScene().catch(() => {}))); // with a job it is said
+  });
   await ask();
   const last = tab.read();
   if (last?.job && !state.job) takeJob({ job: last.job, written: last.written, title: last.title, errors: last.errors ?? [] });

@@ -12,12 +12,12 @@ import {
 import { getPacked, postPacked } from "./api.js";
 import { drawBar, fitted, inks, paint, said, scaleOf, spanned, tableOf, ticks, tickText } from "./colour.js";
 import { CLIENT, element, framed } from "./dom.js";
+import { surfaceOf } from "./seen.js";
 import { on, say, set, state } from "./state.js";
 import { length, number } from "./ui.js";
 
 const RINGS = 160;
 const RAYS = 288;
-const PIXELS = 288;
 const POINTS = 6000;
 const SHOWN = 0.2;
 const STEEPEST = 0.9;
@@ -47,6 +47,34 @@ const degrees = (angle) => `${(Number((((angle * 180) / Math.PI) % 360).toFixed(
 function round(most) {
   const power = 10 ** Math.floor(Math.log10(most));
   return (most >= 5 * power ? 5 : most >= 2 * power ? 2 : 1) * power;
+}
+
+/** The places on a disc of radius 1 at which the part is drawn, ring by ring from its middle, and the triangles between them. */
+function disc() {
+  const count = RINGS * RAYS + 1;
+  const places = new Float32Array(2 * count);
+  const faces = new Uint32Array(3 * RAYS * (2 * RINGS - 1));
+  let filled = 0;
+  const face = (a, b, c) => {
+    faces[filled++] = a;
+    faces[filled++] = b;
+    faces[filled++] = c;
+  };
+  for (let ray = 0; ray < RAYS; ray++) {
+    const [cosine, sine] = [Math.cos((2 * Math.PI * ray) / RAYS), Math.sin((2 * Math.PI * ray) / RAYS)];
+    const next = (ray + 1) % RAYS;
+    face(0, 1 + ray, 1 + next);
+    for (let ring = 0; ring < RINGS; ring++) {
+      const a = 1 + ring * RAYS;
+      places[2 * (a + ray)] = ((ring + 1) / RINGS) * cosine;
+      places[2 * (a + ray) + 1] = ((ring + 1) / RINGS) * sine;
+      if (ring + 1 === RINGS) continue;
+      const b = a + RAYS;
+      face(a + ray, b + ray, b + next);
+      face(a + ray, b + next, a + next);
+    }
+  }
+  return { places, uv: places.map((one) => 0.5 + one / 2), faces };
 }
 
 class View {
@@ -104,6 +132,16 @@ class View {
     this.part = new Group();
     this.axes = new Group();
     this.scene.add(this.part, this.axes);
+    this.disc = disc();
+    this.texture = new DataTexture(new Uint8Array(4), 1, 1, RGBAFormat, UnsignedByteType);
+    this.face = new Mesh(new BufferGeometry(), new MeshLambertMaterial({ map: this.texture, side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }));
+    this.wall = new Mesh(new BufferGeometry(), new MeshLambertMaterial({ side: DoubleSide }));
+    this.part.add(this.face, this.wall);
+    // What draws them is compiled now, beside all else, rather than while somebody waits for the picture.
+    const alike = new Group().add(new LineSegments(new BufferGeometry(), new LineBasicMaterial()), this.label("", "#000"));
+    this.scene.add(alike);
+    this.renderer.compile(this.scene, this.camera);
+    this.scene.remove(alike);
     this.ray = new Raycaster();
     this.draw = framed(() => this.drawNow());
     this.canvas.addEventListener("webglcontextlost", () => {
@@ -147,7 +185,7 @@ class View {
       sprite.scale.set(high * sprite.userData.aspect, high, 1);
     }
     this.renderer.render(this.scene, this.camera);
-    this.box.dataset.drawn = String((Number(this.box.dataset.drawn) || 0) + 1);
+    if (this.surface) this.box.dataset.drawn = String((Number(this.box.dataset.drawn) || 0) + 1);
   }
 
   /** Look from one side because somebody wants to. */
@@ -255,7 +293,7 @@ class View {
     try {
       const missing = this.missing();
       const [surface, found] = await Promise.all([
-        postPacked("/view/surface", { data: job, quantity: FOUND[quantity] ? "height" : quantity, pixels: PIXELS, client: CLIENT }, { signal }),
+        surfaceOf(job, FOUND[quantity] ? "height" : quantity, signal),
         FOUND[quantity] && !missing ? FOUND[quantity](run, { signal }) : null,
       ]);
       if (signal.aborted) return;
@@ -293,8 +331,10 @@ class View {
     const z = arrays.z.data;
     const u = Math.max(0, Math.min(columns - 1.000001, ((x - header.x[0]) / (header.x[1] - header.x[0])) * (columns - 1)));
     const v = Math.max(0, Math.min(rows - 1.000001, ((y - header.y[0]) / (header.y[1] - header.y[0])) * (rows - 1)));
-    const [i, j] = [Math.floor(u), Math.floor(v)];
-    const [s, t] = [u - i, v - j];
+    const i = Math.floor(u);
+    const j = Math.floor(v);
+    const s = u - i;
+    const t = v - j;
     const at = j * columns + i;
     return (1 - t) * ((1 - s) * z[at] + s * z[at + 1]) + t * ((1 - s) * z[at + columns] + s * z[at + columns + 1]);
   }
@@ -347,43 +387,20 @@ class View {
   makePart() {
     const { header } = this.surface;
     const radius = header.radius;
+    const { places: unit, uv, faces } = this.disc;
     const places = new Float32Array((RINGS * RAYS + 1) * 3);
-    const uv = new Float32Array((RINGS * RAYS + 1) * 2);
-    const put = (at, x, y) => {
-      places.set([x, y, this.up(this.heightAt(x, y))], 3 * at);
-      uv.set([0.5 + x / (2 * radius), 0.5 + y / (2 * radius)], 2 * at);
-    };
-    put(0, 0, 0);
-    for (let ring = 0; ring < RINGS; ring++) {
-      const r = (radius * (ring + 1)) / RINGS;
-      for (let ray = 0; ray < RAYS; ray++) {
-        const angle = (2 * Math.PI * ray) / RAYS;
-        put(1 + ring * RAYS + ray, r * Math.cos(angle), r * Math.sin(angle));
-      }
-    }
-    const faces = [];
-    for (let ray = 0; ray < RAYS; ray++) {
-      const next = (ray + 1) % RAYS;
-      faces.push(0, 1 + ray, 1 + next);
-      for (let ring = 0; ring < RINGS - 1; ring++) {
-        const [a, b] = [1 + ring * RAYS, 1 + (ring + 1) * RAYS];
-        faces.push(a + ray, b + ray, b + next, a + ray, b + next, a + next);
-      }
+    for (let at = 0, from = 0; from < unit.length; at += 3, from += 2) {
+      places[at] = radius * unit[from];
+      places[at + 1] = radius * unit[from + 1];
+      places[at + 2] = this.up(this.heightAt(places[at], places[at + 1]));
     }
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(places, 3));
     geometry.setAttribute("uv", new BufferAttribute(uv, 2));
-    geometry.setIndex(faces);
+    geometry.setIndex(new BufferAttribute(faces, 1));
     geometry.computeVertexNormals();
-    if (!this.face) {
-      this.texture = new DataTexture(new Uint8Array(4), 1, 1, RGBAFormat, UnsignedByteType);
-      this.face = new Mesh(geometry, new MeshLambertMaterial({ map: this.texture, side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }));
-      this.wall = new Mesh(new BufferGeometry(), new MeshLambertMaterial({ side: DoubleSide }));
-      this.part.add(this.face, this.wall);
-    } else {
-      this.face.geometry.dispose();
-      this.face.geometry = geometry;
-    }
+    this.face.geometry.dispose();
+    this.face.geometry = geometry;
     // The body below, so that a part looks like one.
     const lowest = Math.min(...Array.from({ length: RAYS }, (_, ray) => places[3 * (1 + (RINGS - 1) * RAYS + ray) + 2]), this.up(header.z_low));
     this.floor = lowest - 0.1 * radius;
@@ -909,7 +926,7 @@ class View {
     const box = this.canvas.getBoundingClientRect();
     const at = new Vector2(((event.clientX - box.left) / box.width) * 2 - 1, 1 - ((event.clientY - box.top) / box.height) * 2);
     this.ray.setFromCamera(at, this.camera);
-    const [found] = this.face ? this.ray.intersectObject(this.face) : [];
+    const [found] = this.ray.intersectObject(this.face);
     return found ? [found.point.x, found.point.y] : null;
   }
 
