@@ -9,21 +9,25 @@ LENS := out/infrared_lens
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /	/' | expand -t 13
 
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
 # Stamps: an environment is made once, and again when what it is made from changes.
-$(VENV)/.installed: pyproject.toml
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[web]'
+$(VENV)/.installed: pyproject.toml | $(BIN)/python
+	$(INSTALL) --editable '.[web]'
 	touch $@
 
 $(VENV)/.testing: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	$(INSTALL) --editable '.[test]'
 	touch $@
 
 # CI installs the versions of requirements.lock; LOCK= takes the newest instead.
 LOCK ?= --constraint requirements.lock
-$(VENV)/.developing: $(VENV)/.installed requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(LOCK) --editable '.[test,docs,dev]'
-	touch $@ $(VENV)/.testing
+$(VENV)/.developing: pyproject.toml requirements.lock | $(BIN)/python
+	$(INSTALL) $(LOCK) --editable '.[web,test,docs,dev]'
+	touch $(VENV)/.installed $(VENV)/.testing $@
 
 setup: $(VENV)/.developing ## make the environment with everything a developer needs
 
