@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from turnwright import _given as given
 from turnwright import units
 from turnwright._arrays import Floats, between, frozen, positive
+from turnwright._given import whole as whole_number
 from turnwright._toml import read_toml
 from turnwright.errors import InputError
 from turnwright.response import FrequencyResponse, Response, SecondOrder, TransferFunction
@@ -152,7 +152,7 @@ class Controller:
                 f"other_interpolations names {self.interpolation!r}, which is the interpolation already: leave it out"
             )
         if self.look_ahead is not None:
-            object.__setattr__(self, "look_ahead", given.whole(self.look_ahead, "look_ahead", 1))
+            object.__setattr__(self, "look_ahead", whole_number(self.look_ahead, "look_ahead", 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

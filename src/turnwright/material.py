@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from turnwright import _given as given
 from turnwright import units
 from turnwright._arrays import Floats, between, frozen, positive
+from turnwright._given import whole as whole_number
 from turnwright._toml import read_toml
 from turnwright.errors import InputError
 
@@ -59,7 +59,7 @@ class Lobes:
     maximum: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "count", given.whole(self.count, "lobes count", 1, MOST_LOBES))
+        object.__setattr__(self, "count", whole_number(self.count, "lobes count", 1, MOST_LOBES))
         between(self.amplitude, "lobes amplitude", 0.0, 0.99, "of the mean")
         if not np.isfinite(self.maximum):
             raise InputError(f"lobes maximum is {self.maximum}, it must be finite: give an angle")

@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright import _given as given
 from turnwright._arrays import Floats, between, frozen, positive
+from turnwright._given import whole as whole_number
 from turnwright.cutting.chip import OrthogonalChip, RoundChip
 from turnwright.errors import InputError
 
@@ -287,7 +287,7 @@ class SlotMill:
             raise InputError(
                 f"feed_per_tooth is {self.feed_per_tooth:g} mm on a radius of {self.radius:g} mm: reduce it below that"
             )
-        object.__setattr__(self, "teeth", given.whole(self.teeth, "teeth", 1))
+        object.__setattr__(self, "teeth", whole_number(self.teeth, "teeth", 1))
         if not 0 <= self.entry < self.exit <= np.pi + 1e-12:
             raise InputError(
                 f"a tooth cuts from {np.rad2deg(self.entry):g} to {np.rad2deg(self.exit):g} deg, the limits are 0 to "

@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright import _given as given
 from turnwright._arrays import Bools, Floats, Ints, between, freeze, frozen, positive, same_length
+from turnwright._given import whole as whole_number
 from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
 from turnwright.errors import InputError
 
@@ -576,7 +576,7 @@ def drifts(time: Floats | None, record: Floats, air: Bools, degree: int) -> Floa
     """Return the columns of a drift of each record. (n, records times (degree + 1))."""
     if time is None:
         raise InputError("cuts without times have a drift to be found: give their times, or no drift")
-    degree = given.whole(degree, "the degree of the drift", 0, HIGHEST_DRIFT)
+    degree = whole_number(degree, "the degree of the drift", 0, HIGHEST_DRIFT)
     columns = []
     for one in np.unique(record):
         inside = record == one

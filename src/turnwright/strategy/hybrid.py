@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright import _given as given
+from turnwright._given import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.machine import Axis
 from turnwright.strategy._split import smoothest
@@ -94,7 +94,7 @@ class HybridToolServo(Strategy):
                 "motion: state low and high"
             )
         if self.blocks_per_rev is not None:
-            object.__setattr__(self, "blocks_per_rev", given.whole(self.blocks_per_rev, "blocks_per_rev", 8))
+            object.__setattr__(self, "blocks_per_rev", whole_number(self.blocks_per_rev, "blocks_per_rev", 8))
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
         """Return the spiral of the plan."""

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright import _given as given
 from turnwright._arrays import positive
+from turnwright._given import whole as whole_number
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
 from turnwright.strategy._strategy import Strategy, glimpsed
@@ -147,7 +147,7 @@ class SlowToolServo(Strategy):
                 "points_per_rev, arc_length and chord"
             )
         if self.points_per_rev is not None:
-            object.__setattr__(self, "points_per_rev", given.whole(self.points_per_rev, "points_per_rev", 8))
+            object.__setattr__(self, "points_per_rev", whole_number(self.points_per_rev, "points_per_rev", 8))
         if self.max_step is not None:
             if self.points_per_rev is not None:
                 raise InputError(

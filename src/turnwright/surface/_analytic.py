@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from turnwright import _given as given
+from turnwright._given import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.surface._surface import Surface
 from turnwright.units import LEAST, MOST
@@ -41,7 +41,7 @@ MAX_DEGREE = 100
 
 def whole(key: object, what: str) -> int:
     """Return ``key`` if it is a whole number of 0 or more."""
-    return given.whole(key, what, 0)
+    return whole_number(key, what, 0)
 
 
 def whole_pair(key: object, what: str) -> tuple[int, int]:
