@@ -93,6 +93,11 @@ def begun(one, press):
     return one.answer("/api/runs", press).json()["id"]
 
 
+def gone(one, name):
+    """Throw a run away, which other tests do not know."""
+    assert one.page.request.delete(f"{one.address.rstrip('/')}/api/runs/{name}").status == 204
+
+
 @pytest.fixture(scope="module")
 def done(chrome, address, by_hand):
     """The job, carried out by a press on Run; the run's id."""
@@ -220,7 +225,7 @@ def test_remarks_stay_when_a_job_is_changed_undone_and_run(bench, by_hand, tmp_p
     page.get_by_role("button", name="Undo").click()
     assert one.download(save).decode() == text
     page.get_by_role("button", name="Redo").click()
-    begun(one, page.locator("#run").click)
+    name = begun(one, page.locator("#run").click)
     page.locator("#outcome").wait_for()
     links = page.locator("#outcome .downloads")
     assert one.download(links.get_by_role("link", name="Job as written")).decode() == wanted
@@ -232,6 +237,7 @@ def test_remarks_stay_when_a_job_is_changed_undone_and_run(bench, by_hand, tmp_p
     page.reload()
     expect(feed).to_have_value("50 um/rev")
     assert one.download(save).decode() == wanted
+    gone(one, name)
 
 
 def test_text_counts_as_soon_as_it_is_typed(bench, by_hand):
@@ -240,13 +246,16 @@ def test_text_counts_as_soon_as_it_is_typed(bench, by_hand):
     page.get_by_role("tab", name="TOML").click()
     text = page.get_by_label("The job as TOML")
     text.fill(text.input_value().replace('"20 um/rev"', '"49 um/rev"').replace('"dish"', '"quick"'))
-    asked = one.answer("/api/runs", lambda: text.press("Control+Enter")).request.post_data_json
+    answer = one.answer("/api/runs", lambda: text.press("Control+Enter"))
+    asked = answer.request.post_data_json
     assert asked["data"]["strategy"]["feed"] == "49 um/rev"
     assert '"49 um/rev"' in asked["toml"]
     text.fill(text.input_value().replace('"49 um/rev"', '"48 um/rev"'))
     assert '"48 um/rev"' in one.download(page.get_by_role("button", name="Save the job file")).decode()
     page.get_by_role("tab", name=re.compile("^Runs")).click()
     expect(page.locator(".run", has_text="quick")).to_have_attribute("data-state", "done")
+    one.drawn("#panel-maps canvas.mapcanvas", colours=60)  # what the page asks for itself is there
+    gone(one, answer.json()["id"])
 
 
 def test_a_file_goes_to_its_field_into_the_archive_and_back(bench, tmp_path):
