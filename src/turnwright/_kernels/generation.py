@@ -208,6 +208,16 @@ def stacked(position, level, count, mirrored, profile, table, low, high, stack, 
             stack[depth], limit[depth] = i, limit[i]
             depth += 1
         return depth
+    if low == high:  # one sample: crossings on either side of it cannot be told apart
+        lowest, least, side = -1, FAR, -1.0 if mirrored else 1.0
+        for i in range(count):
+            z = level[i] + height(profile, table, side * (low - position[i]))
+            if z < least:
+                lowest, least = i, z
+        if lowest < 0:
+            return 0
+        stack[0], limit[0] = lowest, high
+        return 1
     depth = 0
     for i in range(count):
         dropped = False
