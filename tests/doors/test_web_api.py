@@ -305,7 +305,9 @@ def test_a_correction_plans_with_the_tool_as_it_was_found(client, measured, fold
 
 
 def test_a_damaged_file_ends_its_own_process_only(client, dish):
-    answer = client.post("/api/measurements", params={"run": dish[0], "name": "../my part.x3p"}, content=b"PK\x03\x04 cut")
+    answer = client.post(
+        "/api/measurements", params={"run": dish[0], "name": "../my part.x3p"}, content=b"PK\x03\x04 cut"
+    )
     name = answer.json()["id"]
     ended(client, name, state="failed")
     told = client.get(f"/api/measurements/{name}").json()

@@ -75,6 +75,7 @@ class Bench:
     def __init__(self, chrome, address, *, size=(1280, 800), dark=False, touch=False):
         self.address = address
         self.wrong = []
+        self._waits = set()
         width, height = size
         self.context = chrome.new_context(
             viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light", has_touch=touch
@@ -86,6 +87,7 @@ class Bench:
             "pageerror": lambda error: self.wrong.append(f"error: {error}"),
             "request": self._asked,
             "requestfailed": self._failed,
+            "requestfinished": self._finished,
             "response": self._answered,
         }.items():
             self.page.on(event, hear)
@@ -97,13 +99,19 @@ class Bench:
 
     def _asked(self, request):
         asked = urlsplit(request.url)
+        if not asked.path.endswith("/events"):  # these stay open
+            self._waits.add(request)
         if asked.scheme not in ("blob", "data") and asked[:2] != urlsplit(self.address)[:2]:
             self.wrong.append(f"asked elsewhere: {request.url}")
 
     def _failed(self, request):
+        self._waits.discard(request)
         # A question that a later one has replaced is given up by the page itself.
         if request.failure != "net::ERR_ABORTED":
             self.wrong.append(f"failed: {request.url}, {request.failure}")
+
+    def _finished(self, request):
+        self._waits.discard(request)
 
     def _answered(self, response):
         # 409 says to a question that a later one has taken its place.
@@ -141,6 +149,11 @@ class Bench:
     def store(self, key):
         """Return what the page itself keeps."""
         return self.page.evaluate("async (key) => (await import('/state.js')).state[key]", key)
+
+    def open_questions(self):
+        """Return what the page has asked within a moment, and waits for."""
+        self.page.wait_for_timeout(300)
+        return self._waits
 
     def answer(self, path, act):
         """Return what the server answers to the first question at a path that `act` makes the page ask."""
