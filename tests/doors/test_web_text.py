@@ -115,7 +115,8 @@ def test_what_cannot_be_changed_in_place_is_still_the_job():
     text = written(job, HAND)
     assert as_tables(tomllib.loads(text)) == job
     assert "# certified" in text
-    for broken in ("[part", "\ufeff" + HAND, "a = 1\n" * 2):
+    twice = ("[a]\nb = 1\nb = 2\n", "a = {b = 1, b = 2}\n", "[a]\nb = 1\n[a.b]\n")
+    for broken in ("[part", "\ufeff" + HAND, "a = 1\n" * 2, *twice):
         assert as_tables(tomllib.loads(written(job, broken))) == job
     assert "# certified" in written(job, "\ufeff" + HAND)
 

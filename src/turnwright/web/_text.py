@@ -51,7 +51,9 @@ def written(data: Mapping[str, Any], before: str = "") -> str:
     wanted = as_tables(_stated(data))
     # A few ways of writing cannot be changed in their place: then the tables that differ are written anew.
     for whole in (False, True) if 0 < len(before) <= LONGEST else ():
-        with suppress(ValueError, TypeError, LookupError, AttributeError, RecursionError):
+        from tomlkit.exceptions import TOMLKitError  # noqa: PLC0415 - only a text that was written by hand needs it
+
+        with suppress(TOMLKitError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
             found = _changed(before, wanted, whole=whole)
             if _same(as_tables(tomllib.loads(found)), wanted):
                 return found
