@@ -10,6 +10,8 @@ import pytest
 pytest.importorskip("tomlkit", reason="the workbench is an extra: pip install 'turnwright[web]'")
 
 from turnwright.web._examples import examples
+from turnwright.web._queue import Runs
+from turnwright.web._references import text_in
 from turnwright.web._text import as_tables, written
 
 HAND = """\
@@ -119,6 +121,16 @@ def test_what_cannot_be_changed_in_place_is_still_the_job():
     for broken in ("[part", "\ufeff" + HAND, "a = 1\n" * 2, *twice):
         assert as_tables(tomllib.loads(written(job, broken))) == job
     assert "# certified" in written(job, "\ufeff" + HAND)
+
+
+def test_a_run_keeps_a_text_with_the_ends_of_lines_that_it_has(tmp_path):
+    """Oracle: the bytes."""
+    runs = Runs(tmp_path, at_a_time=0)
+    text = HAND.replace("\n", "\r\n")
+    assert written(as_tables(tomllib.loads(HAND)), text) == text
+    run = runs.add(runs.new_folder(), {}, kind="run", name="", text=text)
+    assert runs.text(run) == text_in(runs.folder_of(run)) == text
+    assert (runs.folder_of(run) / "job.toml").read_bytes() == text.encode()
 
 
 def places(value, at=()):

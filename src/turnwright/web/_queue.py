@@ -25,7 +25,7 @@ from turnwright._whole import write_whole
 from turnwright.errors import InputError
 from turnwright.progress import THREADS, cores
 from turnwright.web._limits import LONGEST_H, PARSE_BYTES, PARSE_S
-from turnwright.web._references import JOB
+from turnwright.web._references import JOB, text_in
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Mapping
@@ -192,7 +192,7 @@ class Runs:
         run = Run(id=folder.name[1:], kind=kind, name=name[:120], created=_now(), **more)
         (folder / "job.json").write_text(json.dumps(data), encoding="utf-8")
         if text:
-            (folder / JOB).write_text(text, encoding="utf-8")
+            (folder / JOB).write_bytes(text.encode())  # as it is: Windows would write other ends of lines
         (folder / "state.json").write_text(json.dumps(asdict(run)), encoding="utf-8")
         folder.rename(self.place / run.id)
         self._runs[run.id] = run
@@ -207,9 +207,7 @@ class Runs:
 
     def text(self, run: Run) -> str:
         """Return the job of a run as somebody wrote it; empty if nobody did."""
-        with suppress(OSError, UnicodeDecodeError):
-            return (self.place / run.id / JOB).read_text(encoding="utf-8")
-        return ""
+        return text_in(self.place / run.id)
 
     def start(self) -> None:
         """Begin as many of the runs that wait as there is room for."""

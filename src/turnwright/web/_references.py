@@ -11,6 +11,7 @@ import json
 import re
 import tomllib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,6 +35,7 @@ __all__ = [
     "plain_name",
     "renamed",
     "shown_name",
+    "text_in",
 ]
 
 FILE_KEYS = frozenset({"file", "correction", "waviness_file", "straightness_file"})
@@ -209,6 +211,13 @@ def beside(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], dict[str
             name = f"{Path(reference).stem}-{number}{path.suffix}"
         files[name], names[reference] = path, name
     return renamed(data, lambda _, value: names.get(value, value)), files
+
+
+def text_in(run: Path) -> str:
+    """Return the job of a run as somebody wrote it, ends of lines and all; empty if nobody did."""
+    with suppress(OSError, UnicodeDecodeError):
+        return (run / JOB).read_bytes().decode("utf-8")
+    return ""
 
 
 def job_in(run: Path, folder: Path) -> dict[str, Any]:

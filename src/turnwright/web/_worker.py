@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from turnwright._stop import Stop
 from turnwright.errors import InputError, TurnwrightError
-from turnwright.web._references import BUNDLE, CORRECTION, JOB, job_in, located
+from turnwright.web._references import BUNDLE, CORRECTION, job_in, located, text_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -131,8 +131,7 @@ def _pack(run: Path, server: Path, out: Path) -> None:
 
     data = job_in(run, server)
     if located(data, server).references:
-        before = (run / JOB).read_text(encoding="utf-8") if (run / JOB).is_file() else ""
-        (out / BUNDLE).write_bytes(bundle(data, str(server), before))
+        (out / BUNDLE).write_bytes(bundle(data, str(server), text_in(run)))
 
 
 def _run(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> str:
