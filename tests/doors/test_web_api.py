@@ -306,13 +306,13 @@ def test_a_correction_plans_with_the_tool_as_it_was_found(client, measured, fold
 
 def test_a_damaged_file_ends_its_own_process_only(client, dish):
     answer = client.post(
-        "/api/measurements", params={"run": dish[0], "name": "../my part.x3p"}, content=b"PK\x03\x04 cut"
+        "/api/measurements", params={"run": dish[0], "name": "../my measured.x3p"}, content=b"PK\x03\x04 cut"
     )
     name = answer.json()["id"]
     ended(client, name, state="failed")
     told = client.get(f"/api/measurements/{name}").json()
-    assert "my part.x3p" in told["sentence"]  # as who brought it calls it
-    assert "measured" not in told["sentence"]
+    assert "my measured.x3p" in told["sentence"]  # as who brought it calls it
+    assert re.findall("my|measured", told["sentence"]) == ["my", "measured"]
     assert "/" not in told["sentence"].replace("and/or", "")
     assert client.delete(f"/api/runs/{name}").status_code == 204
     assert client.get(f"/api/runs/{name}").status_code == 404

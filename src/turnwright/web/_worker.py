@@ -185,7 +185,7 @@ def _measured(run: Path, server: Path, tell: _Teller, told: dict[str, Any]) -> M
             heights = read_map(file)
         except InputError as error:
             called = told["called"] or file.name
-            raise InputError(str(error).replace(str(file), called).replace(file.name, called)) from None
+            raise InputError(str(error).replace(str(file), file.name).replace(file.name, called)) from None
     tell("read the file", 1, 1)
     return measure(recipe, heights, progress=tell)
 
