@@ -14,7 +14,7 @@ from turnwright._toml import read_toml
 from turnwright.errors import InputError
 from turnwright.web._jobs import look_into, plain, read, require
 from turnwright.web._limits import BODY_BYTES, FILE_BYTES, FILE_ENDINGS
-from turnwright.web._references import JOB, beside, named, place_of, plain_name, renamed
+from turnwright.web._references import JOB, beside, named, place_of, plain_name, renamed, require_flat
 from turnwright.web._text import as_tables, written
 
 if TYPE_CHECKING:
@@ -84,6 +84,7 @@ def opened(file: str, folder: str) -> dict[str, Any]:
                 raise InputError(f"the archive holds no {JOB}: pack the job under this name, its files beside it")
             text = b"".join(_pieces(archive, entries[JOB], BODY_BYTES))
             job = read_toml(text, f"{JOB} in the archive")
+            require_flat(job)
             wanted = [one for one in named(job) if one.name in entries]
             if len(wanted) > MOST_FILES:
                 raise InputError(

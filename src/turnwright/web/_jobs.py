@@ -22,7 +22,7 @@ from turnwright.job._table import Table, sentences
 from turnwright.machine import Machine
 from turnwright.material import Material
 from turnwright.web._limits import MOST_POINTS
-from turnwright.web._references import located
+from turnwright.web._references import located, require_flat
 from turnwright.web._text import as_tables, written
 
 __all__ = [
@@ -201,9 +201,11 @@ def require(data: dict[str, Any], folder: str) -> Job:
 def parse(toml: str, folder: str) -> dict[str, Any]:
     """Return a job file as data, and what is wrong with it."""
     try:
-        data = plain(as_tables(read_toml(toml.encode("utf-8", "surrogatepass"), "the job")))
+        told = read_toml(toml.encode("utf-8", "surrogatepass"), "the job")
+        require_flat(told)
     except InputError as error:
         return {"data": {}, "errors": [{"field": "", "sentence": str(error)}]}
+    data = plain(as_tables(told))
     return {"data": data, "errors": read(data, folder)[1]}
 
 

@@ -15,6 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from turnwright.errors import InputError
 from turnwright.web._examples import example_files
 from turnwright.web._limits import FILE_ENDINGS
 
@@ -34,6 +35,7 @@ __all__ = [
     "place_of",
     "plain_name",
     "renamed",
+    "require_flat",
     "shown_name",
     "text_in",
 ]
@@ -43,6 +45,8 @@ FILE_KEYS = frozenset({"file", "correction", "waviness_file", "straightness_file
 
 DEEPEST = 40
 """Tables and lists within each other."""
+
+TOO_DEEP = f"the job has tables within each other to a depth of more than {DEEPEST}: make it flat"
 
 MOST_VALUES = 500_000
 
@@ -131,7 +135,7 @@ def located(data: dict[str, Any], folder: Path) -> Located:
         count += 1
         if depth > DEEPEST or count > MOST_VALUES:
             raise _Refused(
-                f"the job has tables within each other to a depth of more than {DEEPEST}: make it flat"
+                TOO_DEEP
                 if depth > DEEPEST
                 else f"the job has more than {MOST_VALUES} values, the limit: make it shorter"
             )
@@ -153,6 +157,22 @@ def located(data: dict[str, Any], folder: Path) -> Located:
         return found._replace(data=walked(data, "", "", 0))
     except _Refused as error:
         return Located({}, [{"field": "", "sentence": str(error)}], {})
+
+
+def require_flat(data: dict[str, Any]) -> None:
+    """Raise unless a job that was read can be walked: one key of many words makes tables as deep as it is long.
+
+    Raises
+    ------
+    InputError
+        If tables or lists within each other are too deep.
+    """
+    level: list[Any] = [data]
+    for _ in range(DEEPEST + 1):
+        tables = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list)]
+        level = [inner for one in tables for inner in one]
+    if level:
+        raise InputError(TOO_DEEP)
 
 
 def _names_file(key: str, value: object) -> bool:
