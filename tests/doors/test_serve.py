@@ -14,6 +14,7 @@ import pytest
 from job_files import changed
 
 from turnwright.cli import main
+from turnwright.web import _address
 
 PATIENCE_S = 60
 LONG = changed(("strategy.feed", "1 um/rev"), ("strategy.points_per_rev", 3600), ("simulation.patches", []))
@@ -87,6 +88,7 @@ def alive(pid):
         (["--host", "192.168.1.5"], "no token is given"),
         (["--host", "0.0.0.0", "--token", "short"], "16 to 200"),  # noqa: S104
         (["--host", "no.such.name.invalid", "--token", "x" * 16], "no server can listen"),
+        (["--host", "a..b", "--token", "x" * 16], "no name of a computer"),
         (["--port", "99999"], "65535"),
     ],
 )
@@ -116,3 +118,12 @@ def test_a_port_that_is_taken_is_refused(tmp_path, capsys):
         number = str(taken.getsockname()[1])
         assert main(["serve", "--no-open", "--port", number, "--folder", str(tmp_path)]) == 2
     assert "name another --port" in capsys.readouterr().err
+
+
+def test_under_windows_no_second_server_comes_in_beside_the_first(monkeypatch):
+    """Its own option for that is asked for, and never the one that lets anybody in."""
+    monkeypatch.setattr(_address.sys, "platform", "win32")
+    monkeypatch.setattr(_address.socket, "SO_EXCLUSIVEADDRUSE", socket.SO_KEEPALIVE, raising=False)
+    with _address.listening("127.0.0.1", 0) as (door, _):
+        assert door.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+        assert not door.getsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR)

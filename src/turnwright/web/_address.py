@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import socket
+import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -31,7 +32,7 @@ def is_loopback(host: str) -> bool:
 
 @contextmanager
 def listening(host: str, port: int) -> Iterator[tuple[socket.socket, str]]:
-    """Yield a socket that listens, and the address of the page.
+    """Yield a socket that is to listen, and the address of the page.
 
     Parameters
     ----------
@@ -48,11 +49,14 @@ def listening(host: str, port: int) -> Iterator[tuple[socket.socket, str]]:
     try:
         family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         door = socket.socket(family, kind, protocol)
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # a name of no length, or too long, has no place in a look-up
         raise _deaf(host, port, error) from error
     with door:
         try:
-            door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if sys.platform == "win32":  # where "reuse" lets a second server in beside the first
+                door.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+            else:
+                door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             door.bind(place)
         except OSError as error:
             raise _deaf(host, port, error) from error
@@ -70,7 +74,9 @@ def listening(host: str, port: int) -> Iterator[tuple[socket.socket, str]]:
         yield door, f"http://{name}:{number}"
 
 
-def _deaf(host: str, port: int, error: OSError) -> InputError:
+def _deaf(host: str, port: int, error: OSError | UnicodeError) -> InputError:
+    if isinstance(error, UnicodeError):
+        return InputError(f"no server can listen at {host[:60]!r}, which is no name of a computer: name another --host")
     return InputError(
         f"no server can listen at {host}:{port} ({error.strerror}): name another --port, or 0 for any that is free"
     )

@@ -47,7 +47,7 @@ def serve_until_stopped(
     Parameters
     ----------
     door
-        Listens already.
+        Bound to its address.
     folder
         Where runs are kept.
     token, origin, at_a_time

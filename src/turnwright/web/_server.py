@@ -60,7 +60,7 @@ def answer(app: FastAPI, door: socket.socket, ready: Callable[[], None]) -> None
     app
         Knows the answers.
     door
-        Listens already.
+        Bound to its address.
     ready
         Called once a browser may come.
     """
