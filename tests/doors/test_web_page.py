@@ -264,6 +264,47 @@ def test_text_counts_as_soon_as_it_is_typed(bench, by_hand):
     gone(one, answer.json()["id"])
 
 
+def test_text_that_the_server_did_not_read_is_neither_lost_nor_passed_over(bench, by_hand):
+    one = bench().take(by_hand.parent / "job.toml")
+    page = one.page
+    asked = []
+    page.on("request", lambda request: asked.append((request.method, urlsplit(request.url).path)))
+    page.get_by_role("tab", name="TOML").click()
+    text = page.get_by_label("The job as TOML")
+    typed = text.input_value().replace('"20 um/rev"', '"47 um/rev"').replace('"dish"', '"typed"')
+    page.route("**/api/job/parse", lambda route: route.fulfill(status=503, json={"detail": "too many questions"}))
+    text.fill(typed)
+    text.press("Control+Enter")
+    expect(page.locator("#foot")).to_contain_text("too many questions")
+    text.blur()
+    page.wait_for_timeout(1000)
+    assert ("POST", "/api/runs") not in asked
+    assert text.input_value() == typed
+    page.unroute("**/api/job/parse")
+    answer = one.answer("/api/runs", lambda: text.press("Control+Enter"))
+    assert answer.request.post_data_json["data"]["strategy"]["feed"] == "47 um/rev"
+    page.locator("#outcome").wait_for()
+    wait(lambda: not one.open_questions(), what="what the page asks of the run that is done")
+    gone(one, answer.json()["id"])
+    one.wrong = [each for each in one.wrong if "503" not in each]  # as the browser says it, too
+
+
+def test_an_archive_that_comes_late_leaves_the_job_that_was_opened_since(bench, by_hand, tmp_path):
+    with zipfile.ZipFile(tmp_path / "late.zip", "w") as archive:
+        archive.writestr("job.toml", (by_hand.parent / "job.toml").read_text(encoding="utf-8").replace("dish", "late"))
+    one = bench()
+    page, held = one.page, []
+    page.route("**/api/files/archive", lambda route: held.append(route))  # noqa: PLW0108 - its parameters are read
+    with page.expect_file_chooser() as chosen:
+        page.get_by_role("button", name="Open a job file").first.click()
+    chosen.value.set_files(tmp_path / "late.zip")
+    wait(lambda: page.title() and held, what="the archive on its way")
+    one.take(by_hand.parent / "job.toml")
+    one.answer("/api/files/archive", held[0].continue_)
+    page.wait_for_timeout(300)
+    expect(page.locator("#field-part-name")).to_have_value("dish")
+
+
 def test_a_file_goes_to_its_field_into_the_archive_and_back(bench, tmp_path):
     """Oracle: the bytes that were brought."""
     axis = np.linspace(-2.5, 2.5, 11)

@@ -2,7 +2,7 @@
 
 import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
 import { get, postForFile, reach, upload } from "./api.js";
-import { checkSoon, currentToml, lastText, mount as mountForm, namesFiles, readToml, redo, settled, takeJob, undo } from "./form.js";
+import { checkSoon, currentToml, lastText, mount as mountForm, namesFiles, openings, readToml, redo, settled, takeJob, undo } from "./form.js";
 import { mount as mountVerdict } from "./verdict.js";
 import { mount as mountRuns, refresh, start } from "./runs.js";
 import { askAhead } from "./seen.js";
@@ -72,10 +72,11 @@ let wanted = "";
 
 async function takeExample(name) {
   wanted = name;
+  const before = openings();
   try {
     const example = await get(`/examples/${encodeURIComponent(name)}`);
     // Whoever chose another one meanwhile wants that.
-    if (wanted !== name) return;
+    if (wanted !== name || before !== openings()) return;
     const known = state.examples.find((one) => one.name === name);
     takeJob({ job: example.data, toml: example.toml, errors: example.errors ?? [], title: known?.title ?? name });
     say("");
@@ -109,10 +110,11 @@ async function takeArchive(file) {
   const most = state.about?.limits.file_bytes ?? Infinity;
   if (file.size > most) return say(`${file.name} has ${Math.ceil(file.size / 2 ** 20)} MiB, the limit is ${most / 2 ** 20}: bring the files one by one.`, "bad");
   const mine = (wanted = file);
+  const before = openings();
   try {
     const { data, toml, errors } = await upload("/files/archive", {}, file);
     // Whoever chose another one meanwhile wants that.
-    if (wanted !== mine) return;
+    if (wanted !== mine || before !== openings()) return;
     takeJob({ job: data, toml, title: file.name.replace(/\.zip$/i, ""), errors });
     say("");
   } catch (error) {

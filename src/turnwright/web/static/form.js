@@ -32,15 +32,19 @@ export const lastText = () => base.toml;
 
 let opened = 0; // jobs so far
 
+/** How many jobs were opened so far: what comes late is for the one that was there. */
+export const openings = () => opened;
+
 /** Take a job as a whole: from an example, a file or the text `toml`; one that was changed since it was `written` keeps the
-    remarks of that. `fresh` forgets what could be undone. */
-export function takeJob({ job, toml, written = "", title, errors = [], fresh = true }) {
-  if (fresh) {
-    past.length = future.length = 0;
+    remarks of that. `fresh` forgets what could be undone; the same job in other words was `typed`. */
+export function takeJob({ job, toml, written = "", title, errors = [], fresh = true, typed = false }) {
+  if (!typed) {
     opened += 1;
-  } else {
-    remember("whole job");
+    reading += 1; // an answer on its way is of what was there before
+    forgetText();
   }
+  if (fresh) past.length = future.length = 0;
+  else remember("whole job");
   base = toml === undefined ? { job: null, toml: written } : { job, toml };
   set({ job, errors, ...(toml === undefined ? {} : { toml }), ...(title === undefined ? {} : { title }) });
   checkSoon(0);
@@ -59,6 +63,7 @@ function remember(key) {
 }
 
 function edit(path, value) {
+  forgetText();
   remember(path.join("."));
   set({ job: setAt(state.job ?? {}, path, value) });
   checkSoon();
@@ -67,6 +72,7 @@ function edit(path, value) {
 
 function step(from, to) {
   if (!from.length) return;
+  forgetText();
   to.push({ job: state.job, base });
   lastEdit = { key: "", when: 0 };
   // With the job comes the text that it had then, so remarks that went with a table come back.
@@ -179,20 +185,33 @@ let unread = null; // text that was typed and not read yet: {text, timer}
 /** Read text a moment after the last key. */
 function readSoon(text) {
   clearTimeout(unread?.timer);
-  unread = { text, timer: setTimeout(settled, PAUSE_TOML) };
+  unread = { text, timer: setTimeout(() => settled().catch((error) => say(error.message, "bad")), PAUSE_TOML) };
 }
 
 let settling = Promise.resolve();
 
-/** Wait until what was typed as text is the job. */
+/** Wait until what was typed as text is the job. It fails where the server did not read it, and the text waits then. */
 export function settled() {
   if (unread) {
-    const { text, timer } = unread;
-    clearTimeout(timer);
+    const mine = unread;
+    clearTimeout(mine.timer);
     unread = null;
-    settling = settling.then(() => readToml(text)).catch((error) => say(error.message, "bad"));
+    const now = opened;
+    settling = settling.catch(() => {}).then(() => readToml(mine.text)).catch((error) => {
+      if (now !== opened) return;
+      unread ??= mine;
+      throw error;
+    });
   }
   return settling;
+}
+
+/** The job goes on from elsewhere: text that still waits to be read no longer counts. */
+function forgetText() {
+  if (!unread) return;
+  clearTimeout(unread.timer);
+  unread = null;
+  settling = Promise.resolve();
 }
 
 /** Read a job file's text into the form; of text that is no job return why. A file that is none leaves the job as it is. */
@@ -205,7 +224,7 @@ export async function readToml(text, { title, fresh = false } = {}) {
     if (!fresh) set({ errors, toml: text });
     return errors[0]?.sentence ?? "it is not a job file.";
   }
-  takeJob({ job: data, toml: text, title, errors, fresh });
+  takeJob({ job: data, toml: text, title, errors, fresh, typed: !fresh });
   return "";
 }
 
@@ -750,13 +769,16 @@ function Fieldset() {
 
 function TextPane() {
   const { toml, job, errors } = useStore(["toml", "job", "errors"]);
-  const [draft, setDraft] = useState(null);
+  const [draft, setDraft] = useState(unread?.text ?? null);
   const change = (text) => {
     setDraft(text);
     readSoon(text);
   };
   // The draft stays until it is the text of the page, or a blur would show the text before it.
-  const leave = () => settled().then(() => unread ?? setDraft(null));
+  const leave = () => settled().then(() => unread ?? setDraft(null), (error) => say(error.message, "bad"));
+  useEffect(() => {
+    if (!unread) setDraft(null);
+  }, [job]);
   return html`<div class="toml">
     <textarea aria-label="The job as TOML" spellcheck=${false} autocapitalize="off" wrap="off" value=${draft ?? toml}
       placeholder=${job ? "" : "Paste a job file here."} onInput=${(event) => change(event.target.value)} onBlur=${leave} />
