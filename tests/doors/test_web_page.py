@@ -433,6 +433,27 @@ def test_what_one_page_throws_away_leaves_every_page(bench, by_hand):
         expect(one.page.locator(".run", has_text="short-lived")).to_have_count(0)
 
 
+def test_many_runs_at_a_time_leave_lines_to_the_server_for_all_else(bench):
+    """A browser keeps six of them."""
+    one = bench()
+    page, heard = one.page, set()
+    line = {
+        "name": "many", "kind": "run", "state": "running", "created": "2026-01-01T00:00:00Z", "started": None,
+        "ended": None, "sentence": "", "of": "", "progress": None,
+    }  # fmt: skip
+    page.on("request", lambda request: heard.add(urlsplit(request.url).path))
+    page.route("**/api/runs", lambda route: route.fulfill(json=[{"id": f"{n:016x}"} | line for n in range(8)]))
+    page.route(
+        "**/api/runs/*/events",
+        lambda route: route.fulfill(content_type="text/event-stream", body="retry: 60000\n\n"),
+    )
+    page.get_by_role("tab", name=re.compile("^Runs")).click()
+    page.evaluate("dispatchEvent(new Event('focus'))")
+    expect(page.locator(".run", has_text="many")).to_have_count(8)
+    page.wait_for_timeout(300)
+    assert len([path for path in heard if re.fullmatch("/api/runs/[0-9a-f]{16}/events", path)]) == 2
+
+
 # ------------------------------------------------------------------------------------------------------- what it left
 
 

@@ -13,13 +13,14 @@ const EVERY = 5000; // ms between looks at the list while something goes on
 const NOTHING = { result: null, made: null, files: [], maps: [], map: null, window: null, line: null, block: null };
 
 const heard = new Map(); // id -> how to stop hearing it
+const MOST_HEARD = 2; // a browser keeps six lines to a server, for all its pages: the list tells of further runs
 
 function change(id, values) {
   set({ runs: state.runs.map((run) => (run.id === id ? { ...run, ...values } : run)) });
 }
 
 function follow(run) {
-  if (heard.has(run.id) || run.state !== "running") return;
+  if (heard.has(run.id) || heard.size >= MOST_HEARD || run.state !== "running" || document.visibilityState === "hidden") return;
   const stop = events(run.id, {
     progress: (progress) => change(run.id, { progress }),
     state: (told) => {
@@ -55,6 +56,11 @@ export async function refresh() {
       // One that was begun while the list was on its way is not in it yet.
       if (id && before.has(id) && !runs.some((run) => run.id === id)) forget(id);
     }
+    for (const [id, stop] of heard) {
+      if (runs.some((run) => run.id === id)) continue;
+      stop();
+      heard.delete(id);
+    }
     for (const run of runs) {
       follow(run);
       const was = before.get(run.id);
@@ -69,11 +75,15 @@ export async function refresh() {
 
 let hearing = null;
 
-/** Hear of every change of the list, whoever makes it, while the page is looked at: a browser keeps few such lines. */
+/** Hear of every change of the list, whoever makes it, while the page is looked at; of runs as well. */
 function hear() {
   hearing?.close();
   hearing = null;
-  if (document.visibilityState === "hidden") return;
+  if (document.visibilityState === "hidden") {
+    for (const stop of heard.values()) stop();
+    heard.clear();
+    return;
+  }
   hearing = new EventSource(address("/runs/events"));
   hearing.addEventListener("runs", refresh);
 }
@@ -82,10 +92,11 @@ let starting = false;
 
 /** Start a run or a comparison of the job as it stands; a double click starts one. */
 export async function start(kind = "run") {
-  if (!state.job || starting) return;
+  if (starting) return;
   starting = true;
   try {
     await settled();
+    if (!state.job) return;
     if (state.errors.length) return say(`The job is not whole: ${state.errors[0].sentence}`, "bad");
     const { id } = await post("/runs", { data: state.job, toml: lastText(), kind, name: state.job.part?.name || state.title || "job" });
     set({ run: id, ...NOTHING, ...(kind === "compare" ? { comparison: null } : {}) });
