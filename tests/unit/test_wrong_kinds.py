@@ -145,3 +145,10 @@ def test_what_is_of_the_wrong_kind_is_a_sentence(name, there, tmp_path, monkeypa
             said.append(str(error))
     assert len(said) >= 12  # some take None, or a number, or a text
     assert not [one for one in said if "\n" in one or len(one) > 1000]
+
+
+def test_the_name_of_an_artefact_is_no_list_of_its_letters():
+    with pytest.raises(InputError, match="artefacts is 'tilted flat', it must be a list of names"):
+        ErrorBudget(errors=ErrorBudget.typical().errors, noise=0.0, artefacts="tilted flat")
+    one = ErrorBudget(errors=ErrorBudget.typical().errors, noise=0.0, artefacts=["tilted flat"])
+    assert one.artefacts == ("tilted flat",)

@@ -289,6 +289,8 @@ class ErrorBudget:
         if self.settling is not None:
             positive(given.number(self.settling, "settling"), "settling", "s")
         given.thing(self.name, str, "the name of a budget")
+        if isinstance(self.artefacts, str):  # which as a tuple would be one of letters
+            raise InputError(f"artefacts is {self.artefacts!r}, it must be a list of names: write it so")
         stated = self.artefacts if isinstance(self.artefacts, list | tuple) else (self.artefacts,)
         named = [str(one) for one in stated]
         if not named or sorted(named) != sorted(one for one in ARTEFACTS if one in named):
