@@ -331,6 +331,23 @@ def test_a_file_that_a_job_names_travels_through_the_store(threads, tmp_path, mo
         study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads)
 
 
+def test_what_a_worker_does_not_find_in_the_store_is_no_outcome_of_its_case(threads, tmp_path, monkeypatch):
+    (tmp_path / "edge.csv").write_text("sweep [deg],deviation [um]\n-20,0\n-5,0\n5,0\n20,0.3\n", encoding="utf-8")
+    job = Job.read({**DATA, "actual": {"tool": {"waviness_file": "edge.csv"}}}, folder=tmp_path)
+    from turnwright.studies import _files
+
+    # A machine that has neither the file nor this folder.
+    monkeypatch.setattr(_files, "_is_there", lambda _path, _digest: False)
+    whole = Store.array
+    monkeypatch.setattr(Store, "array", lambda _self, name: whole(Store.open(tmp_path / "elsewhere"), name))
+    asked = {"vary": {"strategy.feed": "9 um/rev"}, "measure": deepest, "executor": threads, "store": tmp_path / "s"}
+    with pytest.raises(StudyError, match=r"a worker finds no array 'file-.*: give the study a store that"):
+        study(job, **asked)
+    # Where the store is reached the same study is carried out: nothing was kept as the outcome of a case.
+    monkeypatch.undo()
+    assert study(job, **asked).reasons == ("",)
+
+
 def response_files(folder):
     """A machine file that names its base beside it, and this by its whole path a measured response."""
     (folder / "shop").mkdir(parents=True)

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import turnwright as tw
 from turnwright._commands import Door, app
 from turnwright._stop import Stop
-from turnwright.errors import InputError, JobError
+from turnwright.errors import InputError, JobError, StudyError
 from turnwright.execution import Cluster, Store
 from turnwright.studies import ErrorBudget, Spread, _draws
 
@@ -128,6 +128,15 @@ def test_a_file_that_changes_or_goes_is_no_trouble_of_what_was_planned(tmp_path)
     assert sorted(bench.cuts[""].job.actual_tool.deviation(np.deg2rad(20)) for bench in benches) == pytest.approx(
         [0.1e-3, 0.6e-3], rel=1e-9
     )
+
+
+def test_a_worker_that_does_not_find_the_motion_ends_the_study(job, tmp_path):
+    kept = Store.open(tmp_path / "kept")
+    shared = _draws.laid_out(job, ErrorBudget.read(table()), kept, correction=False)
+    case = {"draw": {"tool offset x": 0.0, "drift z": 0.0}, "seed": [0, 0], "correction": False, "study": "elsewhere"}
+    with pytest.raises(StudyError, match=r"a worker finds no array 'motion-.*: give the study a store that"):
+        _draws.carry_out(case, shared, Store.open(tmp_path / "elsewhere"))
+    assert _draws.carry_out(case, shared, kept)["form_pv_nm"] > 0
 
 
 def test_the_command_writes_a_table_and_a_page(tmp_path):

@@ -16,7 +16,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.job import Job, artefact
 from turnwright.metrology import remove_form
 from turnwright.studies._budget import ErrorBudget
-from turnwright.studies._files import at_hand, files_of, kept_files, moved
+from turnwright.studies._files import at_hand, fetched, files_of, kept_files, moved
 from turnwright.studies._scenes import (
     Left,
     Planned,
@@ -284,7 +284,7 @@ class Bench:
             scenes = [lines_of(job, feed, even=True)] if kind else scenes_of(job, feed)
             views = []
             for scene, head in zip(scenes, own["scenes"], strict=True):
-                rows = store.array(head["array"])
+                rows = fetched(store, head["array"])
                 share = drift_share(rows[0], head["duration"], budget.settling)
                 views.append(_View(scene=scene, head=head, rows=rows, share=share))
             cuts[kind] = _Cut(job=job, feed=feed, views=tuple(views))

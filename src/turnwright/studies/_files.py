@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright._toml import read_toml
-from turnwright.errors import StudyError
+from turnwright.errors import InputError, StudyError
 
 if TYPE_CHECKING:
     from turnwright.execution import Store
     from turnwright.job import Job
 
-__all__ = ["at_hand", "files_of", "kept_files", "moved"]
+__all__ = ["at_hand", "fetched", "files_of", "kept_files", "moved"]
 
 
 def files_of(job: Job) -> dict[str, str]:
@@ -73,6 +73,24 @@ def kept_files(files: Mapping[str, str], store: Store | None) -> dict[str, str]:
     return {path: store.put_array("file", np.frombuffer(Path(path).read_bytes(), dtype=np.uint8)) for path in files}
 
 
+def fetched(store: Store, name: str) -> np.ndarray:
+    """Return an array that the driver has put into a store, as a worker finds it.
+
+    Raises
+    ------
+    StudyError
+        If it is not there, as in a folder of another machine: a reason to stop, not the outcome of a case, which the
+        driver would keep for good.
+    """
+    try:
+        return store.array(name)
+    except InputError:
+        raise StudyError(
+            f"a worker finds no array {name!r} in the store {store.place!r}: give the study a store that all machines "
+            "reach"
+        ) from None
+
+
 @contextmanager
 def at_hand(files: Mapping[str, str], kept: Mapping[str, str], store: Store | None) -> Iterator[dict[str, str]]:
     """Yield where the files of a job are on this machine, if they are elsewhere than the job says.
@@ -91,7 +109,7 @@ def at_hand(files: Mapping[str, str], kept: Mapping[str, str], store: Store | No
     Raises
     ------
     StudyError
-        If files are missing here, and in the store.
+        If files are missing here, and in the store as this machine sees it.
     """
     missing = [path for path, digest in files.items() if not _is_there(path, digest)]
     if not missing:
@@ -105,7 +123,7 @@ def at_hand(files: Mapping[str, str], kept: Mapping[str, str], store: Store | No
     with tempfile.TemporaryDirectory(prefix="turnwright-") as folder:
         places = {path: str(Path(folder) / path.replace(":", "").lstrip("/\\")) for path in files}
         for path, place in places.items():
-            content = np.asarray(store.array(kept[path])).tobytes()
+            content = np.asarray(fetched(store, kept[path])).tobytes()
             if path.endswith(".toml"):  # it may name others by their whole path
                 for other, there in places.items():
                     content = content.replace(other.encode(), there.encode())
