@@ -19,6 +19,8 @@ def called(name):
     for node in ast.walk(ast.parse((FOLDER / f"{name}.py").read_text(encoding="utf-8"))):
         names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
         names += [node.module or "."] if isinstance(node, ast.ImportFrom) else []
+        if isinstance(node, ast.ImportFrom) and node.module == "turnwright._kernels":
+            assert {one.name for one in node.names} <= set(_kernels.__all__)  # a module would be called unseen
         for one in names:
             assert not one.startswith((".", "turnwright")) or one.startswith("turnwright._kernels"), one
             found |= {part for part in one.split(".")[2:] if one.startswith("turnwright._kernels")}

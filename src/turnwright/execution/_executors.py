@@ -30,7 +30,17 @@ from turnwright import _given as given
 from turnwright.errors import InputError, StudyError
 from turnwright.progress import THREADS, cores
 
-__all__ = ["Cluster", "LocalPool", "WorkerDied", "cluster", "fitting", "local", "require_reach", "share_of"]
+__all__ = [
+    "Cluster",
+    "LocalPool",
+    "WorkerDied",
+    "cluster",
+    "fitting",
+    "local",
+    "require_listener",
+    "require_reach",
+    "share_of",
+]
 
 MEMORY_GB = 2.0
 """What a worker may need if nobody says: a whole run of the freeform infrared lens with its maps takes 1.6 GB."""
