@@ -13,6 +13,7 @@ import time
 import zipfile
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,9 +24,9 @@ from job_files import changed
 
 import turnwright as tw
 from turnwright.errors import InputError
-from turnwright.web import create_app
+from turnwright.web import _bundles, create_app
 from turnwright.web._guard import Guard
-from turnwright.web._limits import FILE_BYTES
+from turnwright.web._limits import FILE_BYTES, SPARE_BYTES
 from turnwright.web._workers import TooLong
 
 HERE = "http://127.0.0.1:8765"
@@ -419,6 +420,14 @@ def lying():
     return bytes(found).replace(size, (100).to_bytes(4, "little"))
 
 
+def misplaced():
+    """An archive whose list says that it begins later than it does, so its files would begin before it."""
+    found = bytearray(packed([naming("a.csv"), ("a.csv", TABLE)]))
+    at = found.index(b"PK\x05\x06") + 16
+    found[at : at + 4] = (int.from_bytes(found[at : at + 4], "little") + 5).to_bytes(4, "little")
+    return bytes(found)
+
+
 ARCHIVES = {
     "no archive": (lambda: b"not a zip", "cannot be read"),
     "one that breaks off": (lambda: packed([naming("a.csv"), ("a.csv", TABLE)])[:-40], "cannot be read"),
@@ -435,6 +444,7 @@ ARCHIVES = {
     "a file of another ending": (lambda: packed([naming("a.exe"), ("a.exe", TABLE)]), "can end in .csv"),
     "a bomb": (lambda: packed([naming("a.csv"), ("a.csv", bytes(FILE_BYTES + 1))]), "more than 64 MiB"),
     "a bomb that lies": (lying, "cannot be read"),
+    "files before its beginning": (misplaced, "cannot be read"),
     "a password": (sealed, "cannot be read"),
     "another packing": (lambda: packed([naming("a.csv")], zipfile.ZIP_LZMA), "pack it by deflate"),
     "a crowd": (lambda: packed([naming("a.csv"), *((f"{n}.csv", "") for n in range(300))]), "the limit is 200"),
@@ -462,6 +472,17 @@ def test_what_an_archive_does_not_hold_is_not_looked_for(client, folder):
         assert error["field"] == "part.surface.file"
         assert "can only name files that were brought" in error["sentence"]
         assert tree(folder) == before
+
+
+def test_an_archive_leaves_room_on_the_disk(tmp_path, monkeypatch):
+    (tmp_path / "files").mkdir()
+    file = tmp_path / "files" / ".new.zip"
+    file.write_bytes(packed([naming("a.csv"), ("a.csv", TABLE)]))
+    monkeypatch.setattr(_bundles.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=SPARE_BYTES))
+    before = tree(tmp_path)
+    with pytest.raises(InputError, match="free some space"):
+        _bundles.opened(str(file), str(tmp_path))
+    assert tree(tmp_path) == before
 
 
 def test_an_archive_beyond_the_limits_of_the_upload_is_not_read(client, folder):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import re
+import shutil
 import zipfile
 import zlib
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from turnwright._toml import read_toml
 from turnwright.errors import InputError
 from turnwright.web._jobs import look_into, plain, read, require
-from turnwright.web._limits import BODY_BYTES, FILE_BYTES, FILE_ENDINGS
+from turnwright.web._limits import BODY_BYTES, FILE_BYTES, FILE_ENDINGS, SPARE_BYTES
 from turnwright.web._references import JOB, beside, named, place_of, plain_name, renamed, require_flat
 from turnwright.web._text import as_tables, written
 
@@ -94,10 +95,11 @@ def opened(file: str, folder: str) -> dict[str, Any]:
             for field, kind, name in wanted:
                 if (kind, name) not in references:
                     references[kind, name] = _kept(archive, entries[name], field, kind, Path(file), Path(folder))
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError, RuntimeError, ValueError) as error:
+    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"the archive cannot be read ({str(error)[:80]}): pack it anew, without a password") from None
+        why = error.strerror if isinstance(error, OSError) else str(error)[:80]  # the rest is a place on this disk
+        raise InputError(f"the archive cannot be read ({why}): pack it anew, without a password") from None
     told = plain(renamed(as_tables(job), lambda kind, name: references.get((kind, name), name)))
     return {"toml": written(told, text.decode("utf-8-sig")), "data": told, "errors": read(told, folder)[1]}
 
@@ -147,6 +149,11 @@ def _kept(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, field: str, kind: st
         raise InputError(
             f"{field} names {entry.filename[:60]!r}, one of {kind} can end in {', '.join(FILE_ENDINGS[kind])}: save it "
             "so"
+        )
+    if shutil.disk_usage(beside.parent).free < SPARE_BYTES + FILE_BYTES:
+        raise InputError(
+            f"{entry.filename[:60]!r} cannot be kept, the disk of the server has less than "
+            f"{(SPARE_BYTES + FILE_BYTES) / 1e9:.3g} GB left: free some space"
         )
     new = beside.with_name(f"{beside.name}-{kind}{ending}")
     digest = hashlib.sha256()
