@@ -10,6 +10,7 @@ import socket
 import sys
 import threading
 import time
+import tomllib
 import zipfile
 from functools import partial
 from pathlib import Path
@@ -247,6 +248,15 @@ def test_a_large_body_is_refused_before_it_is_read(client):
     answer = client.post("/api/job/check", content=b"{}", headers=length)
     assert answer.status_code == 413
     assert "8 MiB" in answer.json()["detail"]
+
+
+def test_a_long_job_comes_with_its_text_and_both_are_taken(client):
+    """Each alone is within the limit."""
+    long = changed(("part.name", "x" * 5 * 2**20))
+    answer = client.post("/api/job/write", json={"data": long, "toml": tomli_w.dumps(long)})
+    assert answer.status_code == 200, answer.text
+    assert tomllib.loads(answer.json()["toml"]) == long
+    assert client.post("/api/job/check", json={"data": long, "client": "x" * 5 * 2**20}).status_code == 413
 
 
 # --- the processes that compute

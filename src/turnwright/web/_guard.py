@@ -30,6 +30,9 @@ __all__ = ["BODY_BYTES", "HANG_UP", "UPLOAD_BYTES", "Guard", "require_token"]
 UPLOAD_BYTES = 2 * 2**30
 """Of a measured file."""
 
+WITH_TEXT = {"/api/job/write", "/api/job/bundle", "/api/runs"}
+"""Where a job comes as data, and with it the text that it was before."""
+
 TOKEN_LETTERS = 16
 """A shorter token is guessed."""
 
@@ -172,9 +175,8 @@ def _plain(path: str) -> str:
 
 
 def _limit(scope: Scope) -> int:
-    return {"/api/measurements": UPLOAD_BYTES, "/api/files": FILE_BYTES, "/api/files/archive": FILE_BYTES}.get(
-        scope["path"], BODY_BYTES
-    )
+    limits = {"/api/measurements": UPLOAD_BYTES, "/api/files": FILE_BYTES, "/api/files/archive": FILE_BYTES}
+    return limits.get(scope["path"], 2 * BODY_BYTES if scope["path"] in WITH_TEXT else BODY_BYTES)
 
 
 def _too_large(limit: int) -> str:
