@@ -25,7 +25,7 @@ from job_files import changed
 
 import turnwright as tw
 from turnwright.errors import InputError
-from turnwright.web import _bundles, create_app
+from turnwright.web import _bundles, _queue, create_app
 from turnwright.web._guard import Guard
 from turnwright.web._limits import FILE_BYTES, SPARE_BYTES
 from turnwright.web._workers import TooLong
@@ -257,6 +257,15 @@ def test_a_long_job_comes_with_its_text_and_both_are_taken(client):
     assert answer.status_code == 200, answer.text
     assert tomllib.loads(answer.json()["toml"]) == long
     assert client.post("/api/job/check", json={"data": long, "client": "x" * 5 * 2**20}).status_code == 413
+
+
+def test_a_run_too_many_is_refused_and_leaves_nothing(client, folder, monkeypatch):
+    monkeypatch.setattr(_queue, "MOST_QUEUED", 0)
+    before = tree(folder)
+    answer = client.post("/api/runs", json={"data": changed(), "kind": "run"})
+    assert answer.status_code == 422
+    assert "cancel some" in answer.json()["detail"]
+    assert tree(folder) == before
 
 
 # --- the processes that compute

@@ -128,7 +128,8 @@ def test_a_run_keeps_a_text_with_the_ends_of_lines_that_it_has(tmp_path):
     runs = Runs(tmp_path, at_a_time=0)
     text = HAND.replace("\n", "\r\n")
     assert written(as_tables(tomllib.loads(HAND)), text) == text
-    run = runs.add(runs.new_folder(), {}, kind="run", name="", text=text)
+    with runs.new_folder() as folder:
+        run = runs.add(folder, {}, kind="run", name="", text=text)
     assert runs.text(run) == text_in(runs.folder_of(run)) == text
     assert (runs.folder_of(run) / "job.toml").read_bytes() == text.encode()
 

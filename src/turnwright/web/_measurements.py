@@ -48,8 +48,7 @@ async def bring(
         raise HTTPException(
             422, f"the file ends in {suffix[:12]!r}, it can end in {', '.join(MAP_TYPES)}: bring one of these"
         )
-    folder = runs.new_folder()
-    try:
+    with runs.new_folder() as folder:
         # Whatever the file is called, its place and name on this disk are the server's own.
         file = folder / f"measured{suffix}"
         await stored(request, file, UPLOAD_BYTES)
@@ -57,9 +56,6 @@ async def bring(
             folder, job_of(runs, cut), kind="measure", name=shown_name(name), text=runs.text(cut), of=cut.id,
             file=file.name, called=shown_name(name),
         )  # fmt: skip
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
     return Id(id=measured.id)
 
 
@@ -141,8 +137,7 @@ async def correct(id: RunId, chosen: Causes, request: Request) -> Id:  # noqa: A
     if len(before) < len(known):
         # As somebody would at the command line: the job states which causes are looked for.
         data = {**data, "measurement": {**(data.get("measurement") or {}), "causes": before}}
-    folder = runs.new_folder()
-    try:
+    with runs.new_folder() as folder:
         try:
             (folder / run.file).hardlink_to(runs.folder_of(run) / run.file)
         except OSError:
@@ -152,9 +147,6 @@ async def correct(id: RunId, chosen: Causes, request: Request) -> Id:  # noqa: A
             folder, data, kind="correct", name=name, text=runs.text(run), of=run.id, file=run.file,
             called=run.called, causes=tuple(before),
         )  # fmt: skip
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
     return Id(id=made.id)
 
 

@@ -16,7 +16,7 @@ import secrets
 import shutil
 import sys
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
@@ -28,7 +28,7 @@ from turnwright.web._limits import LONGEST_H, PARSE_BYTES, PARSE_S
 from turnwright.web._references import JOB, text_in
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Mapping
+    from collections.abc import AsyncIterator, Iterator, Mapping
     from pathlib import Path
 
 __all__ = ["ENDED", "Run", "Runs"]
@@ -159,11 +159,15 @@ class Runs:
         """Return a run by its id."""
         return self._runs.get(name)
 
-    def new_folder(self) -> Path:
-        """Return an empty folder that nobody sees yet, for what a run begins with."""
+    @contextmanager
+    def new_folder(self) -> Iterator[Path]:
+        """Yield an empty folder that nobody sees yet, for what a run begins with; it goes again if none is added."""
         folder = self.place / f".{secrets.token_hex(8)}"
         folder.mkdir()
-        return folder
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
     def add(self, folder: Path, data: Mapping[str, Any], *, kind: str, name: str, text: str = "", **more: Any) -> Run:
         """Queue a run.

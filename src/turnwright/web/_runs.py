@@ -112,7 +112,8 @@ async def begin(asked: NewRun, request: Request) -> Id:
     if asked.toml:
         text = (await state.workers.ask("_jobs:write", asked.data, str(state.folder), asked.toml))["toml"]
     runs: Runs = state.runs
-    return Id(id=runs.add(runs.new_folder(), asked.data, kind=asked.kind, name=name, text=text).id)
+    with runs.new_folder() as folder:
+        return Id(id=runs.add(folder, asked.data, kind=asked.kind, name=name, text=text).id)
 
 
 @router.get("")
