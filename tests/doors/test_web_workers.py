@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
 
 from turnwright.web import _workers
-from turnwright.web._workers import Busy, Workers
+from turnwright.web._workers import Busy, TooLong, Workers
 
 PATIENCE_S = 60
 
@@ -74,6 +74,19 @@ def test_what_may_be_asked_for_later_is_loaded_when_a_page_is_content(monkeypatc
     assert [one for one, _ in called] == [os.getpid, time.sleep, time.sleep, "_limits:later"]
     (_, asked), (_, loaded) = called[2:]
     assert loaded - asked >= _workers.REST_S
+
+
+def test_who_hears_that_it_took_too_long_finds_the_process_gone():
+    async def long(workers):
+        number = await workers.ask(os.getpid)
+        with pytest.raises(TooLong):
+            await workers.ask(time.sleep, 1000, limit_s=0.2)
+        with pytest.raises(ProcessLookupError):
+            os.kill(number, 0)
+        return number, await workers.ask(os.getpid)
+
+    before, after = carried_out(long, 1)
+    assert before != after
 
 
 def test_who_waits_when_the_server_ends_is_told():

@@ -246,7 +246,8 @@ class Workers:
             if self._closing.is_set():
                 raise
             gone, self._processes[number] = self._processes[number], self._start()
-            asyncio.get_running_loop().run_in_executor(None, gone.pool.kill)
+            # Once it is gone nobody writes into what it worked on, and Windows, too, lets that be removed.
+            await asyncio.to_thread(gone.pool.kill)
             raise TooLong(
                 f"the answer takes more than {limit_s:g} s, the limit for what a page waits for: take fewer points or "
                 "a simpler surface, or start it as a run"
