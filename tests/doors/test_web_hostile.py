@@ -62,6 +62,8 @@ def client(folder, tmp_path_factory):
     with TestClient(create_app(folder, nice=0), base_url=HERE, raise_server_exceptions=False) as client:
         yield client
         assert client.get("/api/about").status_code == 200  # it is still there
+        # What it writes when all is well is seen: these tests alone may have made it write nothing.
+        assert client.post("/api/files", params={"kind": "heights", "name": "a.csv"}, content=TABLE).status_code < 300
     watching[0] = False
     places = {Path(os.fsdecode(one)).resolve() for one in touched if not isinstance(one, int)} - {Path(os.devnull)}
     base = tmp_path_factory.getbasetemp().resolve()  # where other servers of these tests have their own folders
