@@ -1,4 +1,4 @@
-"""What a caller gave, when it must be a number, a count, a span, a path or a thing of ours: else a sentence."""
+"""What a caller gave, when it must be a number, a count, a span, a path, a thing of ours or who listens."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from turnwright.errors import InputError
 
-__all__ = ["number", "path", "span", "thing", "whole"]
+__all__ = ["listener", "number", "path", "span", "thing", "whole"]
 
 T = TypeVar("T")
 
@@ -58,6 +58,15 @@ def thing(value: T, kind: type[Any], name: str) -> T:
     if isinstance(value, kind):
         return value
     raise InputError(f"{name} is {_shown(value)}, it must be a {kind.__name__}: give one")
+
+
+def listener(progress: object) -> None:
+    """Raise unless what is to be told of the progress can be called, or is None."""
+    if progress is not None and not callable(progress):
+        raise InputError(
+            f"the progress is told to a {type(progress).__name__}, it must be a function of how many are done and all: "
+            "give one, or none"
+        )
 
 
 def _shown(value: object) -> str:

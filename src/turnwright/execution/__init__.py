@@ -11,7 +11,6 @@ from turnwright.execution._executors import (
     cluster,
     fitting,
     local,
-    require_listener,
     require_reach,
     share_of,
 )
@@ -31,7 +30,6 @@ __all__ = [
     "fitting",
     "local",
     "program_version",
-    "require_listener",
     "require_reach",
     "share_of",
 ]

@@ -25,7 +25,6 @@ from turnwright.execution._executors import (
     WorkerDied,
     fitting,
     local,
-    require_listener,
     require_reach,
     share_of,
 )
@@ -172,7 +171,7 @@ def conduct(
         If the work cannot go on: the store takes nothing more, or the executor is broken. What is finished stays.
     """
     _require_kinds(work, cases, shared, executor, store)
-    require_listener(progress)
+    given.listener(progress)
     if executor is None:
         workers = min(fitting(), max(1, len(cases)))
         with local(workers, threads=share_of(workers)) as pool:

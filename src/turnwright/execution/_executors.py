@@ -37,7 +37,6 @@ __all__ = [
     "cluster",
     "fitting",
     "local",
-    "require_listener",
     "require_reach",
     "share_of",
 ]
@@ -365,15 +364,6 @@ def require_reach(place: str, executor: Executor, *, arrays: bool = False) -> No
         raise InputError(
             f"the store {place!r} lies in the memory of this process, its workers are others and keep nothing there: "
             "name a folder, or use threads"
-        )
-
-
-def require_listener(progress: object) -> None:
-    """Raise unless what is to be told of the progress can be called, or is None."""
-    if progress is not None and not callable(progress):
-        raise InputError(
-            f"the progress is told to a {type(progress).__name__}, it must be a function of how many are done and all: "
-            "give one, or none"
         )
 
 

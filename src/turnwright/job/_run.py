@@ -45,7 +45,6 @@ __all__ = [
     "WHOLE",
     "StageProgress",
     "Watch",
-    "finished",
     "planned",
     "predict",
     "preview",
@@ -399,13 +398,12 @@ def finishing_motion(job: Job, *, progress: StageProgress | None = None) -> tupl
     """
     with TemporaryDirectory(prefix="turnwright-") as folder:
         result = run(job, progress=progress, out=folder)
-        watch = Watch(progress)
-        motion = finished(job, result.program.files[0], result.passes[-1].name, watch)
+        motion = predicted_motion(job, result.program.files[0], result.passes[-1].name, progress=progress)
     return motion, result
 
 
 def predicted_motion(job: Job, file: File, name: str, *, progress: StageProgress | None = None) -> Motion:
-    """Return how the axes move in the finishing pass of a program on disk, as its run predicts it.
+    """Return how the axes move in the finishing pass of a program on disk: what its predictions are made from.
 
     Parameters
     ----------
@@ -414,7 +412,11 @@ def predicted_motion(job: Job, file: File, name: str, *, progress: StageProgress
     progress
         Called with (stage, done, total).
     """
-    return finished(job, file, name, Watch(progress))
+    watch = Watch(progress)
+    with watch.stage("read program") as tell:
+        motion = read_back(job, file, name, tell)
+    ideal, real = _followed(job, motion, job.simulation.tracking, None, watch)
+    return real or ideal
 
 
 def program_shares(job: Job, file: File, name: str) -> Shares:
@@ -439,26 +441,6 @@ def program_shares(job: Job, file: File, name: str) -> Shares:
         return shares(part, tool, spiral, again)
     _, _, motion, meant = planned(job, cut, Watch(None))
     return shares(part, tool, spiral, motion, again=again, meant=meant)
-
-
-def finished(job: Job, file: File, name: str, watch: Watch) -> Motion:
-    """Return how the axes move in the finishing pass of a program on disk: what its predictions are made from.
-
-    Parameters
-    ----------
-    job
-        What the program was written for.
-    file
-        The main program.
-    name
-        Of the finishing pass.
-    watch
-        Who keeps the time.
-    """
-    with watch.stage("read program") as tell:
-        motion = read_back(job, file, name, tell)
-    ideal, real = _followed(job, motion, job.simulation.tracking, None, watch)
-    return real or ideal
 
 
 def _accepted(job: Job, what: str, error: GougeError | LimitError) -> list[str]:

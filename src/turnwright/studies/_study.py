@@ -19,7 +19,7 @@ from turnwright import _given as given
 from turnwright._arrays import Bools, Floats, frozen
 from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, StudyError
-from turnwright.execution import Case, Store, case_key, conduct, local, require_listener
+from turnwright.execution import Case, Store, case_key, conduct, local
 from turnwright.job import Job
 from turnwright.studies._evaluate import REFUSED, SECONDS, carry_out
 from turnwright.studies._fields import changed, data_of
@@ -469,7 +469,7 @@ def study(
         given.thing(executor, Executor, "the executor")
     if workers is not None:
         workers = given.whole(workers, "the number of workers", 1)
-    require_listener(progress)
+    given.listener(progress)
     fields, rows = design_cases(
         job,
         [read_varied(job, name, given) for name, given in (vary or {}).items()],

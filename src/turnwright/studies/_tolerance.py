@@ -17,7 +17,7 @@ import numpy as np
 from turnwright import _given as given
 from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, StudyError
-from turnwright.execution import Case, Store, case_key, conduct, local, require_listener, require_reach
+from turnwright.execution import Case, Store, case_key, conduct, local, require_reach
 from turnwright.job import Job
 from turnwright.studies._budget import MOST_DRAWS, ErrorBudget, Spread, group_of
 from turnwright.studies._draws import carry_out, laid_out
@@ -255,7 +255,7 @@ def tolerance(
         If the cases cannot go on, or hardly any can be carried out.
     """
     given.thing(job, Job, "the job")
-    require_listener(progress)
+    given.listener(progress)
     told = progress or (lambda _stage, _done, _total: None)
     given.thing(correction, bool, "whether there is a correction")
     given.thing(confirm, bool, "whether the advice is confirmed")

@@ -186,7 +186,7 @@ def generate_tiled(
     -------
     Oracle: `generate` in one piece.
     """
-    from turnwright.execution import require_listener, require_reach  # noqa: PLC0415 - what needs processes
+    from turnwright.execution import require_reach  # noqa: PLC0415 - what needs processes
 
     given.thing(motion, Motion, "the motion")
     given.thing(tool, Tool, "the tool")
@@ -194,7 +194,7 @@ def generate_tiled(
         given.thing(machine, Machine, "the machine")
     if executor is not None:
         given.thing(executor, Executor, "the executor")
-    require_listener(progress)
+    given.listener(progress)
     if minus is not None and not callable(getattr(minus, "sag", None)):
         raise InputError(f"what is subtracted is a {type(minus).__name__}, it must be a surface: give one")
     place = named_place(store)

@@ -172,7 +172,7 @@ class TiledMap:
         -------
         [Chan1983]_ merges sums about different means. Oracle: `roughness` in one piece.
         """
-        _require_listener(progress)
+        given.listener(progress)
         return tiled_roughness(self.files, form, progress)
 
     def area_psd(
@@ -207,7 +207,7 @@ class TiledMap:
         -------
         [Welch1967]_. Oracle: SciPy's periodogram of each segment, averaged.
         """
-        _require_listener(progress)
+        given.listener(progress)
         return tiled_area_psd(self.files, segment, form, window, progress)
 
     def line_psd(
@@ -233,7 +233,7 @@ class TiledMap:
         InputError
             If no segment is whole, or a choice is unknown.
         """
-        _require_listener(progress)
+        given.listener(progress)
         return tiled_line_psd(self.files, along, segment, form, window, progress)
 
     def _read(self, level: int, rows: slice, columns: slice) -> HeightMap:
@@ -247,9 +247,3 @@ def _within(axis: Floats, span: tuple[float, float]) -> slice:
     tiny = 1e-9 * (axis[1] - axis[0]) if axis.size > 1 else 0.0
     start, stop = np.searchsorted(axis, span[0] - tiny), np.searchsorted(axis, span[1] + tiny, side="right")
     return slice(int(start), int(max(start, stop)))
-
-
-def _require_listener(progress: object) -> None:
-    from turnwright.execution import require_listener  # noqa: PLC0415 - what needs processes
-
-    require_listener(progress)

@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 from annotated_types import MaxLen
 from pydantic import BaseModel, ConfigDict, Field
 
+from turnwright.web._limits import BODY_BYTES
+
 __all__ = [
     "About",
     "Causes",
@@ -93,7 +95,7 @@ class ExampleLine(Model):
 class Toml(Model):
     """A job file."""
 
-    toml: Annotated[str, MaxLen(8 * 2**20)]
+    toml: Annotated[str, MaxLen(BODY_BYTES)]
 
 
 class Data(Model):
@@ -105,7 +107,7 @@ class Data(Model):
 class Edited(Data):
     """A job as data, and the text that it was before it was changed."""
 
-    toml: Annotated[str, MaxLen(8 * 2**20)] = Field(
+    toml: Annotated[str, MaxLen(BODY_BYTES)] = Field(
         default="", description="Remarks and layout of this text are kept; without it the job is written anew."
     )
 
