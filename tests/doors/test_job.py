@@ -61,6 +61,10 @@ FAMILIES = {
         {"units": "mm", "formula": "a*x**3", "constants": {"a": 0.01}, "feature_size": "1 mm"},
         tw.Expression("a*x**3", constants={"a": 0.01}, feature_size=1.0),
     ),
+    "off-axis": (
+        {"parent": {"family": "conic", "radius": "100 mm", "conic": -1}, "distance": "40 mm", "azimuth": "30 deg"},
+        tw.OffAxis(parent=tw.Conic(radius=100, conic=-1), distance=40, azimuth=TURN),
+    ),
     "sum": (
         {"terms": [{"family": "sphere", "radius": "20 mm"}, {"family": "plane", "slope": [0.1, 0]}]},
         tw.Sphere(radius=20) + tw.Plane(slope=(0.1, 0)),

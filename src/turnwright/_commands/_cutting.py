@@ -75,6 +75,8 @@ def check(context: typer.Context, job: JobFile) -> None:
 
     with progress_of(door.stop) as progress:
         plan = preview(Job.load(job), progress=progress)
+    for sentence in plan.remarks:
+        door.say(sentence)
     for finding in plan.access.findings:
         door.say(f"{'ok' if finding.ok else 'NO'}: {finding.sentence}")
     for name, points in plan.points.items():

@@ -27,6 +27,7 @@ from turnwright.job._table import (
     Size,
     Table,
     Text,
+    Thickness,
     refuse,
 )
 from turnwright.units import convert, parse, unit
@@ -462,6 +463,18 @@ class SumTable(Family):
         return surfaces.Sum(terms=tuple(term.surface for term in self.terms))
 
 
+class OffAxisTable(Family):
+    """See `turnwright.OffAxis`; the parent is any prescription."""
+
+    family: Literal["off-axis"]
+    parent: AnySurface
+    distance: Thickness
+    azimuth: Angle = 0.0
+
+    def _build(self) -> Surface:
+        return surfaces.OffAxis(parent=self.parent.surface, distance=self.distance, azimuth=self.azimuth)
+
+
 class LensArrayTable(Family):
     """See `turnwright.LensArray`, its ``square`` and ``hexagonal``.
 
@@ -544,7 +557,8 @@ _Tagged: TypeAlias = Annotated[
     | ExpressionTable
     | GriddedTable
     | SumTable
-    | LensArrayTable,
+    | LensArrayTable
+    | OffAxisTable,
     Field(discriminator="family"),
 ]
 AnySurface: TypeAlias = Annotated[_Tagged, BeforeValidator(_as_sum)]
@@ -555,3 +569,4 @@ FAMILIES: dict[str, type[Family]] = {
 }
 SumTable.model_rebuild()
 LensArrayTable.model_rebuild()
+OffAxisTable.model_rebuild()

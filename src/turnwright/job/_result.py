@@ -42,6 +42,8 @@ class Preview:
         Why `run` would refuse it, a sentence each.
     chips
         What the material will make of each pass, by name, where it is known.
+    remarks
+        What was worked out for the surface and the job does not state, a sentence each.
     """
 
     access: Access
@@ -49,6 +51,7 @@ class Preview:
     shortest_s: Mapping[str, float]
     refused: tuple[str, ...]
     chips: Mapping[str, str]
+    remarks: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -285,7 +285,10 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     refused = tuple(
         _or_accept(one.sentence, one.name) for one in access.findings if not one.ok and one.name not in job.accept
     )
-    return Preview(access=access, points=points, shortest_s=shortest, refused=refused, chips=chips)
+    return Preview(
+        access=access, points=points, shortest_s=shortest, refused=refused, chips=chips,
+        remarks=job.part.part.surface.remarks,
+    )  # fmt: skip
 
 
 def predict(

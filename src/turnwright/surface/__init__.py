@@ -7,6 +7,7 @@ from turnwright.surface.expression import Expression
 from turnwright.surface.forbes import Forbes
 from turnwright.surface.gridded import Gridded
 from turnwright.surface.lens_array import LensArray
+from turnwright.surface.off_axis import OffAxis
 from turnwright.surface.polynomial import RadialPolynomial, XYPolynomial
 from turnwright.surface.sine_grid import SineGrid
 from turnwright.surface.toroid import Biconic, Toroid
@@ -20,6 +21,7 @@ __all__ = [
     "Forbes",
     "Gridded",
     "LensArray",
+    "OffAxis",
     "Placed",
     "Plane",
     "RadialPolynomial",

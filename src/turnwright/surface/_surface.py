@@ -71,6 +71,11 @@ class Surface(ABC):
         """Length over which the curvature changes noticeably; the step of a search must be well below it. [mm]."""
         return float("inf")
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was worked out for the surface, or is known of its accuracy, and nobody stated; a sentence each."""
+        return ()
+
     def sag(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Return the height z = f(x, y).
 

@@ -94,6 +94,11 @@ class Sum(Surface):
         return number
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """Those of the terms. See `Surface.remarks`."""
+        return tuple(sentence for term in self.terms for sentence in term.remarks)
+
+    @property
     def feature_size(self) -> float:
         """The finest of the terms. [mm]."""
         return min(term.feature_size for term in self.terms)
@@ -203,6 +208,11 @@ class Placed(Surface):
         u, v, _ = self._local(x, y)
         number = self.surface.piece(u, v)
         return None if number is None else number.reshape(x.shape)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Those of the surface that is moved. See `Surface.remarks`."""
+        return self.surface.remarks
 
     @property
     def feature_size(self) -> float:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["as_tables", "written"]
 
-SURFACES = ("surface", "lenslet", "surround", "base")
+SURFACES = ("surface", "lenslet", "surround", "base", "parent")
 DEEPEST = 60
 
 LONGEST = 2**20
