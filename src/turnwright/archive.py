@@ -209,7 +209,7 @@ def _measured_numbers(measured: Measured) -> dict[str, object]:
             "count": found.count,
             "rms_nm": found.rms_nm,
             "candidates": found.candidates,
-            "sentences": found.sentences,
+            "sentences": (found.sentences[0], *measured.open_questions),
         },
         "zernike": None
         if terms is None

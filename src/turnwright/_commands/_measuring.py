@@ -164,7 +164,7 @@ def _say_measured(door: Door, measured: Sequence[Measured]) -> None:
             f"{one.heights.name or one.job.part.part.name}: form error PV {one.form_pv_nm:.4g} nm, rms "
             f"{one.form_rms_nm:.4g} nm; {one.spikes} spikes taken out"
         )
-        warn(one.registration.sentences[1:])
+        warn(one.open_questions)
 
 
 def _say_causes(door: Door, found: Diagnosis) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from turnwright.diagnosis import DEFAULT, FREE, Diagnosis, diagnose
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
+from turnwright.job._advice import open_questions
 from turnwright.job._finish import finished
 from turnwright.job._shares import pv_nm_of, rms_nm_of
 from turnwright.metrology import (
@@ -107,6 +108,11 @@ class Measured:
     zernike: ZernikeFit | None
     roughness: Roughness | None
     lenslets: Lenslets | None
+
+    @property
+    def open_questions(self) -> tuple[str, ...]:
+        """What the registration could not settle, and what to write in the job's ``measurement`` to settle it."""
+        return open_questions(self.registration, self.job.measurement, self.job.part.radius)
 
 
 def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = None) -> Measured:

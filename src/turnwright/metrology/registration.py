@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +37,9 @@ from turnwright.units import say_length
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
     from turnwright.part import Part
+
+DoubtKind: TypeAlias = Literal["undetermined", "tails", "held", "ambiguous", "symmetric"]
+"""What may put a pose in doubt."""
 
 __all__ = ["PoseCandidate", "Registration", "Undetermined", "register"]
 
@@ -221,7 +224,7 @@ class Registration:
     @property
     def ambiguous(self) -> bool:
         """Whether another pose, not a symmetric one, fits nearly as well."""
-        return any(not other.symmetric for other in self.candidates)
+        return bool(self.rivals)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -233,24 +236,42 @@ class Registration:
             f"The map lies on the part with shift ({shift}) mm and rotation and tilts ({angles}) mrad from its own "
             f"frame to the part's; {self.count} points fit to {self.rms_nm:.4g} nm rms along the {along}."
         )
-        said = [first, *(one.words for one in self.undetermined)]
+        remedies = {
+            "tails": 'Clean the map, mask it, reduce within, or take loss="huber".',
+            "ambiguous": "Measure the edge of the part or a fiducial, and give a start and a reach that leave one.",
+        }
+        return first, *(" ".join(filter(None, (fact, remedies.get(kind)))) for kind, fact in self.findings)
+
+    @property
+    def findings(self) -> tuple[tuple[DoubtKind, str], ...]:
+        """What puts the pose in doubt: of which kind, and in a sentence."""
+        found: list[tuple[DoubtKind, str]] = [("undetermined", one.words) for one in self.undetermined]
         most = scatter(self.residual.z[~self.outliers]) * NM
         if self.rms_nm > TAILED * most and self.rms_nm > 1:
-            said.append(
-                f"Most points scatter by {most:.3g} nm only: spikes, displaced lenslets or something beside the part "
-                'pull at the pose, so clean the map, mask it, reduce within, or take loss="huber".'
+            found.append(
+                (
+                    "tails",
+                    (
+                        f"Most points scatter by {most:.3g} nm only: spikes, displaced lenslets or something beside "
+                        "the part pull at the pose."
+                    ),
+                )
             )
         if self.held:
-            said.append(f"Left where the start has it, and no result of the fit: {', '.join(self.held)}.")
-        near = [other for other in self.candidates if not other.symmetric]
+            found.append(("held", f"Left where the start has it, and no result of the fit: {', '.join(self.held)}."))
+        near = self.rivals
         if near:
             first = ", ".join(f"{one:.4g}" for one in near[0].pose.shift)
             turn = np.rad2deg(near[0].pose.rotation)
             count = "Another pose fits" if len(near) == 1 else f"{len(near)} other poses fit"
-            said.append(
-                f"{count} nearly as well, the best with shift ({first}) mm and rotation {turn:.4g} deg at "
-                f"{near[0].rms_nm:.4g} nm rms: measure the edge of the part or a fiducial, and give a start and a "
-                "reach that leave one of them."
+            found.append(
+                (
+                    "ambiguous",
+                    (
+                        f"{count} nearly as well, the best with shift ({first}) mm and rotation {turn:.4g} deg at "
+                        f"{near[0].rms_nm:.4g} nm rms."
+                    ),
+                )
             )
         turned = sorted(
             float((np.rad2deg(one.pose.rotation - self.pose.rotation) + 180.001) % 360 - 180.001)
@@ -258,11 +279,21 @@ class Registration:
             if one.symmetric
         )
         if turned:
-            said.append(
-                f"The part is symmetric: turned by {', '.join(f'{one:.4g}' for one in turned)} deg the pose is "
-                "equivalent, and only a mark on the part can tell which one it is."
+            found.append(
+                (
+                    "symmetric",
+                    (
+                        f"The part is symmetric: turned by {', '.join(f'{one:.4g}' for one in turned)} deg the pose is "
+                        "equivalent, and only a mark on the part can tell which one it is."
+                    ),
+                )
             )
-        return tuple(said)
+        return tuple(found)
+
+    @property
+    def rivals(self) -> tuple[PoseCandidate, ...]:
+        """Other poses that fit nearly as well and are not equivalent by symmetry, the best first."""
+        return tuple(other for other in self.candidates if not other.symmetric)
 
 
 class _Task(NamedTuple):

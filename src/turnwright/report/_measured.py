@@ -224,8 +224,8 @@ def _judged(measured: Measured) -> dict[str, str]:
 
 
 def _open_questions(measured: Measured) -> list[str]:
-    """Return what the registration could not settle; its first sentence says where the map lies."""
-    return list(measured.registration.sentences[1:])
+    """Return what the registration could not settle."""
+    return list(measured.open_questions)
 
 
 def _form(measured: Measured) -> list[_Section]:

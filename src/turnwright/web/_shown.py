@@ -59,7 +59,7 @@ def write_shown(measured: Measured, found: Diagnosis, out: Path) -> None:
             "held": lies.held,
             "count": lies.count,
             "rms_nm": lies.rms_nm,
-            "sentences": lies.sentences,
+            "sentences": (lies.sentences[0], *measured.open_questions),
         },
         "roughness": measured.roughness,
         "zernike": [
