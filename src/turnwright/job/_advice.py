@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from turnwright.job._schema import MeasurementTable
     from turnwright.metrology import PoseCandidate, Registration
@@ -55,7 +55,7 @@ def _degrees(value: float) -> str:
     return f"{round(float(np.rad2deg(value)), 3) + 0.0:.6g} deg"
 
 
-def _keys(keys: dict[str, object]) -> str:
+def _keys(keys: Mapping[str, object]) -> str:
     """Return keys as a job file states them."""
     return ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys.items())
 
