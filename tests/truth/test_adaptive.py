@@ -26,6 +26,7 @@ from turnwright import (
     read_nc,
     write_nc,
 )
+from turnwright.strategy import adaptive
 from turnwright.surface import Surface
 
 TURN = 2 * np.pi
@@ -143,6 +144,31 @@ def test_a_steady_feed_is_the_largest_that_keeps_the_scallop():
     assert 0.995 < high.max() < 1.002
     feed = np.diff(radius) / np.diff(angle) * TURN
     assert np.ptp(feed[radius[1:] > 0.02]) < 1e-8
+
+
+@pytest.mark.parametrize("x_motion", ["servo", "steady"])
+def test_a_march_from_the_axis_after_a_look_at_the_rim(monkeypatch, x_motion):
+    """On every lenslet the largest feed is that of a sphere, sqrt(8 R h (1 - R / bend)); R large against its cusps."""
+    monkeypatch.setattr(adaptive, "BLOCK", 1 << 14)  # so that heights outside take the place of those at the axis
+    part = Part(surface=LensArray.hexagonal(pitch=0.3, lenslet=Sphere(radius=8.0), rings=3), radius=0.4)
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation="linear", x_motion=x_motion)
+    spiral = servo.spiral(part, TOOL)
+    aim = SCALLOP * (1 if x_motion == "steady" else 0.9925)
+    step = np.sqrt(8 * 0.1 * aim * (1 - 0.1 / 8.0))
+    at = spiral.angle[-1] - np.arange(2.0, 55.0, 0.05) * TURN
+    assert -np.diff(np.interp(at, spiral.angle, spiral.radius)[::-1][::20]) == pytest.approx(step, rel=5e-3)
+    assert abs(spiral.radius.max() - part.radius) < 4 * step
+
+
+def test_a_steady_feed_over_lenses_on_a_torus():
+    surface = Toroid(radius_x=40, radius_y=60) + LensArray.square(
+        lenslet=Sphere(radius=2.0), pitch=0.5, rows=7, columns=7
+    )
+    part, tool = Part(surface=surface, radius=1.5), Tool(nose_radius=0.2, included=np.deg2rad(120))
+    servo = AdaptiveToolServo(scallop=SCALLOP, chord=SCALLOP, interpolation="linear", x_motion="steady")
+    # The largest feed on a slope s of curvature k is sqrt(8 R h (1 - R k) cos(s)^3): steepest and most curved in a lens.
+    least = np.sqrt(8 * 0.2 * SCALLOP * (1 - 0.2 * (1 / 2.0 + 1 / 40)) * np.cos(0.18 + 1.5 / 40) ** 3)
+    assert least < servo.spiral(part, tool).feed < np.sqrt(8 * 0.2 * SCALLOP * (1 - 0.2 / 2.0))
 
 
 class Island(Surface):

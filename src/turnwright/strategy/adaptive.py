@@ -415,6 +415,9 @@ class _Steps:
     def _tips(self, radius: Floats) -> tuple[Floats, Floats]:
         """Return height and slope along the spoke of a tip on every spoke. Each (m,)."""
         low, high = int(self.inner / self.ring), int(radius.max() / self.ring) + 2
+        if low < self.first:  # a new march from the axis outwards
+            self.first = low
+            self.height, self.slope, self.piece = (held[:0] for held in (self.height, self.slope, self.piece))
         while high >= self.first + self.height.shape[0]:
             start = self.first + self.height.shape[0]
             # Many at a time, but no further outside the rim than the tip goes: the surface may end there.
