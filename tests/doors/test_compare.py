@@ -100,6 +100,21 @@ def test_what_cannot_be_is_said_and_the_others_go_on(tmp_path):
     assert fast.refused or any("W" in sentence for sentence in fast.limits.findings)
 
 
+def test_a_defect_in_one_strategy_leaves_the_page_of_the_others(tmp_path, monkeypatch, capsys):
+    def fail(*_, **__):
+        raise IndexError("index -261 is out of bounds")
+
+    monkeypatch.setattr(tw.AdaptiveToolServo, "spiral", fail)
+    job = written(tmp_path, *CHANGES)
+    assert main(["compare", str(job), "--out", str(tmp_path / "out")]) == 0
+    capsys.readouterr()
+    candidates = json.loads((tmp_path / "out" / "comparison.json").read_text())["candidates"]
+    refused = {one["name"]: one["refused"] for one in candidates}
+    assert [name for name, reason in refused.items() if not reason] == ["slow, constant angle", "slow, points by chord"]
+    assert "IndexError: index -261" in refused["adaptive points"]
+    assert "IndexError: index" in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_the_page_and_the_numbers_say_the_same(tmp_path, capsys):
     job = written(tmp_path, *CHANGES)
     assert main(["compare", str(job), "--out", str(tmp_path / "out")]) == 0

@@ -264,10 +264,15 @@ def _tried(name: str, way: Callable[[], Strategy], job: Job, told: StageProgress
             shares=shares(part, tool, spiral, motion, again=again, progress=third(2)),
             wall_s=time.perf_counter() - start,
         )
-    except Stopped:
+    except (Stopped, OSError):  # a full disk fails every strategy
         raise
     except TurnwrightError as error:
-        return Candidate(name=name, servo=servo, refused=str(error), wall_s=time.perf_counter() - start)
+        reason = str(error)
+    except Exception as error:  # noqa: BLE001 - the page of the other strategies outlives a defect in this one
+        reason = (
+            f"a defect of Turnwright, not of the job ({type(error).__name__}: {str(error)[:100]}): please report it"
+        )
+    return Candidate(name=name, servo=servo, refused=reason, wall_s=time.perf_counter() - start)
 
 
 def _written(motion: Motion, machine: Machine, folder: File) -> Motion:
