@@ -50,6 +50,11 @@ def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool =
     return view
 
 
+def rounding(values: Floats) -> float:
+    """Return by how much the difference of two cumulative values may be off, as rounding grows with the values."""
+    return 4 * float(np.spacing(np.abs(values[[0, -1]]).max()))
+
+
 def only_read(values: Floats) -> Floats:
     """Return an array as a kernel takes what it only reads: contiguous and not to be written.
 

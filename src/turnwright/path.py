@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from turnwright._arrays import Floats, Ints, freeze, frozen, same_length
+from turnwright._arrays import Floats, Ints, freeze, frozen, rounding, same_length
 from turnwright.errors import InputError
 from turnwright.machine import FAST, ROTARY, Machine
 
@@ -227,7 +227,7 @@ def block_points(time: Floats, axes: Mapping[str, Floats]) -> Ints:
             if letter in FAST:
                 continue
             off = np.abs(np.interp(time, time[fewer], values[fewer]) - values).max()
-            if off > (TURNED if letter in ROTARY else STRAIGHT):
+            if off > (TURNED if letter in ROTARY else STRAIGHT) + rounding(values):
                 return points
         points, stride = fewer, 2 * stride
     return points

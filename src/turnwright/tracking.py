@@ -17,7 +17,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from turnwright._arrays import Floats, frozen, only_read, positive, same_length
+from turnwright._arrays import Floats, frozen, only_read, positive, rounding, same_length
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, INTERPOLATIONS, ROTARY, Axis, Machine
 from turnwright.path import Motion
@@ -239,8 +239,8 @@ def _inverted(missed: Floats, time: Floats, axis: Axis, bandwidth_hz: float | No
     from scipy import fft, interpolate  # noqa: PLC0415 - costly to import
 
     # Blocks of many lengths are not sampled as finely as the shortest throughout.
-    step = max(float(np.diff(time).min()), float(time[-1] - time[0]) / (FINER * time.size))
-    even = np.linspace(time[0], time[-1], math.ceil((time[-1] - time[0]) / step * (1 - 1e-9)) + 1)
+    step = max(float(np.diff(time).min()) + rounding(time), float(time[-1] - time[0]) / (FINER * time.size))
+    even = np.linspace(time[0], time[-1], math.ceil((time[-1] - time[0]) / step) + 1)
     step = float(even[1] - even[0])
     uneven = even.size != time.size
     values = interpolate.CubicSpline(time, missed)(even) if uneven else missed
@@ -283,7 +283,7 @@ def _paced(motion: Motion, machine: Machine) -> Floats:
     points = motion.blocks
     time = motion.time[points]
     blocks = np.diff(time)
-    factor = np.maximum(1.0, (1 - 1e-9) / (blocks * machine.block_rate_hz))
+    factor = np.maximum(1.0, (1 - 1e-9) / ((blocks + rounding(time)) * machine.block_rate_hz))
     if machine.controller.look_ahead is not None:
         for letter, position in motion.axes.items():
             limit = getattr(machine.axes.get(letter), "acceleration", None)
@@ -300,7 +300,7 @@ def _samples(time: Floats, parts: int, *, uniform: bool) -> Floats:
     length = time[-1] - time[0]
     blocks = time.size - 1
     if uniform:
-        blocks = min(math.ceil(length / np.diff(time).min() * (1 - 1e-9)), FINER * time.size)
+        blocks = min(math.ceil(length / (np.diff(time).min() + rounding(time))), FINER * time.size)
     if blocks * parts > MOST_SAMPLES:
         raise LimitError(
             f"the real motion needs {blocks * parts:.3g} samples, the limit is {MOST_SAMPLES:.3g}: allow a larger chord"

@@ -8,9 +8,11 @@ import pytest
 
 from turnwright.contact import place
 from turnwright.job import Job, plan, run, shares
+from turnwright.job._shares import exact_motion
 from turnwright.machine import Axis, Machine
 from turnwright.motion import drive
 from turnwright.part import Part
+from turnwright.path import Spiral
 from turnwright.response import SecondOrder
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import Plane, SineGrid
@@ -26,6 +28,17 @@ def planned(surface, servo, response=None):
     machine = Machine(name="lathe", axes=axes, spindle_rpm=1500, block_rate_hz=1e6)
     spiral = servo.spiral(part, tool)
     return part, tool, spiral, drive(place(spiral, part, tool), servo, machine)
+
+
+@pytest.mark.parametrize("turns", [0, 1e4, 1e5])
+def test_the_ends_of_a_spiral_stand_once_however_far_the_spindle_turned(turns):
+    """At every one of 720 azimuths in a turn, and once more at its end."""
+    angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    turned = turns * 2 * np.pi + np.linspace(0, 2 * np.pi, 145)
+    spiral = Spiral(angle=turned, radius=np.linspace(1, 0.99, 145))
+    machine = Machine(name="lathe", axes=dict.fromkeys("CXZ", Axis()), spindle_rpm=1500, block_rate_hz=1e6)
+    found = exact_motion(spiral, Part(surface=Plane(), radius=2.0), Tool(nose_radius=NOSE), machine, angle)
+    assert found.time.size == 721
 
 
 def test_a_flat_has_cusps_alone():

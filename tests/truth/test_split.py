@@ -188,6 +188,20 @@ def test_a_lathe_beside_a_fast_tool_writes_only_the_blocks_that_it_needs(compoun
         assert tw.check_limits(motion, machine).block_rate_hz == pytest.approx(1 / block, rel=1e-12)
 
 
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("turns", [0, 1e3, 1e4, 1e5])
+def test_the_lathe_has_the_blocks_that_were_asked_for(turns, sense):
+    """Oracle: 1600 points over 200 blocks, 8 points to each, however far the spindle has turned."""
+    turned = np.arange(4001) * (TURN / 1600)
+    spiral = tw.Spiral(angle=sense * (TURN * turns + turned), radius=1 - 1e-3 * turned)
+    part, tool = tw.Part(surface=tw.Plane(slope=(0.01, 0.0)), radius=2.0), tw.Tool(nose_radius=0.05)
+    servo = tw.HybridToolServo(
+        plan=tw.SlowToolServo(feed=0.02, points_per_rev=1600), base=part.surface, tool=tool, blocks_per_rev=200
+    )
+    motion = tw.drive(tw.place(spiral, part, tool), servo, tw.Machine.load("nanoform-fts-500"))
+    assert np.abs(np.diff(motion.lathe().axes["C"])).max() == pytest.approx(TURN / 200)
+
+
 def test_the_highest_speed_keeps_the_bandwidth():
     """40 waves a turn within 100 Hz, and the width of the window: 2.5 rev/s but for a half to two waves more."""
     machine = tw.Machine.load("nanoform-fts-70")

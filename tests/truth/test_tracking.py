@@ -211,6 +211,15 @@ def test_a_controller_that_takes_fewer_blocks_slows_the_whole_motion():
     assert np.abs(made.axes["Z"] - given.axes["Z"]).max() < 1e-16
 
 
+@pytest.mark.parametrize("begin", [0.0, 1e4, 1e6])
+def test_rounding_of_the_clock_slows_nothing_down(begin):
+    """A thousand even blocks a second are even, and no more than a machine of a thousand takes, hours from the start."""
+    given = motion(machine(), points=401)
+    late = Motion(time=begin + given.time, axes=given.axes, machine=machine(block_rate=1000))
+    assert track(late, chord=1).time[-1] == pytest.approx(given.time[-1], rel=1e-9)
+    assert precorrect(late).axes["Z"] == pytest.approx(precorrect(given, machine()).axes["Z"], abs=1e-9)
+
+
 def test_a_short_look_ahead_keeps_the_spindle_slow():
     # Two blocks of 0.007 rad each in 1 ms: w^2 / 2a <= 0.014 rad allows w = sqrt(0.028 * 100) rad/s.
     given = motion(machine(), points=401)

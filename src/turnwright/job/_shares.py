@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import rounding
 from turnwright.contact import place
 from turnwright.errors import InputError
 from turnwright.generation import generate_polar
@@ -215,7 +216,8 @@ def exact_motion(spiral: Spiral, part: Part, tool: Tool, machine: Machine, angle
     """Return a motion that is exact wherever it crosses one of the azimuths, at one radian per second."""
     first, last = sorted((float(spiral.angle[0]), float(spiral.angle[-1])))
     step = TURN / angle.size
-    inner = np.arange(math.ceil(first / step + 1e-9), math.floor(last / step - 1e-9) + 1) * step
+    apart = 1e-9 + rounding(spiral.angle) / step  # so that no azimuth is one of the ends over again
+    inner = np.arange(math.ceil(first / step + apart), math.floor(last / step - apart) + 1) * step
     nodes = np.concatenate(([first], inner, [last]))[:: spiral.sense]
     radius = _between(spiral, spiral.radius, spiral.radius_rate, nodes)
     y = None if spiral.y is None else _between(spiral, spiral.y, spiral.y_rate, nodes)

@@ -129,7 +129,7 @@ def smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | None) -
         kinds.append(_Kind(2, turned[1:-1], bend, -most, most))
     for per_turn in CELLS:
         step = TURN / per_turn
-        cells = max(math.ceil(turned[-1] / step - 1e-9), 1)
+        cells = max(math.ceil(turned[-1] / step * (1 - 1e-12)), 1)
         c = _coefficients(kinds, step, cells)
         if c is not None:
             z, rate = np.empty(turned.size), np.empty(turned.size)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import rounding
 from turnwright._given import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.machine import Axis
@@ -114,9 +115,9 @@ class HybridToolServo(Strategy):
         slow, _ = self._slow(path, axes["Z"])
         if self.blocks_per_rev is not None:
             turned = np.abs(path.angle - path.angle[0])
-            widest = float(np.diff(turned).max())
+            widest = float(np.diff(turned).max()) - rounding(path.angle)
             # By halves, so that every block of the shorter program is found again among the points.
-            stride = 2 ** max(math.floor(math.log2(2 * math.pi / self.blocks_per_rev / widest + 1e-9)), 0)
+            stride = 2 ** max(math.floor(math.log2(2 * math.pi / self.blocks_per_rev / widest)), 0)
             blocks = np.append(np.arange(0, turned.size - 1, stride), turned.size - 1)
             slow = np.interp(turned, turned[blocks], slow[blocks])
         return {**axes, "Z": slow, "W": axes["Z"] - slow}

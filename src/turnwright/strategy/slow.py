@@ -276,7 +276,7 @@ class SlowToolServo(Strategy):
         arc = self.arc_length / pitch  # type: ignore[operator]
         inside = np.zeros(1)
         if self.max_step is not None:
-            step = TURN / math.ceil(TURN / self.max_step - 1e-9)
+            step = TURN / math.ceil(TURN / self.max_step * (1 - 1e-12))
             # Along the spiral r = pitch * psi an angle step is sqrt(1 + psi²) * step long, in units of the pitch.
             border = math.sqrt(max((arc / step) ** 2 - 1, 0.0))
             inside = _steps((min(border, outer) - inner) / step) * step
@@ -292,7 +292,7 @@ class SlowToolServo(Strategy):
         pitch = self.feed / TURN
         widest = self.max_step or WIDEST_STEP
         tolerance = float(self.chord)  # type: ignore[arg-type]
-        steps = math.ceil(TURN / widest - 1e-9)
+        steps = math.ceil(TURN / widest * (1 - 1e-12))
         finest = max(256, 12 * steps, 8 * TURN * part.radius / part.surface.feature_size)
         per_turn = steps * math.ceil(finest / steps)
         samples = _steps((start - end) / self.feed * per_turn)
