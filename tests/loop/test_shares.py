@@ -41,6 +41,23 @@ def test_the_ends_of_a_spiral_stand_once_however_far_the_spindle_turned(turns):
     assert found.time.size == 721
 
 
+def test_an_exact_path_is_exact_at_uneven_azimuths_too():
+    """Oracle: the height of a tip on a tilted plane, tan(t) X cos(C) + R (sec(t') - 1), at the very azimuths."""
+    angle = np.sort(np.random.default_rng(5).uniform(0, 2 * np.pi, 37))
+    turned = np.linspace(-1.0, 40.0, 3000)
+    tilted, slope = Plane(slope=(0.1, 0.0)), 0.1
+    machine = Machine(name="lathe", axes=dict.fromkeys("CXZ", Axis()), spindle_rpm=1500, block_rate_hz=1e6)
+    for sense in (1, -1):
+        spiral = Spiral(angle=sense * turned, radius=np.linspace(1.0, 0.5, 3000))
+        found = exact_motion(spiral, Part(surface=tilted, radius=2.0), Tool(nose_radius=NOSE), machine, angle)
+        c, x = found.axes["C"], found.axes["X"]
+        wanted = slope * x * np.cos(c) + NOSE * (np.sqrt(1 + (slope * np.cos(c)) ** 2) - 1)
+        assert np.abs(found.axes["Z"] - wanted).max() < 1e-12
+        passed = np.sort((angle + 2 * np.pi * np.arange(-9, 9)[:, None]).ravel())
+        inside = passed[(passed > c.min()) & (passed < c.max())]
+        assert np.sort(c)[1:-1] == pytest.approx(inside, abs=1e-12)
+
+
 def test_a_flat_has_cusps_alone():
     """Oracle: R - sqrt(R² - f²/4), with a quarter of a feed past the axis."""
     found = shares(*planned(Plane(), SlowToolServo(feed=FEED, points_per_rev=36, spindle_rpm=60, overrun=FEED / 4)))

@@ -213,11 +213,15 @@ def apart_nm(one: HeightMap, other: HeightMap) -> float:
 
 
 def exact_motion(spiral: Spiral, part: Part, tool: Tool, machine: Machine, angle: Floats) -> Motion:
-    """Return a motion that is exact wherever it crosses one of the azimuths, at one radian per second."""
+    """Return a motion that is exact wherever it crosses one of the azimuths, at one radian per second.
+
+    The azimuths ascend from 0 to less than a turn, at any distance from each other.
+    """
     first, last = sorted((float(spiral.angle[0]), float(spiral.angle[-1])))
-    step = TURN / angle.size
-    apart = 1e-9 + rounding(spiral.angle) / step  # so that no azimuth is one of the ends over again
-    inner = np.arange(math.ceil(first / step + apart), math.floor(last / step - apart) + 1) * step
+    apart = 1e-11 + rounding(spiral.angle)  # so that no azimuth is one of the ends over again [rad]
+    turns = np.arange(math.floor(first / TURN), math.floor(last / TURN) + 1)
+    inner = (TURN * turns[:, None] + angle).ravel()
+    inner = inner[(inner > first + apart) & (inner < last - apart)]
     nodes = np.concatenate(([first], inner, [last]))[:: spiral.sense]
     radius = _between(spiral, spiral.radius, spiral.radius_rate, nodes)
     y = None if spiral.y is None else _between(spiral, spiral.y, spiral.y_rate, nodes)
