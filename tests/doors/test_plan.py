@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 import turnwright as tw
 from turnwright.cli import main
 from turnwright.errors import JobError
-from turnwright.job import Job, compare, plan, run
+from turnwright.job import Job, _plan, compare, plan, run
 
 TOLERANCES = {"form_pv": "300 nm", "sq": "20 nm"}
 
@@ -159,6 +159,38 @@ def test_the_quickest_interpolation_that_the_controller_offers_is_taken(tmp_path
     assert main(["backplot", str(program), "--job", str(tmp_path / "planned.toml")]) == 0
     capsys.readouterr()
     assert compare(planned).candidates[0].shares.chord_nm > 0
+
+
+def test_the_error_of_points_falls_with_their_spacing(tmp_path):
+    """A part whose azimuths are no multiple of those looked at: 161 of them. Oracle: `run` on the planned job."""
+    grid = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["0.75 mm", "0.75 mm"]}
+    job = lathe(
+        tmp_path, ("part.surface", grid), ("part.radius", "0.6 mm"), ("machine.interpolation", "hermite"),
+        ("strategy", {"kind": "slow tool servo", "feed": "10 um/rev", "chord": "10 nm"}),
+        ("tolerances", {"form_pv": "100 nm", "sq": "10 nm"}), controller='other_interpolations = { hermite = "pmac" }',
+    )  # fmt: skip
+    found = plan(Job.load(job))
+    assert found.limits.points < 40_000
+    assert found.shares.pv_nm <= 100
+
+
+def test_an_error_that_does_not_come_from_the_points_ends_the_search(tmp_path, monkeypatch):
+    asked = []
+
+    def stays(_, points):
+        asked.append(points.spiral.angle.size)
+        return 37e-6
+
+    monkeypatch.setattr(_plan._Search, "_added", stays)
+    job = lathe(
+        tmp_path, ("machine.interpolation", "hermite"), controller='other_interpolations = { hermite = "pmac" }'
+    )
+    with pytest.raises(tw.LimitError, match=r"no points let .* leave 37 nm"):
+        plan(Job.load(job))
+    assert asked[-1] < 100 * asked[0]
+    monkeypatch.setattr(_plan, "MOST_POINTS", 2 * asked[0])
+    with pytest.raises(tw.LimitError, match=r"points .* would be .*, the limit of a plan is"):
+        plan(Job.load(job))
 
 
 def test_a_job_that_asks_for_an_interpolation_gets_it(tmp_path):

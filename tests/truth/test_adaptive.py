@@ -166,7 +166,7 @@ def test_a_steady_feed_over_lenses_on_a_torus():
     )
     part, tool = Part(surface=surface, radius=1.5), Tool(nose_radius=0.2, included=np.deg2rad(120))
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=SCALLOP, interpolation="linear", x_motion="steady")
-    # The largest feed on a slope s of curvature k is sqrt(8 R h (1 - R k) cos(s)^3): steepest and most curved in a lens.
+    # The largest feed on a slope s of curvature k is sqrt(8 R h (1 - R k) cos(s)^3): least at the rim of a lens.
     least = np.sqrt(8 * 0.2 * SCALLOP * (1 - 0.2 * (1 / 2.0 + 1 / 40)) * np.cos(0.18 + 1.5 / 40) ** 3)
     assert least < servo.spiral(part, tool).feed < np.sqrt(8 * 0.2 * SCALLOP * (1 - 0.2 / 2.0))
 

@@ -213,7 +213,7 @@ def test_a_controller_that_takes_fewer_blocks_slows_the_whole_motion():
 
 @pytest.mark.parametrize("begin", [0.0, 1e4, 1e6])
 def test_rounding_of_the_clock_slows_nothing_down(begin):
-    """A thousand even blocks a second are even, and no more than a machine of a thousand takes, hours from the start."""
+    """A thousand even blocks a second are even, and as many as a machine of a thousand takes, hours from the start."""
     given = motion(machine(), points=401)
     late = Motion(time=begin + given.time, axes=given.axes, machine=machine(block_rate=1000))
     assert track(late, chord=1).time[-1] == pytest.approx(given.time[-1], rel=1e-9)

@@ -70,6 +70,9 @@ ROOM = 0.97
 SPLITS = (0.9, 0.6, 0.4, 0.25, 0.15)
 """Parts of what the cusps leave that are tried for the points; the servos get the rest."""
 
+MOST_POINTS = 10_000_000
+"""Points of a plan that is searched for; beyond this no search of minutes holds it in memory."""
+
 WIDEST = "15 deg"
 """Largest step of points at even distances, which near the axis say nothing of the angle."""
 
@@ -312,14 +315,22 @@ class _Search:
         tried: dict[float, _Points] = {}
 
         def added(spacing: float) -> float:
+            for other, points in tried.items():
+                if (foreseen := points.spiral.angle.size * other / spacing) > MOST_POINTS and other >= spacing:
+                    raise LimitError(
+                        f"points that keep within {share * NM:.3g} nm of the path would be {foreseen:.2g}, the limit "
+                        f"of a plan is {MOST_POINTS:.0e}: allow more form_pv, or another interpolation"
+                    )
             points = tried[spacing] = self._placed(plain(spacing))
             self.spacings.append((spacing, self._added(points)))
             return self.spacings[-1][1]
 
         found = largest(added, share, first, self.part.radius)
         if not found:
+            nearest, left = min(((one, off) for one, off in self.spacings if one in tried), key=lambda both: both[1])
             raise LimitError(
                 f"no points let the controller of {self.machine.name} keep within {share * NM:.3g} nm of the path: "
+                f"{tried[nearest].spiral.angle.size} points at {write(plain(nearest), 'mm')} leave {left * NM:.3g} nm; "
                 "allow more form_pv"
             )
         return tried[found]

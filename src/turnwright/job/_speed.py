@@ -50,6 +50,13 @@ POWER = 1.6
 POWERS = (0.5, 4.0)
 """Powers that two tries of a number may suggest."""
 
+LEAP = 8.0
+"""A number is made smaller by at most this factor between two tries: its error may be less than two tries suggest."""
+
+SMALLER = 4.0
+FALLS = 0.95
+"""An error that is still more than FALLS of itself for a number so many times SMALLER does not come from the number."""
+
 RINGS = 24
 """Rings that have a speed of their own."""
 
@@ -95,7 +102,10 @@ def guess(known: list[tuple[float, float]], limit: float) -> float:
 
 
 def largest(error: Callable[[float], float], limit: float, first: float, most: float = math.inf) -> float:
-    """Return a value, up to ``most``, whose growing error is within its limit and near to it; 0 if none was found."""
+    """Return a value, up to ``most``, whose growing error is within its limit and near to it; 0 if none was found.
+
+    The search ends after some tries, and where a smaller value leaves the error as it was.
+    """
     low, high = 0.0, math.inf
     known: list[tuple[float, float]] = []
     value = min(first, most)
@@ -107,6 +117,8 @@ def largest(error: Callable[[float], float], limit: float, first: float, most: f
                 break
         else:
             high = value
+            if any(other >= SMALLER * value and FALLS * its <= known[-1][1] for other, its in known if its < math.inf):
+                break
         top = min(high, most)
         if low and top / low < 1 / NEAR:
             break
@@ -115,6 +127,7 @@ def largest(error: Callable[[float], float], limit: float, first: float, most: f
             value = most
         elif not low < value < top:
             value = (low + top) / 2
+        value = max(value, known[-1][0] / LEAP)
     return low
 
 

@@ -28,6 +28,9 @@ TURN = 2 * math.pi
 MOST_POINTS = 300_000_000
 """Beyond this a spiral is a slip of the unit: no controller takes such a program, and no memory holds it."""
 
+MOST_SAMPLES = 1 << 24
+"""Samples of a block of a path, beyond which it is rougher than memory holds."""
+
 WIDEST_STEP = TURN / 12
 """Largest angle between two points, so that no move of C is ambiguous. [rad]"""
 
@@ -417,7 +420,7 @@ class _Steps:
         low, high = int(self.inner / self.ring), int(radius.max() / self.ring) + 2
         if low < self.first:  # a new march from the axis outwards
             self.first = low
-            self.height, self.slope, self.piece = (held[:0] for held in (self.height, self.slope, self.piece))
+            self.height, self.slope, self.piece = self.height[:0], self.slope[:0], self.piece[:0]
         while high >= self.first + self.height.shape[0]:
             start = self.first + self.height.shape[0]
             # Many at a time, but no further outside the rim than the tip goes: the surface may end there.
@@ -685,7 +688,7 @@ def _sampled(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, herm
             break
         if path.shape[1] == turned.size and coarse.size > path.shape[1] // FEW:
             # Twice as many even samples, at the same azimuths in every turn, are placed sooner than those scattered.
-            _check_count(2 * turned.size)
+            _check_samples(2 * turned.size, chord)
             turned = np.linspace(turned[0], turned[-1], 2 * turned.size - 1)
             path = placed(turned)
             continue
@@ -698,7 +701,7 @@ def _sampled(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, herm
                 f"{chord:g} mm: use a strategy with points_per_rev or arc_length, or a tool with a smaller included "
                 "angle"
             )
-        _check_count(path.shape[1] + coarse.size)
+        _check_samples(path.shape[1] + coarse.size, chord)
         path = np.insert(path, coarse + 1, placed(middle), axis=1)
     t, z, dz, x, dx, s = path
     if hermite:
@@ -706,7 +709,7 @@ def _sampled(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, herm
     else:
         pieces = np.sqrt(steps.miss / (8 * chord) * (_bend(t, z, dz) + np.abs(s[:-1]) * _bend(t, x, dx)))
     parts = np.maximum(np.ceil(pieces), 1).astype(np.int64)
-    _check_count(float(parts.sum()))
+    _check_samples(int(parts.sum()), chord)
     out = np.empty((7, int(parts.sum()) + 1))
     kernel.refine(np.vstack([path, curve.aside(t)]), parts, out)
     return out
@@ -732,6 +735,15 @@ def _bend(t: Floats, z: Floats, dz: Floats) -> Floats:
     rise = np.diff(z)
     a, b = h * dz[:-1], h * dz[1:]
     return np.maximum(np.abs(6 * rise - 4 * a - 2 * b), np.abs(2 * a + 4 * b - 6 * rise))
+
+
+def _check_samples(count: int, chord: float) -> None:
+    """Raise if a path is so rough that no sampling of it fits into memory."""
+    if count > MOST_SAMPLES:
+        raise LimitError(
+            f"a block of the path takes {count:.3g} samples to keep within the chord {chord:g} mm, the limit is "
+            f"{MOST_SAMPLES:.3g}: allow a larger chord, or use a strategy with points_per_rev or arc_length"
+        )
 
 
 def _check_count(count: float) -> None:

@@ -31,6 +31,9 @@ TURN = 2 * math.pi
 MOST_POINTS = 300_000_000
 """Beyond this a spiral is a slip of the unit: no controller takes such a program, and no memory holds it."""
 
+MOST_SAMPLES = 1 << 24
+"""Samples of a piece of a path by chord, beyond which it is rougher than memory holds."""
+
 WIDEST_STEP = TURN / 12
 """Largest angle between two points of a path by chord tolerance, so that no move of C is ambiguous. [rad]"""
 
@@ -341,6 +344,15 @@ def _check_count(count: float) -> None:
         )
 
 
+def _check_samples(count: int, tolerance: float) -> None:
+    """Raise if a path is so rough that no sampling of it fits into memory."""
+    if count > MOST_SAMPLES:
+        raise LimitError(
+            f"a piece of the path takes {count:.3g} samples to keep within the chord {tolerance:g} mm, the limit is "
+            f"{MOST_SAMPLES:.3g}: allow a larger chord, or set points_per_rev or arc_length"
+        )
+
+
 def _steps(count: float) -> Floats:
     """Return 0, 1, 2 and so on up to ``count``, rounded up but for what is rounding itself. (n,)."""
     return np.arange(_count(count) + 1, dtype=np.float64)
@@ -395,10 +407,10 @@ def _interpolated(turned: Floats, height: Callable[[Floats], Floats], tolerance:
         smooth = (doubt <= tolerance / SURENESS) & (parts <= MOST_PARTS)
         if np.count_nonzero(~smooth) <= max(smooth.size // FEW, 4):
             break
-        _check_count(2 * turned.size)
+        _check_samples(2 * turned.size, tolerance)
         turned = np.linspace(turned[0], turned[-1], 2 * smooth.size + 1)
     most = max(2, math.ceil(parts[smooth].max(initial=0.0)))
-    _check_count(smooth.size * most)
+    _check_samples(smooth.size * most, tolerance)
     fine = np.repeat(z[:-1, None], most, axis=1)
     for number, first in enumerate((-1, -2, 0)):
         rows = np.flatnonzero(smooth & (side == number))
@@ -443,7 +455,7 @@ def _refined(turned: Floats, height: Callable[[Floats], Floats], tolerance: floa
         parts = np.clip(np.ceil(np.sqrt(bulge[coarse] / tolerance * FINENESS)), 2, 8).astype(np.int64)
         which = np.repeat(np.arange(coarse.size), parts - 1)
         rank = np.arange(which.size) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
-        _check_count(turned.size + which.size)
+        _check_samples(turned.size + which.size, tolerance)
         new = turned[coarse[which]] + step[coarse[which]] * (rank / parts[which])
         at = coarse[which] + 1
         turned, z = np.insert(turned, at, new), np.insert(z, at, height(new))
