@@ -351,7 +351,7 @@ def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
         names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
         _store(archive.create_group("path"), {name: getattr(result.path, name) for name in names})
         _store_motion(archive.create_group("motion"), result.motion)
-        for number, turn in enumerate(result.turns):
+        for number, turn in enumerate(result.turns, 1):
             _store_motion(archive.create_group(f"turns/{number}"), turn)
     write_whole(file, image.getbuffer())
 

@@ -87,10 +87,10 @@ def test_the_command_leaves_a_table_a_page_and_a_study_that_can_be_loaded(job_fi
         "seconds", "reason",
     ]  # fmt: skip
     assert [row[:3] for row in rows[:4]] == [
-        ["0", "0.2", "0.5"],
-        ["1", "0.2", "1.0"],
-        ["2", "0.2", "2.0"],
-        ["3", "0.4", "0.5"],
+        ["1", "0.2", "0.5"],
+        ["2", "0.2", "1.0"],
+        ["3", "0.2", "2.0"],
+        ["4", "0.4", "0.5"],
     ]
     # X advances by the feed: the oracle of its speed.
     np.testing.assert_allclose([float(row[5]) for row in rows], [float(row[2]) / 60 for row in rows], rtol=1e-9)

@@ -48,16 +48,16 @@ def with_one(job, name, given):
         ("tool.nose_radius", "0.4 mm", lambda job: job.tool.nose_radius == 0.4),
         ("tool.nose_radius", [0.4], lambda job: job.tool.nose_radius == 0.4),
         ("tool.nose_radius", np.array([0.4]), lambda job: job.tool.nose_radius == 0.4),
-        ("tool.waviness.2", "3e-3 mm/rad^3", lambda job: job.tool.waviness == (0, 0, 3e-3)),
-        ("actual.tool.offset.0", "2 um", lambda job: job.actual.tool.offset == (0.002, 0, 0)),
+        ("tool.waviness[3]", "3e-3 mm/rad^3", lambda job: job.tool.waviness == (0, 0, 3e-3)),
+        ("actual.tool.offset[1]", "2 um", lambda job: job.actual.tool.offset == (0.002, 0, 0)),
         ("actual.machine.squareness", "2 um/m", lambda job: job.actual.machine.squareness == 2e-6),
-        ("part.surface.0.conic", "-1.1", lambda job: job.part.surface.terms[0].conic == -1.1),
-        ("part.surface.terms.0.radius", "40 mm", lambda job: job.part.surface.terms[0].radius == 40),
-        ("part.surface.1.terms.5", "3 um", lambda job: job.part.surface.terms[1].terms[5] == pytest.approx(0.003)),
-        ("part.surface.1.terms.9", "30 nm", lambda job: job.part.surface.terms[1].terms[9] == pytest.approx(3e-5)),
+        ("part.surface[1].conic", "-1.1", lambda job: job.part.surface.terms[0].conic == -1.1),
+        ("part.surface.terms[1].radius", "40 mm", lambda job: job.part.surface.terms[0].radius == 40),
+        ("part.surface[2].terms.5", "3 um", lambda job: job.part.surface.terms[1].terms[5] == pytest.approx(0.003)),
+        ("part.surface[2].terms.9", "30 nm", lambda job: job.part.surface.terms[1].terms[9] == pytest.approx(3e-5)),
         ("passes.rough.feed", "30 um/rev", lambda job: job.passes[0].feed == 0.03),
-        ("passes.1.points_per_rev", "720", lambda job: job.passes[1].points_per_rev == 720),
-        ("simulation.patches.axis.centre.1", "5 um", lambda job: job.simulation.patches[0].centre == (0, 0.005)),
+        ("passes[2].points_per_rev", "720", lambda job: job.passes[1].points_per_rev == 720),
+        ("simulation.patches.axis.centre[2]", "5 um", lambda job: job.simulation.patches[0].centre == (0, 0.005)),
         ("simulation.whole_part.radii", "100", lambda job: job.simulation.whole_part.radii == 100),
         ("strategy.spindle_speed", "70 rpm", lambda job: job.strategy.spindle_speed == 70),
         ("strategy.sense", "-1", lambda job: job.strategy.sense == -1),
@@ -77,11 +77,15 @@ def test_any_field_of_the_job_can_be_varied(job, name, given, value):
         ("tool.nosradius", "tool.nosradius is not a field of this job: did you mean tool.nose_radius?"),
         ("strategy.spindle_rpm", "did you mean strategy.spindle_speed?"),
         ("passes.finsh.feed", "did you mean passes.finish?"),
-        ("passes.7.feed", "passes has rough, finish, use one of them"),
+        ("passes[7].feed", "passes has rough, finish, use one of them"),
         ("simulation.patches", "simulation.patches is a list: name one value in it, such as simulation.patches.axis"),
         ("tool", "tool is a table: name one value in it, such as tool.waviness"),
-        ("tool.nose_radius.0", "holds nothing further: vary tool.nose_radius itself"),
-        ("actual.tool.offset.3", "actual.tool.offset has 0 to 2, use one of them"),
+        ("tool.nose_radius[1]", "holds nothing further: vary tool.nose_radius itself"),
+        ("actual.tool.offset[4]", "actual.tool.offset has [1] to [3], use one of them"),
+        ("actual.tool.offset[0]", "actual.tool.offset has [1] to [3], use one of them"),
+        ("actual.tool.offset.0", "actual.tool.offset has [1] to [3], use one of them"),
+        ("actual.tool.offset[1", "is not a field of this job"),
+        ("passes..feed", "is not a field of this job"),
     ],
 )
 def test_a_field_that_is_not_there_is_named_with_the_nearest(job, name, said):
@@ -139,7 +143,7 @@ def test_values_are_those_of_exact_decimals(job):
 
 def test_the_job_s_own_value_is_known_in_the_unit_asked_for(job):
     assert stated(job, read_varied(job, "tool.nose_radius", "400, 500 um")) == 500
-    assert stated(job, read_varied(job, "part.surface.1.terms.5", "1, 3 um")) == pytest.approx(2)
+    assert stated(job, read_varied(job, "part.surface[2].terms.5", "1, 3 um")) == pytest.approx(2)
     assert stated(job, read_varied(job, "actual.tool.radius_error", "1 um")) is None
     assert stated(with_one(job, "strategy.spindle_speed", "50 rpm"), read_varied(job, "strategy.feed", "1 mm/min")) == (
         pytest.approx(0.5)
@@ -161,14 +165,14 @@ def test_a_feed_over_time_is_divided_by_the_speed_of_the_same_case(job):
 @pytest.mark.parametrize("design", ["random", "sobol", "halton", "latin hypercube"])
 def test_a_drawn_design_keeps_to_its_ranges_and_distributions(job, design):
     names = {
-        "tool.nose_radius": "0.2..0.8 mm", "actual.tool.offset.0": "normal(1, 0.5) um", "strategy.sense": "1, -1",
+        "tool.nose_radius": "0.2..0.8 mm", "actual.tool.offset[1]": "normal(1, 0.5) um", "strategy.sense": "1, -1",
         "strategy.points_per_rev": "300..500", "strategy.feed": stats.uniform(0.002, 0.006),
     }  # fmt: skip
     varied = [read_varied(job, name, given) for name, given in names.items()]
     fields, rows = design_cases(job, varied, design=design, count=500, seed=3)
     nose, offset, sense, points, feed = (np.array(values) for values in zip(*rows, strict=True))
     assert len(rows) == 500
-    assert fields[1].heading == "actual.tool.offset.0 [um]"
+    assert fields[1].heading == "actual.tool.offset[1] [um]"
     assert nose.min() >= 0.2
     assert nose.max() <= 0.8
     # Kolmogorov and Smirnov as the oracle of the distributions: SciPy's.
@@ -201,14 +205,17 @@ def test_every_whole_number_of_a_range_is_drawn_as_often(job, design):
         ({"count": 3}, "a grid has as many cases as its values make, 3 are asked for"),
         ({"vary": {"tool.nose_radius": "0.1..1 mm"}}, "has no single values for a grid: write the number of them"),
         ({"vary": {}}, "nothing is varied: name at least 1 field"),
-        ({"vary": {"passes.0.feed": "1 um/rev", "passes.rough.feed": "2 um/rev"}}, "is varied 2 times, the limit is 1"),
+        (
+            {"vary": {"passes[1].feed": "1 um/rev", "passes.rough.feed": "2 um/rev"}},
+            "is varied 2 times, the limit is 1",
+        ),
         ({"vary": {"strategy.feed": "1..2 um/rev:2000", "tool.nose_radius": "1..2 mm:2000"}}, "4_000_000 cases"),
         (
             {"vary": None, "design": [{"strategy.feed": "1 um/rev"}, {"tool.nose_radius": "1 mm"}]},
-            "case 1 of the list has tool.nose",
+            "case 2 of the list has tool.nose",
         ),
         ({"vary": None, "design": []}, "the list of cases is empty"),
-        ({"vary": None, "design": [3]}, "case 0 of the list is 3: write a mapping from fields to values"),
+        ({"vary": None, "design": [3]}, "case 1 of the list is 3: write a mapping from fields to values"),
         ({"design": [{"tool.nose_radius": "1 mm"}]}, "and strategy.feed is varied beside it: leave one out"),
         (
             {"design": "random", "count": 2.5},

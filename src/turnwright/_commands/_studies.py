@@ -54,7 +54,7 @@ def study(
         typer.Option(
             metavar="FIELD=VALUES",
             help='A field of the job and its values: "tool.nose_radius=0.1..1 mm:10", "strategy.feed=2, 4, 8 um/rev", '
-            '"actual.tool.offset.0=normal(0, 2) um"; once for each field.',
+            '"actual.tool.offset[1]=normal(0, 2) um"; once for each field.',
         ),
     ],
     design: Annotated[

@@ -69,7 +69,7 @@ def write_study(found: Study, path: str | PathLike[str]) -> File:
         wide=len(found.fields) > 2 or (len(found.fields) == 2 and not found.is_grid),
         by=numbers[0] if numbers else "",
         columns=["case", *(one.heading for one in found.columns)],
-        rows=[[str(number), *(_shown(one.values[number]) for one in found.columns)] for number in best],
+        rows=[[str(number + 1), *(_shown(one.values[number]) for one in found.columns)] for number in best],
         reasons=_reasons(found),
         job=found.job.to_toml(),
     )

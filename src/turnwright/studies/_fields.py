@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -25,6 +26,10 @@ __all__ = ["Data", "Field", "Token", "changed", "data_of", "field_of"]
 
 Token: TypeAlias = float | int | str | bool
 """A value of a field: a number in the field's unit, a whole or plain number, a text or a flag."""
+
+_STEP = re.compile(r"\[[0-9]{1,9}\]|[^.\[\]]+")
+_NAME = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[[0-9]{1,9}\])*")
+"""Keys with dots between them, and numbers of entries in brackets, from 1."""
 
 PER_MINUTE = "mm/min"
 """What measures a feed over time, which a job states over a turn."""
@@ -126,15 +131,16 @@ def data_of(job: Job) -> Data:
 def field_of(job: Job, name: str) -> Field:
     """Return a field of a job by its dotted name, as the file writes it.
 
-    Entries of a list are named by their name or counted from 0; a field need not have a value in the file.
+    Entries of a list are named by their name, or counted from 1 in brackets, as in the messages of a job; a field need
+    not have a value in the file.
 
     Parameters
     ----------
     job
         Whose tables say what there is.
     name
-        Such as ``tool.nose_radius``, ``passes.finish.feed``, ``simulation.patches.0.pixel`` or
-        ``actual.tool.offset.0``.
+        Such as ``tool.nose_radius``, ``passes.finish.feed``, ``simulation.patches[1].pixel`` or
+        ``actual.tool.offset[1]``.
 
     Raises
     ------
@@ -143,15 +149,15 @@ def field_of(job: Job, name: str) -> Field:
     """
     if not isinstance(name, str):
         raise InputError(f"{name!r} is no name of a field: write it as in the job file, such as 'tool.nose_radius'")
-    steps = name.split(".")
+    steps = _STEP.findall(name) if _NAME.fullmatch(name) else name.split(".")
     value: Any = job
     annotation: Any = type(job)
     place: list[str | int] = []
     units: tuple[str, ...] | None = None
     among = 0
     for number, step in enumerate(steps):
-        before = ".".join(steps[:number])
-        if _table(value, annotation) is not None and step.isdigit() and hasattr(value, "terms"):
+        before = _joined(steps[:number])
+        if _table(value, annotation) is not None and step.startswith("[") and hasattr(value, "terms"):
             place.append("terms")  # a sum may be written as a list
             value, annotation = value.terms, type(value).model_fields["terms"].annotation
         table = _table(value, annotation)
@@ -175,7 +181,8 @@ def field_of(job: Job, name: str) -> Field:
             place.append(index)
     if _table(value, annotation) is not None or _is_mapping(annotation) or _element(annotation, 0) is not None:
         raise InputError(
-            f"{name} is {_inside(value, annotation)}: name one value in it, such as {name}.{_some(value, annotation)}"
+            f"{name} is {_inside(value, annotation)}: name one value in it, such as "
+            f"{_joined([name, _some(value, annotation)])}"
         )
     return replace(_leaf(name, tuple(place), annotation, units), among=among if isinstance(place[-1], int) else 0)
 
@@ -197,10 +204,11 @@ def _unit_of_entry(table: type[Table], step: str, rest: list[str]) -> tuple[str,
     """Return the unit of a coefficient, which its place in a series says and no type does."""
     if len(rest) != 1:
         return None
-    if step == "waviness" and rest[0].isdigit():
-        return (f"mm/rad^{int(rest[0]) + 1}",)
+    if step == "waviness" and rest[0].startswith("["):
+        return (f"mm/rad^{rest[0][1:-1]}",)
     if issubclass(table, Series) and step in table.series:
-        power = table._power(step, rest[0])  # noqa: SLF001 - as the tables of its own package ask it
+        key = str(int(rest[0][1:-1]) - 1) if rest[0].startswith("[") else rest[0]
+        power = table._power(step, key)  # noqa: SLF001 - as the tables of its own package ask it
         return (f"mm^{power}" if power > 0 else f"1/mm^{-power}" if power < 0 else "1",)
     return None
 
@@ -254,6 +262,11 @@ def _element(annotation: Any, index: int) -> Any:
     return None
 
 
+def _joined(steps: list[str]) -> str:
+    """Return keys and numbers of entries as a name writes them."""
+    return ".".join(filter(None, steps)).replace(".[", "[")
+
+
 def _entry(value: Mapping[Any, Any], step: str) -> Any:
     return next((one for key, one in value.items() if str(key) == step), None)
 
@@ -266,12 +279,13 @@ def _index(name: str, before: str, step: str, value: Any, annotation: Any) -> in
     if step in names:
         return names.index(step)
     tables = any(isinstance(one, Table) for one in value or ())
-    if not step.isdigit() or _element(annotation, int(step)) is None or (tables and int(step) >= len(names)):
-        known = [one for one in names if one] or [f"0 to {max(_length(value, annotation) - 1, 0)}"]
+    index = int(step[1:-1]) - 1 if step.startswith("[") else -1
+    if index < 0 or _element(annotation, index) is None or (tables and index >= len(names)):
+        known = [one for one in names if one] or [f"[1] to [{max(_length(value, annotation), 1)}]"]
         raise InputError(_unknown(name, before, step, known))
     if value is None and _table(None, _element(annotation, 0)) is not None:
         raise InputError(f"{name} is not a field of this job, {before} has no entries: add one to the job")
-    return int(step)
+    return index
 
 
 def _length(value: Any, annotation: Any) -> int:
@@ -281,9 +295,10 @@ def _length(value: Any, annotation: Any) -> int:
 def _unknown(name: str, before: str, step: str, known: list[str]) -> str:
     """Say that a field is not there, and which one was probably meant."""
     close = difflib.get_close_matches(step.lower(), known, n=1, cutoff=0.5)
-    head = f"{before}." if before else ""
     remedy = (
-        f"did you mean {head}{close[0]}?" if close else f"{before or 'a job'} has {', '.join(known)}, use one of them"
+        f"did you mean {_joined([before, close[0]])}?"
+        if close
+        else f"{before or 'a job'} has {', '.join(known)}, use one of them"
     )
     return f"{name} is not a field of this job: {remedy}"
 
@@ -298,7 +313,7 @@ def _some(value: Any, annotation: Any) -> str:
         return next(iter(table.model_fields))
     if _is_mapping(annotation):
         return str(next(iter(value))) if value else "2"
-    return str(getattr(value[0], "name", 0)) if value else "0"
+    return str(getattr(value[0], "name", "[1]")) if value else "[1]"
 
 
 def _unit_in(annotation: Any) -> unit | None:

@@ -259,7 +259,7 @@ class Study:
     def _rows(self) -> Iterator[list[Any]]:
         for number in range(len(self)):
             yield [
-                number,
+                number + 1,
                 *(one.values[number].item() for one in self.columns),
                 float(self.seconds[number]),
                 self.reasons[number],
@@ -293,7 +293,12 @@ class Study:
             raise InputError(
                 "Parquet needs pyarrow, which is not installed: pip install 'turnwright[parquet]', or write CSV"
             ) from None
-        columns = [np.arange(len(self)), *(one.values for one in self.columns), self.seconds, np.array(self.reasons)]
+        columns = [
+            np.arange(1, len(self) + 1),
+            *(one.values for one in self.columns),
+            self.seconds,
+            np.array(self.reasons),
+        ]
         table = pa.table({name: pa.array(values) for name, values in zip(self.headings, columns, strict=True)})
         table = table.replace_schema_metadata({"turnwright.job": self.job.to_toml(), "turnwright.design": self.design})
         sink = io.BytesIO()
@@ -418,7 +423,7 @@ def study(
     vary
         By the dotted name of a field, as in the job file: a text ("0.1..1 mm:10", "2..200 um:9 log",
         "2, 4, 8 um/rev", "normal(0.5, 0.01) mm"), a list of numbers (mm, rad, mm/rev, rpm) or texts, or a frozen
-        distribution of ``scipy.stats``. Entries of lists are named, or counted from 0 ("actual.tool.offset.0"). A feed
+        distribution of ``scipy.stats``. Entries of lists are named, or counted from 1 ("actual.tool.offset[1]"). A feed
         may be given per minute ("0.2..1 mm/min:9"): it is divided by the spindle speed of the same case.
     measure
         Names such as "sq_nm", "sq_nm@PATCH", "minutes" or "peak_acceleration@X", or functions of `Stages` (top-level

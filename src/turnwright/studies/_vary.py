@@ -400,11 +400,11 @@ def _listed(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied
     """Return the cases of a list."""
     if not design:
         raise InputError("the list of cases is empty: give at least 1")
-    for number, case in enumerate(design):
+    for number, case in enumerate(design, 1):
         if not isinstance(case, Mapping):
             raise InputError(f"case {number} of the list is {case!r}: write a mapping from fields to values")
     names = list(design[0])
-    for number, case in enumerate(design):
+    for number, case in enumerate(design, 1):
         if list(case) != names and set(case) != set(names):
             raise InputError(
                 f"case {number} of the list has {', '.join(case)}, the first has {', '.join(names)}: name the same"
