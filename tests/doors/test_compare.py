@@ -10,7 +10,7 @@ from job_files import written
 import turnwright as tw
 from turnwright.cli import main
 from turnwright.errors import Stopped
-from turnwright.job import Job, compare
+from turnwright.job import Job, compare, run
 
 WAVES = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["0.5 mm", "0.5 mm"]}
 CHANGES = [
@@ -28,7 +28,8 @@ def test_all_keep_what_the_job_keeps(tmp_path):
     flat = 0.5 - math.sqrt(0.5**2 - 0.01**2 / 4)
     assert flat < found.scallop < 1.1 * flat
     assert [one.name for one in found.candidates] == [
-        "slow, constant angle", "slow, points by chord", "adaptive points", "adaptive points and feed",
+        "the job as it stands", "slow, constant angle", "slow, points by chord", "adaptive points",
+        "adaptive points and feed",
     ]  # fmt: skip
     for one in found.candidates:
         assert not one.refused
@@ -37,9 +38,22 @@ def test_all_keep_what_the_job_keeps(tmp_path):
         assert one.shares.chord_nm < found.chord * 1e6 * 1.03
         assert one.shares.cusp_away_nm < found.scallop * 1e6 * 1.02
         assert one.shares.pv_nm < one.shares.cusp_nm + 2 * one.shares.chord_nm + 2 * one.shares.rounding_nm
-    even, by_chord, steady, adaptive = found.candidates
+    _, even, by_chord, steady, adaptive = found.candidates
     assert even.limits.points > by_chord.limits.points > steady.limits.points
     assert adaptive.turns < steady.turns
+
+
+def test_the_job_as_it_stands_is_the_first(tmp_path):
+    """Oracle: `run` on the same job, whose points, minutes and strategy these are."""
+    own = {"kind": "slow tool servo", "feed": "20 um/rev", "points_per_rev": 400, "along": "normal"}
+    job = Job.load(written(tmp_path, *CHANGES, ("strategy", own), ("strategy.spindle_speed", "40 rpm")))
+    found, done = compare(job), run(job)
+    first = found.candidates[0]
+    assert first.name == "the job as it stands"
+    assert first.limits.points == done.passes[-1].points
+    assert first.limits.cycle_time_s == done.passes[-1].limits.cycle_time_s
+    assert first.limits.peak_acceleration == done.passes[-1].limits.peak_acceleration  # places along the normal too
+    assert found.stated(first) == {**own, "spindle_speed": "40 rpm"}
 
 
 def test_a_fast_tool_and_a_swinging_one_join_where_the_machine_has_them(tmp_path):
@@ -63,9 +77,10 @@ def test_a_job_file_can_state_each_strategy(tmp_path, machine, strategy):
     changes = [one for one in CHANGES if one[0] != "strategy"]
     file = written(tmp_path, *changes, ("machine.name", machine), ("strategy", base | strategy))
     found = compare(Job.load(file))
-    told = [found.stated(one) for one in found.candidates]
+    others = found.candidates[1:]  # the first is the job itself, which may be one of them
+    told = [found.stated(one) for one in others]
     assert len({str(one) for one in told}) == len(told) > 3
-    for one, table in zip(found.candidates, told, strict=True):
+    for one, table in zip(others, told, strict=True):
         program = {"fast_tool": "position"} if table["kind"].startswith(("fast", "hybrid")) else {}
         job = Job.load(
             written(tmp_path, *changes, ("machine.name", machine), ("strategy", table), ("program", program))

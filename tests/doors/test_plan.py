@@ -158,7 +158,7 @@ def test_the_quickest_interpolation_that_the_controller_offers_is_taken(tmp_path
     assert 0.3 * share < off < 1.1 * share
     assert main(["backplot", str(program), "--job", str(tmp_path / "planned.toml")]) == 0
     capsys.readouterr()
-    assert compare(planned).candidates[0].shares.chord_nm > 0
+    assert compare(planned).candidates[1].shares.chord_nm > 0
 
 
 def test_the_error_of_points_falls_with_their_spacing(tmp_path):
@@ -253,7 +253,7 @@ def test_a_speed_over_the_radius_lets_every_ring_use_its_share(corrected, steady
     )  # fmt: skip
     assert made.limits.cycle_time_s == pytest.approx(seconds, rel=1e-3)
     assert made.predictions[0].roughness.pv_nm <= 300
-    assert compare(again).candidates[1].limits.cycle_time_s == pytest.approx(seconds, rel=1e-3)
+    assert compare(again).candidates[2].limits.cycle_time_s == pytest.approx(seconds, rel=1e-3)
 
 
 def test_speeds_that_cannot_be_are_one_sentence(tmp_path):

@@ -50,6 +50,9 @@ KIND_OF: dict[type, str] = {
 }
 """What a job file calls a strategy."""
 
+AS_IT_STANDS = "the job as it stands"
+"""What the job's own strategy is called next to the others."""
+
 FEW = 1e-4
 """Share of the steps of a plan by chord that may be shorter than those of the plan at a constant angle."""
 
@@ -124,6 +127,8 @@ class Comparison:
             One of `candidates`.
         """
         servo, own = candidate.servo, self.job.strategy
+        if candidate.name == AS_IT_STANDS:
+            return own.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
         if servo is None:
             return {}
         kind = KIND_OF[type(servo)]
@@ -141,6 +146,7 @@ class Comparison:
 def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
     """Plan the finishing pass by every strategy, to the same cusps and the same chord, and simulate what each leaves.
 
+    The first is the job as it stands, with its own points, feed and speeds.
     An adaptive job says both itself. Of any other, the cusps are the highest that its own feed leaves away from the
     axis (those of a flat, where the surface is in pieces, since no nose reaches its valleys), and the chord is the one
     it states, or the largest that its points leave. Strategies of constant feed keep the job's feed, or, in an adaptive
@@ -218,6 +224,7 @@ def _ways(
             scallop=scallop, chord=chord, interpolation="linear" if linear else "hermite", x_motion=x_motion, **shared
         )
 
+    yield AS_IT_STANDS, lambda: own
     yield "slow, constant angle", even
     yield "slow, points by chord", lambda: by_chord
     yield "adaptive points", lambda: adaptive("steady")
@@ -251,7 +258,8 @@ def _tried(name: str, way: Callable[[], Strategy], job: Job, told: StageProgress
         servo = way()
         spiral = servo.spiral(part, tool, progress=third(0))
         profile = job.strategy.profile(job.passes[-1])
-        motion = drive(place(spiral, part, tool, progress=third(1)), servo, machine, profile=profile)
+        along = job.strategy.along if name == AS_IT_STANDS else "z"
+        motion = drive(place(spiral, part, tool, along=along, progress=third(1)), servo, machine, profile=profile)
         with TemporaryDirectory(prefix="turnwright-") as folder:
             again = _written(motion, machine, File(folder))
             size = sum(file.stat().st_size for file in File(folder).iterdir())

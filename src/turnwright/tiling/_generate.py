@@ -284,7 +284,8 @@ def _flow(submit: Callable[[Tile], Future[None]], tiles: Iterable[Tile], ahead: 
                     tries[place_of] = tries.get(place_of, 0) + 1
                     if tries[place_of] == TRIES:
                         raise StudyError(
-                            f"the tile in row {tile.j + 1}, column {tile.i + 1} ended its worker {TRIES} times ({death}), the finished tiles "
+                            f"the tile in row {tile.j + 1}, column {tile.i + 1} ended its worker {TRIES} times "
+                            f"({death}), the finished tiles "
                             "stay: use fewer workers or smaller tiles, and start again"
                         ) from None
                     following = tile
