@@ -281,3 +281,18 @@ def test_bars_are_drawn_on_a_terminal(monkeypatch, capsys):
         progress("place", 0, 10)
         progress("place", 10, 10)
     assert "place" in capsys.readouterr().err
+
+
+def test_block_delete_is_stated_for_a_backplot(done, tmp_path, capsys):
+    program = tmp_path / "part.nc"
+    text = (done / "out" / "part.nc").read_text()
+    _, mark, rest = text.partition("( PASS: finish )\n")
+    assert mark
+    machine = Job.load(done / "job.toml").machine.machine
+    program.write_text("(somebody's)\n" + rest.replace("G93\n", "G93\n/M8\n", 1))
+    command = ["backplot", str(program), "--job", str(done / "job.toml")]
+    assert main(command) == 2
+    assert "--block-delete or --no-block-delete" in capsys.readouterr().err
+    assert main([*command, "--block-delete"]) == 0
+    assert main([*command, "--no-block-delete"]) == 0
+    assert tw.read_nc(program, machine, block_delete=True).time.size > 1000

@@ -190,8 +190,10 @@ def test_anything_is_read_or_refused(tmp_path_factory, pieces, dialect):
     machine = Machine(name="m", axes=dict.fromkeys("CXZ", Axis()), spindle_rpm=1, block_rate_hz=1, dialect=dialect)
     path = tmp_path_factory.getbasetemp() / "fuzz.nc"
     path.write_text("G93F1X1Z1C0\nC0.5\n" + "".join(pieces), encoding="latin-1", newline="")
-    try:
-        assert read_nc(path, machine).time.size >= 2
-    except ProgramError as error:
-        if str(path) not in str(error):
-            raise
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "(?s).*it may be cut short", ProgramWarning)
+        try:
+            assert read_nc(path, machine).time.size >= 2
+        except ProgramError as error:
+            if str(path) not in str(error):
+                raise

@@ -156,6 +156,10 @@ def backplot(
     job: Annotated[Path, typer.Option(help="The job that says part, tool and machine.", show_default=False)],
     out: Annotated[Path | None, typer.Option(help="Folder for the maps; it is made when all is done.")] = None,
     cut: Annotated[str | None, typer.Option("--pass", help="The pass to read; the last one if not given.")] = None,
+    block_delete: Annotated[
+        bool | None,
+        typer.Option("--block-delete/--no-block-delete", help="Leave out, or cut, the blocks that begin with a slash."),
+    ] = None,
     track: Annotated[
         bool, typer.Option("--track", help="Let the axes move as the machine's servos do, and say what that adds.")
     ] = False,
@@ -170,7 +174,7 @@ def backplot(
         folder = None if out is None else stack.enter_context(new_folder(out, door, force=force))
         recipe = Job.load(job)
         with progress_of(door.stop) as progress:
-            motion = _read(program, recipe, cut, progress)
+            motion = _read(program, recipe, cut, progress, block_delete=block_delete)
             limits = check_limits(motion, recipe.machine.machine)
             predictions = predict(recipe, motion, tracking=track or None, progress=progress)
         if folder is not None:
@@ -193,7 +197,7 @@ def backplot(
         door.say(f"report: {out / 'report.html'}")
 
 
-def _read(program: Path, recipe: Job, cut: str | None, progress: StageProgress) -> Motion:
+def _read(program: Path, recipe: Job, cut: str | None, progress: StageProgress, *, block_delete: bool | None) -> Motion:
     """Read a program by its dialect, or a table of axis positions."""
     from turnwright.post import read_fast_tool, read_nc, read_table  # noqa: PLC0415
 
@@ -207,7 +211,7 @@ def _read(program: Path, recipe: Job, cut: str | None, progress: StageProgress) 
 
         if cut is None and program.with_name(f"{program.stem}.fast.csv").is_file():
             return read_fast_tool(program, machine, progress=told)
-        return read_nc(program, machine, name=cut, progress=told)
+        return read_nc(program, machine, name=cut, block_delete=block_delete, progress=told)
     speed = recipe.strategy.spindle_speed
     if speed is not None:
         return read_table(program, machine, spindle_rpm=speed)

@@ -364,7 +364,7 @@ def parse_blocks(data, at, end, whole, real, out, first):
                 slot = 2
             elif b == 90:
                 slot = 4
-            elif b == 70:
+            elif b == 70 and not fast:  # beside curves with times of their own, F is another number
                 slot = 8
             elif b == 89:
                 slot = 16

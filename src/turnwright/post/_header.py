@@ -189,7 +189,8 @@ def lines(header: ProgramHeader, machine: Machine, dialect: Dialect, passes: Seq
 
 FIELD = re.compile(r"^\( ([A-Z]+): (.*) \)$")
 CUT = re.compile(
-    r"^\( CUT (.+): (\d+) POINTS, (\d+\.\d+) MINUTES, FROM C (-?\d+\.\d+), SENSE ([+-]1), SHA256 ([0-9a-f]{64}) \)$"
+    r"^\( CUT (.{1,60}): (\d{1,15}) POINTS, (\d{1,15}\.\d{1,15}) MINUTES, FROM C (-?\d{1,15}\.\d{1,15}), "
+    r"SENSE ([+-]1), SHA256 ([0-9a-f]{64}) \)$"
 )
 
 

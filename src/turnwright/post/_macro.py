@@ -12,8 +12,10 @@ if TYPE_CHECKING:
 __all__ = ["Macros"]
 
 NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+))")
-VARIABLE = re.compile(r"\s*#\s*(\d+)")
+VARIABLE = re.compile(r"\s*#\s*(\d{1,9})")
 COMPARE = re.compile(r"(.+?)\s*(LT|LE|GT|GE|EQ|NE)\s*(.+)", re.IGNORECASE)
+DEEPEST = 20
+"""Brackets and signs in one another."""
 RELATIONS = {name: getattr(operator, name.lower()) for name in ("LT", "LE", "GT", "GE", "EQ", "NE")}
 
 
@@ -40,19 +42,21 @@ class Macros:
     def __init__(self, error: Callable[[str], Exception]) -> None:
         self.error = error
         self.variables: dict[int, float] = {}
+        self.depth = 0
 
     def holds(self, condition: str) -> bool:
         """Return whether a comparison, such as ``#1 LT 2``, is true."""
         match = COMPARE.fullmatch(condition.strip())
         if match is None:
-            raise self.error(f"has a condition that cannot be read ({condition})")
+            raise self.error(f"has a condition that cannot be read ({condition[:30]})")
         return bool(RELATIONS[match[2].upper()](self.value(match[1]), self.value(match[3])))
 
     def value(self, text: str) -> float:
         """Return the value of a whole expression."""
+        self.depth = 0
         value, at = self._sum(text, 0)
         if text[at:].strip():
-            raise self.error(f"has an expression that cannot be read ({text.strip()})")
+            raise self._unreadable(text)
         return value
 
     def _sum(self, text: str, at: int) -> tuple[float, int]:
@@ -75,16 +79,26 @@ class Macros:
         """Return the value of a number, a variable or a bracket, and where it ends."""
         if match := NUMBER.match(text, at):
             return float(match[1]), match.end()
-        if sign := next_of(text, at, "+-"):
-            value, end = self.factor(text, text.index(sign, at) + 1)
-            return (-value if sign == "-" else value), end
         if variable := VARIABLE.match(text, at):
             number = int(variable[1])
             if number not in self.variables:
                 raise self.error(f"uses #{number}, which has no value")
             return self.variables[number], variable.end()
-        if next_of(text, at, "["):
-            value, end = self._sum(text, text.index("[", at) + 1)
-            if next_of(text, end, "]"):
-                return value, text.index("]", end) + 1
-        raise self.error(f"has an expression that cannot be read ({text.strip()[:30]})")
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise self.error(f"has brackets and signs {DEEPEST} deep and more")
+        if sign := next_of(text, at, "+-"):
+            value, at = self.factor(text, text.index(sign, at) + 1)
+            value = -value if sign == "-" else value
+        elif next_of(text, at, "["):
+            value, at = self._sum(text, text.index("[", at) + 1)
+            if not next_of(text, at, "]"):
+                raise self._unreadable(text)
+            at = text.index("]", at) + 1
+        else:
+            raise self._unreadable(text)
+        self.depth -= 1
+        return value, at
+
+    def _unreadable(self, text: str) -> Exception:
+        return self.error(f"has an expression that cannot be read ({text.strip()[:30]})")

@@ -7,7 +7,8 @@ import mmap
 import re
 import warnings
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,7 +31,7 @@ from turnwright.post._macro import Macros
 from turnwright.post._registry import dialect_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Sequence
     from os import PathLike
 
     from numpy.typing import NDArray
@@ -49,35 +50,45 @@ LONGEST = 1 << 16
 HASHED = 1 << 14
 """Points hashed at a time: few enough to stay in the cache, where fresh memory would cost more than the hash."""
 DEEPEST = 8
+MOST_CALLS = 1000
+"""How often one file may be called: calls of calls would otherwise be read for ever."""
 LARGEST = 1e9
 WHOLE = "take all files of the program from where they were written again"
 """What to do about a program that is not whole."""
 AXES = "CXYZ"
+SHOWN = 40
+"""Letters of a name or a line that a message repeats."""
 HARMLESS = frozenset("CXYZFTSODHPLQ")
 """Letters that move the known axes, or nothing; the others may only say 0."""
 # Slots of the kernel's state, as in turnwright._kernels.text.
 LINEAR, FEED_MODE, OPEN, FEED_UNIT, LINES, Y_SEEN = range(6)
 FEED = 4
 
-IGNORED_G = frozenset(
-    {4, 8, 15, 17, 18, 19, 21, 40, 43, 49, 54, 55, 56, 57, 58, 59, 61, 63, 64, 69, 71, 80, 90, 92.1, 97, 103, 144}
-)
+IGNORED_G = frozenset({4, 8, 15, 17, 18, 19, 21, 40, 43, 49, 61, 63, 64, 69, 71, 80, 90, 97, 103, 144})
 """Planes, offsets set once, metric units, corner modes, cancellations: nothing that moves the tool against the part."""
 MACHINE_G = frozenset({28, 30, 53})
 """Moves in machine coordinates: where the tool then stands against the part is not known."""
-SHIFT_G = frozenset({50, 52, 92})
-"""Shifts of the origin."""
+WORK_OFFSET_G = frozenset({54, 55, 56, 57, 58, 59})
+SHIFT_G = frozenset({50, 52})
+"""Shifts of the origin whose size differs among controllers; without one, or by nothing, they do no harm."""
+SET_G = 92
+"""The tool stays where it is, and its place gets the coordinates stated."""
+UNSET_G = frozenset({92.1, 92.2})
 
-COMMENT = re.compile(r"\([^()]*\)|;.*$")
-CALL = re.compile(r"M\s*98\s*[(<]\s*([^()<>]+?)\s*[)>]", re.IGNORECASE)
-PASS = re.compile(r"\(\s*PASS:\s*(.+?)(?:, PART (\d+) OF \d+)?\s*\)", re.IGNORECASE)
+# No pattern may try a run of letters twice (possessive repeats, which give nothing back): 60,000 blanks would hang.
+COMMENT = re.compile(r"\([^()]*+\)|;.*$")
+CALL = re.compile(r"M\s*+98\s*+(?:\(([^()<>\r\n]++)\)|<([^()<>\r\n]++)>)", re.IGNORECASE)
+PASS = re.compile(r"\(\s*+PASS:([^()\r\n]++)\)", re.IGNORECASE)
+PART = re.compile(r"PART (\d{1,9}) OF \d{1,9}", re.IGNORECASE)
+DELETED = re.compile(r"\s*+(?:N\s*+\d++\s*+)?/[1-9]?", re.IGNORECASE)
+"""What begins a block that the operator's block-delete switch leaves out."""
 TOKEN = re.compile(r"([A-Z])\s*(?:([+-]?(?:\d+\.?\d*|\.\d+))|(\[|[+-]?#))", re.IGNORECASE)
 SPEED = re.compile(r":([+-]?(?:\d+\.?\d*|\.\d+))")
 NATIVE = re.compile(r"(ABS|LINEAR|RAPID|DWELL\s*\d+\.?\d*|PVT\s*(\d+\.?\d*|\.\d+))")
 """Statements of a controller that takes velocities."""
-ASSIGN = re.compile(r"#\s*(\d+)\s*=(.*)")
-WHILE = re.compile(r"WHILE\s*\[(.+)\]\s*DO\s*(\d+)", re.IGNORECASE)
-END = re.compile(r"END\s*(\d+)", re.IGNORECASE)
+ASSIGN = re.compile(r"#\s*(\d{1,9})\s*=(.*)")
+WHILE = re.compile(r"WHILE\s*\[(.+)\]\s*DO\s*(\d{1,9})", re.IGNORECASE)
+END = re.compile(r"END\s*(\d{1,9})", re.IGNORECASE)
 OTHER = re.compile(r"IF|GOTO|O\s*<|#")
 
 
@@ -86,6 +97,7 @@ def read_nc(
     machine: Machine,
     *,
     name: str | None = None,
+    block_delete: bool | None = None,
     progress: Progress | None = None,
 ) -> Motion:
     """Read one pass of a program, this one's or another's, as the motion that it commands.
@@ -95,6 +107,9 @@ def read_nc(
     kept. Time begins at 0. C is cumulative, whether it is written so or within one turn. A program that carries
     Turnwright's header is checked against it.
 
+    Where a program sets coordinates (G92), the motion stays in those that it began with; at the start, where no place
+    is known yet, it begins with those that are set. F holds within its mode: under G93 that of G94 is none.
+
     Parameters
     ----------
     path
@@ -103,6 +118,9 @@ def read_nc(
         Names the dialect (so, what F means) and the convention.
     name
         The pass to read: its name, or "cut 1", "cut 2", ... in a program that names none. The last one if not given.
+    block_delete
+        The operator's switch for the blocks that begin with a slash: on leaves them out, off cuts them. A program with
+        such blocks is refused if it is not given.
     progress
         Called with (bytes read, bytes in all).
 
@@ -115,7 +133,13 @@ def read_nc(
     Warns
     -----
     ProgramWarning
-        If the numbers are not those whose hash the header states: the program was edited.
+        If the numbers are not those whose hash the header states: the program was edited. If the program has no end
+        (M30, M02) and breaks off within a line or a loop: it may be cut short.
+
+    Sources
+    -------
+    Kramer, Proctor, Messina: The NIST RS274NGC Interpreter, Version 3, NISTIR 6556 (2000): 3.5.18 for G92, 3.5.19 for
+    feeds, 3.3.1 and 2.2.3 for the end of a program and for block delete.
     """
     path = Path(path)
     dialect = dialect_of(machine)
@@ -126,16 +150,21 @@ def read_nc(
             _require_language(path, part, machine, dialect)
         told = _told(path, info, machine, dialect, name)
         with ThreadPoolExecutor(1) as pool:
-            reader = _Reader(path, dialect, wanted=told.name if told else name, told=told, pool=pool, progress=progress)
+            wanted = told.name if told else name
+            reader = _Reader(
+                path, dialect, wanted=wanted, told=told, block_delete=block_delete, pool=pool, progress=progress
+            )
             reader.run()
             found, digest = reader.finish()
     except OSError as error:
         where = error.filename or path
         raise ProgramError(f"{where} cannot be read ({error.strerror}): check its name and place") from error
+    for doubt in reader.doubts:
+        warnings.warn(doubt, ProgramWarning, stacklevel=2)
     if told is not None and digest != told.hash:
         warnings.warn(
-            f"{path}: pass {told.name} is not as it was written, its hash is {digest[:12]}... and the header says "
-            f"{told.hash[:12]}...: it was edited or damaged",
+            f"{path}: pass {_short(told.name)} is not as it was written, its hash is {digest[:12]}... and the header "
+            f"says {told.hash[:12]}...: it was edited or damaged",
             ProgramWarning,
             stacklevel=2,
         )
@@ -156,9 +185,21 @@ def _told(
         raise ProgramError(f"{path} names no pass in its header, it must name at least 1: {WHOLE}")
     if name is not None:
         raise ProgramError(
-            f"{path} has no pass {name!r}, it has {', '.join(one.name for one in info.passes)}: name one of these"
+            f"{path} has no pass {_short(name)!r}, it has {_listed([one.name for one in info.passes])}: name one of "
+            "these"
         )
     return info.passes[-1]
+
+
+def _short(text: str) -> str:
+    """Return text that a message can repeat."""
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as a message can list them."""
+    more = [f"{len(names) - 4} more"] if len(names) > 5 else []
+    return ", ".join([_short(name) for name in names[: 4 if more else 5]] + more) or "none"
 
 
 def _require_language(path: Path, info: ProgramInfo, machine: Machine, dialect: Dialect) -> None:
@@ -169,12 +210,12 @@ def _require_language(path: Path, info: ProgramInfo, machine: Machine, dialect: 
         )
     if info.dialect != dialect.name:
         raise ProgramError(
-            f"{path} is written in the dialect {info.dialect}, machine {machine.name} speaks {dialect.name}: read it "
-            "with the machine that it was written for"
+            f"{path} is written in the dialect {_short(info.dialect)}, machine {machine.name} speaks {dialect.name}: "
+            "read it with the machine that it was written for"
         )
     if info.convention != convention_line(machine):
         raise ProgramError(
-            f"{path} is written for the convention {info.convention}, machine {machine.name} counts "
+            f"{path} is written for the convention {info.convention[:80]}, machine {machine.name} counts "
             f"{convention_line(machine)}: read it with the machine that it was written for"
         )
 
@@ -189,6 +230,8 @@ class _Cut:
     points: int = 1
     blocks: int = 0
     has_y: bool = False
+    shifts: list[tuple[int, Floats]] = field(default_factory=list)
+    """From which column on, by how much the part's C, X, Y, Z are above the program's. (4,) [deg, mm]"""
 
 
 def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine) -> Motion:
@@ -197,6 +240,10 @@ def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine)
 
     convention = machine.convention
     rows = found.rows[:, : found.points]
+    for (start, shift), (stop, _) in pairwise([*found.shifts, (found.points, np.zeros(4))]):
+        shift[0] -= 360 * np.rint(shift[0] / 360)  # whole turns are a matter of counting
+        for k in np.flatnonzero(shift):
+            rows[k, start:stop] += shift[k]
     axes: dict[str, Floats] = {letter: rows[k] for k, letter in enumerate(AXES) if letter != "Y" or found.has_y}
     bad = text.unwrap(axes["C"], told.first_c if told else axes["C"][0])
     if bad >= 0:
@@ -220,6 +267,16 @@ def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine)
         raise ProgramError(f"{path} does not hold a motion: {error}") from error
 
 
+def _pass_name(text: str) -> tuple[str, int] | None:
+    """Return the pass that a comment in a text names, and which part of it follows."""
+    found = PASS.search(text)
+    if found is None or not (name := found[1].strip()):
+        return None
+    before, comma, behind = name.rpartition(",")
+    part = PART.fullmatch(behind.strip()) if comma else None
+    return (before.strip(), int(part[1])) if part else (name, 1)
+
+
 def _rows(room: int, height: int) -> Floats:
     """Return memory for the blocks of a cut. (height, room).
 
@@ -239,17 +296,23 @@ class _Reader:
         *,
         wanted: str | None,
         told: ProgramPass | None,
+        block_delete: bool | None,
         pool: ThreadPoolExecutor,
         progress: Progress | None,
     ) -> None:
         self.path, self.dialect, self.wanted, self.told = path, dialect, wanted, told
-        self.pool, self.progress = pool, progress
+        self.block_delete, self.pool, self.progress = block_delete, pool, progress
         self.whole: Ints = np.zeros(6, dtype=np.int64)
         self.whole[[LINEAR, FEED_MODE]] = 1, 94
         self.whole[FEED_UNIT] = dialect.feed_unit
         self.height = 9 if dialect.velocities else 5
         self.speeds: dict[str, float] = {}  # of the block that is being read
         self.real: Floats = np.full(5, np.nan)
+        self.time_feed = self.speed_feed = np.nan  # the F in force under G93 and under G94 while the other is
+        self.shift: Floats = np.zeros(4)  # what G92 has set: the part's coordinates less the program's
+        self.begun: set[str] = set()  # axes whose coordinates begin where G92 set them
+        self.lost: set[str] = set()  # axes that moved to where the part's coordinates are not known
+        self.work_offset = 54.0
         self.scratch: Floats = np.empty((self.height, 1 << 12))  # for blocks that nobody asked for
         self.macros = Macros(lambda what: self._error(what, "write it as a number"))
         self.loops: dict[int, str] = {}  # condition by label
@@ -261,6 +324,9 @@ class _Reader:
         self.done = self.total = 0
         self.over = self.ended = False
         self.stack: list[Path] = []
+        self.calls: dict[Path, int] = {}
+        self.coded = False  # whether the file that is read has had a block yet
+        self.doubts: list[str] = []
         self.hashing: Future[None] | None = None
         self.digest = hashlib.sha256()
         self.kept_digest = ""
@@ -271,8 +337,8 @@ class _Reader:
         self.total = self.path.stat().st_size
         if self.total < BUFFER:
             head = self.path.read_bytes().decode("latin-1")
-            called = [self.path.parent / name for name in CALL.findall(head)]
-            self.total += sum(file.stat().st_size for file in called if file.is_file())
+            called = (self._beside(call[1] or call[2]) for call in CALL.finditer(head))
+            self.total += sum(file.stat().st_size for file in called if file is not None)
         self._file(self.path)
         self._close()
         self._report(self.total)
@@ -292,8 +358,7 @@ class _Reader:
         if self.kept is None:
             if self.wanted is not None:
                 raise ProgramError(
-                    f"{self.path} has no pass {self.wanted!r}, it has {', '.join(self.names) or 'none'}: name one of "
-                    "these"
+                    f"{self.path} has no pass {_short(self.wanted)!r}, it has {_listed(self.names)}: name one of these"
                 )
             raise ProgramError(
                 f"{self.path} has no cutting block, at least 1 is needed: give a program whose G1 blocks turn C"
@@ -308,55 +373,80 @@ class _Reader:
             raise ProgramError(
                 f"{path} is called from within itself or {DEEPEST} calls deep: give every pass a sub-program of its own"
             )
+        self.calls[path] = self.calls.get(path, 0) + 1
+        if self.calls[path] > MOST_CALLS:
+            raise self._error(f"calls {_short(path.name)} more than {MOST_CALLS} times", "write its passes one by one")
         self.stack.append(path)
         outer, self.whole[LINES] = self.whole[LINES], 0
+        before, loops, self.coded = self.real.copy(), set(self.loops), False
         with path.open("rb") as file:
             ours = (
                 file.read(64).removeprefix(BOM).lstrip(b"; ").startswith((SIGNATURE.encode(), SUB_SIGNATURE.encode()))
             )
-        for data, end in self._buffers(path):
+        for text_bytes, data, end in self._buffers(path):
             at = 0
             while at < end and not (self.over or self.ended):
                 rows, first = self._room()
                 at, last = text.parse_blocks(data, at, end, self.whole, self.real, rows, first)
                 self._added(rows, first, last)
                 if at < end and last < rows.shape[1]:
-                    stop = at + bytes(data[at : min(at + LONGEST, end)]).find(b"\n") + 1
+                    stop = text_bytes.find(b"\n", at, min(at + LONGEST, end)) + 1
                     self.whole[LINES] += 1
                     if stop <= at:
                         raise self._error(f"is longer than {LONGEST} letters", "give a text file with line ends")
-                    self._line(bytes(data[at:stop]).decode("latin-1"))
+                    self.coded = self.coded or not np.array_equal(before, self.real, equal_nan=True)
+                    self._line(text_bytes[at:stop].decode("latin-1"))
                     at = stop
             self._report(min(self.done, self.total))
             if self.over or self.ended:
                 break
-        if ours and not (self.over or self.ended):
-            raise self._error("is the last one, a whole file ends with M30 or M99", WHOLE)
-        self.over = False
+        if not (self.over or self.ended):
+            if ours:
+                raise self._error("is the last one, a whole file ends with M30 or M99", WHOLE)
+            self._doubt_end(path, [label for label in self.loops if label not in loops])
+        self.over, self.coded = False, True
         self.whole[LINES] = outer
         self.stack.pop()
 
-    def _buffers(self, path: Path) -> Iterator[tuple[NDArray[np.uint8], int]]:
-        """Yield the file in pieces, each with where its last line ends; it is gone when the next one is asked for."""
+    def _doubt_end(self, path: Path, loops: list[int]) -> None:
+        """Note where a file without an end looks cut short: within a line, or within its loops."""
+        with path.open("rb") as file:
+            file.seek(-min(path.stat().st_size, LONGEST), 2)
+            last = file.read().rpartition(b"\n")[2].decode("latin-1")
+        signs = []
+        if COMMENT.sub(" ", last).strip():
+            signs.append(f"line {int(self.whole[LINES])} has no line end")
+        signs += [f"loop {label} has no END" for label in loops[-1:]]
+        doubt = (
+            f"{path} ends without M30 or M02, and {' and '.join(signs)}: it may be cut short, compare it with the file "
+            "that was written"
+        )
+        if signs and doubt not in self.doubts:
+            self.doubts.append(doubt)
+
+    def _buffers(self, path: Path) -> Iterator[tuple[bytearray, NDArray[np.uint8], int]]:
+        """Yield the file in pieces, twice the same memory, each with where its last line ends.
+
+        It is gone when the next one is asked for.
+        """
         from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
 
-        buffer = np.zeros(BUFFER + LONGEST + 1 + text.BEHIND, dtype=np.uint8)
+        buffer = bytearray(BUFFER + LONGEST + 1 + text.BEHIND)
+        data = np.frombuffer(buffer, dtype=np.uint8)
         kept = 0
         with path.open("rb") as file:
             file.seek(len(BOM) if file.read(len(BOM)) == BOM else 0)
-            while count := file.readinto(buffer.data[kept : kept + BUFFER]):
+            while count := file.readinto(memoryview(buffer)[kept : kept + BUFFER]):
                 self.done += count
                 filled = kept + count
-                end = bytes(buffer[max(0, filled - LONGEST) : filled]).rfind(b"\n") + 1 + max(0, filled - LONGEST)
-                if end == max(0, filled - LONGEST):
-                    if filled > LONGEST:
-                        raise self._error(f"is longer than {LONGEST} letters", "give a text file with line ends")
-                    end = 0
-                yield buffer, end
+                end = buffer.rfind(b"\n", max(0, filled - LONGEST), filled) + 1
+                if not end and filled > LONGEST:
+                    raise self._error(f"is longer than {LONGEST} letters", "give a text file with line ends")
+                yield buffer, data, end
                 kept = filled - end
                 buffer[:kept] = buffer[end:filled]
         buffer[kept] = 10
-        yield buffer, kept + 1
+        yield buffer, data, kept + 1
 
     def _error(self, what: str, remedy: str) -> ProgramError:
         """Return a sentence with file and line."""
@@ -418,6 +508,7 @@ class _Reader:
         cut = _Cut(name=self.named or f"cut {self.cuts}", named=self.named is not None, rows=_rows(room, self.height))
         cut.rows[:4, 0] = self.real[:4]
         cut.rows[4, 0] = 0.0
+        cut.shifts.append((0, self.shift.copy()))
         self.cut = cut
         self.whole[OPEN] = 1
         self._drain()
@@ -446,7 +537,8 @@ class _Reader:
             return
         if kept is not None and kept.blocks > 1 and cut.named and kept.name == cut.name:
             raise self._error(
-                f"ends a second cut in pass {cut.name}, of {cut.blocks} blocks after {kept.blocks}, the limit is 1",
+                f"ends a second cut in pass {_short(cut.name)}, of {cut.blocks} blocks after {kept.blocks}, the limit "
+                "is 1",
                 "give every cut a pass of its own",
             )
         cut.has_y = bool(self.whole[Y_SEEN])
@@ -458,21 +550,43 @@ class _Reader:
         """Follow one line of any kind."""
         if "\x00" in text:
             raise self._error("holds binary data", "give a program in plain text")
-        if marker := PASS.search(text):
-            self._marker(marker[1], int(marker[2] or 1))
+        text = self._undeleted(text)
+        if name := _pass_name(text):
+            self._marker(*name)
         if call := CALL.search(text):
-            self._call(call[1])
+            self._call((call[1] or call[2]).strip())
             return
         bare = COMMENT.sub(" ", text).strip().upper()
         if "(" in bare or ")" in bare:
             raise self._error("has a bracket without its partner", "close the comment")
-        bare = bare.lstrip("/%").strip()
+        if bare.startswith("%"):
+            bare = self._tape_mark(bare)
         if not bare:
             return
+        self.coded = True
         if len(bare) > 512:
             raise self._error("is longer than 512 letters without its comments", "give a program of plain blocks")
         if not (self.dialect.velocities and self._native(bare)) and not self._statement(bare):
             self._words(bare)
+
+    def _undeleted(self, text: str) -> str:
+        """Return a line without the slash that block delete asks for, or nothing if it is left out."""
+        slash = DELETED.match(text)
+        if slash is None:
+            return text
+        block = text[slash.end() :]
+        if self.block_delete is None and COMMENT.sub(" ", block).strip():
+            raise self._error(
+                "begins with a slash, it is cut or left out as the block-delete switch stands",
+                "state block_delete, on the command line --block-delete or --no-block-delete",
+            )
+        return "" if self.block_delete else block
+
+    def _tape_mark(self, bare: str) -> str:
+        """Return what stands behind a percent sign: the first one begins a file, the second one ends it."""
+        self.over = self.coded
+        self.coded = True
+        return "" if self.over else bare.lstrip("%").strip()
 
     def _native(self, bare: str) -> bool:
         """Follow a statement of a controller that takes velocities, if the line is one."""
@@ -482,7 +596,7 @@ class _Reader:
         if said[2]:
             self.whole[LINEAR], self.whole[FEED_MODE], self.real[FEED] = 1, 93, float(said[2])
         elif bare in {"LINEAR", "RAPID"}:
-            self.whole[LINEAR], self.whole[FEED_MODE] = bare == "LINEAR", 94
+            self.whole[LINEAR], self.whole[FEED_MODE], self.real[FEED] = bare == "LINEAR", 94, self.speed_feed
         return True
 
     def _statement(self, bare: str) -> bool:
@@ -507,15 +621,25 @@ class _Reader:
             self._close()
             self.named = name
 
+    def _beside(self, name: str) -> Path | None:
+        """Return a file of the program's own folder, if it is there."""
+        name = name.strip()
+        if len(name) > 255 or Path(name).name != name or "\\" in name:
+            return None
+        path = self.path.parent / name
+        return path if path.is_file() else None
+
     def _call(self, name: str) -> None:
-        path = self.stack[-1].parent / name
-        if not path.is_file():
-            raise self._error(f"calls {name}, which is not beside it", "put all files of the program into one folder")
+        path = self._beside(name)
+        if path is None:
+            raise self._error(
+                f"calls {_short(name)}, which is not beside it", "put all files of the program into one folder"
+            )
         if self.told is not None:
             # Passes that nobody asked for need not be read: each names itself in its first lines.
             with path.open("rb") as file:
-                own = PASS.search(file.read(512).decode("latin-1"))
-            if own and own[1] != self.wanted:
+                own = _pass_name(file.read(512).decode("latin-1"))
+            if own and own[0] != self.wanted:
                 self.done += path.stat().st_size
                 return
         self._file(path)
@@ -574,39 +698,124 @@ class _Reader:
         if code in {0, 1}:
             self.whole[LINEAR] = int(code)
         elif code in {93, 94}:
-            self.whole[FEED_MODE] = int(code)
+            self._change_mode(int(code))
+        elif code in WORK_OFFSET_G:
+            if code != self.work_offset and not np.isnan(self.real[:4]).all():
+                raise self._error(
+                    f"changes the work offset from G{self.work_offset:g} to G{code:g}, by how much is not known",
+                    "give a program of one work offset",
+                )
+            self.work_offset = code
         elif code in {20, 70}:
             raise self._error(f"asks for inches (G{code:g}), the limit is millimetres", "write the program in mm")
         elif code == 91:
             raise self._error("asks for incremental moves (G91)", "write the program in absolute positions (G90)")
         elif code in {2, 3}:
             raise self._error(f"is an arc (G{code:g})", "write the program in straight blocks (G1)")
-        elif code not in IGNORED_G | MACHINE_G | SHIFT_G:
+        elif code not in IGNORED_G | MACHINE_G | SHIFT_G | UNSET_G | {SET_G}:
             raise self._error(f"has G{code:g}, which Turnwright does not follow", "remove it, or write it with G1")
+
+    def _change_mode(self, mode: int) -> None:
+        """Change what F means, and with it the F in force: a number of the other unit is none.
+
+        A time stays in force until an F is stated as a speed; a speed does while there are times.
+        """
+        if mode == self.whole[FEED_MODE]:
+            return
+        feed = float(self.real[FEED])
+        if mode == 94:
+            self.real[FEED], self.time_feed = np.nan, feed
+        elif np.isnan(feed):  # no speed was stated
+            self.real[FEED] = self.time_feed
+        else:
+            self.real[FEED], self.speed_feed = np.nan, feed
+        self.whole[FEED_MODE] = mode
 
     def _block(self, codes: list[float], values: dict[str, float]) -> None:
         """Follow the axis words of a block."""
-        if "F" in values:
-            self.real[FEED] = values["F"]
         axes = {letter: values[letter] for letter in AXES if letter in values}
         if MACHINE_G & set(codes):
             self._close()
-            for letter in axes:
-                self.real[AXES.index(letter)] = np.nan
+            # Distances (U, W), or no words at all, stand for axes that differ among controllers.
+            self._lose(axes if axes and values.keys() <= HARMLESS else AXES)
             return
         if 4 in codes:
             return  # a dwell, whose time some controllers call X
-        if SHIFT_G & set(codes):
-            if any(axes.values()):
-                raise self._error("shifts the origin within the program", "give a program of one pass without shifts")
-            return
         others = [letter for letter, value in values.items() if letter not in HARMLESS and (value or letter == "E")]
         if others:
             raise self._error(
                 f"has the word {', '.join(others)}, the axes are C, X, Y and Z in fixed-point numbers", "correct it"
             )
+        if (SHIFT_G | UNSET_G | {SET_G}) & set(codes):
+            self._coordinates(codes, axes, feed="F" in values)
+            return
+        if "F" in values:
+            self._feed(values["F"])
         if axes:
             self._move(axes)
+
+    def _feed(self, feed: float) -> None:
+        """Take an F; beside curves with times of their own it is the mm per second of straight moves."""
+        if not self.dialect.velocities:
+            self.real[FEED] = feed
+            return
+        self.speed_feed = 60 * feed
+        if self.whole[FEED_MODE] == 94:
+            self.real[FEED] = self.speed_feed
+
+    def _lose(self, letters: Iterable[str]) -> None:
+        """Forget where axes stand."""
+        for letter in letters:
+            k = AXES.index(letter)
+            if not np.isnan(self.real[k]):
+                self.lost.add(letter)
+            self.real[k] = np.nan
+
+    def _coordinates(self, codes: list[float], axes: dict[str, float], *, feed: bool) -> None:
+        """Follow a block that changes what the coordinates mean."""
+        if shifts := SHIFT_G & set(codes):
+            if any(axes.values()) or (axes and 50 in shifts) or any(self._is_set(letter) for letter in axes):
+                raise self._error(
+                    f"shifts the origin within the program (G{min(shifts)})",
+                    "give a program of one pass without shifts",
+                )
+        elif UNSET_G & set(codes):
+            self._unset()
+        elif axes and feed:
+            raise self._error("is a cycle of thread cutting on some controllers (G92 with F)", "write G92 without F")
+        else:
+            self._set(axes)
+
+    def _is_set(self, letter: str) -> bool:
+        return bool(self.shift[AXES.index(letter)]) or letter in self.begun
+
+    def _set(self, axes: dict[str, float]) -> None:
+        """Give the place where the tool stands the coordinates stated; it stays where it is against the part."""
+        for letter, value in axes.items():
+            k = AXES.index(letter)
+            if not np.isnan(self.real[k]):
+                self.shift[k] += self.real[k] - value
+            elif letter in self.lost:
+                raise self._error(
+                    f"sets {letter} where its place in the coordinates before is not known",
+                    "give a program of one pass, or without G28, G30 and G53 before the G92",
+                )
+            else:
+                self.begun.add(letter)
+            self.real[k] = value
+        self._note_shift()
+
+    def _unset(self) -> None:
+        """Return to the coordinates with which the program began."""
+        self.real[:4] += self.shift
+        self.shift[:] = 0
+        self._lose(sorted(self.begun))
+        self.begun.clear()
+        self._note_shift()
+
+    def _note_shift(self) -> None:
+        if self.cut is not None:
+            self.cut.shifts.append((self.cut.points, self.shift.copy()))
 
     def _move(self, axes: dict[str, float]) -> None:
         before = self.real[:4].copy()
@@ -631,10 +840,16 @@ class _Reader:
         """Add the block that has just led here to the cut, which begins if none is open."""
         from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
 
+        inverse = self.whole[FEED_MODE] == 93
         feed = float(self.real[FEED])
+        if np.isnan(feed) and not inverse:
+            feed = self.speed_feed
         if not feed > 0:
-            raise self._error(f"cuts with a feed of {feed:g}, it must be above 0", "give an F before the cut")
-        if self.whole[FEED_MODE] == 93:
+            mode = ("PVT" if inverse else "LINEAR") if self.dialect.velocities else f"G{93 if inverse else 94}"
+            raise self._error(
+                f"cuts with a feed of {feed:g} under {mode}, it must be above 0", f"give an F after {mode}"
+            )
+        if inverse:
             duration = text.seconds(feed, self.whole[FEED_UNIT])
         else:
             length = float(np.linalg.norm(step[1:]))

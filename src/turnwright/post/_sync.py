@@ -302,7 +302,7 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
         raise ProgramError(f"{file} belongs to another program than {path}: write both again")
     motion = read_nc(path, machine, progress=progress)
     if fields["BY"] == "TIME":
-        match = re.match(r"[0-9.e+-]+", fields.get("RATE", ""))
+        match = re.match(r"\d{1,17}(?:\.\d{0,25})?(?:e[+-]?\d{1,2})?", fields.get("RATE", ""))
         rate = float(match[0]) if match else 0.0
         if rate <= 0:
             raise ProgramError(f"{file} states no rate: write it again")
