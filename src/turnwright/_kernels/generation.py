@@ -19,6 +19,7 @@ TURN = 2.0 * np.pi
 FAR = 1e300
 # Angles this close to an end of the motion count as the end: spindle angles of thousands of turns round at 4e-12 rad.
 ROUNDING = 1e-9
+EPSILON = 2.3e-16
 # Lines of a motion, from point to point, that share bounds.
 BLOCK = 8
 # Turns of a motion that share bounds.
@@ -155,7 +156,8 @@ def crossing(p1, z1, p2, z2, low, high, mirrored, profile, table):
         following = x - difference / rate if rate < 0.0 else 0.5 * (a + b)
         if not a < following < b:
             following = 0.5 * (a + b)
-        if abs(following - x) < 1e-13:
+        # A Newton step so short is the last by far; a shorter one would be rounding.
+        if abs(following - x) < 2e-13 * radius + 4.0 * EPSILON * (abs(low) + abs(high)):
             break
         x = following
     return x
@@ -368,36 +370,39 @@ def stand(c, x, y, z, sense, row, profile, table, at, along, hint):
 
 @jit
 def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
-    """Return (height, index, u) of one pass over the point at distance ``r`` whose azimuth along the motion is ``t``.
+    """Return (height, index, u, at, aside) of a pass over the point at distance ``r``, azimuth ``t`` along the motion.
 
     An edge out of the radial plane by v passes over the point not at ``t`` but where the point stands v aside,
     r sin(azimuth of the point - azimuth of the tool) = v(u). A fixed point, which contracts to half or less outside the
-    core (see `useful_aside`). The height is FAR where the tool does not pass over the point at all.
+    core (see `useful_aside`): when the steps shrink no more they are rounding, whatever the sizes. The height is FAR
+    where the tool does not pass over the point at all, or not in the way of passes that can be lowest.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
     sign = 1.0 if side == 0 else -1.0
     if row[4] == 0.0 and row[6] == 0.0 and y.size == 0:
         if t < begin - ROUNDING or t > end + ROUNDING:
-            return FAR, hint, 0.0
+            return FAR, hint, 0.0, t, 0.0
         # What `stand` does, without what is aside: a third faster.
         at = min(max(t, begin), end)
         i = locate(c, sense, at, hint)
         ci = sense * c[i]
         share = (at - ci) / (sense * c[i + 1] - ci)
         u = sign * r - (x[i] + share * (x[i + 1] - x[i]) + row[5])
-        return z[i] + share * (z[i + 1] - z[i]) + row[7] + height(profile, table, u), i, u
-    aside, i = 0.0, hint
-    for _ in range(50):
+        return z[i] + share * (z[i + 1] - z[i]) + row[7] + height(profile, table, u), i, u, at, 0.0
+    aside, i, before = 0.0, hint, FAR
+    while abs(aside) <= r:
         at = t - sign * sense * np.arcsin(aside / r)
         held = min(max(at, begin), end)
         along = sign * np.sqrt(r * r - aside * aside)
         h, across, u, i = stand(c, x, y, z, sense, row, profile, table, held, along, i)
-        if abs(across) > r:
-            break
-        if abs(across - aside) < 1e-15:
-            return (h if abs(at - held) <= ROUNDING else FAR), i, u
-        aside = across
-    return FAR, i, 0.0
+        step = abs(across - aside)
+        if step == 0.0 or step > 0.75 * before:
+            # The angle of the spindle rounds with its size, and the edge moves aside by half of that at most.
+            rounding = 8.0 * EPSILON * (r * (1.0 + abs(t)) + abs(across) + abs(along) + abs(u) + profile[0])
+            reached = step <= rounding and abs(at - held) <= ROUNDING
+            return (h if reached else FAR), i, u, held, across
+        aside, before = across, step
+    return FAR, i, 0.0, t, 0.0
 
 
 @jit
@@ -440,7 +445,8 @@ def lowest_on_line(line, row, profile, table, bend, sense, r, phase, first, last
     edge by F. Pieces that bounds of F and of the height exclude are dropped; one in which F only grows, or only falls,
     holds at most one root; others are halved. ``pieces`` (64, 2) is scratch.
     """
-    tiny = 1e-15 * max(r, 1.0)
+    size = r + abs(line[0]) + abs(line[1]) + abs(row[5]) + abs(row[6]) + profile[0]
+    tiny = 4.0 * EPSILON * (size + (abs(line[3]) + abs(line[4])) * max(abs(first), abs(last)))
     pieces[0, 0], pieces[0, 1] = first, last
     depth = 1
     while depth > 0:
@@ -452,7 +458,7 @@ def lowest_on_line(line, row, profile, table, bend, sense, r, phase, first, last
         pace, loose = -r * sine - line[3], r * half * (abs(cosine) + 0.5 * half)
         du = (abs(pace) + loose) * half
         flat, steep = slope(profile, table, u - du) - bend, slope(profile, table, u + du) + bend
-        if h - abs(line[5]) * half - row[3] * max(abs(flat), abs(steep)) * du > lowest - 1e-14:
+        if h - abs(line[5]) * half - row[3] * max(abs(flat), abs(steep)) * du > lowest - tiny:
             continue
         if abs(aside) <= tiny:
             lowest = min(lowest, h)
@@ -785,17 +791,16 @@ def gather(c, sense, starts, rings, useful, upright, low, high, middle, side, sh
 
 @jit
 def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count, side, shift, hint, work, chosen):
-    """Choose the passes that can be lowest within (hr, ha) of the place (rc, ac); return how many.
+    """Choose the passes of an upright edge that can be lowest within (hr, ha) of the place (rc, ac); return how many.
 
     A pass can if its height in the middle, less the most that its slope can differ within reach from the slope of the
     pass that is lowest in the middle, comes below the lowest. ``bend`` is the most that the slope of the edge falls
     back on its way toward +X. ``work`` (3, count) is scratch.
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
-    upright = row[4] == 0.0 and row[6] == 0.0 and y.size == 0
     lowest, best = FAR, -1
     for k in range(count):
-        h, i, u = pass_at(c, x, y, z, sense, row, profile, table, ac + shift[k], rc, side[k], hint[k])
+        h, i, u, _, _ = pass_at(c, x, y, z, sense, row, profile, table, ac + shift[k], rc, side[k], hint[k])
         hint[k], work[0, k], work[1, k] = i, h, u
         if h < lowest:
             lowest, best = h, k
@@ -807,11 +812,9 @@ def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count,
         steer_r = g if side[best] == 0 else -g
         steer_a = ((z[i + 1] - z[i]) - g * (x[i + 1] - x[i])) / step
     ceiling = FAR
-    slack = 1.0 if upright else 3.0
-    aside = 0.0 if upright else 0.5 * np.pi  # how far off its azimuth a tool may pass over a point
     for k in range(count):
         t, u = ac + shift[k], work[1, k]
-        if t + ha + aside < begin - ROUNDING or t - ha - aside > end + ROUNDING:
+        if t + ha < begin - ROUNDING or t - ha > end + ROUNDING:
             work[0, k], work[2, k] = FAR, 0.0  # nowhere within reach
             continue
         # Where the motion begins or ends within reach a pass covers a part of it: it stays on the list, to be tried.
@@ -826,13 +829,143 @@ def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count,
             drift = max(drift, abs(x[i + 1] - x[i]) / step)
             rate = (z[i + 1] - z[i]) / step
             rise, fall = max(rise, rate), min(fall, rate)
-        du = slack * (hr + drift * ha)
+        du = hr + drift * ha
         g1, g2 = row[3] * slope(profile, table, u - du), row[3] * slope(profile, table, u + du)
         sign = 1.0 if side[k] == 0 else -1.0
         dev_r = max(abs(sign * g1 - steer_r), abs(sign * g2 - steer_r)) + row[3] * bend
         dev_a = max(abs(rise - steer_a), abs(fall - steer_a)) + (max(abs(g1), abs(g2)) + row[3] * bend) * drift
-        work[2, k] = slack * (hr * dev_r + ha * dev_a) + 1e-13
+        work[2, k] = hr * dev_r + ha * dev_a + 1e-13
         ceiling = min(ceiling, work[0, k] + work[2, k])
+    found = 0
+    for k in range(count):
+        if work[2, k] == FAR or work[0, k] - work[2, k] <= ceiling:
+            chosen[found] = k
+            found += 1
+    return found
+
+
+@jit
+def product(a, b, p, q):
+    """Return the least and the greatest product of a number from a to b and one from p to q."""
+    one, two, three, four = a * p, a * q, b * p, b * q
+    return min(one, two, three, four), max(one, two, three, four)
+
+
+@jit
+def quotient(a, b, p, q):
+    """Return the least and the greatest quotient of a number from a to b and a positive one from p to q."""
+    return (a / q if a >= 0.0 else a / p), (b / p if b >= 0.0 else b / q)
+
+
+@jit
+def rates_between(c, values, sense, first, last):
+    """Return the least and the greatest change per radian of ``values`` on some lines of the motion."""
+    low, high = FAR, -FAR
+    for i in range(first, last + 1):
+        rate = (values[i + 1] - values[i]) / (sense * (c[i + 1] - c[i]))
+        low, high = min(low, rate), max(high, rate)
+    return low, high
+
+
+@jit
+def gradients(c, x, y, z, sense, row, profile, table, bend, rc, hr, ha, at, i, u, across, side, out):
+    """Fill ``out`` (4,) with bounds of the gradient of one pass within (hr, ha) of a point at distance ``rc``.
+
+    They are the least and the greatest change of its height per distance from the axis and per azimuth. With A along
+    and B aside of the plane of the tool, D = A + Y' + v' (B - X') for the pass that the tool makes with growing angle,
+    both follow from r sin(azimuth of the point - azimuth of the tool) = v(u) + Y, differentiated. Return False where no
+    bounds hold: the pass does not cover all of it, or D may vanish.
+    """
+    lean, rise, sign = row[4], row[3], (1.0 if side == 0 else -1.0)
+    beside = sense * across
+    away = rc * rc - beside * beside
+    if not away > 0.0 or hr >= rc:
+        return False
+    reach = 3.0 * (ha + hr * (abs(beside) / rc + abs(lean * slope(profile, table, u))) / np.sqrt(away))
+    if at - reach < sense * c[0] or at + reach > sense * c[c.size - 1]:
+        return False
+    first, last = locate(c, sense, at - reach, i), locate(c, sense, at + reach, i)
+    x_low, x_high = rates_between(c, x, sense, first, last)
+    z_low, z_high = rates_between(c, z, sense, first, last)
+    y_low, y_high = rates_between(c, y, sense, first, last) if y.size > 0 else (0.0, 0.0)
+    drift, sway = max(abs(x_low), abs(x_high)), max(abs(y_low), abs(y_high))
+    du = 2.0 * hr + drift * reach + 2.0 * abs(beside) * (ha + reach)
+    g_low, g_high = slope(profile, table, u - du) - bend, slope(profile, table, u + du) + bend
+    p_low, p_high = product(lean, lean, g_low, g_high)
+    wander = sway * reach + max(abs(p_low), abs(p_high)) * du
+    b_low, b_high = beside - wander, beside + wander
+    most, near, far = abs(beside) + wander, rc - hr, rc + hr
+    if most >= near:
+        return False
+    a_low, a_high = np.sqrt(near * near - most * most), far  # of A without its sign
+    # D with the sign of A, and the share by which the tool turns otherwise than the azimuth of the point does.
+    same = sense * sign
+    q_low, q_high = product(p_low, p_high, b_low - x_high, b_high - x_low)
+    d_low, d_high = product(same, same, y_low + q_low, y_high + q_high)
+    d_low, d_high = d_low + a_low, d_high + a_high
+    if d_low < 0.25 * a_low:
+        return False
+    e_low, e_high = product(p_low, p_high, x_low, x_high)
+    e_low, e_high = product(same, same, y_low - e_high, y_high - e_low)
+    e_low, e_high = quotient(e_low, e_high, d_low, d_high)
+    # How the tool turns with the distance of the point.
+    t_low, t_high = product(p_low, p_high, a_low, a_high)
+    t_low, t_high = product(sense, sense, t_low, t_high)
+    s_low, s_high = product(sign, sign, b_low, b_high)
+    t_low, t_high = quotient(s_low - t_high, s_high - t_low, near * d_low, far * d_high)
+    # How the place on the edge changes with the distance and with the azimuth.
+    r_low, r_high = product(b_low - x_high, b_high - x_low, t_low, t_high)
+    cos_low, cos_high = product(sign, sign, a_low / far, min(a_high / near, 1.0))
+    r_low, r_high = r_low + cos_low, r_high + cos_high
+    m_low, m_high = product(b_low, b_high, e_low, e_high)
+    n_low, n_high = product(x_low, x_high, 1.0 - e_high, 1.0 - e_low)
+    m_low, m_high = -m_high - n_high, -m_low - n_low
+    if max(abs(1.0 - e_low), abs(1.0 - e_high)) * ha + max(abs(t_low), abs(t_high)) * hr > reach:
+        return False
+    if max(abs(r_low), abs(r_high)) * hr + max(abs(m_low), abs(m_high)) * ha > du:
+        return False
+    g_low, g_high = rise * g_low, rise * g_high
+    h_low, h_high = product(z_low, z_high, t_low, t_high)
+    s_low, s_high = product(g_low, g_high, r_low, r_high)
+    out[0], out[1] = h_low + s_low, h_high + s_high
+    h_low, h_high = product(z_low, z_high, 1.0 - e_high, 1.0 - e_low)
+    s_low, s_high = product(g_low, g_high, m_low, m_high)
+    out[2], out[3] = h_low + s_low, h_high + s_high
+    return True
+
+
+@jit
+def shorten_aside(
+    c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count, side, shift, hint, work, bounds, chosen
+):  # fmt: skip
+    """Choose passes like `shorten`, of an edge that is aside of the plane through the axis.
+
+    Each pass is bounded by a plane of one tilt for all, give or take what its gradients differ from that; a pass
+    without bounds stays on the list. ``bounds`` (count, 4) is scratch too.
+    """
+    begin, end = sense * c[0], sense * c[c.size - 1]
+    aside = 0.5 * np.pi  # how far off its azimuth a tool may pass over a point
+    lowest, best = FAR, -1
+    for k in range(count):
+        t = ac + shift[k]
+        if t + ha + aside < begin - ROUNDING or t - ha - aside > end + ROUNDING:
+            work[0, k], work[2, k] = FAR, 0.0  # nowhere within reach
+            continue
+        h, i, u, at, across = pass_at(c, x, y, z, sense, row, profile, table, t, rc, side[k], hint[k])
+        hint[k], work[0, k], work[2, k] = i, h, FAR
+        if h < FAR and gradients(
+            c, x, y, z, sense, row, profile, table, bend, rc, hr, ha, at, i, u, across, side[k], bounds[k]
+        ):  # fmt: skip
+            work[2, k] = 0.0
+            if h < lowest:
+                lowest, best = h, k
+    ceiling = FAR
+    for k in range(count):
+        if best >= 0 and work[0, k] < FAR and work[2, k] < FAR:
+            dev_r = max(bounds[k, 1] - bounds[best, 0], bounds[best, 1] - bounds[k, 0])
+            dev_a = max(bounds[k, 3] - bounds[best, 2], bounds[best, 3] - bounds[k, 2])
+            work[2, k] = hr * dev_r + ha * dev_a + 1e-13
+            ceiling = min(ceiling, work[0, k] + work[2, k])
     found = 0
     for k in range(count):
         if work[2, k] == FAR or work[0, k] - work[2, k] <= ceiling:
@@ -869,7 +1002,7 @@ def tiles(
     near_side, near_hint = np.empty(room, np.int64), np.empty(room, np.int64)
     shift, near_shift = np.empty(room), np.empty(room)
     chosen, picked = np.empty(room, np.int64), np.empty(room, np.int64)
-    work = np.empty((3, room))
+    work, tilts = np.empty((3, room)), np.empty((room, 4))
     upright = row[4] == 0.0 and row[6] == 0.0 and y.size == 0
     for g in range(start, stop):
         origin = offsets[groups[g]]
@@ -908,27 +1041,38 @@ def tiles(
                 out[i] = FAR
                 for k in range(n):
                     t = azimuth[j] + shift[k]
-                    h, _, _ = pass_at(c, x, y, z, sense, row, profile, table, t, r[j], side[k], hint[k])
+                    h, _, _, _, _ = pass_at(c, x, y, z, sense, row, profile, table, t, r[j], side[k], hint[k])
                     out[i] = min(out[i], h)
             continue
         n = gather(c, sense, starts, rings, useful, upright, rc - hr, rc + hr, ac, side, shift, hint)
-        n = shorten(
-            c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, side, shift, hint, work, chosen
-        )  # fmt: skip
+        if upright:
+            n = shorten(
+                c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, side, shift, hint, work, chosen
+            )  # fmt: skip
+        else:
+            n = shorten_aside(
+                c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, side, shift, hint, work, tilts, chosen
+            )  # fmt: skip
         for k in range(n):
             near_side[k], near_shift[k], near_hint[k] = side[chosen[k]], shift[chosen[k]], hint[chosen[k]]
         for tile in range(groups[g], groups[g + 1]):
             first, last = offsets[tile] - origin, offsets[tile + 1] - origin
             rc, hr = extent(r, first, last)
             ac, ha = extent(azimuth, first, last)
-            few = shorten(
-                c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
-                work, picked,
-            )  # fmt: skip
+            if upright:
+                few = shorten(
+                    c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
+                    work, picked,
+                )  # fmt: skip
+            else:
+                few = shorten_aside(
+                    c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
+                    work, tilts, picked,
+                )  # fmt: skip
             for j in range(first, last):
                 out[origin + j] = FAR
             for k in range(few):
                 which, turn, i = near_side[picked[k]], near_shift[picked[k]], near_hint[picked[k]]
                 for j in range(first, last):
-                    h, i, _ = pass_at(c, x, y, z, sense, row, profile, table, azimuth[j] + turn, r[j], which, i)
+                    h, i, _, _, _ = pass_at(c, x, y, z, sense, row, profile, table, azimuth[j] + turn, r[j], which, i)
                     out[origin + j] = min(out[origin + j], h)
