@@ -141,7 +141,7 @@ def generate_points(
     Returns
     -------
     ndarray
-        Heights; nan where no pass covers the point. (n,) [mm]
+        Heights; nan where no pass covers the point, as `generate` has it. (n,) [mm]
     """
     x, y = frozen(x, "x"), frozen(y, "y")
     if x.shape != y.shape:
@@ -288,7 +288,8 @@ def generate(
     -------
     HeightMap
         Heights in the part frame; nan where no pass covers the point, which happens beside the axis when the tip
-        stands above or below centre. (ny, nx) [mm]
+        stands above or below centre, and where a motion ends within its first turn. The flanks of the edge have no
+        end, so what lies inside or outside of all turns is as high as the flank of the nearest. (ny, nx) [mm]
 
     Raises
     ------
@@ -334,7 +335,7 @@ def generate_polar(
     Returns
     -------
     HeightMap
-        (n_angle, n_radius) [mm]
+        Heights; nan where no pass covers the point, as `generate` has it. (n_angle, n_radius) [mm]
 
     Raises
     ------

@@ -79,3 +79,21 @@ def test_all_three_agree_beyond_the_outermost_turn(name):
         )
         some = random.choice(np.flatnonzero(np.hypot(px, py) > radius), 40, replace=False)
         expect(passes, px[some], py[some], made.z.ravel()[some])
+
+
+@pytest.mark.parametrize("turns", [0.4, 1.0, 6.0])
+def test_all_three_hold_nan_where_no_pass_comes(turns):
+    """A motion cut short. Oracle: the azimuths and, from the other side of the axis, half a turn from them."""
+    k = np.arange(round(turns * 100) + 1)
+    axes = {"C": 2 * np.pi * k / 100, "X": 1.0 - 0.01 * k / 100, "Z": np.zeros(k.size)}
+    motion = tw.Motion(time=0.001 * k, axes=axes, machine=MACHINE)
+    edge = tw.Tool(nose_radius=0.3, included=100 * DEG)
+    angle = 2 * np.pi * (np.arange(72) + 0.5) / 72
+    ring = tw.generate_polar(motion, edge, radius=[0.9, 1.0], angle=angle)
+    x, y = ring.points()
+    points = tw.generate_points(motion, edge, x=x.ravel(), y=y.ravel()).reshape(x.shape)
+    grid = [tw.generate(motion, edge, x=[one], y=[other]).z[0, 0] for one, other in zip(x[:, 1], y[:, 1], strict=True)]
+    covered = (angle < 2 * np.pi * turns) | ((angle + np.pi) % (2 * np.pi) < 2 * np.pi * turns)
+    for z in (ring.z[:, 1], points[:, 1], np.array(grid)):
+        np.testing.assert_array_equal(np.isfinite(z), covered)
+    np.testing.assert_allclose(ring.z, points, rtol=0, atol=1e-14)

@@ -348,6 +348,8 @@ def polar_block(c, x, z, sense, starts, bounds, dx, dz, profile, table, radius, 
                     position[row, some], level[row, some], n, side == 1, side == 0, profile, table, radius, out[row],
                     stack, limit, winner,
                 )  # fmt: skip
+        if out[row, 0] == FAR:  # no pass at all: the motion is shorter than a turn
+            out[row] = np.nan
 
 
 @jit
