@@ -1,6 +1,8 @@
 """`turnwright plan`: from tolerances to a job that keeps them."""
 
+import difflib
 import re
+import tomllib
 
 import numpy as np
 import pytest
@@ -29,6 +31,61 @@ def test_a_plan_is_a_job_that_keeps_its_tolerances(tmp_path, capsys):
         assert word in said
     assert main(["run", str(tmp_path / "planned.toml"), "--out", str(tmp_path / "out")]) == 0
     assert "the tolerance is" not in capsys.readouterr().err
+
+
+WRITTEN_BY_HAND = """\
+# Dome for the printer, drawing 4711
+accept = []
+
+[tolerances]   # from the drawing
+sq = "20 nm"
+form_pv = "0.3 um"
+
+[strategy]
+# as we always do it
+feed = "10000 nm/rev"  # from the last job
+kind = "slow tool servo"
+points_per_rev = 360
+spindle_speed = "100 rpm"
+
+[part]
+radius = "0.1 cm"   # clear aperture
+surface = {family = "gridded", file = "sag.csv", units = "mm", sag_units = "mm"}
+
+[machine]
+name = "generic"
+
+[tool]
+nose_radius = '500 um'
+included = "60 deg" # certificate
+clearance = "0.15 rad"
+"""
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_a_plan_keeps_what_a_person_wrote(tmp_path, elsewhere):
+    """Oracle: the lines of the file, by difflib, and tomllib."""
+    shop, out = tmp_path / "shop", (tmp_path / "plans" if elsewhere else tmp_path / "shop")
+    for folder in {shop, out}:
+        folder.mkdir()
+    axis = np.linspace(-1.2, 1.2, 13)
+    table = np.vstack([np.r_[np.nan, axis], np.column_stack([axis, (axis**2 + axis[:, None] ** 2) / 80])])
+    np.savetxt(shop / "sag.csv", table, delimiter=",")
+    (shop / "job.toml").write_bytes(WRITTEN_BY_HAND.replace("\n", "\r\n").encode())
+    assert main(["plan", str(shop / "job.toml"), "--out", str(out / "planned.toml")]) == 0
+    text = (out / "planned.toml").read_bytes().decode()
+    assert text.count("\n") == text.count("\r\n")
+    told = list(difflib.ndiff(WRITTEN_BY_HAND.splitlines(), text.splitlines()))
+    lost, new = ([line[2:] for line in told if line[0] == sign] for sign in "-+")
+    assert {line.partition(" = ")[0] for line in lost} <= {"feed", "points_per_rev", "spindle_speed", "surface"}
+    assert any(line.startswith("surface") for line in lost) == elsewhere
+    # The feed keeps its unit and its remark; what sets the points now is a new key.
+    assert any(re.fullmatch(r'feed = "[0-9.]+ nm/rev"  # from the last job', line) for line in new)
+    job = tomllib.loads(text)
+    assert "points_per_rev" not in job["strategy"]
+    assert job["strategy"]["chord"]
+    assert (job["part"]["surface"]["file"] == "sag.csv") != elsewhere
+    assert Job.load(out / "planned.toml").part == Job.load(shop / "job.toml").part
 
 
 def test_what_is_there_is_kept(tmp_path, capsys):

@@ -95,12 +95,15 @@ def plan(
 ) -> None:
     """Choose feed, points and spindle speed so that the part keeps its tolerances, and prove it."""
     door: Door = context.obj
-    from turnwright.job import Job, plan  # noqa: PLC0415
+    from turnwright._whole import write_whole  # noqa: PLC0415
+    from turnwright.job import Job, edited, plan  # noqa: PLC0415
 
     require_new(out)
+    recipe = Job.load(job)
+    text = job.read_bytes().decode("utf-8")
     with progress_of(door.stop) as progress:
-        chosen = plan(Job.load(job), progress=progress)
-    chosen.job.dump(out)
+        chosen = plan(recipe, progress=progress)
+    write_whole(out, edited(text, recipe, chosen.job, folder=job.absolute().parent, into=out.absolute().parent))
     for one in chosen.tried if len(chosen.tried) > 1 else ():
         door.say(f"{one.interpolation}: {one.refused or f'{one.points} points, {one.minutes:.1f} min'}")
     found = chosen.shares

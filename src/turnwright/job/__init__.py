@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from turnwright.job._shares import Shares, shares
     from turnwright.job._stages import Stages
     from turnwright.job._terms import Finish, finish
+    from turnwright.job._text import edited
 
 _HOMES = {
     "_artefacts": ("Artefact", "artefact"),
@@ -39,6 +40,7 @@ _HOMES = {
     "_shares": ("Shares", "shares"),
     "_stages": ("Stages",),
     "_terms": ("Finish", "finish"),
+    "_text": ("edited",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -62,6 +64,7 @@ __all__ = [
     "artefact",
     "compare",
     "correct",
+    "edited",
     "explain",
     "faults",
     "finish",

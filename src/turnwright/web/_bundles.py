@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from turnwright._toml import read_toml
 from turnwright.errors import InputError
+from turnwright.job._text import as_tables, written
 from turnwright.web._jobs import look_into, plain, read, require
 from turnwright.web._limits import BODY_BYTES, FILE_BYTES, FILE_ENDINGS, SPARE_BYTES
 from turnwright.web._references import JOB, beside, named, place_of, plain_name, renamed, require_flat
-from turnwright.web._text import as_tables, written
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -19,11 +19,11 @@ from turnwright.job import Job, faults
 from turnwright.job._prescriptions import GriddedTable
 from turnwright.job._schema import MachineTable, PartTable, ToolDeviations
 from turnwright.job._table import Table, sentences
+from turnwright.job._text import as_tables, written
 from turnwright.machine import Machine
 from turnwright.material import Material
 from turnwright.web._limits import MOST_POINTS
 from turnwright.web._references import located, require_flat
-from turnwright.web._text import as_tables, written
 
 __all__ = [
     "check", "look_into", "machines", "parse", "plain", "read", "require", "warm", "warm_kernels", "write",

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from contextlib import suppress
 from itertools import takewhile
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from turnwright.errors import TurnwrightError, UnitError
+from turnwright.job._schema import Job
+from turnwright.units import parse
 
-__all__ = ["as_tables", "written"]
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+__all__ = ["as_tables", "edited", "written"]
+
+_LONE_END = re.compile(r"(?<!\r)\n")
+
+MARK = "\N{BYTE ORDER MARK}"
 
 SURFACES = ("surface", "lenslet", "surround", "base", "parent")
 DEEPEST = 60
@@ -51,7 +61,7 @@ def written(data: Mapping[str, Any], before: str = "") -> str:
     wanted = as_tables(_stated(data))
     # A few ways of writing cannot be changed in their place: then the tables that differ are written anew.
     for whole in (False, True) if 0 < len(before) <= LONGEST else ():
-        from tomlkit.exceptions import TOMLKitError  # noqa: PLC0415 - only a text that was written by hand needs it
+        from tomlkit.exceptions import TOMLKitError  # noqa: PLC0415 - only a text that is changed needs it
 
         with suppress(TOMLKitError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
             found = _changed(before, wanted, whole=whole)
@@ -60,16 +70,95 @@ def written(data: Mapping[str, Any], before: str = "") -> str:
     return tomli_w.dumps(wanted)
 
 
-def _changed(before: str, wanted: dict[str, Any], *, whole: bool) -> str:
-    import tomlkit  # noqa: PLC0415 - only a text that was written by hand needs it
+def edited(before: str, old: Job, new: Job, *, folder: Path, into: Path) -> str:
+    """Return the text of a job file after a change of the job: keys that changed are set, all else stays as it was.
 
-    document = tomlkit.parse(before.removeprefix("\N{BYTE ORDER MARK}"))
+    A quantity keeps the unit that it was written in, where that says the same number.
+
+    Parameters
+    ----------
+    before
+        The text of the file.
+    old, new
+        The job that it describes, and that after the change.
+    folder
+        Of the file, where the files that it names are looked for.
+    into
+        Folder that the new text is for. Names of files stay as they are in the same folder, and become whole paths in
+        another.
+    """
+    table = tomllib.loads(before.removeprefix(MARK))
+    if folder.resolve() != into.resolve():
+        table = _with_whole_paths(table, folder)
+    was, now = (tomllib.loads(one.to_toml()) for one in (old, new))
+    for quantities in (_in_its_unit, _as_it_is):
+        text = written(_carried(table, was, now, quantities), before)
+        with suppress(TurnwrightError, tomllib.TOMLDecodeError):
+            if Job.read(tomllib.loads(text), folder=into) == new:
+                return MARK * before.startswith(MARK) + text
+    return new.to_toml()
+
+
+def _with_whole_paths(value: Any, folder: Path) -> Any:
+    """Return data with the names of files as whole paths."""
+    if isinstance(value, dict):
+        return {key: _with_whole_paths(one, folder) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_with_whole_paths(one, folder) for one in value]
+    if isinstance(value, str) and Path(value).suffix and (folder / value).is_file():
+        return str((folder / value).resolve())
+    return value
+
+
+def _carried(value: Any, was: Any, now: Any, quantities: Callable[[Any, Any], Any]) -> Any:
+    """Return the data of a file with what differs between two readings of it."""
+    if was == now:
+        return value
+    if isinstance(value, dict) and isinstance(was, dict) and isinstance(now, dict):
+        kept = {key: one for key, one in value.items() if key in now or key not in was}
+        return kept | {
+            key: _carried(value.get(key), was.get(key), one, quantities)
+            for key, one in now.items()
+            if one != was.get(key)
+        }
+    if (
+        isinstance(value, list)
+        and isinstance(was, list)
+        and isinstance(now, list)
+        and len(value) == len(was) == len(now)
+    ):
+        return [_carried(*one, quantities) for one in zip(value, was, now, strict=True)]
+    return quantities(value, now)
+
+
+def _as_it_is(_value: Any, now: Any) -> Any:
+    return now
+
+
+def _in_its_unit(value: Any, now: Any) -> Any:
+    """Return a new quantity in the unit of the old one, if that is the same number."""
+    if not isinstance(value, str) or not isinstance(now, str):
+        return now
+    own, unit = value.strip().partition(" ")[2].strip(), now.partition(" ")[2]
+    with suppress(UnitError):
+        if own and unit:
+            text = f"{parse(now, own):.15g} {own}"
+            if parse(text, unit) == parse(now, unit):
+                return text
+    return now
+
+
+def _changed(before: str, wanted: dict[str, Any], *, whole: bool) -> str:
+    import tomlkit  # noqa: PLC0415 - only a text that is changed needs it
+
+    document = tomlkit.parse(before.removeprefix(MARK))
     has = tomllib.loads(document.as_string())
     if whole:
         for key in [key for key in has if key in wanted and not _same(as_tables(has[key]), wanted[key])]:
             del document[key], has[key]
     _merge(document, has, wanted)
-    return document.as_string()
+    text = document.as_string()
+    return _LONE_END.sub("\r\n", text) if "\r\n" in before and not _LONE_END.search(before) else text
 
 
 def _merge(place: Any, has: dict[str, Any], wanted: dict[str, Any]) -> None:

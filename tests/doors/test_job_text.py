@@ -7,12 +7,12 @@ import tomllib
 
 import pytest
 
-pytest.importorskip("tomlkit", reason="the workbench is an extra: pip install 'turnwright[web]'")
+pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
 
+from turnwright.job._text import as_tables, written
 from turnwright.web._examples import examples
 from turnwright.web._queue import Runs
 from turnwright.web._references import text_in
-from turnwright.web._text import as_tables, written
 
 HAND = """\
 # A dish for the printer.
