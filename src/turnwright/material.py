@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
@@ -25,6 +27,9 @@ __all__ = ["CriticalThickness", "CuttingCoefficient", "Lobes", "Material"]
 
 MOST_LOBES = 24
 """Lobes beyond what the symmetry of a crystal gives."""
+
+SHOWN = 60
+"""Letters of a name that a message repeats."""
 
 STEEPEST = np.deg2rad(80)
 """Rake beyond which nothing is measured. [rad]"""
@@ -248,6 +253,8 @@ class Material:
     ----------
     name
         What the material is called.
+    aliases
+        Other names by which a job may state it: Ge, germanium.
     cutting
         Coefficient Kc of the force along the cutting direction; ``None`` where nobody states one.
     thrust
@@ -279,6 +286,7 @@ class Material:
     """
 
     name: str
+    aliases: tuple[str, ...] = ()
     cutting: CuttingCoefficient | None = None
     thrust: CuttingCoefficient | None = None
     critical: CriticalThickness | None = None
@@ -306,8 +314,25 @@ class Material:
 
     @classmethod
     def named(cls, name: str) -> str | None:
-        """Return which of `known` a name means, whatever its case, spaces and marks: IRG 26 is irg26."""
-        return next((one for one in cls.known() if _bare(one) == _bare(name)), None)
+        """Return which of `known` a name means, whatever its case, spaces and marks: IRG 26 is irg26, Ge germanium.
+
+        >>> Material.named("AL 6061-T6"), Material.named("Ge"), Material.named("IRG26x")
+        ('aluminium-6061', 'germanium-111', None)
+        """
+        return _names().get(_bare(name))
+
+    @classmethod
+    def suggest(cls, name: str) -> str:
+        """Return the remedy for a name that is not known: the nearest ones, or all where none is near.
+
+        >>> Material.suggest("germanum")
+        "did you mean 'germanium' or 'germanium (111)'?"
+        """
+        names = {alias: alias for alias in _names()} | {_bare(one): one for one in _spellings()}
+        close = difflib.get_close_matches(_bare(name)[:60], names, n=3, cutoff=0.7)
+        if close:
+            return f"did you mean {' or '.join(repr(names[one]) for one in close)}?"
+        return f"the known ones are {', '.join(cls.known())}"
 
     @classmethod
     def load(cls, name: str | Path) -> Material:
@@ -323,18 +348,18 @@ class Material:
         InputError
             If there is no such material, or its file is wrong; the message names the key.
         """
-        known = cls.known()
         named = cls.named(str(name))
         if named is not None:
-            data = (resources.files("turnwright") / "materials" / f"{named}.toml").read_bytes()
+            data = _shipped(named)
         else:
             try:
                 data = Path(name).read_bytes()
             except (OSError, ValueError) as error:
                 why = getattr(error, "strerror", None) or "it is no name of a file"
+                shown = str(name) if len(str(name)) <= SHOWN else f"{str(name)[:SHOWN]}..."
                 raise InputError(
-                    f"material {str(name)!r} is not one of {', '.join(known)} and cannot be read as a file ({why}): "
-                    "name one of these, or give the path of a .toml file"
+                    f"material {shown!r} is not one of the known ones and cannot be read as a file ({why}): "
+                    f"{cls.suggest(str(name))}; name one of them, or give the path of a .toml file"
                 ) from error
         table = read_toml(data, f"material file {str(name)!r}")
         try:
@@ -396,6 +421,25 @@ class Material:
             np.asarray(one.at(chip, rake=rake, angle=angle) * share) for one in (self.cutting, self.thrust)
         )
         return cutting, thrust
+
+
+def _shipped(name: str) -> bytes:
+    return (resources.files("turnwright") / "materials" / f"{name}.toml").read_bytes()
+
+
+@cache
+def _spellings() -> dict[str, str]:
+    """Return which material each name stands for that one may call it by."""
+    found = {}
+    for one in Material.known():
+        table = read_toml(_shipped(one), f"material file {one!r}")
+        found.update(dict.fromkeys([one, table["name"], *table.get("aliases", ())], one))
+    return found
+
+
+@cache
+def _names() -> dict[str, str]:
+    return {_bare(name): one for name, one in _spellings().items()}
 
 
 def _span(low: float, high: float) -> str:
@@ -494,7 +538,7 @@ def _critical(table: Mapping[str, Any], where: str) -> CriticalThickness:
 
 def _from_table(table: Mapping[str, Any]) -> Material:
     """Build a material from its tables."""
-    plain = {"name", "brittle_plateau", "fracture_ratio", "notes"}
+    plain = {"name", "aliases", "brittle_plateau", "fracture_ratio", "notes"}
     _check_keys(table, {*plain, "cutting", "thrust", "critical", "sources"}, "the file")
     given: dict[str, Any] = {}
     for key in ("name", "notes"):
@@ -502,6 +546,10 @@ def _from_table(table: Mapping[str, Any]) -> Material:
         if not isinstance(value, str):
             raise InputError(f"{key} is {value!r}, it must be a text: put it in quotes")
         given[key] = value
+    aliases = table.get("aliases", [])
+    if not isinstance(aliases, list) or not all(isinstance(one, str) for one in aliases):
+        raise InputError('aliases are no texts: give them as ["Ge", "germanium"]')
+    given["aliases"] = tuple(aliases)
     plateau = table.get("brittle_plateau", False)
     if not isinstance(plateau, bool):
         raise InputError(f"brittle_plateau is {plateau!r}, it must be true or false: change it")

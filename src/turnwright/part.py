@@ -38,7 +38,9 @@ class Part:
     stock
         Thickness of material above the finished surface before the first pass. [mm]
     material
-        What the shop calls the material.
+        What is cut, as the drawing names it.
+    material_note
+        Free text on the material: condition, supplier, lot. Nothing is derived from it.
     name
         What the shop calls the part.
 
@@ -54,6 +56,7 @@ class Part:
     radius: float
     stock: float = 0.0
     material: str = ""
+    material_note: str = ""
     name: str = ""
 
     def __post_init__(self) -> None:

@@ -183,8 +183,11 @@ def test_a_first_turn_that_breaks_the_rim_asks_for_a_lead_in(tmp_path):
     assert any("first turn" in one and "give a longer lead_in" in one for one in result.warnings)
 
 
-def test_other_words_for_a_material_stay_a_note(tmp_path):
-    result = tw.run(Job.load(job(tmp_path, material="what was on the shelf")))
+def test_a_material_note_is_free_text_and_judges_nothing(tmp_path):
+    file = job(tmp_path, material="")
+    file.write_text(file.read_text().replace('material = ""', 'material_note = "what was on the shelf"'))
+    result = tw.run(Job.load(file))
+    assert result.job.part.part.material_note == "what was on the shelf"
     assert result.passes[0].chips is None
     assert not result.chips
     assert "chips" not in result.timings
@@ -249,3 +252,40 @@ def test_a_wrong_material_file_is_one_sentence(tmp_path, text, words):
     assert "\n" not in str(error.value)
     with pytest.raises(InputError, match="is not one of"):
         tw.Material.load(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("Ge", "germanium-111"), ("germanium", "germanium-111"), ("Ge(111)", "germanium-111"), ("IRG 26", "irg26"),
+        ("aluminium 6061", "aluminium-6061"), ("Aluminum 6061-T6", "aluminium-6061"), ("copper", "copper-ofhc"),
+        ("NiP", "nickel-phosphorus"), ("acrylic", "pmma"),
+    ],
+)  # fmt: skip
+def test_a_material_is_known_by_the_names_of_the_trade(tmp_path, text, name):
+    assert tw.Material.named(text) == name
+    assert Job.load(job(tmp_path, material=text)).part.substance.name == tw.Material.load(name).name
+
+
+@pytest.mark.parametrize(
+    ("text", "nearest"),
+    [("IRG26x", "'IRG 26'"), ("germanum", "'germanium'"), ("alumnium 6061", "'aluminium 6061'"), ("zzzz", "irg26"),
+     ("x" * 5000, "irg26")],
+)  # fmt: skip
+def test_a_misspelt_material_is_refused_with_the_nearest_names(tmp_path, text, nearest):
+    with pytest.raises(JobError, match=r"part\.material") as error:
+        Job.load(job(tmp_path, material=text))
+    assert nearest in str(error.value)
+    assert "material_note" in str(error.value)
+    assert len(str(error.value).replace(str(tmp_path), "")) < 400
+    with pytest.raises(InputError, match="is not one of"):
+        tw.Material.load(text)
+
+
+def test_no_two_materials_share_a_name():
+    names = [
+        (re.sub("[^a-z0-9]", "", text.casefold()), name)
+        for name in tw.Material.known()
+        for text in {name, tw.Material.load(name).name, *tw.Material.load(name).aliases}
+    ]
+    assert len({bare for bare, _ in set(names)}) == len(set(names))

@@ -95,7 +95,7 @@ def artefact(
         "name": f"{name}, artefact",
         "radius": write(radius, "mm"),
         "surface": surface,
-        **{key: table["part"][key] for key in ("stock", "material") if key in table["part"]},
+        **{key: table["part"][key] for key in ("stock", "material", "material_note") if key in table["part"]},
     }
     for key in ("simulation", "tolerances"):
         table.pop(key, None)

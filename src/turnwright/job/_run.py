@@ -229,7 +229,8 @@ def _judged_chips(
 def written(job: Job, motions: dict[str, Motion], out: File, tell: Progress | None = None) -> ProgramFiles:
     """Write the program of all passes, with the table of a fast tool beside it if there is one."""
     part, machine, file = job.part.part, job.machine.machine, out / f"{job.program.name}.nc"
-    notes = f"material {part.material}" if part.material else ""
+    stated = ", ".join(one for one in (part.material, part.material_note) if one)
+    notes = f"material {stated}" if stated else ""
     header = ProgramHeader(design=part.name, tool=job.tool.tool.name, notes=notes)
     shared: dict[str, Any] = {"header": header, "clearance": 5 + part.stock, "progress": tell}
     by = job.program.fast_tool

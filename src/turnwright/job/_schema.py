@@ -85,8 +85,14 @@ def _correction(file: File) -> Gridded:
 
 
 def _material(text: str, info: ValidationInfo) -> str:
-    """Return a material's name as it is, the file of one as a whole path, looked for beside the job file."""
+    """Return a known material's name as it is, the file of one as a whole path, looked for beside the job file."""
     if not text.endswith(".toml"):
+        if text and Material.named(text) is None:
+            shown = text if len(text) <= 40 else f"{text[:40]}..."
+            raise JobError(
+                f"{shown!r} is not a known material: {Material.suggest(text)}; give the .toml file of one of your own, "
+                "or state a material that is not to be judged as material_note"
+            )
         return text
     found = File((info.context or {}).get("folder", ".")) / text
     if not found.is_file():
@@ -99,6 +105,8 @@ class PartTable(Table):
 
     Parameters
     ----------
+    material
+        A known material in any spelling, or the ``.toml`` file of one: chips and ductile regime are judged by it.
     correction
         File of a table of heights that is added to the surface the tool is sent to, as `correct` writes it, so
         that an error that repeats does not come back; the part is judged by its design as before.
@@ -108,6 +116,7 @@ class PartTable(Table):
     radius: Size
     stock: Thickness = 0.0
     material: Annotated[Text, AfterValidator(_material)] = ""
+    material_note: Text = ""
     name: Text = ""
     correction: ExistingFile | None = None
 
@@ -117,12 +126,17 @@ class PartTable(Table):
         # A path would make the program another one wherever its job lies.
         material = self.substance.name if self.substance and self.material.endswith(".toml") else self.material
         return Part(
-            surface=self.surface.surface, radius=self.radius, stock=self.stock, material=material, name=self.name
+            surface=self.surface.surface,
+            radius=self.radius,
+            stock=self.stock,
+            material=material,
+            material_note=self.material_note,
+            name=self.name,
         )
 
     @cached_property
     def substance(self) -> Material | None:
-        """What is known of the material; ``None`` where its name is only a note."""
+        """What is known of the material; ``None`` where the job names none."""
         if self.material.endswith(".toml"):
             return Material.load(self.material)
         named = Material.named(self.material)

@@ -153,8 +153,8 @@ class Stages:
         known = self.job.part.substance
         if known is None or (known.critical is None and known.cutting is None):
             raise InputError(
-                f"nothing is known of the material {self.job.part.material!r}, so its chips and forces are not found: "
-                "name a material of turnwright material list, or the file of one"
+                "the job names no material, so its chips and forces are not found: state part.material, one of "
+                "turnwright material list or the file of one"
             )
         found: list[PassChips] = []
         before: Motion | None = None

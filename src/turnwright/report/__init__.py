@@ -465,6 +465,8 @@ def _facts(part: Part, tool: Tool, actual: Tool, machine: Machine, real: Machine
     sheet = [_Row("Name", part.name or "–"), _Row("Surface", type(part.surface).__name__)]
     sheet += [_Row("Clear radius", f"{part.radius:.6g} mm"), _Row("Stock", _length(part.stock))]
     sheet += [_Row("Material", part.material or "not stated")]
+    if part.material_note:
+        sheet.append(_Row("Material note", part.material_note))
     return {"Part": sheet, f"Tool {tool.name}".strip(): shown, "Machine": lathe}
 
 
