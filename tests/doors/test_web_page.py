@@ -26,6 +26,7 @@ from test_measuring import DISH, OFFSET, seen
 pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
 pytest.importorskip("playwright", reason="the page is tested in a browser: pip install 'turnwright[test]'")
 
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect, sync_playwright
 from workbench_page import Bench, browser, chromium, colours_of, figures, pixels, plain, serving, smaller, wait
 
@@ -361,6 +362,63 @@ def test_a_file_that_is_no_job_leaves_the_job_as_it_is(bench, by_hand, tmp_path)
     expect(one.page.locator("#foot")).not_to_contain_text("odd.toml")
 
 
+def typed_by_hand(one, count, seed):
+    """Type entries letter by letter, 70 to 220 ms a key, into fields of an open job; return those that changed."""
+    page, random = one.page, np.random.default_rng(seed)
+    fields = page.locator("#form input[type=text]").evaluate_all("all => all.map((one) => one.id || one.ariaLabel)")
+    # A term is named after its box is left, so its value's box is found by its label.
+    changed_entries = []
+    for turn in range(count):
+        name = fields[(turn + seed) % len(fields)]
+        box = page.locator(f'[id="{name}"]') if name.startswith("field-") else page.get_by_label(name, exact=True)
+        word, _, unit = box.input_value().partition(" ")
+        text = f"{random.uniform(0.3, 9):.{random.integers(2, 6)}f}"
+        if not re.fullmatch("[-+0-9.e]+", word):
+            text = f"entry {text}"
+        elif unit:
+            text += f" {unit}"
+        box.click()
+        page.keyboard.press("Control+A")
+        page.keyboard.press("Delete")
+        for key in text:
+            page.keyboard.type(key)
+            page.wait_for_timeout(random.uniform(70, 220))
+        page.wait_for_timeout(300)
+        if box.input_value() != text:
+            changed_entries.append((name, text, box.input_value()))
+    return changed_entries
+
+
+def test_a_typed_entry_stays_as_it_is_typed(bench):
+    # Oracle: the text itself. A slow computer draws between two keys, where an older text could come back.
+    one = bench()
+    one.page.locator("#welcome .examples button").filter(has_text="infrared").first.click()
+    one.page.locator("#field-tool-nose_radius").wait_for()
+    one.context.new_cdp_session(one.page).send("Emulation.setCPUThrottlingRate", {"rate": 4})
+    assert typed_by_hand(one, 12, seed=1) == []
+
+
+def test_the_value_of_a_term_is_typed_with_all_its_digits(bench, tmp_path):
+    asphere = {"family": "even asphere", "radius": "40 mm", "conic": -0.8, "units": "mm", "terms": {"4": 2e-6}}
+    one = bench().take(written(tmp_path, ("part.surface", asphere)))
+    box = one.page.get_by_label("value of 4")
+    box.fill("")
+    for text in ("1", "1.", "1.0", "1.05", "1.05e", "1.05e-", "1.05e-6"):
+        box.press(text[-1])
+        assert box.input_value() == text
+    assert one.store("job")["part"]["surface"]["terms"] == {"4": 1.05e-6}
+
+
+def test_a_field_that_is_emptied_stays_under_the_hand(bench, by_hand):
+    one = bench().take(by_hand.parent / "job.toml")
+    box = one.page.locator("#field-part-name")
+    box.click()
+    one.page.keyboard.press("Control+A")
+    one.page.keyboard.press("Delete")
+    one.page.wait_for_timeout(300)
+    expect(box).to_be_focused()
+
+
 def test_two_terms_never_become_one(bench, tmp_path):
     terms = {"4": 2e-6, "6": -3e-8}
     asphere = {"family": "even asphere", "radius": "40 mm", "conic": -0.8, "units": "mm", "terms": terms}
@@ -612,7 +670,7 @@ def test_lines_of_the_program_lead_to_the_part(bench, motion):
     line = page.get_by_label("Go to line", exact=True).first
     line.fill("3000")
     line.press("Enter")
-    chosen = page.locator("#panel-program li[aria-selected=true]")
+    chosen = page.locator("#panel-program [role=option][aria-selected=true]")
     expect(chosen.locator(".at")).to_have_text("3000")
     expect(chosen.locator("code")).to_contain_text("G1 X")
     x, z, turned = (float(word[1:]) for word in chosen.locator("code").inner_text().split()[1:4])
@@ -766,6 +824,71 @@ def test_the_part_is_asked_for_before_all_else_and_once(bench):
     expect(page.locator("#verdict")).to_have_class("card verdict good")
     questions = [path for path in asked if path in ("/api/view/surface", "/api/job/check")]
     assert questions == ["/api/view/surface", "/api/job/check"]
+
+
+def test_an_opened_example_takes_the_focus_to_the_job(bench):
+    one = bench()
+    one.page.locator("#welcome .examples button").filter(has_text="sinusoidal grid").first.click()
+    expect(one.page.locator("#left")).to_be_focused()
+
+
+PHONE = (390, 844)
+COVERED = """(id) => {
+  const {left, top, right, bottom} = document.getElementById(id).getBoundingClientRect();
+  return left < 0 || top < 0 || right > innerWidth || bottom > innerHeight
+    || document.elementFromPoint((left + right) / 2, (top + bottom) / 2)?.closest(`#${id}`) === null;
+}"""
+
+
+@pytest.mark.usefixtures("done", "measured")
+def test_a_phone_shows_one_pane_at_a_time_with_run_in_reach(bench, by_hand):
+    one = bench(size=PHONE, touch=True).take(by_hand.parent / "job.toml")
+    page = one.page
+    panes = {"Job": "left", "Scene": "middle", "Results": "right", "Maps": "drawer"}
+    for name, pane in panes.items():
+        page.get_by_role("navigation", name="Panes").get_by_role("button", name=name, exact=True).click()
+        for other in panes.values():
+            (
+                expect(page.locator(f"#{other}")).to_be_visible
+                if other == pane
+                else expect(page.locator(f"#{other}")).to_be_hidden
+            )()
+        assert not page.evaluate(COVERED, "run")
+        assert page.evaluate(BEYOND) == []
+    one.look_at("run")
+    expect(page.locator("#right")).to_be_visible()
+    assert not page.evaluate(COVERED, "run")
+
+
+HARD = {"critical", "serious"}
+
+
+def barriers(page, state):
+    """Return what axe-core calls critical or serious for those who use the page by other means."""
+    broken = Axe().run(page).response["violations"]
+    return [(state, one["id"], one["nodes"][0]["html"][-200:]) for one in broken if one["impact"] in HARD]
+
+
+@pytest.mark.parametrize("how", [{}, {"dark": True}, {"size": PHONE, "touch": True}], ids=["light", "dark", "phone"])
+@pytest.mark.usefixtures("done", "compared", "measured")
+def test_no_state_has_a_barrier(bench, by_hand, how):
+    # Oracle: axe-core.
+    one = bench(**how)
+    page = one.page
+    found = barriers(page, "empty")
+    one.take(by_hand.parent / "job.toml")
+    found += barriers(page, "job")
+    for kind in ("run", "compare", "measure"):
+        one.look_at(kind)
+        found += barriers(page, kind)
+        for key, panel in enumerate(PANELS, 1):
+            page.keyboard.press(str(key))
+            expect(page.locator(f"#panel-{panel}")).to_be_visible()
+            one.open_questions()
+            found += barriers(page, f"{kind}, {panel}")
+    page.keyboard.press("?")
+    found += barriers(page, "help")
+    assert found == []
 
 
 def test_light_and_dark_follow_the_system_and_the_switch(bench):

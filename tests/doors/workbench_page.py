@@ -136,7 +136,7 @@ class Bench:
         """Look at what a run of this kind has found, which is done: "run", "compare", "measure" or "correct"."""
         runs = self.page.get_by_role("tab", name=re.compile("^Runs"))
         if not runs.is_visible():  # where there is room for one pane only
-            self.page.get_by_role("button", name="Results pane").click()
+            self.page.get_by_role("button", name=re.compile("^Results")).click()
         runs.click()
         done = self.page.locator(".run[data-state=done]")
         named = re.compile("(compare|measure|correct),")

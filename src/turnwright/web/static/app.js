@@ -158,7 +158,7 @@ function takeDrops() {
     const file = event.dataTransfer.files[0];
     if (!file) return;
     if (/\.(toml|zip)$/i.test(file.name)) return takeFile(file);
-    set({ drawer: "measure" });
+    set({ drawer: "measure", view: "drawer" });
     const { take } = await import("./measure.js");
     take(file);
   });
@@ -183,7 +183,7 @@ function Top({ panes }) {
       <option value="" selected>Examples</option>${examples.map((one) => html`<option value=${one.name}>${one.title}</option>`)}</select></label>
     <${Tool} icon="open" name="Open a job file" keys="Ctrl+O" onClick=${openFile} />
     <${Tool} icon="save" name="Save the job file" keys="Ctrl+S" disabled=${!job} onClick=${saveFile} />
-    <h1 title=${job?.part?.name || title}>${job?.part?.name || title}</h1>
+    <h1 title=${job?.part?.name || title}>${job?.part?.name || title || "No job yet"}</h1>
     ${word && html`<span class=${`pill ${word.ok === null ? "" : word.ok ? "good" : "bad"}${checking ? " waiting" : ""}`} id="pill"><${Mark} ok=${word.ok} />${word.text}</span>`}
     <span class="gap"></span>
     <button type="button" class="button" disabled=${!job || errors.length > 0} onClick=${() => start("compare")} title="Plan it by every strategy that the machine can do"><${Icon} name="compare" />Compare</button>
@@ -227,6 +227,7 @@ function Tabs({ panes }) {
     set({ drawer: next });
     row.current.querySelector(`#tab-${next}`).focus();
   };
+  useEffect(() => row.current.querySelector("[aria-selected=true]")?.scrollIntoView({ block: "nearest", inline: "nearest" }), [drawer]);
   return html`<div class="panehead"><div class="tabs" role="tablist" aria-label="Lower area" ref=${row} onKeyDown=${keys}>
     ${TABS.map(({ name, title }, index) => html`<button type="button" role="tab" id=${`tab-${name}`} aria-controls=${`panel-${name}`} aria-selected=${drawer === name ? "true" : "false"}
       tabindex=${drawer === name || (!drawer && index === 0) ? 0 : -1} title=${`${title}  (${index + 1})`} onClick=${() => set({ drawer: drawer === name ? null : name })}>${title}</button>`)}</div>
@@ -305,6 +306,15 @@ function makePanes() {
   };
 }
 
+/** On a phone one pane at a time has the screen; a row of buttons changes between them. */
+const VIEWS = { left: "Job", middle: "Scene", right: "Results", drawer: "Maps" };
+
+function Views() {
+  const { view } = useStore(["view"]);
+  const choose = (name) => set({ view: name, ...(name === "drawer" && !state.drawer ? { drawer: "maps" } : {}) });
+  return html`${Object.entries(VIEWS).map(([name, title]) => html`<button type="button" aria-pressed=${view === name ? "true" : "false"} onClick=${() => choose(name)}>${title}</button>`)}`;
+}
+
 // ------------------------------------------------------------------------------------------------------- empty state
 
 const STEPS = [
@@ -375,7 +385,7 @@ function takeKeys(panes) {
       return undefined;
     }
     if (typing || event.altKey || $("help").open) return undefined;
-    if (/^[1-6]$/.test(event.key)) return set({ drawer: TABS[Number(event.key) - 1].name });
+    if (/^[1-6]$/.test(event.key)) return set({ drawer: TABS[Number(event.key) - 1].name, view: "drawer" });
     const act = { 0: panes.tall, "[": () => panes.flip("left"), "]": () => panes.flip("right"), t: switchTheme, "?": () => $("help").showModal(), Escape: () => set({ drawer: null }) }[event.key];
     return act?.();
   });
@@ -442,7 +452,12 @@ function makeScene() {
 }
 
 async function showScene() {
+  const welcomed = state.job && !$("welcome").hidden;
+  // What was pressed to open the job leaves with the welcome: the reader goes on at the job.
+  const follow = welcomed && $("welcome").contains(document.activeElement);
   $("welcome").hidden = Boolean(state.job);
+  if (welcomed) set({ view: "left" });
+  if (follow) setTimeout(() => $("left").focus());
   $("scene").hidden = !state.job;
   if (!state.job || $("scene").hasChildNodes()) return;
   if (!state.errors.length) askAhead(state.job, state.quantity);
@@ -455,6 +470,7 @@ async function begin() {
   const panes = makePanes();
   render(html`<${Top} panes=${panes} />`, $("top"));
   render(html`<${Tabs} panes=${panes} />`, $("tabs"));
+  render(html`<${Views} />`, $("views"));
   render(html`<${Welcome} />`, $("welcome"));
   render(html`<${Help} />`, $("help"));
   render(html`<${Foot} />`, $("foot"));
@@ -463,12 +479,18 @@ async function begin() {
   mountRuns();
   takeKeys(panes);
   takeDrops();
+  on("view", ({ view }) => ($("bench").dataset.view = view), { now: true });
   on("drawer", ({ drawer }) => {
     $("bench").dataset.drawer = drawer ? "open" : "closed";
+    if (!drawer && state.view === "drawer") set({ view: "middle" });
     openTab(drawer).catch((error) => say(`This part of the page did not load (${error.message}): reload it.`, "bad"));
   }, { now: true });
   on("job", () => showScene().catch((error) => say(`The scene did not load (${error.message}): reload the page.`, "bad")), { now: true });
-  on("run", ({ run }) => run && panes.show("right", true));
+  on("run", ({ run }) => {
+    if (!run) return;
+    panes.show("right", true);
+    set({ view: "right" });
+  });
   reach.lost = lost;
   // After the examples are painted: whoever is quick finds the scene made, or half made.
   const stop = on("examples", () => {

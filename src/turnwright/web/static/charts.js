@@ -55,7 +55,7 @@ function powerText(value) {
     `empty` says why there is nothing. Returns {destroy, at(call)}: `at` hears the index under the pointer, or null. */
 export function chart(box, { x, series, limits = [], logX = false, logY = false, title = "", yRange = null, label = "", pointed = null }) {
   let plot = null;
-  const figure = element("figure", { class: "chart", role: "img", "aria-label": label || title });
+  const figure = element("figure", { class: "chart", "aria-label": label || title });
   if (title) figure.append(element("figcaption", {}, [title]));
   const host = element("div", { class: "charthost" });
   figure.append(host);
@@ -223,7 +223,7 @@ export function mountMotion(panel) {
   const kinds = element("div", { class: "segments", role: "radiogroup", "aria-label": "Quantity" });
   const about = element("span", { class: "quiet" });
   const head = element("div", { class: "bar" }, [kinds, about]);
-  const grid = element("div", { class: "charts" });
+  const grid = element("div", { class: "charts", role: "region", tabindex: "0", "aria-label": "Axis motion and spectrum" });
   const letters = element("select", { "aria-label": "Axis of the spectrum", onchange: () => spectrum() });
   panel.append(nothing, head, grid);
   let kind = "speed";

@@ -110,7 +110,7 @@ function Panel() {
   });
   const part = comparison.data?.part?.name;
   return html`<div class="split compare">
-    <div class="scroll">
+    <div class="scroll" role="region" tabindex="0" aria-label="Strategies compared">
       <table class="data"><caption>${part ? `${part}: all` : "All"} to cusps of ${height(comparison.scallop * 1e6)} and chords of ${height(comparison.chord * 1e6)}</caption>
         <thead><tr>${COLUMNS.map(({ key, title, meaning }) => html`<th class=${key === "name" ? "" : "number"} title=${meaning} aria-sort=${sort.key === key ? (sort.down ? "descending" : "ascending") : "none"}>
           <button type="button" class="link" onClick=${() => order({ key, down: sort.key === key && !sort.down })}>${title}${sort.key === key ? (sort.down ? " ↓" : " ↑") : ""}</button></th>`)}<th><span class="sr">Take it</span></th></tr></thead>

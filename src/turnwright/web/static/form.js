@@ -393,27 +393,33 @@ function nudged(text, steps) {
   return text.slice(0, match.index) + moved + power + text.slice(match.index + match[0].length);
 }
 
-/** Text being typed stays as it is; a value from elsewhere replaces it. `take(typed)` says what the text stands for. */
+/** Text being typed stays as it is; a value from elsewhere replaces it. `take(typed)` says what the text stands for.
+
+    The comparison belongs to the drawing itself: an effect runs after later keys, and would write an earlier value back. */
 function useTyped(value, take, shown = showValue) {
   const [text, write] = useState(shown(value));
-  const own = useRef(value);
-  useEffect(() => {
-    if (shown(value) !== shown(own.current)) write(shown(value));
-    own.current = value;
-  }, [shown(value)]);
+  const typedValue = useRef(value);
+  const drawn = useRef(shown(value));
+  if (shown(value) !== drawn.current) {
+    drawn.current = shown(value);
+    if (drawn.current !== shown(typedValue.current)) {
+      typedValue.current = value;
+      write(drawn.current);
+    }
+  }
   const type = (typed) => {
     write(typed);
-    own.current = take(typed);
+    typedValue.current = take(typed);
   };
-  return { text, type, settle: () => write(shown(own.current)) };
+  return { text, type, settle: () => write(shown(typedValue.current)) };
 }
 
 /** One box of text; the arrows move its last digit. */
-function Box({ node, path, value, change, label, wrong, hint, list, told }) {
+function Box({ node, path, value, change, label, wrong, hint, list, told, read = (typed) => readText(typed, node) }) {
   const { text, type, settle } = useTyped(value, (typed) => {
-    const read = readText(typed, node);
-    change(read);
-    return read;
+    const meaning = read(typed);
+    change(meaning);
+    return meaning;
   });
   const keys = (event) => {
     const steps = { ArrowUp: 1, ArrowDown: -1 }[event.key];
@@ -589,24 +595,33 @@ function Choices({ node, path, value }) {
   </${Row}>`;
 }
 
+/** The name of a term counts when its box is left; until then it is only text. */
+function TermName({ name, label, rename }) {
+  const [draft, write] = useState(null);
+  const leave = () => {
+    const typed = draft?.trim();
+    write(null);
+    if (typed !== undefined && typed !== name) rename(typed);
+  };
+  return html`<input type="text" value=${draft ?? name} aria-label=${label} onInput=${(event) => write(event.target.value)} onBlur=${leave} />`;
+}
+
 /** Named values: the terms of a series, the constants of a formula. */
 function Terms({ node, path, value, required }) {
   const entries = Object.entries(value ?? {});
   const item = resolve(typeof node.additionalProperties === "object" ? node.additionalProperties : Object.values(node.patternProperties ?? {})[0] ?? {});
   const write = (list) => edit(path, list.length ? Object.fromEntries(list) : undefined);
-  const rename = (index, { target }) => {
-    const name = target.value.trim();
+  const rename = (index, name) => {
     // A name that is there already would take the place of the other term.
     if (entries.some(([key], at) => at !== index && key === name)) {
-      target.value = entries[index][0];
       say(`There is a term ${name} already: give this one another name, or remove that one first.`, "bad");
     } else write(entries.map((entry, at) => (at === index ? [name, entry[1]] : entry)));
   };
   return html`<${Row} node=${node} path=${path} required=${required} wide of=${null} kind="terms" wrong=${sentencesWithin(path)}>
     ${entries.map(([key, one], index) => html`<div class="term" key=${index}>
-      <input type="text" value=${key} aria-label=${`name of term ${index + 1}`} onChange=${(event) => rename(index, event)} />
-      <input type="text" id=${idOf([...path, key])} value=${showValue(one)} placeholder=${shownUnit(item)} aria-label=${`value of ${key}`} aria-invalid=${errorsWithin([...path, key]).length ? "true" : null}
-        onInput=${(event) => write(entries.map((entry, at) => (at === index ? [key, numberOr(event.target.value)] : entry)))} />
+      <${TermName} name=${key} label=${`name of term ${index + 1}`} rename=${(name) => rename(index, name)} />
+      <${Box} node=${item} path=${[...path, key]} value=${one} label=${`value of ${key}`} hint=${shownUnit(item)} wrong=${errorsWithin([...path, key]).length > 0}
+        read=${numberOr} change=${(meaning) => write(entries.map((entry, at) => (at === index ? [key, meaning] : entry)))} />
       <${Tool} icon="close" name=${`Remove ${key}`} onClick=${() => write(entries.filter((_, at) => at !== index))} />
     </div>`)}
     <button type="button" class="add" onClick=${() => write([...entries, [freeKey(value), ""]])}><${Icon} name="plus" />Add a term</button>
@@ -638,11 +653,15 @@ function Fields({ node, path, value, skip }) {
   // What it is called comes first, what stands in frames of its own last.
   const rank = (name) => (name === "name" ? 0 : BLOCKS.has(kindOf(resolve(node.properties[name]))) && name !== "surface" ? 2 : 1);
   names.sort((a, b) => rank(a) - rank(b));
-  const stated = (name) => needed.has(name) || kindOf(resolve(node.properties[name])) === "list" || value?.[name] !== undefined || errorsWithin([...path, name]).length > 0;
+  // A field that is emptied stays, or it would leave under the hand that types.
+  const met = useRef({ opened, names: new Set() });
+  if (met.current.opened !== opened) met.current = { opened, names: new Set() };
+  const stated = (name) => needed.has(name) || kindOf(resolve(node.properties[name])) === "list" || value?.[name] !== undefined || errorsWithin([...path, name]).length > 0 || met.current.names.has(name);
   // One plain field less is not worth a fold.
   const rest = names.filter((name) => !stated(name));
   const few = rest.length === 1 && !isApart(resolve(node.properties[rest[0]]));
   const shown = names.filter((name) => all || few || stated(name));
+  if (!all) shown.forEach((name) => met.current.names.add(name));
   const hidden = names.length - shown.length;
   return html`<${Fragment}>
     ${shown.map((name) => html`<${Field} key=${name} node=${node.properties[name]} path=${[...path, name]} value=${value?.[name]} required=${needed.has(name)} />`)}
@@ -801,7 +820,7 @@ function Pane() {
       <${Tool} icon="undo" name="Undo" keys="Ctrl+Z" disabled=${!job || !past.length} onClick=${undo} />
       <${Tool} icon="redo" name="Redo" keys="Ctrl+Shift+Z" disabled=${!job || !future.length} onClick=${redo} />
     </div>
-    <div class="scroll">${text ? html`<${TextPane} />` : html`<${Fieldset} />`}</div>
+    <div class="scroll" role="region" tabindex="0" aria-label="Job">${text ? html`<${TextPane} />` : html`<${Fieldset} />`}</div>
     ${!text && job && html`<${Explained} />`}
   </${Fragment}>`;
 }

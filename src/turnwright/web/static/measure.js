@@ -106,7 +106,7 @@ function placed({ pose, std, held }) {
 function Seen({ measurement }) {
   const { alignment, roughness } = measurement;
   return html`<div><div class="panehead"><strong>${measurement.name}</strong><span class="gap"></span><${Tool} icon="close" name="Bring another measurement" onClick=${none} /></div>
-  <div class="scroll"><div class="cards">
+  <div class="scroll" role="region" tabindex="0" aria-label="Results of the measurement"><div class="cards">
     <${Numbers} title="Off the design" rows=${[
       ["form, PV", height(measurement.form_pv_nm)], ["form, RMS", height(measurement.form_rms_nm)],
       ["beyond a change of pose", height(measurement.measured_rms_nm)], ["of it explained", height(measurement.explained_rms_nm)], ["left unexplained", height(measurement.unexplained_rms_nm)],

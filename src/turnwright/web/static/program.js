@@ -106,10 +106,10 @@ function Text({ total }) {
   }, [tall]);
   const shown = Array.from({ length: Math.min(rows + 1, total - first) }, (_, index) => first + index);
   return html`<div class="program" ref=${box} tabindex="0" role="listbox" aria-label="Lines of the program" aria-activedescendant=${block === null ? null : `line-${block}`} onScroll=${scrolled} onKeyDown=${keys}>
-    <div class="spacer"><ol class="lines">${shown.map((line) => {
+    <div class="spacer"><div class="lines">${shown.map((line) => {
       const found = lineAt(line);
-      return html`<li key=${line} id=${`line-${line}`} role="option" aria-selected=${line === block ? "true" : "false"} onClick=${() => point(line)}><span class="at">${line + 1}</span><code>${found ? html`<${Words} text=${found.text} />` : "…"}</code></li>`;
-    })}</ol></div>
+      return html`<div key=${line} id=${`line-${line}`} role="option" aria-selected=${line === block ? "true" : "false"} onClick=${() => point(line)}><span class="at">${line + 1}</span><code>${found ? html`<${Words} text=${found.text} />` : "…"}</code></div>`;
+    })}</div></div>
   </div>`;
 }
 

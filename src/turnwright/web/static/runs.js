@@ -116,13 +116,13 @@ export async function look(id) {
   try {
     if (run.kind === "measure") {
       const { follow: show } = await import("./measure.js");
-      set({ drawer: "measure" });
+      set({ drawer: "measure", view: "drawer" });
       return await show(id);
     }
     const { files, data } = await get(`/runs/${id}`);
     if (run.kind === "compare") {
       const comparison = await get(`/runs/${id}/comparison`);
-      if (id === state.run) set({ comparison: { ...comparison, run: id, files, data }, files, drawer: "compare" });
+      if (id === state.run) set({ comparison: { ...comparison, run: id, files, data }, files, drawer: "compare", view: "drawer" });
       return undefined;
     }
     const [result, maps] = await Promise.all([get(`/runs/${id}/result`), get(`/runs/${id}/maps`)]);

@@ -12,6 +12,7 @@
    about         GET /api/about                                                           app.js
    theme         "light" | "dark": the scheme in force (also <html data-theme>)           app.js
    drawer        the lower tab: "maps" | "profile" | "motion" | "compare" | "program" | "measure"; null closed   app.js, anyone
+   view          the pane that a phone shows: "left" | "middle" | "right" | "drawer"     app.js, anyone
    notice        {sentence, kind: "info" | "bad"} | null: the line at the foot            anyone, by say()
    --            the job
    schema        GET /api/schema                                                          app.js
@@ -47,6 +48,7 @@ export const state = {
   about: null,
   theme: "light",
   drawer: null,
+  view: "middle",
   notice: null,
   schema: null,
   examples: [],

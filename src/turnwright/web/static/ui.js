@@ -180,7 +180,7 @@ export function Mark({ ok, warn = false }) {
 export function Gauge({ share, label, bad = share > 1 }) {
   const clipped = Math.max(0, Math.min(1.25, Number.isFinite(share) ? share : 0));
   return html`<svg class=${bad ? "gauge bad" : "gauge"} viewBox="0 0 100 4" preserveAspectRatio="none" role="meter"
-    aria-label=${label} aria-valuemin="0" aria-valuemax="1.25" aria-valuenow=${clipped}>
+    aria-label=${label} aria-valuemin="0" aria-valuemax="1.25" aria-valuenow=${clipped.toFixed(3)}>
     <rect class="track" width="100" height="4" />
     <rect class="fill" width=${clipped * 80} height="4" />
     <rect class="limit" x="79.6" width=".8" height="4" />

@@ -91,8 +91,8 @@ function Outcome() {
       <div><h3>${result.ok ? "Cut as planned, within all limits" : "Not within all limits"}</h3><p class="quiet">${result.part}, on ${result.machine}</p></div></section>
     <${Card} title="Surface left">
       <table class="small"><thead><tr><th>where</th><th class="number">PV</th><th class="number">Sq</th><th class="number">Sa</th></tr></thead>
-      <tbody>${result.predictions.map(({ name, roughness }) => html`<tr class="pick" onClick=${() => set({ map: name, drawer: "maps" })}>
-        <th scope="row"><button type="button" class="link" onClick=${() => set({ map: name, drawer: "maps" })}>${name}</button></th>
+      <tbody>${result.predictions.map(({ name, roughness }) => html`<tr class="pick" onClick=${() => set({ map: name, drawer: "maps", view: "drawer" })}>
+        <th scope="row"><button type="button" class="link" onClick=${() => set({ map: name, drawer: "maps", view: "drawer" })}>${name}</button></th>
         <td class="number">${height(roughness.pv_nm)}</td><td class="number">${height(roughness.sq_nm)}</td><td class="number">${height(roughness.sa_nm)}</td></tr>`)}</tbody></table>
     </${Card}>
     ${result.warnings.length > 0 && html`<${Warnings} warnings=${result.warnings} />`}
@@ -172,7 +172,7 @@ function Pane() {
   return html`<${Fragment}>
     <div class="panehead"><div class="tabs" role="tablist" aria-label="Results">
       ${head("plan", "Plan")}${head("runs", busy ? html`Runs <span class="count going">${busy}</span>` : runs.length ? `Runs (${runs.length})` : "Runs")}</div></div>
-    <div class="scroll">${tab === "plan" ? html`<${Plan} />` : html`<${Fragment}><${Queue} />${run && html`<${Outcome} />`}</${Fragment}>`}</div>
+    <div class="scroll" role="region" tabindex="0" aria-label="Results">${tab === "plan" ? html`<${Plan} />` : html`<${Fragment}><${Queue} />${run && html`<${Outcome} />`}</${Fragment}>`}</div>
   </${Fragment}>`;
 }
 
