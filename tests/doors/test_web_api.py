@@ -4,6 +4,7 @@ import io
 import json
 import os
 import re
+import shutil
 import time
 import tomllib
 import zipfile
@@ -560,3 +561,20 @@ def test_references_lead_to_files_of_the_server_only(tmp_path):
     (kept / "link.npz").symlink_to("/etc/passwd")
     for bad in ("runs/0123456789abcdef/link.npz", "runs/0123456789abcdef/../job.toml", "/etc/passwd", ["a"], 3):
         assert located({"part": {"correction": bad}}, tmp_path)[1]
+
+
+@pytest.mark.parametrize("deleted", ["", "job.json", "out"])
+def test_a_run_deleted_outside_the_workbench_is_no_defect(tmp_path, deleted):
+    with TestClient(create_app(tmp_path, nice=0), base_url=HERE) as client:
+        name = client.post("/api/runs", json={"data": changed(*DISH), "kind": "run"}).json()["id"]
+        ended(client, name)
+        place = tmp_path / "runs" / name / deleted
+        shutil.rmtree(place) if place.is_dir() else place.unlink()
+        schema = client.get("/api/openapi.json").json()["paths"]
+        for path, verbs in schema.items():
+            if "{id}" in path and "get" in verbs and path.startswith("/api/runs"):
+                target = path.replace("{id}", name).replace("{name}", "program")
+                status = client.get(target, params={"ends": "0,0,1,1", "letter": "Z", "near": "0,0"}).status_code
+                assert status < 500, (path, status)
+        assert client.get("/api/runs").status_code == 200
+        assert client.delete(f"/api/runs/{name}").status_code == 204

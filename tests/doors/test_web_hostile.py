@@ -25,7 +25,7 @@ from job_files import changed
 
 import turnwright as tw
 from turnwright.errors import InputError
-from turnwright.web import _bundles, _queue, create_app
+from turnwright.web import _bundles, _queue, _server, create_app
 from turnwright.web._guard import Guard
 from turnwright.web._limits import FILE_BYTES, SPARE_BYTES
 from turnwright.web._workers import TooLong
@@ -670,12 +670,13 @@ def test_a_token_that_is_guessed_is_refused(tmp_path, token):
 # --- bytes that no client library sends, to a real server
 
 
-@pytest.fixture(scope="module")
-def port(tmp_path_factory):
+@contextlib.contextmanager
+def served(app):
+    """Run the server in a thread; yield its port."""
     with socket.socket() as door:
         door.bind(("127.0.0.1", 0))
-        app = create_app(tmp_path_factory.mktemp("raw"))
-        server = uvicorn.Server(uvicorn.Config(app, log_level="critical", lifespan="on", ws="none"))
+        config = uvicorn.Config(app, http=_server.TimedProtocol, log_level="critical", lifespan="on", ws="none")
+        server = uvicorn.Server(config)
         thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[door])))
         thread.start()
         while not server.started:
@@ -683,6 +684,12 @@ def port(tmp_path_factory):
         yield door.getsockname()[1]
         server.should_exit = True
         thread.join()
+
+
+@pytest.fixture(scope="module")
+def port(tmp_path_factory):
+    with served(create_app(tmp_path_factory.mktemp("raw"))) as found:
+        yield found
 
 
 def head(target, *more, method="GET", host="127.0.0.1"):
@@ -761,6 +768,40 @@ def test_clients_that_never_finish_a_question_keep_nobody_waiting(port):
             half = head("/api/job/parse", "Content-Length: 1000", method="POST")
             line.sendall(half[:-2] if number % 2 else half + b"{")
         assert _alive(port)
+
+
+@pytest.mark.parametrize(
+    "sent", [b"", b"GET /api/about HTTP/1.1\r\nHost:", head("/api/job/parse", "Content-Length: 9", method="POST")]
+)
+def test_a_request_that_does_not_arrive_is_closed(tmp_path, monkeypatch, sent):
+    monkeypatch.setattr(_server, "HEAD_S", 0.3)
+    monkeypatch.setattr(_server, "BODY_S", 0.3)
+    with served(create_app(tmp_path)) as port, socket.create_connection(("127.0.0.1", port), timeout=20) as line:
+        line.sendall(sent)
+        with contextlib.suppress(ConnectionResetError):  # aborted: the peer owes nothing more
+            assert line.recv(100) == b""
+        assert _alive(port)
+
+
+def test_a_request_that_dribbles_is_closed(tmp_path, monkeypatch):
+    monkeypatch.setattr(_server, "HEAD_S", 0.5)
+    with served(create_app(tmp_path)) as port, socket.create_connection(("127.0.0.1", port), timeout=20) as line:
+        letters = iter(range(400))
+        with contextlib.suppress(OSError):  # which one depends on the system
+            for _ in letters:  # a letter every 20 ms for 8 s
+                line.sendall(b"G")
+                time.sleep(0.02)
+        assert next(letters, None) is not None
+
+
+def test_what_is_too_large_is_answered_before_the_line_is_closed(tmp_path):
+    body = b"x" * (3 * 8 * 2**20)
+    with served(create_app(tmp_path)) as port, socket.create_connection(("127.0.0.1", port), timeout=20) as line:
+        line.sendall(
+            head("/api/job/check", f"Content-Length: {len(body)}", "Content-Type: application/json", method="POST")
+        )
+        line.sendall(body)  # as a browser does, which reads the answer afterwards
+        assert line.recv(100).startswith(b"HTTP/1.1 413")
 
 
 def test_a_client_that_hangs_up_leaves_nothing(port):

@@ -46,6 +46,7 @@ REFUSED: dict[int | str, dict[str, Any]] = {
         403: "the request comes from a page of another origin",
         404: "there is no such thing",
         409: "the state of what is asked for does not allow it, or a later question took its place",
+        410: "its files were deleted outside the workbench",
         413: "the request is too large",
         421: "the request names another host",
         422: "what is asked for is wrong",
@@ -124,6 +125,7 @@ def create_app(
             HTTPException: _say_http,
             RequestValidationError: _say_invalid,
             TurnwrightError: _say_refused,
+            FileNotFoundError: _say_gone,
             Exception: _say_defect,
         },
     )
@@ -169,6 +171,14 @@ async def _say_refused(_request: Request, error: Exception) -> Response:
     """Say what Turnwright raises on purpose."""
     status = 409 if isinstance(error, Superseded) else 503 if isinstance(error, Busy) else UNPROCESSABLE
     return _problem(status, str(error))
+
+
+async def _say_gone(request: Request, error: Exception) -> Response:
+    """Name a file of a run that is no longer there."""
+    file = Path(getattr(error, "filename", None) or "")
+    if request.app.state.folder not in file.parents:
+        raise error
+    return _problem(410, f"{file.name} of this run was deleted outside the workbench: run it again")
 
 
 async def _say_defect(request: Request, error: Exception) -> Response:

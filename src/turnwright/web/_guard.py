@@ -53,7 +53,10 @@ HEADERS = {
 
 TOO_LARGE = 413
 HANG_UP = {"Connection": "close"}
-"""Goes along with that, or the rest of what is too large would still be read, and thrown away."""
+"""Goes along with that where the rest of what is too large has no bound."""
+
+DISCARDED = 4
+"""Limits that a request may be long and still be read to its end: closed while it sends, a browser reads no answer."""
 
 HARMLESS = {"GET", "HEAD", "OPTIONS"}
 
@@ -97,7 +100,7 @@ class Guard:
         refusal = self._refusal(scope, headers)
         if refusal is not None:
             status, sentence = refusal
-            headers_sent = HEADERS | (HANG_UP if status == TOO_LARGE else {})
+            headers_sent = HEADERS | (HANG_UP if status == TOO_LARGE and not _is_bounded(scope, headers) else {})
             await JSONResponse({"detail": sentence}, status, headers=headers_sent)(scope, receive, send)
             return
         given = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
@@ -177,6 +180,11 @@ def _plain(path: str) -> str:
 def _limit(scope: Scope) -> int:
     limits = {"/api/measurements": UPLOAD_BYTES, "/api/files": FILE_BYTES, "/api/files/archive": FILE_BYTES}
     return limits.get(scope["path"], 2 * BODY_BYTES if scope["path"] in WITH_TEXT else BODY_BYTES)
+
+
+def _is_bounded(scope: Scope, headers: Headers) -> bool:
+    length = headers.get("content-length", "")
+    return re.fullmatch("[0-9]{1,15}", length) is not None and int(length) <= DISCARDED * _limit(scope)
 
 
 def _too_large(limit: int) -> str:

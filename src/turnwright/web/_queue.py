@@ -241,7 +241,8 @@ class Runs:
         self._changed += 1
         self._tasks.pop(name, None)
         doomed = self.place / f".{name}-removed"
-        (self.place / name).rename(doomed)
+        with suppress(FileNotFoundError):  # deleted outside the workbench
+            (self.place / name).rename(doomed)
         await asyncio.to_thread(shutil.rmtree, doomed, ignore_errors=True)
 
     async def close(self) -> None:

@@ -45,13 +45,15 @@ def told_as_events(description: str) -> dict[int | str, dict[str, Any]]:
     return {200: {"description": description, "content": {"text/event-stream": {"schema": {"type": "string"}}}}}
 
 
-def the_run(request: Request, name: str, *kinds: str) -> Run:
-    """Return a run that there is, of some kinds."""
+def the_run(request: Request, name: str, *kinds: str, folder: bool = True) -> Run:
+    """Return a run that there is, of some kinds, with its folder on the disk."""
     runs: Runs = request.app.state.runs
     run = runs.get(name)
     if run is None or (kinds and run.kind not in kinds):
         what = "measurement" if kinds == ("measure",) else "run"
         raise HTTPException(404, f"there is no {what} {name}: look at the list of runs")
+    if folder and not runs.folder_of(run).is_dir():
+        raise HTTPException(410, f"the folder of the run {name} was deleted outside the workbench: delete the run too")
     return run
 
 
@@ -152,17 +154,17 @@ async def run(id: RunId, request: Request) -> RunDetail:  # noqa: A002 - the wor
 async def cancel(id: RunId, request: Request) -> RunLine:  # noqa: A002
     """End a run that has not ended; its process is gone when this is answered."""
     runs: Runs = request.app.state.runs
-    run = the_run(request, id)
+    run = the_run(request, id, folder=False)
     if run.state in ENDED:
         raise HTTPException(409, f"the run is {run.state} already, only one that waits or goes on can be cancelled")
     await runs.cancel(id)
-    return line_of(runs, the_run(request, id))
+    return line_of(runs, the_run(request, id, folder=False))
 
 
 @router.delete("/{id}", status_code=204)
 async def remove(id: RunId, request: Request) -> Response:  # noqa: A002
     """Throw a run away, with all that it has left."""
-    run = the_run(request, id)
+    run = the_run(request, id, folder=False)
     if run.state not in ENDED:
         raise HTTPException(409, f"the run is {run.state}: cancel it first")
     await request.app.state.runs.remove(id)

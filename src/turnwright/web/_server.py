@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import signal
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import h11
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 if TYPE_CHECKING:
     import socket
@@ -16,10 +18,64 @@ if TYPE_CHECKING:
 
     from fastapi import FastAPI
 
-__all__ = ["answer"]
+__all__ = ["TimedProtocol", "answer"]
 
 FAREWELL_S = 3
 """For answers that are under way at the end."""
+
+
+HEAD_S = 20.0
+"""From the connection, or from the first byte on one that is kept, until the head of a request is whole."""
+
+BODY_S = 60.0
+"""From the head of a request until its body is whole, and longer by what has arrived at the least rate."""
+
+LEAST_RATE = 20_000
+"""Slower than any line to a workshop. [byte/s]"""
+
+
+class TimedProtocol(H11Protocol):
+    """Closes a connection whose request does not arrive in time."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._timer: asyncio.TimerHandle | None = None
+        self._since, self._received, self._state = 0.0, 0, None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Wait for the first head."""
+        super().connection_made(transport)
+        self._watch(0)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop waiting."""
+        if self._timer is not None:
+            self._timer.cancel()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Give a body more time by what it brings."""
+        super().data_received(data)
+        self._watch(len(data))
+
+    def _watch(self, size: int) -> None:
+        """Set the deadline of what is arriving now."""
+        state, now = self.conn.their_state, self.loop.time()
+        if state is not self._state or self._timer is None:
+            self._since, self._received, self._state = now, 0, state
+        self._received += size
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        allowed = {h11.IDLE: HEAD_S, h11.SEND_BODY: BODY_S + self._received / LEAST_RATE}.get(state)
+        if allowed is not None and not self.transport.is_closing():
+            self._timer = self.loop.call_at(self._since + allowed, self._expire, state)
+
+    def _expire(self, state: Any) -> None:
+        """Close the connection unless what was waited for has arrived."""
+        self._timer = None
+        if self.conn.their_state is state and not self.transport.is_closing():
+            self.transport.abort()
 
 
 class _Server(uvicorn.Server):
@@ -65,7 +121,7 @@ def answer(app: FastAPI, door: socket.socket, ready: Callable[[], None]) -> None
         Called once a browser may come.
     """
     config = uvicorn.Config(
-        app, log_level="critical", access_log=False, server_header=False, lifespan="on", ws="none",
+        app, http=TimedProtocol, log_level="critical", access_log=False, server_header=False, lifespan="on", ws="none",
         timeout_graceful_shutdown=FAREWELL_S, h11_max_incomplete_event_size=64 * 2**10, proxy_headers=False,
     )  # fmt: skip
     asyncio.run(_Server(config, ready, app.state.runs.hush).serve(sockets=[door]))
