@@ -105,6 +105,49 @@ def test_a_backplot_takes_a_table_of_axis_positions(done, tmp_path, capsys):
     assert "a table holds one pass without a name, --pass is 'finish': leave it out" in capsys.readouterr().err
 
 
+def table_of(done, folder, rows):
+    """The axis positions of some blocks of the program."""
+    motion = tw.read_nc(done / "out" / "part.nc", Job.load(done / "job.toml").machine.machine)
+    columns = [np.rad2deg(motion.axes["C"]), motion.axes["X"], motion.axes["Z"]]
+    table = folder / "points.csv"
+    np.savetxt(table, np.column_stack(columns)[rows], delimiter=",", header="C_deg,X_mm,Z_mm", comments="", fmt="%.9f")
+    return table, motion.axes["C"][rows]
+
+
+def test_a_backplot_counts_the_points_that_are_not_cut(done, tmp_path, capsys):
+    """A program cut short within its first turn. Oracle: the azimuths it passes, and those across the axis."""
+    table, c = table_of(done, tmp_path, slice(0, 31))
+    assert main(["backplot", str(table), "--job", str(done / "job.toml")]) == 0
+    told = capsys.readouterr()
+    azimuth = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    low, high = np.sort(c[[0, -1]])
+    covered = [any((a + half - low) % (2 * np.pi) <= high - low + 1e-9 for half in (0, np.pi)) for a in azimuth]
+    missing = 40 * (24 - sum(covered))  # on the axis itself every pass counts
+    assert 0 < missing < 960
+    assert f"whole part: {missing} of 984 points are not cut: no pass comes there" in told.err
+    assert not re.search(r"\b(inf|nan)\b", told.out + told.err), told.out
+
+
+def test_a_backplot_refuses_a_place_that_is_not_cut_at_all(done, tmp_path, capsys):
+    table, _ = table_of(done, tmp_path, slice(20, 31))  # beside the patch, whose azimuth is 0
+    assert main(["backplot", str(table), "--job", str(done / "job.toml")]) == 2
+    told = capsys.readouterr()
+    assert "points of patch is cut" in told.err
+    assert "rev" in told.err
+
+
+def test_a_backplot_counts_what_stands_above_the_stock(done, tmp_path, capsys):
+    """A program cut short after ten turns leaves the flank of its last one; the stock ends 5 um above the design."""
+    table, _ = table_of(done, tmp_path, slice(0, 1200))
+    job = written(tmp_path, ("part.stock", "5 um"))
+    assert main(["backplot", str(table), "--job", str(job)]) == 0
+    # The last turn is 0.8 mm from the axis or more: a nose of 0.5 mm is 5 um above the dish 75 um farther in.
+    counted = int(re.search(r"whole part: (\d+) of 984 points are not cut", told := capsys.readouterr().err)[1])
+    radius = np.linspace(0, 1, 41)
+    assert 24 * np.count_nonzero(radius < 0.7) <= counted <= 24 * np.count_nonzero(radius < 0.8)
+    assert "or only above the stock" in told
+
+
 def test_check_says_what_the_part_asks_of_the_tool(done, tmp_path, capsys):
     assert main(["check", str(done / "job.toml")]) == 0
     said = capsys.readouterr().out

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from turnwright.job._shares import pv_nm_of, rms_nm_of
 
 if TYPE_CHECKING:
@@ -102,12 +104,28 @@ class Prediction:
         After form removal; of the whole part without any, on a grid that is too coarse to show every cusp.
     tracking
         What of the error the servos add: with them minus without them; ``None`` if they were not asked. [mm]
+    above_stock
+        Number of points that the lowest pass leaves higher than the stated stock, so that it cuts nothing there.
     """
 
     name: str
     error: HeightMap
     roughness: Roughness
     tracking: HeightMap | None = None
+    above_stock: int = 0
+
+    @property
+    def uncut(self) -> int:
+        """Number of points that no pass comes to, or only above the stock."""
+        return int(np.count_nonzero(np.isnan(self.error.z))) + self.above_stock
+
+    @property
+    def uncut_sentences(self) -> tuple[str, ...]:
+        """A sentence that says how many points are not cut, if there are any."""
+        if not self.uncut:
+            return ()
+        why = "no pass comes there" + (", or only above the stock" if self.above_stock else "")
+        return (f"{self.name}: {self.uncut:,} of {self.error.z.size:,} points are not cut: {why}",)
 
     @property
     def tracking_nm(self) -> tuple[float, float] | None:

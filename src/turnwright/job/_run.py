@@ -17,7 +17,7 @@ import numpy as np
 
 from turnwright.access import check_access
 from turnwright.contact import place
-from turnwright.errors import GougeError, LimitError
+from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.generation import generate, generate_polar
 from turnwright.job._cutting import PassChips, chips_of, foretold
 from turnwright.job._result import Pass, Prediction, Preview, Result
@@ -325,7 +325,7 @@ def predict(
     Raises
     ------
     InputError
-        If tracking is asked of a machine that does not state how any axis answers.
+        If tracking is asked of a machine that does not state how any axis answers, or a place is not cut at all.
     """
     watch = watch or Watch(progress)
     part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
@@ -339,8 +339,15 @@ def predict(
             with watch.stage(f"simulate {name} with servos") as tell:
                 planned, error = error, replace(made(real, tell).minus(part.surface), name=name)
             added = replace(error, z=error.z - planned.z, name=f"{name}: servos")
+        if np.isnan(error.z).all():
+            raise InputError(
+                f"none of the {error.z.size:,} points of {name} is cut, so it has no finish: the motion turns by "
+                f"{np.ptp(motion.axes['C']) / (2 * np.pi):.4g} rev, look whether the program is complete"
+            )
+        above = int(np.count_nonzero(error.z > part.stock)) if part.stock > 0 else 0
         with watch.stage("roughness"):
-            return Prediction(name=name, error=error, roughness=roughness(error, form=form), tracking=added)
+            finish = roughness(error, form=form)
+        return Prediction(name=name, error=error, roughness=finish, tracking=added, above_stock=above)
 
     grid = job.simulation.whole_part
     radius, angle = np.linspace(0, part.radius, grid.radii), np.linspace(0, 2 * np.pi, grid.angles, endpoint=False)
@@ -591,12 +598,10 @@ def _assumed(job: Job, passes: list[Pass]) -> list[str]:
 
 
 def _judged(job: Job, predictions: tuple[Prediction, ...]) -> list[str]:
-    """Say what was not reached, and which tolerances are not kept."""
-    found = []
+    """Say what is not cut, and which tolerances are not kept."""
+    found: list[str] = []
     for one in predictions:
-        missing = int(np.count_nonzero(np.isnan(one.error.z)))
-        if missing:
-            found.append(f"{one.name}: {missing} of {one.error.z.size} points are not reached by any pass")
+        found += one.uncut_sentences
         whole = one.error.polar
         limit = job.tolerances.form_pv if whole else job.tolerances.sq
         value = one.roughness.pv_nm if whole else one.roughness.sq_nm

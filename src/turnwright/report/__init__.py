@@ -305,7 +305,7 @@ def write_backplot(
         kind=f"Back-plot of {program.name}",
         verdict=verdict,
         numbers=numbers,
-        warnings=[*limits.findings, *_missing(predictions)],
+        warnings=[*limits.findings, *(sentence for one in predictions for sentence in one.uncut_sentences)],
         facts=_facts(part, job.tool.tool, job.actual_tool, machine, job.actual_machine),
         part=[draw.sag_map(part), draw.view(part)],
         access=[],
@@ -616,21 +616,12 @@ def _parameters(predictions: Sequence[Prediction]) -> list[tuple[str, str, list[
         table.append(("Servos add, rms", "nm", [_number(rms) for _, rms in parts]))
     table.append(("Form removed", "", [_form(one.roughness.form) for one in predictions]))
     table.append(("Heights counted", "", [f"{one.roughness.valid:,}" for one in predictions]))
-    table.append(("Missing", "", [f"{one.roughness.missing:,}" for one in predictions]))
+    table.append(("Not cut", "", [f"{one.uncut:,}" for one in predictions]))
     return table
 
 
 def _parameter_notes(predictions: Sequence[Prediction]) -> list[str]:
     return [f"{one.name}: {note}." for one in predictions for note in one.roughness.notes]
-
-
-def _missing(predictions: Sequence[Prediction]) -> list[str]:
-    """Say which places no pass reaches."""
-    return [
-        f"{one.name}: {one.roughness.missing} of {one.error.z.size} points are not reached by any pass"
-        for one in predictions
-        if one.roughness.missing
-    ]
 
 
 def _timings(timings: Mapping[str, float]) -> list[_Row]:
