@@ -31,6 +31,9 @@ SLACK = 1e-3
 STATED = "spindle speed as stated"
 """What binds a motion that keeps every limit with room to spare."""
 
+ROUNDED = 3e-10
+"""A speed that is sought is left as it is up to this share above a limit: a jerk is then within 1e-9 of its own."""
+
 FAINT = 1e-4
 """Share of the power of a motion that may lie above its highest frequency: a hundredth of its amplitude."""
 
@@ -210,9 +213,10 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     to ``path.z - machine.z_error(X)``, so that the tip stands at ``path.z`` in spite of the machine's known errors;
     they act at the position of X, wherever on the edge the contact is.
 
-    If the strategy states no spindle speed, it is the highest one :math:`\omega` that keeps every stated limit: along
-    a given path block rate and speeds grow with :math:`\omega`, accelerations with :math:`\omega^2` and jerks with
-    :math:`\omega^3`, so each limit allows one speed and the lowest of them binds.
+    If the strategy states no spindle speed, it is the highest one :math:`\omega` that keeps every stated limit, as
+    `check_limits` measures it, to 1e-9 of the limit: along a given path block rate and speeds grow with
+    :math:`\omega`, accelerations with :math:`\omega^2` and jerks with :math:`\omega^3`, so each limit allows one speed
+    and the lowest of them binds.
 
     Where the controller may vary the speed (``Controller.variable_speed``), every turn has a highest one of its own.
     :math:`\omega^2` then runs straight over the angle from turn to turn, so that the spindle speeds up steadily in time
@@ -252,7 +256,7 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     [Troutman2016]_ Table 7.1 (block rate and cycle time). Erratum to the thesis: an axis error acts at the X of the
     tool, not at the contact point.
     """
-    axes = dict(servo.axes(path))
+    axes: dict[str, Floats] = dict(servo.axes(path))
     lacking = sorted(set(axes) - set(machine.axes))
     if lacking:
         raise LimitError(
@@ -266,14 +270,16 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
             rates = {**rates, "Z": rates["Z"] - machine.z_error_slope(axes["X"]) * rates["X"]}
     rpm = servo.spindle_rpm
     turned = np.abs(path.angle - path.angle[0])
+    slopes = {letter: path.sense * rate for letter, rate in (rates or {}).items()}
+    course = _Course(turned, axes, slopes)
     omega: float | Floats
     if profile is not None:
         require_variable(machine)
         omega = profile.at(path.radius)
     elif rpm is None and machine.controller.variable_speed:
-        omega = _varied(turned, axes, machine)
+        omega = _varied(course, machine)
     elif rpm is None:
-        omega = _highest(turned, turned, axes, machine)
+        omega = _highest(course, machine)
     elif rpm > machine.spindle_rpm:
         raise LimitError(
             f"spindle_rpm is {rpm:g} rev/min, the limit of {machine.name} is {machine.spindle_rpm:g} rev/min: turn "
@@ -281,24 +287,30 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
         )
     else:
         omega = rpm * TURN / 60
-    time = _clock(turned, omega)
-    if rates is None:
-        return Motion(time=time, axes=axes, machine=machine)
-    velocity = {letter: path.sense * omega * rate for letter, rate in rates.items()}
-    course = _Course(time, axes, velocity)
-    if not FAST.keys() & axes.keys():
-        course = _from_rest_to_rest(course, machine, stated=profile is not None or rpm is not None)
-    return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity)
+    course = course.at(omega)
+    stated = profile is not None or rpm is not None
+    if slopes and not FAST.keys() & axes.keys():
+        course = _from_rest_to_rest(course, machine, stated=stated)
+    if not stated:
+        course = _within(course, machine)
+    return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity or None)
 
 
 def check_limits(motion: Motion, machine: Machine) -> Limits:
     """Return what a motion asks of a machine, and which of its limits binds.
 
-    Speed, acceleration and jerk are divided differences over one, two and three neighbouring blocks, as steep as the
-    points of the program are; a controller that rounds the corners asks less of the slides. A program whose positions
-    are rounded to :math:`q` shows up to :math:`2q/t^2` of acceleration and :math:`4q/t^3` of jerk that is not in the
-    motion, with :math:`t` the block time: 2 mm/s² and 4000 mm/s³ for nanometres at 1000 blocks/s. Beside a fast tool
-    the blocks of the lathe are those of `Motion.lathe`.
+    A controller with interpolation "hermite" (PVT) makes a cubic of the positions and velocities at both ends of each
+    block, with the velocities that the motion states or else those that `track` takes. Speed, acceleration, jerk and
+    travel are then those of the cubics, inside the blocks and on either side of each point. The jerk is the third
+    derivative of each cubic; the acceleration may jump from one to the next, which no number for the jerk shows.
+
+    Of any other motion, that of a fast tool among them, speed, acceleration and jerk are divided differences over one,
+    two and three neighbouring blocks, as steep as the points of the program are; a controller that rounds the corners
+    asks less of the slides.
+
+    A program whose positions are rounded to :math:`q` shows up to :math:`2q/t^2` of acceleration and :math:`4q/t^3` of
+    jerk that is not in the motion, and three times as much by cubics, with :math:`t` the block time: 2 mm/s² and
+    4000 mm/s³ for nanometres at 1000 blocks/s. Beside a fast tool the blocks of the lathe are those of `Motion.lathe`.
 
     The highest frequency of an axis is the lowest one above which no two turns of its motion (under a Hann window, less
     their mean) hold more than 1e-4 of the power of the strongest two; between the points it is taken as a cubic
@@ -313,12 +325,13 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
 
     Sources
     -------
-    Divided differences are exact for polynomials of their degree, at any spacing. [Troutman2016]_ Table 7.1.
+    Divided differences are exact for polynomials of their degree, at any spacing. Extremes of a cubic: its derivatives
+    are a parabola and a straight line. [Troutman2016]_ Table 7.1.
     """
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
     blocks = motion.blocks
-    peaks = _all_peaks(motion.time, motion.axes, blocks)
+    peaks = _all_peaks(_Course(motion.time, motion.axes, motion.velocity or {}), blocks, machine)
     number, shortest = kernel.shortest(only_read(motion.time[blocks]))
     length = float(motion.time[-1] - motion.time[0])
     turning = TURN / 60
@@ -388,17 +401,19 @@ def _clock(turned: Floats, omega: float | Floats) -> Floats:
     return np.concatenate([[0.0], np.cumsum(2 * np.diff(turned) / (omega[1:] + omega[:-1]))])
 
 
-def _varied(turned: Floats, axes: Mapping[str, Floats], machine: Machine) -> Floats:
-    """Return the spindle speed at every point, each turn as fast as its own limits let it. (n,) [rad/s]."""
+def _varied(course: _Course, machine: Machine) -> Floats:
+    """Return the spindle speed at every point, each turn as fast as its own limits let it. (n,) [rad/s].
+
+    The time of the course is the angle turned.
+    """
+    turned = course.time
     count = max(1, min(int(turned[-1] / TURN), MOST_PIECES))
     borders = np.linspace(0, turned[-1], count + 1)
     ends = np.searchsorted(turned, borders)
     quickest = np.empty(count)
     for k, (first, last) in enumerate(pairwise(ends.tolist())):
         # Three blocks on either side count too: as far as a jerk is seen.
-        here = slice(max(first - 3, 0), last + 4)
-        own = {letter: position[here] for letter, position in axes.items()}
-        quickest[k] = _highest(turned[here], turned[here], own, machine)
+        quickest[k] = _highest(course.some(slice(max(first - 3, 0), last + 4)), machine)
     squares = np.minimum(np.append(quickest, np.inf), np.append(np.inf, quickest)) ** 2
     rise = 2 * (machine.axes["C"].acceleration or np.inf) * borders[1]
     for order in (range(1, count + 1), range(count - 1, -1, -1)):
@@ -407,41 +422,57 @@ def _varied(turned: Floats, axes: Mapping[str, Floats], machine: Machine) -> Flo
             squares[k] = min(squares[k], squares[k - step] + rise)
     omega: Floats = np.sqrt(np.interp(turned, borders, squares))
     # What speeding up adds to the accelerations of the other axes is known only now.
-    return omega * min(1.0, _highest(_clock(turned, omega), turned, axes, machine))
+    return omega * min(1.0, _highest(course.at(omega), machine))
 
 
-def _highest(time: Floats, turned: Floats, axes: Mapping[str, Floats], machine: Machine) -> float:
+def _highest(course: _Course, machine: Machine) -> float:
     """Return how much quicker a motion may be so that it just keeps every stated limit.
 
     With the angle for its time that is the highest spindle speed. [rad/s]
     """
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
+    time, axes = course.time, course.axes
     blocks = block_points(time, axes)
-    turning = float((np.diff(turned) / np.diff(time)).max())
+    peaks = _all_peaks(course, blocks, machine)
     allowed = [
-        machine.spindle_rpm * TURN / 60 / turning,
+        machine.spindle_rpm * TURN / 60 / peaks["C"][0]["speed"],
         machine.block_rate_hz * kernel.shortest(only_read(time[blocks]))[1],
     ]
-    for letter, (top, _) in _all_peaks(time, axes, blocks).items():
+    for letter, (top, _) in peaks.items():
         for kind, power in POWERS.items():
             limit, value = getattr(machine.axes[letter], kind), top[kind]
             if limit is not None and value > 0:
                 allowed.append((limit / value) ** (1 / power))
         band = machine.axes[letter].bandwidth_hz
         if band is not None:
-            highest, _ = _frequency(time, turned, axes[letter])
+            highest, _ = _frequency(time, axes["C"], axes[letter])
             if highest > 0:
                 allowed.append(band / highest)
     return float(min(allowed))
 
 
+def _within(course: _Course, machine: Machine) -> _Course:
+    """Return a course slowed down by the little that it is above a limit: rounding, and what its ends take."""
+    for _ in range(ROUNDS):
+        room = _highest(course, machine)
+        if room >= 1 - ROUNDED:
+            break
+        course = course.quicker(room)
+    return course
+
+
 class _Course(NamedTuple):
-    """Positions and velocities of the axes in time."""
+    """Positions of the axes in time, and their velocities where they are stated."""
 
     time: Floats
     axes: Mapping[str, Floats]
     velocity: Mapping[str, Floats]
+
+    def at(self, omega: float | Floats) -> _Course:
+        """Return the same course, whose time is the angle turned, at a spindle speed. [rad/s]."""
+        velocity = {letter: omega * values for letter, values in self.velocity.items()}
+        return _Course(_clock(self.time, omega), self.axes, velocity)
 
     def backwards(self) -> _Course:
         """Return the same course from its end to its beginning."""
@@ -500,9 +531,7 @@ def _from_rest_to_rest(course: _Course, machine: Machine, *, stated: bool) -> _C
 def _room(course: _Course, at: slice, machine: Machine) -> float:
     """Return how much quicker some points of a course may follow each other so that they just keep every limit."""
     own = course.some(at)
-    if own.time.size < FEWEST:
-        return 1.0
-    return _highest(own.time, np.abs(own.axes["C"] - own.axes["C"][0]), own.axes, machine)
+    return 1.0 if own.time.size < FEWEST else _highest(own, machine)
 
 
 def _with_ends(course: _Course, machine: Machine, *, stated: bool) -> tuple[_Course, slice]:
@@ -540,20 +569,22 @@ class _Asking(NamedTuple):
         block = max(least, min(own, max(own / FINER, 2 * least)))
         most = {}
         for letter, position in course.axes.items():
-            axis, top = machine.axes[letter], _peaks(course.time, position)[0] if stated else {}
+            axis = machine.axes[letter]
+            top = _peaks(course.time, position, course.velocity[letter])[0] if stated else {}
             most[letter] = {
-                kind: max(limit, top.get(kind, 0.0)) * (1 + SLACK / 2)
+                # A speed that is sought is slowed down by what this is above a limit, see `_within`.
+                kind: max(limit, top.get(kind, 0.0)) * (1 + (ROUNDED if stated else SLACK / 2))
                 for kind in ("acceleration", "jerk")
                 if (limit := getattr(axis, kind)) is not None
             }
-        return cls(block, (min(own, least) if stated else least) * (1 - SLACK / 2), most)
+        return cls(block, (min(own, least) if stated else least) * (1 - (ROUNDED if stated else SLACK / 2)), most)
 
     def exceeded(self, course: _Course) -> bool:
         """Say whether a course asks for more."""
         if float(np.diff(course.time).min()) < self.shortest:
             return True
         for letter, most in self.most.items():
-            top = _peaks(course.time, course.axes[letter])[0]
+            top = _peaks(course.time, course.axes[letter], course.velocity[letter])[0]
             if any(top[kind] > limit for kind, limit in most.items()):
                 return True
         return False
@@ -571,9 +602,8 @@ def _speeding_up(course: _Course, asked: _Asking) -> tuple[int, _Course] | None:
     while stages[0] / 4 + stages[1] * 3 / 4 <= length / 2:
         last, made, astray = _divided(course, stages, asked.block)
         border = int(np.searchsorted(made.time, stages[0]))
-        beyond = made.then(course.some(slice(last, last + 4)))
         both = [astray[:border], astray[max(border - 1, 0) :]]
-        parts = [beyond.some(slice(border + 3)), beyond.some(slice(max(border - 3, 0), None))]
+        parts = [made.some(slice(max(border, 1) + 1)), made.some(slice(max(border - 1, 0), None))]
         # What strays falls with one over the length of a stage at least, and with its square at most.
         over = [max(1.0, math.sqrt(off.max(initial=0.0))) for off in both]
         over = [
@@ -601,7 +631,7 @@ def _divided(course: _Course, stages: list[float], least: float) -> tuple[int, _
     last = int(np.searchsorted(course.time, course.time[0] + full))
     told = course.time[: last + 1] - course.time[0]
     ends = _when(stages, told)
-    most = np.maximum(np.floor(np.diff(ends) / least * (1 + 1e-9)), 1).astype(np.int64)
+    most = np.maximum(np.floor(np.diff(ends) / least * (1 + ROUNDED)), 1).astype(np.int64)
     parts = np.ones(last, dtype=np.int64)
     while True:
         number = np.repeat(np.arange(last), parts)
@@ -719,26 +749,40 @@ def _frequency(time: Floats, angle: Floats, position: Floats) -> tuple[float, in
     return highest, at
 
 
-def _all_peaks(
-    time: Floats, axes: Mapping[str, Floats], blocks: Ints
-) -> dict[str, tuple[dict[str, float], dict[str, int]]]:
+def _all_peaks(course: _Course, blocks: Ints, machine: Machine) -> dict[str, tuple[dict[str, float], dict[str, int]]]:
     """Return travel and peaks of every axis and where they are: of the fast tool at all points, else at the blocks."""
+    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
+
     peaks = {}
-    for letter, position in axes.items():
-        if letter in FAST or blocks.size == time.size:
-            peaks[letter] = _peaks(time, position)
-        else:
-            top, at = _peaks(time[blocks], position[blocks])
-            peaks[letter] = top, {name: int(blocks[point]) for name, point in at.items()}
+    for letter, position in course.axes.items():
+        if letter in FAST:  # its own controller goes straight
+            peaks[letter] = _peaks(course.time, position, None)
+            continue
+        time, points = course.time[blocks], position[blocks]
+        velocity = None
+        if machine.controller.interpolation == "hermite":
+            velocity = np.empty(time.size)
+            if letter in course.velocity:
+                velocity[:] = course.velocity[letter][blocks]
+            else:
+                kernel.rates(only_read(time), only_read(points), velocity)
+        top, at = _peaks(time, points, velocity)
+        peaks[letter] = top, {name: int(blocks[point]) for name, point in at.items()}
     return peaks
 
 
-def _peaks(time: Floats, position: Floats) -> tuple[dict[str, float], dict[str, int]]:
-    """Return travel and peaks of an axis by name, and the numbers of the points they are found at."""
+def _peaks(time: Floats, position: Floats, velocity: Floats | None) -> tuple[dict[str, float], dict[str, int]]:
+    """Return travel and peaks of an axis by name, and the numbers of the points they are found at.
+
+    Of cubics if it states velocities, else of straight lines.
+    """
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
     value, place = np.empty(5), np.empty(5, dtype=np.int64)
-    kernel.peaks(only_read(time), only_read(position), value, place)
+    if velocity is None:
+        kernel.peaks(only_read(time), only_read(position), value, place)
+    else:
+        kernel.cubic_peaks(only_read(time), only_read(position), only_read(velocity), value, place)
     names = ("low", "high", *POWERS)
     return dict(zip(names, value.tolist(), strict=True)), dict(zip(names, place.tolist(), strict=True))
 

@@ -288,7 +288,8 @@ class _Rings:
             first, last = np.searchsorted(turned, self.turned[[piece.start, piece.stop - 1]])
             here = slice(max(int(first) - SEEN, 0), int(last) + 1 + SEEN)
             axes = {letter: values[here] for letter, values in motion.axes.items()}
-            own = replace(motion, time=motion.time[here], axes=axes, velocity=None, stated_blocks=None)
+            velocity = motion.velocity and {letter: values[here] for letter, values in motion.velocity.items()}
+            own = replace(motion, time=motion.time[here], axes=axes, velocity=velocity, stated_blocks=None)
             asked[ring] = max(check_limits(own, machine).utilisation.values())
         return asked
 

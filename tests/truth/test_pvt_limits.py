@@ -1,0 +1,63 @@
+"""Limits of PVT motions are those of the cubics that the controller makes. Oracle: SciPy's cubic Hermite splines."""
+
+from dataclasses import replace
+
+import numpy as np
+import pvt_oracle
+import pytest
+
+import turnwright as tw
+
+TURN = 2 * np.pi
+HERMITE = tw.Controller(interpolation="hermite")
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_peaks_are_those_of_the_cubics_and_limits_are_kept(number):
+    _, motion, machine, sought = pvt_oracle.case(np.random.default_rng((7, number)))
+    off, used = pvt_oracle.judge(motion, machine)
+    assert off <= 1e-9
+    assert used <= 1 + 1e-9 or not sought
+
+
+def test_a_cubic_has_its_closed_form():
+    """(t - 1)(t - 2)(t - 4) from 0 to 5 in one block: extremes at (7 ± sqrt 7) / 3, speed -7/3 at 7/3."""
+    machine = tw.Machine(
+        name="free", axes=dict.fromkeys("CXZ", tw.Axis()), spindle_rpm=1e9, block_rate_hz=1e9, controller=HERMITE
+    )
+    curve = np.polynomial.Polynomial.fromroots([1, 2, 4])
+    time = np.array([0.0, 5.0])
+    axes = {"C": time, "X": curve(time), "Z": curve(time / 2)}
+    velocity = {"C": np.ones(2), "X": curve.deriv()(time), "Z": curve.deriv()(time / 2) / 2}
+    limits = tw.check_limits(tw.Motion(time=time, axes=axes, velocity=velocity, machine=machine), machine)
+    assert limits.travel["X"] == pytest.approx((-8, 12), rel=1e-14)
+    assert limits.peak_speed["X"] == pytest.approx(curve.deriv()(5.0), rel=1e-14)
+    assert limits.travel["Z"] == pytest.approx((-8, curve((7 - np.sqrt(7)) / 3)), rel=1e-14)
+    assert limits.peak_speed["Z"] == pytest.approx(7.0, rel=1e-14)
+    assert limits.peak_acceleration["Z"] == pytest.approx(14 / 4, rel=1e-14)
+    assert limits.peak_jerk["Z"] == pytest.approx(6 / 8, rel=1e-13)
+    time = np.array([1.0, 3.0])
+    axes = {"C": time / 2, "X": curve(time), "Z": np.zeros(2)}
+    velocity = {"C": np.full(2, 0.5), "X": curve.deriv()(time), "Z": np.zeros(2)}
+    middle = tw.check_limits(tw.Motion(time=time, axes=axes, velocity=velocity, machine=machine), machine)
+    # Speeds 3, -7/3 in between, and -1.
+    assert middle.peak_speed["X"] == pytest.approx(3.0, rel=1e-14)
+    assert middle.travel["X"] == pytest.approx((curve(3.0), curve((7 - np.sqrt(7)) / 3)), rel=1e-14)
+
+
+@pytest.mark.parametrize("points", [24, 120])
+def test_few_points_a_turn_ask_more_of_z_than_their_differences_show(points):
+    """Acceleration of the cubics through a sine exceeds its own by (omega h)^2 / 12 and more, its differences less."""
+    part = tw.Part(surface=tw.Expression("0.002*rho**2*cos(4*phi)"), radius=0.5)
+    tool, servo = tw.Tool(nose_radius=0.05), tw.SlowToolServo(feed=0.02, points_per_rev=points)
+    axes = {"C": tw.Axis(), "X": tw.Axis(), "Z": tw.Axis(acceleration=5.0)}
+    machine = tw.Machine(
+        name="lathe", axes=axes, spindle_rpm=1e4, block_rate_hz=1e5, dialect="pmac", controller=HERMITE
+    )
+    path = tw.place(servo.spiral(part, tool), part, tool)
+    motion = tw.drive(path, servo, machine)
+    _, used = pvt_oracle.judge(motion, machine)
+    assert 0.99 < used <= 1 + 1e-9
+    straight = replace(machine, controller=tw.Controller())
+    _, rough = pvt_oracle.judge(replace(tw.drive(path, servo, straight), velocity=None), machine)
+    assert rough > 1 + 1 / points
