@@ -8,7 +8,7 @@ import os
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
-from turnwright.errors import InputError
+from turnwright.errors import InputError, shown
 
 __all__ = ["listener", "number", "path", "span", "thing", "whole"]
 
@@ -22,7 +22,7 @@ def number(value: object, name: str) -> float:
             return float(value)
         except OverflowError:
             raise InputError(f"{name} is beyond the range of numbers, about 1e308: give a smaller value") from None
-    raise InputError(f"{name} is {_shown(value)}, it must be a number: give one")
+    raise InputError(f"{name} is {shown(value)}, it must be a number: give one")
 
 
 def whole(value: object, name: str, low: int, high: int | None = None) -> int:
@@ -32,13 +32,13 @@ def whole(value: object, name: str, low: int, high: int | None = None) -> int:
         if found >= low and (high is None or found <= high):
             return found
     limit = f"at least {low}" if high is None else f"{low} to {high}"
-    raise InputError(f"{name} is {_shown(value)}, it must be a whole number, {limit}: give one")
+    raise InputError(f"{name} is {shown(value)}, it must be a whole number, {limit}: give one")
 
 
 def span(value: object, name: str) -> tuple[float, float]:
     """Return two finite numbers that ascend."""
     if not isinstance(value, Sequence) or isinstance(value, str | bytes) or len(value) != 2:
-        raise InputError(f"{name} is {_shown(value)}, it must be first and last: give two numbers")
+        raise InputError(f"{name} is {shown(value)}, it must be first and last: give two numbers")
     low, high = (number(one, name) for one in value)
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise InputError(f"{name} is {low:g} to {high:g}, it must ascend: let both be finite, the smaller first")
@@ -49,7 +49,7 @@ def path(value: object, name: str) -> str:
     """Return the text of a path or a URL."""
     found = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(found, str) or not found or "\0" in found:
-        raise InputError(f"{name} is {_shown(value)}, it must be a path: give one")
+        raise InputError(f"{name} is {shown(value)}, it must be a path: give one")
     return found
 
 
@@ -57,7 +57,7 @@ def thing(value: T, kind: type[Any], name: str) -> T:
     """Return a value that must be of some kind."""
     if isinstance(value, kind):
         return value
-    raise InputError(f"{name} is {_shown(value)}, it must be a {kind.__name__}: give one")
+    raise InputError(f"{name} is {shown(value)}, it must be a {kind.__name__}: give one")
 
 
 def listener(progress: object) -> None:
@@ -67,12 +67,3 @@ def listener(progress: object) -> None:
             f"the progress is told to a {type(progress).__name__}, it must be a function of how many are done and all: "
             "give one, or none"
         )
-
-
-def _shown(value: object) -> str:
-    """Return a value in a few letters."""
-    try:
-        text = " ".join(repr(value).split())
-    except ValueError:  # Python writes out no number of thousands of digits
-        text = "too long to be written out"
-    return text if len(text) <= 60 else f"{text[:57]}..."

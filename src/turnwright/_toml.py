@@ -7,6 +7,12 @@ from typing import Any
 
 from turnwright.errors import InputError
 
+LARGEST = 1 << 20
+"""Bytes of a file: Python reads about a megabyte of TOML a second, and large tables have files of their own."""
+
+MOST_BITS = 14_000
+"""Of a whole number; Python writes out none of more than 4300 digits."""
+
 
 def read_toml(data: bytes, what: str) -> dict[str, Any]:
     """Return the tables of a TOML file, a byte order mark before them or not.
@@ -21,15 +27,32 @@ def read_toml(data: bytes, what: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If the bytes are not UTF-8 or the text is not TOML.
+        If the bytes are too many or not UTF-8, or the text is not TOML or holds a number of thousands of digits.
     """
+    if len(data) > LARGEST:
+        raise InputError(
+            f"{what} has {len(data):,} bytes, the limit is {LARGEST:,}: keep long tables of numbers in files of their "
+            "own, which it names"
+        )
     try:
-        return tomllib.loads(data.decode("utf-8-sig"))
+        table = tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(f"{what} is not UTF-8 text: save it as a plain text file") from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{what} is not TOML, {error}: correct that place") from error
-    except ValueError as error:  # Python reads no whole number of more than some thousand digits
-        raise InputError(f"{what} holds a whole number of thousands of digits: shorten it") from error
+    except ValueError as error:
+        raise _too_many_digits(what) from error
     except RecursionError as error:
         raise InputError(f"{what} holds lists or tables within each other too deep to read: make them flat") from error
+    waiting: list[Any] = [table]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, dict | list):
+            waiting.extend(one.values() if isinstance(one, dict) else one)
+        elif isinstance(one, int) and one.bit_length() > MOST_BITS:
+            raise _too_many_digits(what)
+    return table
+
+
+def _too_many_digits(what: str) -> InputError:
+    return InputError(f"{what} holds a whole number of thousands of digits: shorten it")

@@ -79,8 +79,10 @@ def _open_closed() -> None:
 def _say(text: str) -> None:
     from contextlib import suppress  # noqa: PLC0415 - all imports wait until a wish to stop is heard
 
+    from turnwright.errors import shortened  # noqa: PLC0415
+
     with suppress(OSError):
-        for line in text.splitlines():
+        for line in shortened(text).splitlines():
             print(f"turnwright: {line}", file=sys.stderr)  # noqa: T201 - the one place errors go
 
 

@@ -14,7 +14,8 @@
     │   └── StudyError        many cases that cannot go on; what is finished is kept
     └── Stopped               the user asked for an end
 
-Every message is one sentence: what, how much, the limit, the remedy.
+Every message is one sentence: what, how much, the limit, the remedy; or a few, each on a line of its own. However long
+an input is that a message shows, its lines stay within `LONGEST` letters and it within `MOST_LINES` lines.
 """
 
 __all__ = [
@@ -29,11 +30,57 @@ __all__ = [
     "StudyError",
     "TurnwrightError",
     "UnitError",
+    "shortened",
+    "shown",
 ]
+
+LONGEST = 400
+"""Letters in a line of a message."""
+
+MOST_LINES = 20
+"""Lines of a message: more would fill the screen."""
+
+SHOWN = 60
+"""Letters of a value that a message shows."""
+
+HEAD = 130
+"""Letters that stay before the cut in a line that is too long: what it is about. Limit and remedy come last."""
+
+
+def shortened(message: str) -> str:
+    """Return a message with its long lines cut in the middle, where they show an input, and without too many of them.
+
+    >>> shortened("name is '" + "x" * 5000 + "', the limit is 30 letters: rename it")[-60:]
+    "...xxxxxxxxxxxxxxxxxxx', the limit is 30 letters: rename it"
+    """
+    if len(message) <= LONGEST and message.count("\n") < MOST_LINES:
+        return message
+    lines = message.split("\n")
+    if len(lines) > MOST_LINES:
+        lines = [*lines[: MOST_LINES - 1], f"and {len(lines) - MOST_LINES + 1} lines more"]
+    return "\n".join(
+        line if len(line) <= LONGEST else f"{line[:HEAD]} ... {line[HEAD + 5 - LONGEST :]}" for line in lines
+    )
+
+
+def shown(value: object) -> str:
+    """Return a value in a few letters, as a message shows what was given.
+
+    >>> shown("0,5 mm"), shown([1.5] * 100)
+    ("'0,5 mm'", '[1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1...')
+    """
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # Python writes out no number of thousands of digits
+        text = "too long to be written out"
+    return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
 
 
 class TurnwrightError(Exception):
     """The root: catch this to catch everything Turnwright raises on purpose."""
+
+    def __init__(self, *message: object) -> None:
+        super().__init__(*(shortened(str(one)) for one in message))
 
 
 class InputError(TurnwrightError, ValueError):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
-from turnwright.errors import UnitError
+from turnwright.errors import UnitError, shown
 
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -171,7 +171,7 @@ def parse(text: object, unit: str) -> float:
     turnwright.errors.UnitError: '0,5 mm' does not start with a plain number: write digits with a decimal point, no
     comma, such as '8 um'
     """
-    quoted = repr(text)
+    quoted = shown(text)
     wanted = _read_unit(unit, repr(unit))
     remedy = f"write it such as '{_example(unit)}'"
     if not isinstance(text, str):

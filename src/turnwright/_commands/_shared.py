@@ -17,7 +17,7 @@ import typer
 
 from turnwright import __version__
 from turnwright._stop import Stop
-from turnwright.errors import InputError
+from turnwright.errors import InputError, shortened
 
 try:
     import fcntl
@@ -80,7 +80,7 @@ class Door:
 def tell(text: str) -> None:
     """Say beside the results; nobody needs to listen."""
     with suppress(OSError):
-        typer.echo(text, err=True)
+        typer.echo(shortened(text), err=True)
 
 
 @app.callback(invoke_without_command=True)

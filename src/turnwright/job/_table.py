@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import difflib
 import re
+from itertools import islice
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
 
@@ -13,7 +14,7 @@ from annotated_types import Ge, Le
 from pydantic import AfterValidator, AllowInfNan, BaseModel, ConfigDict, Strict, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from turnwright.errors import JobError, UnitError
+from turnwright.errors import JobError, UnitError, shortened, shown
 from turnwright.units import parse, unit
 
 if TYPE_CHECKING:
@@ -32,6 +33,9 @@ Slope: TypeAlias = Annotated[float, unit("rad", "1")]
 Number: TypeAlias = Annotated[float, Strict(), AllowInfNan(False), Ge(-1e100), Le(1e100)]
 Count: TypeAlias = Annotated[int, Strict(), Ge(1), Le(10**9)]
 Text: TypeAlias = Annotated[str, Strict()]
+
+MOST_FAULTS = 50
+"""Of what is wrong with a job, this many sentences are written: whoever reads them begins with the first."""
 
 
 class Table(BaseModel):
@@ -130,11 +134,6 @@ _KINDS = {
 }
 
 
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
 def _children(annotation: object) -> Iterator[type[Table]]:
     """Yield the tables that a field may hold."""
     if isinstance(annotation, type) and issubclass(annotation, Table):
@@ -176,14 +175,16 @@ def sentences(error: ValidationError, root: type[Table], tags: Mapping[str, type
 
 def faults(error: ValidationError, root: type[Table], tags: Mapping[str, type[Table]]) -> Iterator[tuple[str, str]]:
     """Yield the place of each thing that is wrong, such as ``passes[1].feed``, and its sentence. See `sentences`."""
-    for problem in error.errors(include_url=False):
+    for problem in islice(error.errors(include_url=False), MOST_FAULTS):
         path, owner = _place(root, problem["loc"], tags)
-        yield path, _sentence(path, owner, problem)
+        yield shortened(path), shortened(_sentence(path, owner, problem))
+    if error.error_count() > MOST_FAULTS:
+        yield "", f"{error.error_count() - MOST_FAULTS} more places of the job are wrong: correct these first"
 
 
 _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
     "missing": lambda _, __: "is missing and has no default: add it to the job",
-    "literal_error": lambda value, context: f"is {_shown(value)}, it must be {context['expected']}: choose one of them",
+    "literal_error": lambda value, context: f"is {shown(value)}, it must be {context['expected']}: choose one of them",
     "union_tag_invalid": lambda _, context: (
         f"has the {context['discriminator'].strip(chr(39))} {context['tag']!r}, which is not known: "
         f"{_suggest(context['tag'], re.findall(chr(39) + '(.*?)' + chr(39), context['expected_tags']))}"
@@ -191,10 +192,8 @@ _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
     "union_tag_not_found": lambda _, context: (
         f"lacks the key {context['discriminator'].strip(chr(39))}, which says what it is: add it"
     ),
-    "greater_than_equal": lambda value, context: (
-        f"is {_shown(value)}, it must be at least {context['ge']}: increase it"
-    ),
-    "less_than_equal": lambda value, context: f"is {_shown(value)}, it must be at most {context['le']}: reduce it",
+    "greater_than_equal": lambda value, context: f"is {shown(value)}, it must be at least {context['ge']}: increase it",
+    "less_than_equal": lambda value, context: f"is {shown(value)}, it must be at most {context['le']}: reduce it",
     "too_long": lambda _, context: (
         f"has {context['actual_length']} values, the limit is {context['max_length']}: remove some"
     ),
@@ -202,7 +201,7 @@ _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
         f"has {context['actual_length']} values, it needs {context['min_length']}: add some"
     ),
     "string_pattern_mismatch": lambda value, _: (
-        f"is {_shown(value)}, it may hold up to 30 letters, digits, - and _: rename it"
+        f"is {shown(value)}, it may hold up to 30 letters, digits, - and _: rename it"
     ),
 }
 
@@ -214,7 +213,7 @@ def _sentence(path: str, owner: type[Table], problem: Mapping[str, Any]) -> str:
     if kind in _SAID:
         return f"{path} {_SAID[kind](value, context)}"
     if kind in _KINDS:
-        return f"{path} is {_shown(value)}, it must be {_KINDS[kind]}: write it so"
+        return f"{path} is {shown(value)}, it must be {_KINDS[kind]}: write it so"
     text = str(context.get("error") or context.get("text") or problem["msg"])
     return f"{path}: {text}" if path else text
 

@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 
 from turnwright import __version__
-from turnwright.errors import TurnwrightError
+from turnwright.errors import TurnwrightError, shortened
 from turnwright.web._files import tidy
 from turnwright.web._guard import Guard, require_token
 from turnwright.web._limits import PARSE_BYTES, PARSE_S
@@ -139,7 +139,7 @@ def create_app(
 
 
 def _problem(status: int, sentence: str, headers: Mapping[str, str] | None = None) -> Response:
-    return JSONResponse({"detail": sentence}, status, headers=headers)
+    return JSONResponse({"detail": shortened(sentence)}, status, headers=headers)
 
 
 async def _say_http(_request: Request, error: Exception) -> Response:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from turnwright._toml import read_toml
-from turnwright.errors import InputError, TurnwrightError
+from turnwright.errors import InputError, TurnwrightError, shortened
 from turnwright.job import Job, faults
 from turnwright.job._prescriptions import GriddedTable
 from turnwright.job._schema import MachineTable, PartTable, ToolDeviations
@@ -90,7 +90,8 @@ def read(data: dict[str, Any], folder: str) -> tuple[Job | None, list[dict[str, 
             {"field": field, "sentence": _with_names(sentence, references)} for field, sentence in faults(error)
         ]
     except (RecursionError, OverflowError) as error:
-        return None, [{"field": "", "sentence": f"the job cannot be read ({error}): make it flat, with usual numbers"}]
+        sentence = f"the job cannot be read ({error}): make it flat, with usual numbers"
+        return None, [{"field": "", "sentence": shortened(sentence)}]
 
 
 def _with_names(sentence: str, references: Mapping[str, str]) -> str:
@@ -194,7 +195,7 @@ def require(data: dict[str, Any], folder: str) -> Job:
     """
     job, problems = read(data, folder)
     if job is None:
-        raise InputError("; ".join(one["sentence"] for one in problems[:5]))
+        raise InputError("\n".join(one["sentence"] for one in problems[:5]))
     return job
 
 
@@ -226,7 +227,8 @@ def write(data: dict[str, Any], folder: str, before: str = "") -> dict[str, Any]
         toml = written(data, before)
         toml.encode()
     except (TypeError, ValueError, RecursionError, AttributeError) as error:
-        problems = problems or [{"field": "", "sentence": f"the job cannot be written as TOML ({error}): correct it"}]
+        sentence = f"the job cannot be written as TOML ({error}): correct it"
+        problems = problems or [{"field": "", "sentence": shortened(sentence)}]
         return {"toml": "", "errors": problems}
     return {"toml": toml, "errors": problems}
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from turnwright._stop import Stop
-from turnwright.errors import InputError, TurnwrightError
+from turnwright.errors import InputError, TurnwrightError, shortened
 from turnwright.web._references import BUNDLE, CORRECTION, job_in, located, text_in
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def main() -> int:
 
 def _say(state: str, sentence: str) -> None:
     with suppress(OSError):
-        print(json.dumps({"state": state, "sentence": sentence}), flush=True)  # noqa: T201 - the server reads it
+        print(json.dumps({"state": state, "sentence": shortened(sentence)}), flush=True)  # noqa: T201 - the server reads it
 
 
 def _end_with_server() -> None:
