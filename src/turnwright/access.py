@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -11,10 +12,9 @@ import numpy as np
 from turnwright.errors import DomainError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from turnwright._arrays import Floats
     from turnwright.part import Part
+    from turnwright.progress import Progress
     from turnwright.tool import Tool
 
 __all__ = ["Access", "AccessFinding", "check_access"]
@@ -23,6 +23,9 @@ TURN = 2 * math.pi
 
 MOST_PLACES = 400_000
 """Places that are looked at before the search narrows."""
+
+CHUNK = 20_000
+"""Of them at a time, between two words on the progress."""
 
 STARTS = 32
 """Best places that the search narrows from."""
@@ -113,7 +116,7 @@ class _Shape(NamedTuple):
     climb: Floats  # slope angle along the cutting direction, positive uphill [rad]
 
 
-def check_access(part: Part, tool: Tool, *, sense: int = 1) -> Access:
+def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress | None = None) -> Access:
     r"""Return what a part asks of a tool, how much margin there is, and where on the part it is tightest.
 
     At radius :math:`\rho` and azimuth :math:`\theta` let :math:`f_u = \partial f/\partial\rho` be the slope outward and
@@ -152,6 +155,8 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1) -> Access:
         What is cut, by what: the actual nose radius, the nominal angles.
     sense
         +1 where the azimuth of the part under the tool grows, -1 where it falls.
+    progress
+        Called with (done, total).
 
     Raises
     ------
@@ -187,12 +192,22 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1) -> Access:
         return _shape(part, tool, sense, radius, angle)
 
     places = _places(part)
-    seen = shape(places.radius, places.angle)
-    curvature, curved = _highest(lambda r, a: shape(r, a).curvature, seen.curvature, places, part.radius)
-    high, at_high = _highest(lambda r, a: shape(r, a).sweep, seen.sweep, places, part.radius)
-    minus_low, at_low = _highest(lambda r, a: -shape(r, a).sweep, -seen.sweep, places, part.radius)
-    steep, climbing = _highest(lambda r, a: shape(r, a).climb, seen.climb, places, part.radius)
-    minus_fall, falling = _highest(lambda r, a: -shape(r, a).climb, -seen.climb, places, part.radius)
+    chunks = math.ceil(places.radius.size / CHUNK)
+    total = chunks + len(MEASURES)
+    parts = []
+    for number, chunk in enumerate(_chunks(places.radius.size)):
+        if progress is not None:
+            progress(number, total)
+        parts.append(shape(places.radius[chunk], places.angle[chunk]))
+    seen = _Shape(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+    found = []
+    for number, measure in enumerate(MEASURES):
+        if progress is not None:
+            progress(chunks + number, total)
+        found.append(_highest(lambda r, a, of=measure: of(shape(r, a)), measure(seen), places, part.radius))  # type: ignore[misc]
+    (curvature, curved), (high, at_high), (minus_low, at_low), (steep, climbing), (minus_fall, falling) = found
+    if progress is not None:
+        progress(total, total)
 
     limit = 1 / curvature if curvature > 0 else math.inf
     needed, at_needed = (2 * high, at_high) if high >= minus_low else (2 * minus_low, at_low)
@@ -280,6 +295,20 @@ def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) ->
     return _Shape(bend / (1 + slope**2) ** 1.5, np.arctan(slope), np.arctan(sense * fv))
 
 
+MEASURES: tuple[Callable[[_Shape], Floats], ...] = (
+    lambda one: one.curvature,
+    lambda one: one.sweep,
+    lambda one: -one.sweep,
+    lambda one: one.climb,
+    lambda one: -one.climb,
+)
+"""Of which the largest values on the part are searched."""
+
+
+def _chunks(size: int) -> list[slice]:
+    return [slice(start, start + CHUNK) for start in range(0, size, CHUNK)]
+
+
 def _places(part: Part) -> _Places:
     """Return where to look first."""
     finest = math.sqrt(math.pi / MOST_PLACES) * part.radius
@@ -299,6 +328,7 @@ def _highest(
 
     From each of the best places seen, five by five neighbours are tried; where the middle one is best they close in.
     """
+    seen = np.where(np.isnan(seen), -np.inf, seen)  # the axis alone may be missing
     best = np.argsort(seen)[::-1][: 32 * STARTS]
     x, y = places.radius[best] * np.cos(places.angle[best]), places.radius[best] * np.sin(places.angle[best])
     starts: list[int] = []
@@ -315,6 +345,7 @@ def _highest(
         radii = np.clip(radius[:, None] + step[:, None] * across, 0, rim)
         angles = angle[:, None] + wide[:, None] * along
         values = measure(radii.ravel(), angles.ravel()).reshape(radii.shape)
+        values = np.where(np.isnan(values), -np.inf, values)
         top = np.argmax(values, axis=1)
         better = values[rows, top] > value
         radius = np.where(better, radii[rows, top], radius)
@@ -391,8 +422,9 @@ def _borders(part: Part, tool: Tool, places: _Places) -> list[AccessFinding]:
         same = surface.piece(middle * c, middle * s) == own
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     (before, bx, by), (after, ax, ay) = (surface.evaluate(r * c, r * s, 1) for r in (low, high))
-    jump = np.abs(after - before)
-    turn = np.arctan(ax * c + ay * s) - np.arctan(bx * c + by * s)
+    with np.errstate(invalid="ignore"):  # the axis alone may be missing
+        jump = np.nan_to_num(np.abs(after - before))
+        turn = np.nan_to_num(np.arctan(ax * c + ay * s) - np.arctan(bx * c + by * s))
     turn = np.where(jump > SHARP, 0.0, turn)
 
     def worst(name: str, sizes: Floats, words: Callable[[float, str], str]) -> list[AccessFinding]:

@@ -180,3 +180,18 @@ def test_it_travels_between_processes():
     again = there.recv()
     assert again == surface
     assert float(again.sag(1.0, 1.0)) == pytest.approx(0.2)
+
+
+def test_equal_crests_are_searched_once():
+    """Oracle: the feature size of a single term; so many terms took 4 s."""
+    one, many = (Expression("+".join(["exp(-(x-1)**2)"] * count)) for count in (1, 300))
+    assert many.feature_size == one.feature_size
+
+
+@pytest.mark.parametrize("name", ["hypot", "atan2"])
+def test_a_long_sum_of_pairs_is_read(name):
+    """It was walked by a function that calls itself. Oracle: NumPy."""
+    x, y = disc(1.0)
+    formula = "+".join([f"{name}(x+1.5,2)"] * 400) + f"+{name}(" + "+".join(["x"] * 400) + ",7)"
+    oracle = getattr(np, {"hypot": "hypot", "atan2": "arctan2"}[name])
+    np.testing.assert_allclose(Expression(formula).sag(x, y), 400 * oracle(x + 1.5, 2) + oracle(400 * x, 7), rtol=1e-12)

@@ -9,7 +9,7 @@ import pytest
 from turnwright.access import check_access
 from turnwright.errors import DomainError, InputError
 from turnwright.part import Part
-from turnwright.surface import Surface
+from turnwright.surface import Expression, Surface
 from turnwright.tool import Tool
 
 
@@ -82,3 +82,13 @@ def test_a_pole_that_is_met_is_a_sentence_and_no_warning():
         warnings.simplefilter("error")
         with pytest.raises(DomainError, match=r"no finite slope and curvature at x = 1\.\d+ mm.*: keep the part clear"):
             check_access(Part(surface=Wall(), radius=2.0), Tool(nose_radius=0.5))
+
+
+@pytest.mark.parametrize("formula", ["hypot(x, hypot(x, y))", "atan2(x, atan2(x, atan2(x, 2 + 0*y)))"])
+def test_a_formula_without_a_slope_on_the_axis_says_no_nan(formula):
+    """Oracle: of the first the cone, whose slope along the radius is sqrt(1 + cos(azimuth)^2), at most sqrt(2)."""
+    part = Part(surface=Expression(f"0.1*{formula}"), radius=1.0)
+    access = check_access(part, Tool(nose_radius=0.1, included=np.deg2rad(60), clearance=np.deg2rad(10)))
+    assert "nan" not in "".join(finding.sentence for finding in access.findings)
+    if formula.startswith("hypot"):
+        assert access.included_needed == pytest.approx(2 * np.arctan(0.1 * np.sqrt(2)), rel=1e-9)

@@ -83,6 +83,11 @@ BAD = {
         lambda: Expression("+".join(["x"] * 3000)),
         "has 2999 signs .* the limit is 2000: give it as a sum",
     ),
+    "too costly": (lambda: Expression("+".join(["sin(x)"] * 1000)), "costs 8999 additions .* the limit is 8000"),
+    "too much in divisors": (
+        lambda: Expression("".join(f"1/(x+{'y+' * 95}{k}+" for k in range(20)) + "x" + ")" * 20),
+        "exp and divisors of .* steps .* the limit is 20000",
+    ),
     "pole in a disc": (
         lambda: Expression("0.001/(x - 0.3)").require_disc(5.0, "it"),
         r"divides by 0 at x = 0.3 mm, y = 0",

@@ -31,6 +31,12 @@ MOST = 2000
 DEEPEST = 50
 """Brackets a formula may have inside one another."""
 
+COSTLIEST = 8000
+"""Additions that a formula may cost at a point; a microsecond takes about 400 of them, with their derivatives."""
+
+NESTED = 20_000
+"""Steps of the parts of a formula of which crests and poles are searched, one by one: so many take some seconds."""
+
 AXIS = 1e-12
 """Points closer to the axis than this lie on it: no optic is finer, and polar terms cancel badly there. [mm]."""
 
@@ -40,6 +46,12 @@ HUGE = 1e3
 FAR = 25.0
 """How far from the axis the feature size is estimated. [mm]."""
 
+CREST_TOL = 1e-12
+"""How closely the crest of an exp is found. [mm]."""
+
+STRAY_TOL = 1e-7
+"""Closer than this to a crest its height no longer tells where it is, by rounding. [mm]."""
+
 BLOCK = 8192
 """Points worked on at once, so that all terms of a formula stay in the cache."""
 
@@ -47,8 +59,8 @@ Value: TypeAlias = Floats | float
 Jet: TypeAlias = tuple[Value, ...]
 """A value with its derivatives, (z), (z, zx, zy) or (z, zx, zy, zxx, zxy, zyy); a plain 0.0 is known to vanish."""
 
-Watched: TypeAlias = tuple[str, Jet, Jet]
-"""What was called, with its argument and its result."""
+Watched: TypeAlias = tuple[int, str, Jet, Jet]
+"""At which step what was called, with its argument and its result."""
 
 Step: TypeAlias = tuple[str, float | str]
 """One step of a formula in postfix order: ("number", 2.0), ("name", "x"), ("operator", "+") or ("call", "sin")."""
@@ -75,12 +87,18 @@ CALLS: dict[str, Rule] = {
     "sqrt": (np.sqrt, lambda v, f: 0.5 / f, lambda v, f, d: -0.5 * d / v),
 }
 PAIRS = ("atan2", "hypot")
-POLAR = {"hypot x y": "rho", "hypot y x": "rho", "atan2 y x": "phi"}
+POLAR: dict[tuple[str, ...], str] = {("hypot", "x", "y"): "rho", ("hypot", "y", "x"): "rho", ("atan2", "y", "x"): "phi"}
 """Calls that spell a variable with an exact treatment on the axis of its own."""
 OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 VARIABLES = ("x", "y", "rho", "phi")
 NUMBERS = {"pi": np.pi, "e": np.e}
 ROUGH = ("abs", "fabs", "max", "min", "floor", "ceil", "round", "sign", "trunc", "mod", "fmod", "heaviside")
+COSTS = {"*": 4, "/": 5, "**": 4, "hypot": 16, "atan2": 16, "sin": 8, "cos": 8} | dict.fromkeys(
+    set(CALLS) - {"sin", "cos"}, 3
+)
+"""Of a step at a point, with both derivatives, in additions: measured, to about a factor of 2."""
+VARYING_POWER = 20
+"""Of a power whose exponent changes."""
 SHARP = ("sin", "cos", "tan", "atan", "sinh", "cosh", "tanh", "exp")
 """Functions with a length of their own; the others only stretch that of their argument."""
 
@@ -170,34 +188,18 @@ class Expression(Surface):
         """Return poles near the points: zeros of whatever divides, found by Newton's method. See `Surface.poles`."""
         found_x, found_y = [np.empty(0)], [np.empty(0)]
         with np.errstate(all="ignore"):
-            for k, (value, by_x, by_y) in enumerate(self._divisors(x, y)):
+            for divisor in _divisors(self._steps):
+                value, by_x, by_y = _slopes(divisor, x, y)
                 away = np.nan_to_num(np.abs(value) / np.hypot(by_x, by_y), nan=np.inf)
                 close = np.flatnonzero(away.min(axis=1) < reach)
                 if close.size:
                     near = np.argmin(away[close], axis=1)
-                    pole_x, pole_y = self._pole(k, x[close, near], y[close, near])
-                    found_x.append(pole_x)
-                    found_y.append(pole_y)
-        return np.concatenate(found_x), np.concatenate(found_y)
-
-    def _pole(self, k: int, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Return where a divisor is zero, starting from some points, and the formula has no height."""
-        start = np.arctan2(y, x)
-        for _ in range(60):  # a double zero is approached by half the way each time
-            value, by_x, by_y = self._divisors(x, y)[k]
-            share = value / (by_x**2 + by_y**2)
-            x, y = (at - np.where(np.isfinite(share * by), share * by, 0) for at, by in ((x, by_x), (y, by_y)))
-        # The axis alone may be missing: the formula is looked at beside it.
-        axis = np.hypot(x, y) < 1e-9
-        x, y = np.where(axis, 1e-9 * np.cos(start), x), np.where(axis, 1e-9 * np.sin(start), y)
+                    zero_x, zero_y = _zeros(divisor, x[close, near], y[close, near])
+                    found_x.append(zero_x)
+                    found_y.append(zero_y)
+        x, y = np.concatenate(found_x), np.concatenate(found_y)
         pole = ~(np.abs(self.evaluate(x, y, 0)[0]) < HUGE)
         return x[pole], y[pole]
-
-    def _divisors(self, x: Floats, y: Floats) -> list[tuple[Floats, ...]]:
-        """Return whatever the formula divides by, with its slopes; constants are left out."""
-        divisors: list[Jet] = []
-        _run(self._steps, {"x": _jet(1, x, 1.0), "y": _jet(1, y, 0.0, 1.0), **_polar(x, y, 1)}, 1, divisors=divisors)
-        return [tuple(np.broadcast_to(part, x.shape) for part in jet) for jet in divisors]
 
     @property
     def domain(self) -> str:
@@ -225,7 +227,7 @@ class Expression(Surface):
             first = np.flatnonzero(~smooth)[0]
             place = "on the axis" if axis.ravel()[first] else "where a term of it ends"
             raise DomainError(
-                f"Expression {self.formula!r} has no {('height', 'slope', 'curvature')[order]} at "
+                f"Expression {_short(self.formula)!r} has no {('height', 'slope', 'curvature')[order]} at "
                 f"x = {x.ravel()[first]:.6g} mm, y = {y.ravel()[first]:.6g} mm ({np.count_nonzero(~smooth)} of "
                 f"{smooth.size} points), {place}: keep away from it, or write distances as rho and azimuths as phi"
             )
@@ -298,8 +300,8 @@ class Expression(Surface):
                 bad = np.flatnonzero(step.max(axis=0) > 1e-9 * (1e-3 + size.max(axis=0)))
             if bad.size:
                 raise InputError(
-                    f"formula {self.formula!r} steps by {step[:, bad[0]].max():.3g} where phi jumps from 180 to -180 "
-                    "deg, the limit is 0: multiply phi by whole numbers, inside sin and cos"
+                    f"formula {_short(self.formula)!r} steps by {step[:, bad[0]].max():.3g} where phi jumps from 180 "
+                    "to -180 deg, the limit is 0: multiply phi by whole numbers, inside sin and cos"
                 )
 
     def _estimate(self) -> float:
@@ -308,16 +310,17 @@ class Expression(Surface):
         The argument of exp(a) changes ever faster down the flanks of a bump, while the bump vanishes, and a ray may
         miss a narrow one: it is measured at its crest, and elsewhere as far as it is felt.
         """
-        radius, angle = np.meshgrid(np.linspace(0, FAR, 201)[1:], np.arange(16) * np.pi / 8)
+        radius, angle = _look_around()
         watch: list[Watched] = []
         self._rays(radius, angle, 1, watch)
+        operands = _operands(self._steps)
         fastest = 0.0
-        bumps: dict[int, tuple[Floats, Floats]] = {}
-        for number, (what, argument, result) in enumerate(watch):
+        bumps: dict[tuple[Step, ...], tuple[Floats, Floats]] = {}
+        for at, what, argument, result in watch:
             value, rate = (np.broadcast_to(part, radius.shape) for part in argument[:2])
             effect = np.broadcast_to(result[1], radius.shape)
             if what == "exp" and np.isfinite(value).any():
-                bumps[number] = value, rate
+                bumps[self._steps[operands[at][0]]] = value, rate
                 continue
             if what == "/":  # a divisor works through its relative change
                 with np.errstate(all="ignore"):
@@ -326,48 +329,74 @@ class Expression(Surface):
             known = np.isfinite(rate) & np.isfinite(effect)
             felt = known & (effect > 1e-3 * np.max(effect, where=known, initial=0.0))
             fastest = max(fastest, float(np.max(rate, where=felt, initial=0.0)))
-        if bumps:
-            crests = self._crests(np.array(list(bumps)), np.stack([value for value, _ in bumps.values()]))
-            for (value, rate), (top, wave) in zip(bumps.values(), crests, strict=True):
+        for argument_steps, (value, rate) in bumps.items():
+            top, wave = _crest(argument_steps, value)
+            with np.errstate(all="ignore"):
                 felt_rate = np.abs(rate) * np.exp(np.minimum(value - top, 0.0) / 2)
-                fastest = max(fastest, wave, float(np.max(felt_rate, where=np.isfinite(felt_rate), initial=0.0)))
+            fastest = max(fastest, wave, float(np.max(felt_rate, where=np.isfinite(felt_rate), initial=0.0)))
         # A wave sin(k r) has k per mm; this makes it an eighth of its period.
         return np.pi / 4 / fastest if fastest else float("inf")
 
-    def _crests(self, calls: Ints, sampled: Floats) -> list[tuple[float, float]]:
-        """Return how high the arguments a of some watched calls climb from their samples, and the wave number there.
 
-        At its crest exp(a) bends like a wave of a'^2 + 3 |a''| per mm²: its fourth derivative over its second.
-        """
-        radius, angle = np.meshgrid(np.linspace(0, FAR, 201)[1:], np.arange(16) * np.pi / 8)
-        best = np.argmax(np.where(np.isfinite(sampled), sampled, -np.inf).reshape(calls.size, -1), axis=1)
-        # From ray to ray it is this far, and the crest may be in between.
-        wide = radius.ravel()[best] * (np.pi / 16) + FAR / 200
-        x, y = (radius.ravel()[best] * part(angle.ravel()[best]) for part in (np.cos, np.sin))
-        across, along = (part.ravel() for part in np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)))
-        rows = np.arange(calls.size)
+def _crest(argument: tuple[Step, ...], sampled: Floats) -> tuple[float, float]:
+    """Return how high the argument a of an exp climbs from its samples, and the wave number there.
 
-        def arguments(x: Floats, y: Floats, order: int) -> Floats:
-            """Return the jets of each call's argument at the places in its own row. (1, 3 or 6, calls, n)."""
-            watch: list[Watched] = []
-            with np.errstate(all="ignore"):
-                seeds = {"x": _jet(order, x, 1.0), "y": _jet(order, y, 0.0, 1.0), **_polar(x, y, order)}
-                _run(self._steps, seeds, order, watch)
-            jets = [[np.broadcast_to(part, x.shape)[row] for part in watch[k][1]] for row, k in enumerate(calls)]
-            return np.stack([np.stack(jet) for jet in jets], axis=1)
-
-        for _ in range(60):
-            near_x, near_y = x[:, None] + wide[:, None] * across, y[:, None] + wide[:, None] * along
-            heights = arguments(near_x, near_y, 0)[0]
+    At its crest exp(a) bends like a wave of a'^2 + 3 |a''| per mm²: its fourth derivative over its second.
+    """
+    radius, angle = _look_around()
+    best = int(np.argmax(np.where(np.isfinite(sampled), sampled, -np.inf)))
+    r, azimuth = radius.flat[best], angle.flat[best]
+    # From ray to ray it is this far, and the crest may be in between.
+    wide = r * (np.pi / 16) + FAR / 200
+    x, y = r * np.cos(azimuth), r * np.sin(azimuth)
+    across, along = (part.ravel() for part in np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)))
+    with np.errstate(all="ignore"):
+        while wide > CREST_TOL:
+            near_x, near_y = x + wide * across, y + wide * along
+            heights = np.broadcast_to(_run(argument, _seeds(near_x, near_y, 0), 0)[0], near_x.shape)
             allowed = np.isfinite(heights) & (np.hypot(near_x, near_y) <= FAR)
-            best = np.argmax(np.where(allowed, heights, -np.inf), axis=1)
-            wide = np.where(best == across.size // 2, wide / 2, wide)
-            x, y = near_x[rows, best], near_y[rows, best]
-        top, ax, ay, axx, axy, ayy = arguments(x[:, None], y[:, None], 2)[:, :, 0]
-        bend = np.abs(axx + ayy) / 2 + np.hypot((axx - ayy) / 2, axy)
-        return list(
-            zip(top.tolist(), np.nan_to_num(np.sqrt(ax**2 + ay**2 + 3 * bend), posinf=0.0).tolist(), strict=True)
-        )
+            best = int(np.argmax(np.where(allowed, heights, -np.inf)))
+            if best == across.size // 2:
+                wide /= 2
+            elif wide < STRAY_TOL:  # rounding alone moves it on
+                break
+            x, y = near_x[best], near_y[best]
+        jet = _run(argument, _seeds(np.full(1, x), np.full(1, y), 2), 2)
+        top, ax, ay, axx, axy, ayy = (float(np.broadcast_to(part, 1)[0]) for part in jet)
+        bend = abs(axx + ayy) / 2 + np.hypot((axx - ayy) / 2, axy)
+        wave = np.sqrt(ax**2 + ay**2 + 3 * bend)
+    return top, float(np.nan_to_num(wave, posinf=0.0))
+
+
+def _look_around() -> tuple[Floats, Floats]:
+    """Return the places, radius and azimuth, from which the feature size is estimated. Each (16, 200)."""
+    radius, angle = np.meshgrid(np.linspace(0, FAR, 201)[1:], np.arange(16) * np.pi / 8)
+    return radius, angle
+
+
+def _seeds(x: Floats, y: Floats, order: int) -> dict[str, Jet]:
+    """Return the jets of the variables off the axis."""
+    return {"x": _jet(order, x, 1.0), "y": _jet(order, y, 0.0, 1.0), **_polar(x, y, order)}
+
+
+def _slopes(steps: tuple[Step, ...], x: Floats, y: Floats) -> tuple[Floats, ...]:
+    """Return the value and the slopes of a part of a formula."""
+    return tuple(np.broadcast_to(part, x.shape) for part in _run(steps, _seeds(x, y, 1), 1))
+
+
+def _zeros(divisor: tuple[Step, ...], x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return where a divisor is zero, or Newton's method ends, starting from some points."""
+    start = np.arctan2(y, x)
+    for _ in range(60):  # a double zero is approached by half the way each time
+        value, by_x, by_y = _slopes(divisor, x, y)
+        share = value / (by_x**2 + by_y**2)
+        step_x, step_y = (np.where(np.isfinite(share * by), share * by, 0) for by in (by_x, by_y))
+        x, y = x - step_x, y - step_y
+        if not (step_x.any() or step_y.any()):
+            break
+    # The axis alone may be missing: the formula is looked at beside it.
+    axis = np.hypot(x, y) < 1e-9
+    return np.where(axis, 1e-9 * np.cos(start), x), np.where(axis, 1e-9 * np.sin(start), y)
 
 
 def _constant(name: str, value: float) -> float:
@@ -402,9 +431,65 @@ def _read(formula: str, numbers: Mapping[str, float]) -> tuple[Step, ...]:
         raise InputError(
             f"a formula has brackets or terms nested too deep, the limit is {DEEPEST}: simplify it"
         ) from error
-    steps: list[Step] = []
-    _append(tree.body, text, numbers, steps, DEEPEST)
-    return tuple(steps)
+    appended: list[Step] = []
+    _append(tree.body, text, numbers, appended, DEEPEST)
+    steps = tuple(appended)
+    _require_affordable(steps)
+    return steps
+
+
+def _require_affordable(steps: tuple[Step, ...]) -> None:
+    """Raise if a formula costs too much at each point, or too much of it is searched for crests and poles."""
+    operands = _operands(steps)
+    cost = sum(
+        VARYING_POWER if what == "**" and _varies(steps[spans[-1]]) else COSTS.get(str(what), 1) if spans else 0
+        for (_, what), spans in zip(steps, operands, strict=True)
+    )
+    if cost > COSTLIEST:
+        raise InputError(
+            f"a formula costs {cost} additions at each point, the limit is {COSTLIEST}: simplify it, or give its "
+            "heights as a table"
+        )
+    crests = {steps[spans[0]] for (_, what), spans in zip(steps, operands, strict=True) if what == "exp"}
+    searched = sum(map(len, crests)) + sum(map(len, _divisors(steps)))
+    if searched > NESTED:
+        raise InputError(
+            f"a formula has exp and divisors of {searched} steps together that are nested in each other, the limit is "
+            f"{NESTED}: simplify it, or give its heights as a table"
+        )
+
+
+def _operands(steps: tuple[Step, ...]) -> list[tuple[slice, ...]]:
+    """Return where the parts of the formula stand that each step takes: none, one or two."""
+    starts: list[int] = []
+    found: list[tuple[slice, ...]] = []
+    for at, (kind, _) in enumerate(steps):
+        count = {"call": 1, "operator": 2}.get(kind, 0)
+        ends = [*starts[len(starts) - count + 1 :], at] if count else []
+        begins = starts[len(starts) - count :] if count else []
+        found.append(tuple(map(slice, begins, ends)))
+        starts[len(starts) - count :] = [begins[0] if begins else at]
+    return found
+
+
+def _divisors(steps: tuple[Step, ...]) -> list[tuple[Step, ...]]:
+    """Return the parts that a formula divides by, each once; constants are left out."""
+    found: dict[tuple[Step, ...], None] = {}
+    for (_, what), spans in zip(steps, _operands(steps), strict=True):
+        divisor: tuple[Step, ...] = ()
+        if what == "/":
+            divisor = steps[spans[1]]
+        elif what == "tan":
+            divisor = (*steps[spans[0]], ("call", "cos"))
+        elif what == "**" and not _varies(power := steps[spans[1]]) and _run(power, {}, 0)[0] < 0:
+            divisor = steps[spans[0]]
+        if _varies(divisor):
+            found[divisor] = None
+    return list(found)
+
+
+def _varies(steps: tuple[Step, ...]) -> bool:
+    return any(kind == "name" for kind, _ in steps)
 
 
 def _append(node: ast.expr, text: str, numbers: Mapping[str, float], steps: list[Step], depth: int) -> None:
@@ -439,7 +524,7 @@ def _append_factor(node: ast.expr, text: str, numbers: Mapping[str, float], step
             if isinstance(node.op, ast.USub):
                 steps.append(("call", "negative"))
         case ast.Call(func=ast.Name(id="hypot" | "atan2" as name), args=[first, second], keywords=[]):
-            polar = POLAR.get(f"{name} {ast.unparse(first)} {ast.unparse(second)}")
+            polar = POLAR.get((name, *(one.id if isinstance(one, ast.Name) else "" for one in (first, second))))
             if polar is None:
                 _append(first, text, numbers, steps, depth)
                 _append(second, text, numbers, steps, depth)
@@ -508,20 +593,15 @@ def _polar(x: Floats, y: Floats, order: int) -> dict[str, Jet]:
     return {"rho": radial, "phi": phi}
 
 
-def _run(
-    steps: tuple[Step, ...],
-    seeds: Mapping[str, Jet],
-    order: int,
-    watch: list[Watched] | None = None,
-    divisors: list[Jet] | None = None,
-) -> Jet:
-    """Work a formula through on a stack of jets.
+def _run(steps: tuple[Step, ...], seeds: Mapping[str, Jet], order: int, watch: list[Watched] | None = None) -> Jet:
+    """Work a formula through on a stack of jets; ``watch`` collects calls and divisions."""
+    with np.errstate(all="ignore"):
+        return _worked(steps, seeds, order, watch)
 
-    ``watch`` collects calls and divisions, by name, argument and result; ``divisors`` what makes a pole where it
-    vanishes.
-    """
+
+def _worked(steps: tuple[Step, ...], seeds: Mapping[str, Jet], order: int, watch: list[Watched] | None) -> Jet:
     stack: list[Jet] = []
-    for kind, what in steps:
+    for at, (kind, what) in enumerate(steps):
         match kind, what:
             case "number", float():
                 stack.append(_jet(order, np.float64(what)))
@@ -530,30 +610,15 @@ def _run(
             case "call", str():
                 argument = stack.pop()
                 stack.append(_call(what, argument, order))
-                if divisors is not None and what == "tan":
-                    divisors.append(_call("cos", argument, order))
                 if watch is not None and what in SHARP:
-                    watch.append((what, argument, stack[-1]))
+                    watch.append((at, what, argument, stack[-1]))
             case _, str():
                 second = stack.pop()
                 first = stack.pop()
                 stack.append(OPERATIONS[what](first, second, order))
-                if divisors is not None and (divisor := _divisor(what, first, second)) is not None:
-                    divisors.append(divisor)
                 if watch is not None and what == "/":
-                    watch.append((what, second, stack[-1]))
+                    watch.append((at, what, second, stack[-1]))
     return stack[0]
-
-
-def _divisor(operator: str, first: Jet, second: Jet) -> Jet | None:
-    """Return what an operation divides by, unless it is a constant."""
-    if operator == "**" and isinstance(second[0], float) and second[0] < 0:
-        jet = first
-    elif operator == "/":
-        jet = second
-    else:
-        return None
-    return None if all(isinstance(part, float) for part in jet) else jet
 
 
 def _times(a: Value, b: Value) -> Value:
