@@ -1,7 +1,12 @@
 """Compiled kernels are kept until they, or what they call, are edited. Oracle: Python's own parser of imports."""
 
 import ast
+import hashlib
+import os
+import pickle  # noqa: TID251 - a damaged file may be one
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numba
@@ -45,3 +50,90 @@ def test_each_module_has_a_folder_and_other_compiled_functions_keep_theirs():
     for name, place in places.items():
         assert place == f"kernels-{name.rpartition('.')[2]}-{_kernels._digest(FOLDER, name.rpartition('.')[2])}"
     assert "kernels-" not in numba.config.CACHE_DIR
+
+
+def linear(x):
+    return 2.5 * x + 0.25
+
+
+def linear_again():
+    """A kernel as a new process meets it, and whether its code comes from the disk when it is called."""
+    kernel = _kernels.jit(linear)
+    assert kernel(3.0) == 7.75  # 2.5 * 3 + 0.25
+    assert kernel(2) == 5.25
+    return sum(kernel.stats.cache_hits.values())
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    """The folder of a kernel that is kept for two signatures."""
+    monkeypatch.setattr(_kernels, "_cache_folder", lambda _module: tmp_path)
+    assert linear_again() == 0
+    assert linear_again() == 2
+    assert len(list(tmp_path.iterdir())) == 2
+    return tmp_path
+
+
+DAMAGE = {
+    "empty": lambda _: b"",
+    "cut to 1000 bytes": lambda data: data[:1000],
+    "without its end": lambda data: data[:-1],
+    "with more at its end": lambda data: data + b"x",
+    "zeros": lambda data: bytes(len(data)),
+    "text": lambda _: b"not compiled code",
+    "another pickle": lambda _: hashlib.sha256(pickle.dumps(7)).digest() + pickle.dumps(7),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_a_damaged_kernel_is_compiled_again(kind, kept):
+    """Oracle: its closed form. numba's own cache ended each call with EOFError, UnpicklingError or a signal."""
+    for file in kept.iterdir():
+        file.write_bytes(DAMAGE[kind](file.read_bytes()))
+    assert linear_again() == 0
+    assert linear_again() == 2  # and is kept again
+
+
+def test_no_flipped_byte_is_run(kept):
+    files = list(kept.iterdir())
+    whole = {file: file.read_bytes() for file in files}
+    for part in range(12):
+        for file, data in whole.items():
+            at = part * len(data) // 12 + part
+            file.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
+        assert linear_again() == 0
+
+
+def test_the_code_of_another_signature_is_not_run(kept):
+    one, other = kept.iterdir()
+    data = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(data)
+    assert linear_again() == 0
+
+
+def test_a_place_that_takes_no_file_costs_only_time(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setattr(_kernels, "_cache_folder", lambda _module: tmp_path / "file" / "kernels")
+    assert linear_again() == 0
+    assert linear_again() == 0
+
+
+def test_a_full_disk_of_the_cache_is_not_noticed(tmp_path):
+    """Oracle: the system ends every file at 2 kB, as a full disk would, and no part of one stays."""
+    resource = pytest.importorskip("resource")
+    code = (
+        "import resource, signal, numpy as np\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))\n"
+        "from turnwright.surface import SineGrid\n"
+        "print(SineGrid(amplitude=(1.0, 0.0), period=(4.0, 4.0)).sag(1.0, 0.0).item())\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False, timeout=300
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert float(done.stdout) == pytest.approx(1.0, abs=1e-12)
+    assert resource
+    assert not [file for file in tmp_path.rglob("*") if file.is_file()]

@@ -96,7 +96,7 @@ def trace(row, breaks, coefficients, sweep, out):
 
 @jit
 def height(profile, table, u):
-    """Return the height w of the edge above the tip at distance ``u``, see tool.Profile."""
+    """Return the height w of the edge above the tip at distance ``u``, see tool.EdgeProfile."""
     if u < profile[1]:
         return profile[2] + (u - profile[1]) * profile[3]
     if u > profile[4]:
