@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copyreg
+import warnings
 from collections.abc import Iterable, Sequence
 from types import MappingProxyType
 from typing import Any, TypeAlias
@@ -53,6 +54,24 @@ def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool =
 def rounding(values: Floats) -> float:
     """Return by how much the difference of two cumulative values may be off, as rounding grows with the values."""
     return 4 * float(np.spacing(np.abs(values[[0, -1]]).max()))
+
+
+def rows_of_numbers(lines: Iterable[str], separator: str, *, comments: str | None = None) -> Floats:
+    """Return the numbers of lines of text, (rows, columns).
+
+    Raises
+    ------
+    ValueError
+        If there is no line, or they hold anything else or not as many numbers each; the reason in a few letters.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # NumPy only warns of a table without a row
+        try:
+            return np.loadtxt(lines, delimiter=separator, ndmin=2, dtype=np.float64, comments=comments)
+        except UserWarning:
+            raise ValueError("it has no rows") from None
+        except ValueError as error:
+            raise ValueError(str(error).split(";")[0].rstrip(".")[:100]) from error
 
 
 def only_read(values: Floats) -> Floats:

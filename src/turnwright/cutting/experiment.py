@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright import units
-from turnwright._arrays import Floats, Ints, positive
+from turnwright._arrays import Floats, Ints, positive, rows_of_numbers
 from turnwright._toml import read_toml
 from turnwright.cutting.dynamometer import CLOSES, Dynamometer, TapTest
 from turnwright.cutting.edge_cuts import (
@@ -587,11 +587,10 @@ def _columns(path: Path, known: Mapping[str, Mapping[str, float]], needed: Seque
     if missing:
         raise InputError(f"{path} lacks {', '.join(missing)}: add it with its unit, such as '{needed[0]} [nm]'")
     try:
-        table = np.loadtxt(lines[1:], delimiter=mark, ndmin=2, dtype=np.float64, comments=None)
+        table = rows_of_numbers(lines[1:], mark)
     except ValueError as error:
-        why = str(error).split(";")[0].rstrip(".")
         raise InputError(
-            f"{path} is not a table of numbers ({why}): use decimal points and as many numbers in each line"
+            f"{path} is not a table of numbers ({error}): use decimal points and as many numbers in each line"
         ) from error
     if table.shape[1] != len(heads):
         raise InputError(f"{path} has {len(heads)} names and numbers of shape {table.shape}: give as many in each line")

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from turnwright import _apart as _other
-from turnwright._arrays import Floats
+from turnwright._arrays import Floats, rows_of_numbers
 from turnwright.cutting.signals import ForceRecord
 from turnwright.errors import InputError
 
@@ -194,12 +194,11 @@ def _csv(path: Path, data: bytes) -> _Raw:
     if any(not name or _is_number(name) for name in names) or len(set(names)) != len(names):
         raise InputError(f"{path} begins with {lines[0][:60]!r}, that is no line of names: name each column apart")
     try:
-        table = np.loadtxt(lines[1:], delimiter=mark, ndmin=2, dtype=np.float64, comments=None)
+        table = rows_of_numbers(lines[1:], mark)
     except ValueError as error:
-        why = str(error).split(";")[0].rstrip(".")
         raise InputError(
-            f"{path} is not a table of numbers after its line of names ({why}): use decimal points and as many numbers "
-            "in each line"
+            f"{path} is not a table of numbers after its line of names ({error}): use decimal points and as many "
+            "numbers in each line"
         ) from error
     if table.shape[1] != len(names):
         raise InputError(f"{path} has {len(names)} names and {table.shape[1]} columns: name each column")

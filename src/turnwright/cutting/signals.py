@@ -17,6 +17,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, between, frozen, positive
 from turnwright.errors import InputError
+from turnwright.units import MOST
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -85,6 +86,9 @@ class ForceRecord:
         object.__setattr__(self, "channels", tuple(self.channels))
         label = f"the force record {self.name!r}" if self.name else "a force record"
         object.__setattr__(self, "force", frozen(self.force, label, ndim=2))
+        largest = float(np.abs(self.force).max(initial=0.0))
+        if largest > MOST:
+            raise InputError(f"{label} holds {largest:.3g} N, the limit is {MOST:g} N: check the unit of its channels")
         object.__setattr__(self, "rate_hz", positive(self.rate_hz, "rate_hz", "Hz"))
         if self.force.shape[1] != len(self.channels) or len(set(self.channels)) != len(self.channels):
             raise InputError(

@@ -17,6 +17,7 @@ from annotated_types import Ge
 from pydantic import BeforeValidator, Field, Strict, model_validator
 
 from turnwright import surface as surfaces
+from turnwright._arrays import rows_of_numbers
 from turnwright.errors import JobError, UnitError
 from turnwright.job._table import (
     Angle,
@@ -432,7 +433,7 @@ class GriddedTable(Family):
         try:
             rows = self.file.read_text(encoding="utf-8-sig").splitlines()
             x = np.array([float(cell) for cell in rows[0].split(",")[1:]])
-            table = np.loadtxt(rows[1:], delimiter=",", ndmin=2)
+            table = rows_of_numbers(rows[1:], ",")
         except (ValueError, IndexError) as error:
             raise JobError(
                 f"{self.file.name} is not a table of numbers ({error}): write x in its first row after an empty cell, "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import math
 import os
 import re
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from turnwright._arrays import positive
+from turnwright._arrays import positive, rows_of_numbers
 from turnwright.errors import ProgramError
 from turnwright.path import Motion
 from turnwright.post._header import NO_HASH, convention_line, inspect_nc, plain, require_regular, software
@@ -364,7 +363,10 @@ def _read(file: Path) -> tuple[dict[str, str], list[str], Floats]:
     body = data[first.end() :]
     if hashlib.sha256(body).hexdigest() != fields["SHA256"]:
         raise ProgramError(f"{file} has other rows than it was written with, it was damaged or edited: write it again")
-    table = np.loadtxt(io.BytesIO(body), delimiter=",", ndmin=2)
+    try:
+        table = rows_of_numbers(body.decode("latin-1").splitlines(), ",")
+    except ValueError as error:
+        raise ProgramError(f"{file} holds something else than rows of numbers ({error}): write it again") from error
     if str(table.shape[0]) != fields["ROWS"]:
         raise ProgramError(f"{file} has {table.shape[0]} rows, its head says {fields['ROWS']}: write it again")
     return fields, names, table

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import rows_of_numbers
 from turnwright.errors import InputError, ProgramError
 from turnwright.path import Motion
 from turnwright.post._header import ProgramWarning, require_regular
@@ -139,7 +140,7 @@ def _columns(path: Path) -> dict[str, Floats]:
     if not body.strip():
         raise ProgramError(f"{path} has no rows, at least 2 are needed: give the points below the names")
     try:
-        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2)
+        table = rows_of_numbers(io.StringIO(body), ",", comments="#")
     except ValueError as error:
         raise ProgramError(f"{path} holds something that is not a number ({error}): correct it") from error
     if table.shape[1] != len(letters) or not np.isfinite(table).all():
