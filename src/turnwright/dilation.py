@@ -37,7 +37,7 @@ from turnwright._arrays import Bools, Floats, Ints, frozen, same_length
 from turnwright.errors import DomainError, GougeError, InputError
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
-from turnwright.tool import EdgeTable, Profile, Tool
+from turnwright.tool import EdgeProfile, EdgeTable, Tool
 
 __all__ = ["Touch", "follow", "tip_height", "touch"]
 
@@ -229,7 +229,7 @@ class _Contact:
         self.edge_points = edge_points
         self.surface = surface
         self.edge: EdgeTable = tool.table(sense)
-        self.profile: Profile = tool.profile()
+        self.profile: EdgeProfile = tool.profile()
         self.row = self.edge.row
         self.upright = bool(self.row[4] == 0 and self.row[6] == 0 and not aside.any())
         self.nearest = float(radius.min() + self.row[5])

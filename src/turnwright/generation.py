@@ -25,7 +25,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress, run_chunks
-from turnwright.tool import Profile, Tool
+from turnwright.tool import EdgeProfile, Tool
 
 __all__ = ["generate", "generate_points", "generate_polar"]
 
@@ -89,7 +89,7 @@ def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
     return _Cut(c, x, y, z, motion.sense, starts, bounds, edge.row, *profile, gap, bend)
 
 
-def _falls(profile: Profile) -> tuple[float, float]:
+def _falls(profile: EdgeProfile) -> tuple[float, float]:
     """Return the most that a wavy edge sinks back on its way out, and that its slope falls back toward +X."""
     from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
 

@@ -14,7 +14,7 @@ from turnwright.errors import InputError
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-__all__ = ["EdgeTable", "Profile", "Tool", "WavinessTable"]
+__all__ = ["EdgeProfile", "EdgeTable", "Tool", "WavinessTable"]
 
 HALF_CIRCLE = np.pi / 2 - 1e-3
 """Half of the included angle of a nose whose maker states none: the arc ends just before its wall is vertical. [rad]"""
@@ -71,7 +71,7 @@ class EdgeTable(NamedTuple):
     coefficients: Floats  # (k + 1, m) waviness polynomials, highest power first, in sweep - breaks[i] [mm/rad^k]
 
 
-class Profile(NamedTuple):
+class EdgeProfile(NamedTuple):
     """The edge as a height over the distance from its tip, w(u) in the rake plane, for the kernels.
 
     A perfect nose is a circle inside the arc. A wavy one is a table of cubic pieces there, over the tangent x of half
@@ -220,7 +220,7 @@ class Tool:
             coefficients=np.ascontiguousarray(coefficients, dtype=np.float64),
         )
 
-    def profile(self) -> Profile:
+    def profile(self) -> EdgeProfile:
         """Return the edge as a height over the distance from its tip, for the kernels.
 
         It is exact for a perfect nose. With waviness it is within 1e-12 mm of `edge` per mm of nose radius where the
@@ -248,7 +248,7 @@ class Tool:
         base = self.actual_radius if self._perfect else (u[1] - u[0]) / (sine[1] - sine[0])
         row = [base, u[0], w[0], slope[0], u[1], w[1], slope[1]]
         if self._perfect:
-            return Profile(row=np.array([*row, 0.0, 0.0, 0.0]), table=np.empty((0, 0)), convex=True)
+            return EdgeProfile(row=np.array([*row, 0.0, 0.0, 0.0]), table=np.empty((0, 0)), convex=True)
         centre = u[0] - base * sine[0]
 
         # Nodes at equal steps of x, two of them where a certificate ends inside the arc: there the slope jumps.
@@ -288,7 +288,7 @@ class Tool:
         convex = bool((du > 0).all() and (np.diff(dw / du) > 0).all())
         (_, _, du, dw), (_, _, du_after, dw_after) = (trace(np.nextafter(kinks, way)) for way in (-np.inf, np.inf))
         convex = convex and bool((dw_after / du_after - dw / du > -1e-12).all())
-        return Profile(
+        return EdgeProfile(
             row=np.array([*row, 1 / step, x[0], centre]),
             table=np.ascontiguousarray(np.transpose(pieces)),
             convex=convex,
