@@ -240,3 +240,10 @@ def test_a_preview_counts_the_points_without_placing():
     machine = tw.Machine.load("generic")
     assert seen.shortest_s["finish"] == pytest.approx(max(6000 / machine.block_rate_hz, 50 * 60 / machine.spindle_rpm))
     assert not seen.refused
+
+
+def test_a_run_without_a_folder_names_no_files_that_are_gone():
+    result = run(Job.read(changed(("simulation.patches", []))))
+    assert result.program.files == ()
+    assert result.program.lines > 0
+    assert len(result.program.hash) == 64

@@ -225,3 +225,21 @@ def test_an_interrupt_leaves_nothing(shop, tmp_path, monkeypatch, capsys):
     assert main(arguments) == 130
     assert re.search("interrupt|stopped", capsys.readouterr().err)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("relative", [True, False])
+def test_a_correction_goes_into_any_folder(shop, tmp_path, monkeypatch, relative):
+    """Oracle: the job that was written is read again as the one that is returned."""
+    monkeypatch.chdir(tmp_path)
+    job = Job.load(shop / "job.toml")
+    seen_map = tw.read_map(shop / "dish.x3p")
+    x, y = np.meshgrid(seen_map.x, seen_map.y)
+    bump = 2e-4 * np.exp(
+        -((x - 0.6) ** 2 + (y - 0.4) ** 2) / 0.5
+    )  # a form that no cause explains, so a table is written
+    measured = tw.measure(job, replace(seen_map, z=seen_map.z + bump))
+    out = Path("better") if relative else tmp_path / "not" / "there yet"
+    better = tw.correct(job, tw.explain(measured), measured, out=out)
+    assert better.file.samefile(out / "job.toml")
+    assert better.job.part.correction is not None
+    assert Job.load(out / "job.toml") == better.job

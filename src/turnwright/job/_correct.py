@@ -105,7 +105,7 @@ def correct(
         What was explained, if the part that the job has cut was among it and was the first; the part as earlier jobs
         have cut it counts with it. Without it only tool and machine are corrected.
     out
-        Folder that exists, for ``job.toml`` and the files that it names.
+        Folder for ``job.toml`` and the files that it names; it is made if there is none.
     progress
         Called with (stage, done, total).
 
@@ -116,7 +116,8 @@ def correct(
     """
     told = progress or (lambda _stage, _done, _total: None)
     _check(job, found)
-    out = File(out)
+    out = File(out).resolve()  # the job names its files beside itself, wherever it is read from
+    out.mkdir(parents=True, exist_ok=True)
     part = job.part.part
     table = tomllib.loads(job.to_toml())
     _put_tool(table["tool"], found.tool, job.tool.tool, out)

@@ -99,7 +99,8 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     progress
         Called with (stage, done, total).
     out
-        Folder that the program files are written to; if not given, they are written, read back and thrown away.
+        Folder that the program files are written to; if not given, they are written, read back and thrown away, and
+        the result names none.
 
     Raises
     ------
@@ -112,11 +113,12 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     """
     if out is None:
         with TemporaryDirectory(prefix="turnwright-") as folder:
-            return run(job, progress=progress, out=folder)
+            result = run(job, progress=progress, out=folder)
+        return replace(result, program=replace(result.program, files=()))
     watch = Watch(progress)
     part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
-    with watch.stage("access"):
-        access = check_access(part, tool, sense=job.strategy.sense)
+    with watch.stage("access") as tell:
+        access = check_access(part, tool, sense=job.strategy.sense, progress=tell)
     warnings = _accepted_access(job, access)
 
     motions: dict[str, Motion] = {}
@@ -262,8 +264,8 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     """
     watch = Watch(progress)
     part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
-    with watch.stage("access"):
-        access = check_access(part, tool, sense=job.strategy.sense)
+    with watch.stage("access") as tell:
+        access = check_access(part, tool, sense=job.strategy.sense, progress=tell)
     points, shortest, chips = {}, {}, {}
     stock = part.stock
     for cut in job.passes:

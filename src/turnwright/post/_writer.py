@@ -56,7 +56,7 @@ class ProgramFiles:
     Parameters
     ----------
     files
-        The main program, then the sub-programs in the order of their calls.
+        The main program, then the sub-programs in the order of their calls; none where they are gone again.
     lines, bytes
         In all files together.
     minutes

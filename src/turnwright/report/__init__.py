@@ -250,7 +250,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             ),
         ],
         files=[_link(file, path) for file in result.program.files],
-        head=_head(result.program.files[0]),
+        head=_head(result.program.files[0]) if result.program.files else "",
         timings=_timings(result.timings),
         peak_memory=f"{result.peak_memory_gb:.2f} GB" if math.isfinite(result.peak_memory_gb) else "not known here",
         job=result.job.to_toml(),
