@@ -330,6 +330,7 @@ def test_a_full_disk_leaves_nothing(changes, tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["job.toml"]
 
 
+@pytest.mark.usefixtures("signals_heard")
 @pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_run_leaves_nothing(kill, tmp_path):
     process = start(LENS, tmp_path / "out")
@@ -343,6 +344,7 @@ def test_an_interrupted_run_leaves_nothing(kill, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("signals_heard")
 @pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGHUP])
 @pytest.mark.parametrize("delay", [0.0, 0.1, 0.3, 0.6])
 def test_an_early_interrupt_is_not_lost(kill, delay, tmp_path):

@@ -71,6 +71,7 @@ def at_work(session):
     )
 
 
+@pytest.mark.usefixtures("signals_heard")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "kill -9"])
 def test_an_end_in_the_middle_keeps_what_is_finished_and_leaves_no_half(how, tmp_path):
     files = jobs(tmp_path, **{f"job{n}": [("strategy.feed", f"{40 + n} um/rev")] for n in range(2)})

@@ -37,6 +37,7 @@ def ask(address, data=None):
         return answer.read()
 
 
+@pytest.mark.usefixtures("signals_heard")
 def test_a_server_answers_and_ends_at_an_interrupt(tmp_path):
     with serving(tmp_path) as (process, address):
         assert address.startswith("http://127.0.0.1:")

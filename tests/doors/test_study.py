@@ -414,6 +414,7 @@ def test_a_study_of_refused_cases_alone_is_no_success_but_its_rows_are_there(job
     assert not (tmp_path / "out.cases").exists()
 
 
+@pytest.mark.usefixtures("signals_heard")
 def test_what_a_killed_command_left_is_removed_by_the_next_and_nothing_else(job_file, tmp_path):
     command = [
         sys.executable, "-m", "turnwright", "study", str(job_file), "--out", str(tmp_path / "out"), "--workers", "1",

@@ -146,6 +146,7 @@ def test_what_cannot_be_is_told_before_the_part_is_planned(job, tmp_path, capsys
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.usefixtures("signals_heard")
 def test_an_interrupt_keeps_the_finished_tiles_and_says_so(job, tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "turnwright", "tile", str(job), "--pixel", "0.25 um", "--tile", "64"]

@@ -190,6 +190,7 @@ def test_a_killed_driver_loses_nothing_and_leaves_no_worker_behind(store, log):
     assert sum(times.values()) <= 60 + 2  # what was in two hands at the end
 
 
+@pytest.mark.usefixtures("signals_heard")
 def test_ctrl_c_ends_driver_and_workers_and_keeps_what_is_finished(store, log):
     process = driver(store, log)
     until(lambda: len(store.keys()) >= 10)
