@@ -262,7 +262,10 @@ class Material:
     critical
         Thickest chip without fracture; ``None`` for a material that cuts ductile however thick the chip.
     brittle_plateau
-        Whether the force per width of edge stays what it is at the critical thickness where the chip is thicker.
+        Whether the force per width of edge stays the same for all chips thicker than the critical thickness.
+    brittle_force
+        Cutting force and thrust that then remain, as shares of those at the critical thickness; forces drop where
+        the material fractures. [1]
     fracture_ratio
         How deep a crack runs below the edge, per thickness of the chip that started it.
     sources
@@ -291,6 +294,7 @@ class Material:
     thrust: CuttingCoefficient | None = None
     critical: CriticalThickness | None = None
     brittle_plateau: bool = False
+    brittle_force: tuple[float, float] = (1.0, 1.0)
     fracture_ratio: float | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
     notes: str = ""
@@ -303,6 +307,12 @@ class Material:
             raise InputError(f"material {self.name!r} has one cutting coefficient of two: give cutting and thrust")
         if self.fracture_ratio is not None:
             positive(self.fracture_ratio, "fracture_ratio", "mm per mm of chip")
+        shares = tuple(between(one, "brittle_force", 0.0, 1.0, "of the force") for one in self.brittle_force)
+        if len(shares) != 2:
+            raise InputError(f"brittle_force has {len(shares)} shares, it needs 2: give cutting force and thrust")
+        object.__setattr__(self, "brittle_force", shares)
+        if min(shares) < 1 and not self.brittle_plateau:
+            raise InputError(f"material {self.name!r} has a brittle_force and no brittle_plateau: set that too")
         if self.brittle_plateau and self.critical is None:
             raise InputError(f"material {self.name!r} has a brittle_plateau and no critical thickness: give that too")
 
@@ -412,13 +422,15 @@ class Material:
                 "file of your own"
             )
         chip = np.asarray(thickness, dtype=np.float64)
-        share = np.ones(())
+        shares = [np.ones(()), np.ones(())]
         if self.brittle_plateau and self.critical is not None:
             limit = self.critical.at(rake=rake, angle=angle)
-            share = limit / np.maximum(chip, limit)
+            held = limit / np.maximum(chip, limit)
+            shares = [np.where(chip > limit, one * held, 1.0) for one in self.brittle_force]
             chip = np.minimum(chip, limit)
         cutting, thrust = (
-            np.asarray(one.at(chip, rake=rake, angle=angle) * share) for one in (self.cutting, self.thrust)
+            np.asarray(one.at(chip, rake=rake, angle=angle) * share)
+            for one, share in zip((self.cutting, self.thrust), shares, strict=True)
         )
         return cutting, thrust
 
@@ -538,7 +550,7 @@ def _critical(table: Mapping[str, Any], where: str) -> CriticalThickness:
 
 def _from_table(table: Mapping[str, Any]) -> Material:
     """Build a material from its tables."""
-    plain = {"name", "aliases", "brittle_plateau", "fracture_ratio", "notes"}
+    plain = {"name", "aliases", "brittle_plateau", "brittle_force", "fracture_ratio", "notes"}
     _check_keys(table, {*plain, "cutting", "thrust", "critical", "sources"}, "the file")
     given: dict[str, Any] = {}
     for key in ("name", "notes"):
@@ -550,10 +562,7 @@ def _from_table(table: Mapping[str, Any]) -> Material:
     if not isinstance(aliases, list) or not all(isinstance(one, str) for one in aliases):
         raise InputError('aliases are no texts: give them as ["Ge", "germanium"]')
     given["aliases"] = tuple(aliases)
-    plateau = table.get("brittle_plateau", False)
-    if not isinstance(plateau, bool):
-        raise InputError(f"brittle_plateau is {plateau!r}, it must be true or false: change it")
-    given["brittle_plateau"] = plateau
+    given.update(_beyond(table))
     if "fracture_ratio" in table:
         given["fracture_ratio"] = _number(table, "fracture_ratio", "the file")
     for key in ("cutting", "thrust"):
@@ -563,6 +572,20 @@ def _from_table(table: Mapping[str, Any]) -> Material:
         given["critical"] = _critical(_table(table, "critical"), "critical")
     sources = _flat(_table(table, "sources")) if "sources" in table else {}
     return Material(**given, sources=sources)
+
+
+def _beyond(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what becomes of the forces beyond the critical thickness."""
+    plateau = table.get("brittle_plateau", False)
+    if not isinstance(plateau, bool):
+        raise InputError(f"brittle_plateau is {plateau!r}, it must be true or false: change it")
+    given: dict[str, Any] = {"brittle_plateau": plateau}
+    if "brittle_force" in table:
+        force = table["brittle_force"]
+        if not isinstance(force, list) or len(force) != 2:
+            raise InputError("brittle_force needs 2 shares, of cutting force and thrust: give it as [0.6, 0.6]")
+        given["brittle_force"] = tuple(_number({"brittle_force": one}, "brittle_force", "the file") for one in force)
+    return given
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, str]:

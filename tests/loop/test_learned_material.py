@@ -1,6 +1,7 @@
 """A known material is cut, its forces are recorded and learned from, and the file that comes out is that material."""
 
 import numpy as np
+import pytest
 import tomli_w
 
 from turnwright.cutting.experiment import learn_from_file
@@ -39,3 +40,7 @@ def test_a_material_that_is_cut_and_learned_is_the_one_that_was_cut(tmp_path):
         assert abs(mine.value - theirs.value) < max(3 * mine.uncertainty, 0.003 * theirs.value)
         assert mine.uncertainty < 0.01 * mine.value
     assert again.brittle_plateau
+    assert again.brittle_force == pytest.approx((0.8, 0.8), rel=0.02)
+    thick = np.array([700e-6, 900e-6])
+    for mine, theirs in zip(again.coefficients(thick), glass.coefficients(thick), strict=True):
+        assert mine == pytest.approx(0.8 * theirs, rel=0.02)

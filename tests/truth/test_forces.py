@@ -1,5 +1,7 @@
 """Forces against closed form, mpmath, the published example and brute-force integration of every tooth."""
 
+from dataclasses import replace
+
 import mpmath
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import pytest
 import turnwright as tw
 from turnwright.cutting.chip import OrthogonalChip, RoundChip, chip_map
 from turnwright.cutting.forces import FlyCut, SlotMill, chip_forces
+from turnwright.errors import InputError
 from turnwright.material import CriticalThickness, CuttingCoefficient, Lobes, Material
 
 GLASS = Material.load("irg26")
@@ -81,6 +84,22 @@ def test_beyond_the_critical_thickness_forces_per_width_stay():
     assert chip_forces(round_chip, GLASS).cutting == pytest.approx(brute, rel=1e-7)
 
 
+def test_beyond_the_critical_thickness_forces_drop_to_their_shares():
+    glass = replace(GLASS, brittle_force=(0.5, 0.3))
+    forces = chip_forces(OrthogonalChip(thickness=3e-3, width=0.2), glass)
+    assert forces.cutting == pytest.approx(0.5 * 1489 * 600e-6 * 0.2, rel=1e-12)
+    assert forces.axial == pytest.approx(0.3 * 816 * 600e-6 * 0.2, rel=1e-12)
+    assert chip_forces(OrthogonalChip(thickness=600e-6, width=1), glass).cutting == pytest.approx(1489 * 600e-6)
+    chip = RoundChip(nose_radius=1.5, feed=0.025, depth=0.025)
+    s = np.linspace(*chip.sweep, 2_000_001)
+    t = chip.thickness(s)
+    taken = np.where(t > 600e-6, 0.5 * 600e-6 / np.maximum(t, 1e-12), 1.0) * t * (1.5 - t / 2)
+    assert chip_forces(chip, glass).cutting == pytest.approx(np.trapezoid(1489 * taken, s), rel=1e-6)
+    for wrong in ((0.5,), (0.5, 1.5), (-0.1, 1.0)):
+        with pytest.raises(InputError, match="brittle_force"):
+            replace(GLASS, brittle_force=wrong)
+
+
 def test_forces_along_a_path_are_those_of_the_round_chip():
     part = tw.Part(surface=tw.Plane(slope=(0.0, 0.0)), radius=0.8, stock=0.004)
     tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(100))
@@ -90,7 +109,9 @@ def test_forces_along_a_path_are_those_of_the_round_chip():
     some = np.flatnonzero((x > 0.3) & (x < 0.6))[::50]
     chip = RoundChip(nose_radius=0.5, feed=0.005, depth=0.004)
     # The plateau of the glass bends the integrand within a cell.
-    for material, rtol in ((PLAIN, 1e-9), (GLASS, 1e-5)):
+    # A drop makes it jump there, which the cells of the map meet with their own width.
+    dropped = replace(GLASS, brittle_force=(0.5, 0.3))
+    for material, rtol in ((PLAIN, 1e-9), (GLASS, 1e-5), (dropped, 3e-3)):
         found, steady = chip_map(motion, tool, part, material=material, points=some), chip_forces(chip, material)
         np.testing.assert_allclose(found.cutting, steady.cutting, rtol=rtol)
         np.testing.assert_allclose(found.axial, steady.axial, rtol=rtol)

@@ -326,7 +326,7 @@ def chips(
         layers = _envelope(profile, table, upright, p, zs, mirror, count, low, high, which, begin)
         # Forces bend where a plateau begins, if the chip comes near it: finer cells.
         limit = critical[row] if critical.size > 0 else FAR
-        cells = 2 * CELLS if plateau and 1.5 * advance * reach > limit * profile[0] else CELLS
+        cells = 2 * CELLS if plateau.size > 0 and 1.5 * advance * reach > limit * profile[0] else CELLS
         # Elementary intervals: equal cells, and where another pass begins to be lowest.
         size, layer = 0, 0
         for k in range(cells + 1):
@@ -444,15 +444,17 @@ def chips(
                     run = weight * (cosine + sine * rise) / (1.0 - thick * bend)
                     out[row, WIDTH] += run
                     if cutting.size > 0:
-                        share, thin = 1.0, thick
-                        if plateau and thick > limit:
-                            share, thin = limit / thick, limit
-                        taken = share * run * thick * (1.0 - 0.5 * thick * bend)
+                        thin, cut_share, thrust_share = thick, 1.0, 1.0
+                        if plateau.size > 0 and thick > limit:
+                            thin = limit
+                            cut_share, thrust_share = plateau[0] * limit / thick, plateau[1] * limit / thick
+                        taken = run * thick * (1.0 - 0.5 * thick * bend)
                         normal = factor[row, 1] * _coefficient(thrust, curve_first, curve_step, thin) * taken
+                        normal *= thrust_share
                         out[row, RADIAL] -= normal * sine
                         out[row, AXIAL] += normal * cosine
                         out[row, CUTTING] += (
-                            factor[row, 0] * _coefficient(cutting, curve_first, curve_step, thin) * taken
+                            cut_share * factor[row, 0] * _coefficient(cutting, curve_first, curve_step, thin) * taken
                         )  # fmt: skip
                 # A chip at the window's end goes on beyond it.
                 done = last

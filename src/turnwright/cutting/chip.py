@@ -427,7 +427,7 @@ class _Said:
 
     critical: Floats
     safe: float  # share of the critical thickness that is ductile beyond doubt
-    plateau: bool
+    plateau: Floats  # shares of cutting force and thrust that remain beyond the critical thickness; empty for none
     ratio: float
     cutting: Floats  # both coefficients over the logarithm of the thickness
     thrust: Floats
@@ -439,19 +439,20 @@ class _Said:
     def of(cls, material: Material | None, rake: Floats, angle: Floats) -> _Said:
         nothing = np.empty(0)
         if material is None:
-            return cls(nothing, 1.0, False, 0.0, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))
+            return cls(nothing, 1.0, nothing, 0.0, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))
         critical = nothing if material.critical is None else material.critical.at(rake=rake, angle=angle)
         safe = 1.0 if material.critical is None else material.critical.safe
         ratio = material.fracture_ratio or 0.0
         if material.cutting is None or material.thrust is None:
-            return cls(critical, safe, False, ratio, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))
+            return cls(critical, safe, nothing, ratio, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))
         both = (material.cutting, material.thrust)
         logs = np.linspace(np.log(1e-7), 0.0, 1 if all(one.constant for one in both) else FINE)
         cutting, thrust = (one.at(np.exp(logs)) for one in both)
         factor = np.stack([one.at(TYPICAL, rake=rake, angle=angle) / one.at(TYPICAL) for one in both], axis=1)
         step = float(logs[1] - logs[0]) if logs.size > 1 else 1.0
         return cls(
-            critical, safe, material.brittle_plateau, ratio, cutting, thrust, float(logs[0]), step,
+            critical, safe, np.array(material.brittle_force if material.brittle_plateau else ()), ratio,
+            cutting, thrust, float(logs[0]), step,
             np.ascontiguousarray(factor),
         )  # fmt: skip
 

@@ -140,7 +140,10 @@ class Experiment:
                 "value": f"{self.source}: {interval} {low:.5g} to {high:.5g} nm{at}",
                 "uncertainty": f"{self.source}: a quarter of the interval",
             }
-            sources["brittle_plateau"] = "assumed: on the safe side, since the forces measured beyond are lower"
+            sources["brittle_plateau"] = "assumed: forces stay what they are just beyond the critical thickness"
+        if found.remaining is not None:
+            table["brittle_force"] = [_rounded(min(max(one, 0.0), 1.0)) for one in found.remaining]
+            sources["brittle_force"] = f"{self.source}: forces just beyond the critical thickness, those before it 1"
         return {**table, "sources": sources}
 
 
