@@ -1,5 +1,6 @@
 """Terms of the finish beside the tool's shape, each against a closed form."""
 
+import mpmath
 import numpy as np
 import pytest
 
@@ -52,8 +53,45 @@ def test_material_pressed_down_for_good_leaves_nothing_and_half_of_it_half(flat)
     assert np.abs(none).max() == 0.0
 
 
-def test_the_formula_of_brammertz_without_a_minimum_chip_is_the_parabola_of_the_cusp():
-    assert cusp_height(0.01, 0.5) == pytest.approx(0.01**2 / 4)
+@pytest.mark.parametrize(
+    ("feed", "nose", "curvature"),
+    [(0.01, 0.5, 0.0), (0.02, 0.05, 0.0), (0.02, 0.5, 1.0), (0.02, 0.5, -1 / 3), (0.05, 0.1, 4.0), (0.01, 0.5, 1e-9)],
+)
+def test_cusp_height_is_that_of_two_circles(feed, nose, curvature):
+    """Circles around centres on an arc of radius 1/curvature - nose cross half way between them; 40 digits."""
+    with mpmath.workdps(40):
+        f, r, k = (mpmath.mpf(one) for one in (feed, nose, curvature))
+        centre = r
+        if k:
+            arc = 1 / k - r
+            centre = 1 / k - mpmath.sign(arc) * mpmath.sqrt(arc**2 - f**2 / 4)
+        expected = centre - mpmath.sqrt(r**2 - f**2 / 4)
+        assert cusp_height(feed, nose, curvature=curvature) == pytest.approx(float(expected), rel=1e-13)
+
+
+@pytest.mark.parametrize(("nose", "chip", "curvature"), [(0.05, 1e-3, 0.0), (0.5, 4e-5, 1.0), (0.5, 4e-5, -0.5)])
+def test_cusp_height_with_a_minimum_chip_is_that_of_two_circles(nose, chip, curvature):
+    """The first pass where it is as far from the second as the thinnest chip: a root in 40 digits."""
+    feed = 0.02
+    with mpmath.workdps(40):
+        f, r, k, t = (mpmath.mpf(one) for one in (feed, nose, curvature, chip))
+        arc = 1 / k - r if k else 0
+        up = 1 / k - mpmath.sign(arc) * mpmath.sqrt(arc**2 - f**2 / 4) if k else r
+
+        def first(x):
+            return up - mpmath.sqrt(r**2 - (x + f / 2) ** 2)
+
+        def thickness(x):
+            return r - mpmath.sqrt((x - f / 2) ** 2 + (first(x) - up) ** 2) - t
+
+        x = mpmath.findroot(thickness, (f / 100, f / 2.1), solver="anderson")
+        expected = first(x) - (k * x**2 / (1 + mpmath.sqrt(1 - (k * x) ** 2)))
+        assert cusp_height(feed, nose, chip, curvature=curvature) == pytest.approx(float(expected), rel=1e-12)
+
+
+def test_cusp_height_is_brammertz_and_the_parabola_to_the_first_order():
+    f, r, t = 1e-3, 1.0, 1e-7
+    assert cusp_height(f, r, t) == pytest.approx(f**2 / (8 * r) + t / 2 * (1 + r * t / f**2), rel=1e-6)
 
 
 @pytest.mark.parametrize(("friction", "share"), [(0.0, 1 - np.sqrt(0.5)), (np.pi / 6, 1 - np.cos(np.pi / 6))])
