@@ -12,6 +12,7 @@ from turnwright._kernels.edge import height, slope
 from turnwright._kernels.generation import TURN, guess_index, locate
 
 FAR = 1e300
+EPSILON = 2.3e-16
 # Earlier passes of a motion that are looked back at, and those that a plane can hold of both motions.
 OWN = 64
 MOST = 2048
@@ -61,7 +62,7 @@ def _crossing(profile, table, upright, p1, z1, m1, p2, z2, m2, low, high):
             a = x
         else:
             b = x
-        if b - a < 1e-15 * (abs(a) + abs(b)) + 1e-300:
+        if b - a <= EPSILON * (abs(a) + abs(b)):
             break
     return 0.5 * (a + b)
 
@@ -190,7 +191,7 @@ def _envelope(profile, table, upright, p, z, mirror, count, low, high, which, be
         hidden = False
         while top > 0:
             a = which[top - 1]
-            if p[b] - p[a] < 1e-13:
+            if p[b] - p[a] <= EPSILON * (abs(p[a]) + profile[0]):
                 if z[b] >= z[a]:
                     hidden = True
                     break
@@ -370,7 +371,7 @@ def chips(
                                 one = turn_at
                             else:
                                 other = turn_at
-                            if other - one < 1e-15:
+                            if other - one <= EPSILON * (abs(one) + abs(other)):
                                 break
             elif piece < 0:
                 continue
@@ -402,7 +403,7 @@ def chips(
                             one = middle
                         else:
                             other = middle
-                        if other - one < 1e-15:
+                        if other - one <= EPSILON * (abs(one) + abs(other)):
                             break
                     if ga < 0.0:
                         first = 0.5 * (one + other)
