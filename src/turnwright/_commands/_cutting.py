@@ -194,7 +194,7 @@ def backplot(
         f"{limits.nearest} is nearest to its limit"
     )
     _say_predictions(door, predictions)
-    warn([*limits.findings, *(sentence for one in predictions for sentence in one.uncut_sentences)])
+    warn([*limits.findings, *(sentence for one in predictions for sentence in one.remarks)])
     if out is not None:
         door.say(f"maps: {out / 'maps'}")
         door.say(f"report: {out / 'report.html'}")

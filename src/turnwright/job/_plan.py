@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from turnwright.contact import place
 from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
 from turnwright.generation import generate_polar
+from turnwright.job._interpolated import interpolated
 from turnwright.job._run import read_back, written
 from turnwright.job._schema import Job
 from turnwright.job._shares import (
@@ -28,7 +29,6 @@ from turnwright.job._shares import (
 from turnwright.job._speed import NEAR, ROUNDS, Servos, at_speed, few_lines, guess, largest, plain
 from turnwright.job._strategies import Choices
 from turnwright.motion import Limits, SpeedProfile, check_limits, drive
-from turnwright.tracking import track
 from turnwright.units import write
 
 if TYPE_CHECKING:
@@ -339,7 +339,7 @@ class _Search:
         """Return how far the surface of an exact path is from that of the controller's. [mm]."""
         radius, angle = few_lines(self.part, points.spiral.feed)
         exact = exact_motion(points.spiral, self.part, self.tool, self.machine, angle)
-        made = track(points.top, without_servos(self.machine, corrected=self.corrected))
+        made = interpolated(points.top, without_servos(self.machine, corrected=self.corrected))
         maps = [generate_polar(one, self.tool, radius=radius, angle=angle) for one in (exact, made)]
         return apart_nm(*maps) / NM
 

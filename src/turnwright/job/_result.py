@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright.job._interpolated import UNSEEN
 from turnwright.job._shares import pv_nm_of, rms_nm_of
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     from turnwright.tool import Tool
 
 __all__ = ["Pass", "Prediction", "Preview", "Result"]
+
+SHOWN = 1.01
+"""Share of `UNSEEN` from which on it is stated: second differences see it no better."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,6 +110,8 @@ class Prediction:
         What of the error the servos add: with them minus without them; ``None`` if they were not asked. [mm]
     above_stock
         Number of points that the lowest pass leaves higher than the stated stock, so that it cuts nothing there.
+    off_curves
+        How far the straight pieces that were simulated are from the controller's curves. [mm]
     """
 
     name: str
@@ -113,6 +119,7 @@ class Prediction:
     roughness: Roughness
     tracking: HeightMap | None = None
     above_stock: int = 0
+    off_curves: float = 0.0
 
     @property
     def uncut(self) -> int:
@@ -120,12 +127,18 @@ class Prediction:
         return int(np.count_nonzero(np.isnan(self.error.z))) + self.above_stock
 
     @property
-    def uncut_sentences(self) -> tuple[str, ...]:
-        """A sentence that says how many points are not cut, if there are any."""
-        if not self.uncut:
-            return ()
-        why = "no pass comes there" + (", or only above the stock" if self.above_stock else "")
-        return (f"{self.name}: {self.uncut:,} of {self.error.z.size:,} points are not cut: {why}",)
+    def remarks(self) -> tuple[str, ...]:
+        """What the map does not show, a sentence each."""
+        found = []
+        if self.uncut:
+            why = "no pass comes there" + (", or only above the stock" if self.above_stock else "")
+            found.append(f"{self.name}: {self.uncut:,} of {self.error.z.size:,} points are not cut: {why}")
+        if self.off_curves > SHOWN * UNSEEN:
+            found.append(
+                f"{self.name}: simulated in straight pieces within {self.off_curves * 1e6:.2g} nm of the curves of the "
+                "controller, memory allows no more pieces"
+            )
+        return tuple(found)
 
     @property
     def tracking_nm(self) -> tuple[float, float] | None:

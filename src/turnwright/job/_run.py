@@ -20,13 +20,14 @@ from turnwright.contact import place
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.generation import generate, generate_polar
 from turnwright.job._cutting import PassChips, chips_of, foretold
+from turnwright.job._interpolated import interpolated, off_curves
 from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.job._shares import Shares, has_servos, require_servos, shares, without_servos
 from turnwright.metrology import roughness
 from turnwright.motion import check_limits, drive
 from turnwright.path import Spiral
 from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_tool, read_nc, write_fast_tool, write_nc
-from turnwright.tracking import precorrect, track
+from turnwright.tracking import precorrect
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -332,6 +333,8 @@ def predict(
     watch = watch or Watch(progress)
     part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
     motion, real = _followed(job, motion, job.simulation.tracking if tracking is None else tracking, meant, watch)
+    straight = machine.controller.interpolation == "linear"
+    off = 0.0 if straight else max(off_curves(one) for one in (motion, real) if one is not None)
 
     def predicted(name: str, form: int | str, made: Callable[[Motion, Progress], HeightMap]) -> Prediction:
         with watch.stage(f"simulate {name}") as tell:
@@ -349,7 +352,7 @@ def predict(
         above = int(np.count_nonzero(error.z > part.stock)) if part.stock > 0 else 0
         with watch.stage("roughness"):
             finish = roughness(error, form=form)
-        return Prediction(name=name, error=error, roughness=finish, tracking=added, above_stock=above)
+        return Prediction(name=name, error=error, roughness=finish, tracking=added, above_stock=above, off_curves=off)
 
     grid = job.simulation.whole_part
     radius, angle = np.linspace(0, part.radius, grid.radii), np.linspace(0, 2 * np.pi, grid.angles, endpoint=False)
@@ -379,12 +382,12 @@ def _followed(
     if tracking:
         require_servos(machine)
         with watch.stage("track") as tell:
-            real = track(motion, machine, progress=tell)
+            real = interpolated(motion, machine, tell)
         motion = meant or motion
     ideal = without_servos(machine, corrected=meant is not None)
     if ideal.controller.interpolation != "linear":
         with watch.stage("interpolate") as tell:
-            motion = track(motion, ideal, progress=tell)
+            motion = interpolated(motion, ideal, tell)
     return motion, real
 
 
@@ -603,7 +606,7 @@ def _judged(job: Job, predictions: tuple[Prediction, ...]) -> list[str]:
     """Say what is not cut, and which tolerances are not kept."""
     found: list[str] = []
     for one in predictions:
-        found += one.uncut_sentences
+        found += one.remarks
         whole = one.error.polar
         limit = job.tolerances.form_pv if whole else job.tolerances.sq
         value = one.roughness.pv_nm if whole else one.roughness.sq_nm

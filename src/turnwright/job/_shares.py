@@ -12,8 +12,8 @@ from turnwright._arrays import rounding
 from turnwright.contact import place
 from turnwright.errors import InputError
 from turnwright.generation import generate_polar
+from turnwright.job._interpolated import interpolated
 from turnwright.path import Motion, Spiral
-from turnwright.tracking import track
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
@@ -128,10 +128,10 @@ def shares(
     exact = made(exact_motion(spiral, part, tool, machine, angle), 0)
     again, ideal = again or motion, without_servos(machine)
     steady = machine.controller.interpolation == "linear"
-    sent = made(motion if steady else track(motion, ideal), 1)
-    wanted = sent if meant is None else made(track(meant, without_servos(machine, corrected=True)), 2)
-    rounded = sent if again is motion else made(again if steady else track(again, ideal), 3)
-    real = made(track(again, machine), 4) if has_servos(machine) else rounded
+    sent = made(motion if steady else interpolated(motion, ideal), 1)
+    wanted = sent if meant is None else made(interpolated(meant, without_servos(machine, corrected=True)), 2)
+    rounded = sent if again is motion else made(again if steady else interpolated(again, ideal), 3)
+    real = made(interpolated(again, machine), 4) if has_servos(machine) else rounded
     told(5, 5)
     error = real.minus(part.surface)
     cusps = exact.minus(part.surface).z

@@ -305,7 +305,7 @@ def write_backplot(
         kind=f"Back-plot of {program.name}",
         verdict=verdict,
         numbers=numbers,
-        warnings=[*limits.findings, *(sentence for one in predictions for sentence in one.uncut_sentences)],
+        warnings=[*limits.findings, *(sentence for one in predictions for sentence in one.remarks)],
         facts=_facts(part, job.tool.tool, job.actual_tool, machine, job.actual_machine),
         part=[draw.sag_map(part), draw.view(part)],
         access=[],
