@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from turnwright.errors import DomainError, InputError
+from turnwright.units import say_length
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from turnwright.progress import Progress
     from turnwright.tool import Tool
 
-__all__ = ["Access", "AccessFinding", "check_access"]
+__all__ = ["Access", "AccessFinding", "check_access", "check_depths"]
 
 TURN = 2 * math.pi
 
@@ -37,6 +38,10 @@ SHARP = 1e-6
 """A slope that jumps by less than this, or a height by less than this many mm, is rounding."""
 
 
+LARGEST_NOSE = 20.0
+"""A nose beyond this is hardly a diamond's. [mm]"""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AccessFinding:
     """One thing that was looked at.
@@ -44,11 +49,13 @@ class AccessFinding:
     Parameters
     ----------
     name
-        "nose radius", "included angle", "clearance", "rake", "valley" or "step".
+        "nose radius", "included angle", "clearance", "rake", "valley" or "step"; "depth of cut" of a pass.
     value
-        What the tool has (nose radius) or needs (angles), or the size of a valley or step. [mm or rad]
+        What the tool has (nose radius) or needs (angles), or the size of a valley or step, or the thickness that a pass
+        takes off. [mm or rad]
     limit
-        What the part allows (nose radius) or the tool has (angles); ``None`` if there is none or it is not stated.
+        What the part allows (nose radius), the tool has (angles) or its edge cuts at a time; ``None`` if there is none
+        or it is not stated.
     margin
         How much is left, negative where the limit is passed; ``None`` without a limit.
     where
@@ -238,6 +245,78 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
         ok=all(finding.ok for finding in findings),
         findings=tuple(findings),
     )
+
+
+def check_depths(tool: Tool, access: Access, depths: Mapping[str, float]) -> tuple[AccessFinding, ...]:
+    r"""Say of each pass whether its chip stays on the cutting edge.
+
+    At a place where the surface touches the nose at the sweep :math:`\varphi`, a layer of the thickness :math:`t` along
+    the normal meets the nose of radius R up to :math:`\varphi \pm \arccos(1 - t/R)`, which must lie on the arc. With
+    a cutting edge of the length L along each flank, which leaves the arc at the sweep :math:`\beta`, the limit is
+
+    .. math:: t = R \, (1 - \cos(\beta \mp \varphi)) + L \sin(\beta \mp \varphi).
+
+    Parameters
+    ----------
+    tool
+        Its arc, and the length of its flanks if it states one.
+    access
+        Says which sweeps touch the part, see `check_access`.
+    depths
+        Thickness that each pass takes off at a time, along z, by name. [mm]
+
+    Returns
+    -------
+    tuple of AccessFinding
+        One for every pass that takes anything off; none is where a single place on the part is named.
+
+    >>> from turnwright.part import Part
+    >>> from turnwright.surface import Plane
+    >>> from turnwright.tool import Tool
+    >>> tool = Tool(nose_radius=0.5, included=np.deg2rad(60), clearance=np.deg2rad(10))
+    >>> flat = check_access(Part(surface=Plane(slope=(0.0, 0.0)), radius=5.0), tool)
+    >>> [(one.ok, round(one.limit, 3)) for one in check_depths(tool, flat, {"rough": 0.05, "all at once": 0.5})]
+    [(True, 0.067), (False, 0.067)]
+    """
+    radius, length = tool.actual_radius, tool.edge_length or 0.0
+    sweep = np.linspace(*access.sweep, 2001)
+    low, high = tool.arc
+    room = np.maximum(np.minimum(high - sweep, sweep - low), 0.0)
+    # Along z a layer is thicker than along the normal; at the smallest of these it first runs off the edge.
+    most = float(((radius * (1 - np.cos(room)) + length * np.sin(room)) / np.cos(sweep)).min())
+    findings = []
+    for name, depth in depths.items():
+        if not depth > 0:
+            continue
+        ok = depth <= most * (1 + 1e-9)
+        words = f"pass {name} takes off {say_length(depth)} at a time, the edge cuts up to {say_length(most)} here"
+        if not ok:
+            words += (
+                f" (nose_radius {radius:.4g} mm, arc from {_deg(low)} to {_deg(high)}, contact from "
+                f"{_deg(access.sweep[0])} to {_deg(access.sweep[1])}): use a smaller depth, or a tool with a larger "
+                "nose_radius or included angle, or state the edge_length of its flanks"
+            )
+        findings.append(
+            AccessFinding(
+                name="depth of cut", value=depth, limit=most, margin=most - depth, where=None, ok=ok, sentence=words
+            )
+        )
+    return tuple(findings)
+
+
+def odd_sizes(part: Part, tool: Tool) -> tuple[str, ...]:
+    """Return a sentence for every size that is hardly meant."""
+    found = []
+    if tool.nose_radius > LARGEST_NOSE:
+        found.append(
+            f"nose_radius is {tool.nose_radius:g} mm, noses of diamonds go up to about {LARGEST_NOSE:g} mm: check its "
+            "unit"
+        )
+    if part.stock > tool.nose_radius:
+        found.append(
+            f"stock is {part.stock:g} mm, more than the nose_radius of {tool.nose_radius:g} mm: check its unit"
+        )
+    return tuple(found)
 
 
 class Reach(NamedTuple):

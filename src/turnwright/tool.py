@@ -119,6 +119,8 @@ class Tool:
         direction of growing spindle angle. [mm]
     name
         What the shop calls it.
+    edge_length
+        Length of each flank, from the end of the arc on, that is a cutting edge; ``None`` where only the arc is. [mm]
 
     Raises
     ------
@@ -142,9 +144,12 @@ class Tool:
     radius_error: float = 0.0
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     name: str = ""
+    edge_length: float | None = None
 
     def __post_init__(self) -> None:
         positive(self.nose_radius, "nose_radius", "mm")
+        if self.edge_length is not None:
+            positive(self.edge_length, "edge_length", "mm")
         if self.included is not None and not 0 < self.included <= np.pi:
             raise InputError(
                 f"included is {np.rad2deg(self.included):g} deg, the limits are above 0 and up to 180 deg: "
