@@ -39,7 +39,7 @@ def contents(folder):
 def test_what_is_told_is_what_is_there(tmp_path, dialect):
     passes = {"rough": motion(800, 0.1), "finish": motion(1000)}
     header = ProgramHeader(design="Lens (A.1)", tool="R1.5 + waviness", date="2026-01-02", notes="µm\nline " * 30)
-    done = write_nc(passes, machine(dialect), tmp_path / "part.nc", header=header, max_lines=700)
+    done = write_nc(passes, machine(dialect), tmp_path / "part.nc", header=header, max_lines=700, depth=None)
     names = ["part.nc", *(f"part.{name}.{k:03d}.nc" for name in passes for k in (1, 2))]
     assert [path.name for path in done.files] == names
     assert sorted(contents(tmp_path)) == sorted(names)
@@ -60,7 +60,7 @@ def test_what_is_told_is_what_is_there(tmp_path, dialect):
 @pytest.mark.parametrize("dialect", ["nanotech", "generic"])
 def test_hash_is_the_one_that_its_definition_gives(tmp_path, dialect):
     """An independent reckoning from the words in the file, with hashlib and struct layout alone."""
-    done = write_nc(motion(300), machine(dialect), tmp_path / "part.nc")
+    done = write_nc(motion(300), machine(dialect), tmp_path / "part.nc", depth=None)
     text = done.files[-1].read_text()
     rows, duration = [], 0.0
     position = {}
@@ -77,7 +77,7 @@ def test_hash_is_the_one_that_its_definition_gives(tmp_path, dialect):
         if cut:
             low, high = struct.unpack("<II", struct.pack("<d", duration))
             rows.append([*(position[letter] % 2**32 for letter in order), low ^ high])
-        elif line.startswith("G1 Z") and line.endswith("F2"):
+        elif line.endswith("(ABOVE THE MATERIAL)"):
             rows.append([*(position[letter] % 2**32 for letter in order), 0])
     assert len(rows) == 300
     assert hashlib.sha256(b"".join(struct.pack("<4I", *row) for row in rows)).hexdigest() == done.passes[0].hash
@@ -87,7 +87,7 @@ def test_hash_is_the_one_that_its_definition_gives(tmp_path, dialect):
 def test_a_shorter_program_leaves_no_old_part_behind(tmp_path, dialect):
     (tmp_path / "part.finish.009.nc").write_text("(SOMEBODY ELSE'S)\n")
     write_nc({"rough": motion(900), "finish": motion(900)}, machine(dialect), tmp_path / "part.nc", max_lines=400)
-    write_nc(motion(100), machine(dialect), tmp_path / "part.nc", max_lines=400)
+    write_nc(motion(100), machine(dialect), tmp_path / "part.nc", max_lines=400, depth=None)
     expected = ["part.finish.009.nc", "part.nc"] + (["part.finish.001.nc"] if dialect == "nanotech" else [])
     assert sorted(contents(tmp_path)) == sorted(expected)
     assert read_nc(tmp_path / "part.nc", machine(dialect)).time.size == 100
@@ -201,10 +201,26 @@ def test_a_file_that_the_system_does_not_let_grow(tmp_path):
     assert sorted(contents(tmp_path)) == ["warm.finish.001.nc", "warm.nc"]
 
 
+@pytest.mark.parametrize("dialect", ["nanotech", "generic"])
+@pytest.mark.parametrize("lines", [100, 137, 400])
+def test_a_plunge_is_split_like_its_cut(tmp_path, dialect, lines):
+    passes = {"rough": motion(800, 0.1), "finish": motion(1000)}
+    done = write_nc(passes, machine(dialect), tmp_path / "part.nc", max_lines=lines, depth=0.2)
+    texts = [path.read_text() for path in done.files]
+    assert max(text.count("\n") for text in texts) <= lines
+    assert sum(text.count("\n") for text in texts) == done.lines
+    assert sum(len(text) for text in texts) == done.bytes
+    for name, whole in passes.items():
+        again = read_nc(tmp_path / "part.nc", machine(dialect), name=name)
+        assert again.time.size == whole.time.size
+        assert again.axes["C"] == pytest.approx(whole.axes["C"], abs=1e-7)
+        assert again.axes["Z"] == pytest.approx(whole.axes["Z"], abs=6e-7)
+
+
 @pytest.mark.parametrize("place", ["gone/part.nc", "file.txt/part.nc"])
 def test_folders_that_are_not_there(tmp_path, place):
     (tmp_path / "file.txt").write_text("")
-    with pytest.raises(ProgramError, match="cannot be written"):
+    with pytest.raises(ProgramError, match="is not a folder: make it first"):
         write_nc(motion(), machine(), tmp_path / place)
 
 
@@ -236,7 +252,7 @@ def test_ctrl_c_while_reading_passes_through(tmp_path):
 
 def test_one_file_of_a_split_pass_can_be_read_alone(tmp_path):
     whole = motion(1000)
-    done = write_nc(whole, machine(), tmp_path / "part.nc", max_lines=400)
+    done = write_nc(whole, machine(), tmp_path / "part.nc", max_lines=400, depth=None)
     second = read_nc(done.files[2], machine())
     where = slice(371, 741)  # points that begin and end its blocks; the first block only says where the tool is
     assert second.axes["X"] == pytest.approx(whole.axes["X"][where], abs=6e-7)

@@ -56,7 +56,9 @@ def assert_same(read, written):
         speed[[0, -1]] = 0
         assert np.abs(read.velocity[letter] - speed).max() <= HALF * unit + 1e-12
     elapsed = written.time - written.time[0]
-    assert (np.abs(read.time - elapsed) <= 1e-9 * elapsed + 8 * np.spacing(written.time)).all()
+    # PVT, milliseconds with 6 decimals, is wrong by up to half of its last one.
+    rounding = 0.5e-9 * np.arange(elapsed.size)
+    assert (np.abs(read.time - elapsed) <= rounding + 1e-9 * elapsed + 8 * np.spacing(written.time)).all()
 
 
 @settings(deadline=None, max_examples=40)
@@ -97,7 +99,7 @@ def smooth(machine, points=2001):
 def test_a_block_is_position_colon_velocity_after_its_time(tmp_path):
     machine = lathe()
     motion = smooth(machine)
-    write_nc(motion, machine, tmp_path / "part.nc")
+    write_nc(motion, machine, tmp_path / "part.nc", depth=None)
     rows = (tmp_path / "part.nc").read_text().splitlines()
     assert all(row.startswith("; (") for row in rows[: rows.index("ABS")])
     first = rows.index("PVT0.5")

@@ -148,7 +148,9 @@ def test_time_rebuilt_from_feeds_is_right_to_1e9(inverse, start, kind):
     for begin in range(1, count + 1, 700):  # in pieces, as the writer does
         stop = min(begin + 700, count + 1)
         part = slice(begin - 1, stop - 1)
-        assert text.feeds(time, begin, stop, inverse, False, state, mantissa[part], places[part], duration[part]) == -1
+        assert (
+            text.feeds(time, begin, stop, inverse, False, 17, state, mantissa[part], places[part], duration[part]) == -1
+        )
     clock, feed = Fraction(0), None
     for k in range(count):
         if mantissa[k]:
@@ -162,11 +164,22 @@ def test_time_rebuilt_from_feeds_is_right_to_1e9(inverse, start, kind):
         assert (mantissa[0], places[0]) == ((60000, 0) if inverse else (1, 3))
 
 
+@pytest.mark.parametrize("most", [4, 6, 9])
+def test_a_feed_has_no_more_decimals_than_allowed(most):
+    spans = np.random.default_rng(5).uniform(0.001, 0.02, 500)
+    time = np.concatenate([[0.0], np.cumsum(spans)])
+    mantissa, places = np.empty((2, 500), dtype=np.int64)
+    duration, state = np.empty(500), np.zeros(3, dtype=np.int64)
+    assert text.feeds(time, 1, 501, False, True, most, state, mantissa, places, duration) == -1
+    assert places.max() <= most
+    assert np.abs(duration - spans).max() <= 0.5001 * 10.0**-most
+
+
 @pytest.mark.parametrize("span", [1e-7, 2e4, np.nan])
 def test_blocks_too_short_or_too_long_are_named(span):
     time = np.array([0.0, 1.0, 1.0 + span])
     blank = np.zeros((2, 2), dtype=np.int64)
-    assert text.feeds(time, 1, 3, False, False, np.zeros(3, dtype=np.int64), blank[0], blank[1], np.zeros(2)) == 2
+    assert text.feeds(time, 1, 3, False, False, 17, np.zeros(3, dtype=np.int64), blank[0], blank[1], np.zeros(2)) == 2
 
 
 @pytest.mark.parametrize("span", [0.001, 0.1, 1 / 3])

@@ -156,7 +156,7 @@ def rows(text):
 @pytest.mark.parametrize("dialect", ["nanotech", "generic"])
 def test_a_program_with_other_points_than_its_header_says_is_refused(tmp_path, dialect):
     path = tmp_path / "part.nc"
-    done = write_nc(motion(np.arange(9) * 0.1, np.arange(9.0)), machine(dialect), path)
+    done = write_nc(motion(np.arange(9) * 0.1, np.arange(9.0)), machine(dialect), path, depth=None)
     cuts, whole = done.files[-1], done.files[-1].read_text()
     less = re.sub(r"\n(G1 X0\.5|C17).*\n", "\n", whole, count=1)
     assert less != whole
@@ -276,6 +276,9 @@ def test_motions_that_no_program_can_hold(tmp_path, dialect, what, message):
         ({"clearance": 0.0}, "clearance is 0 mm"),
         ({"clearance": np.nan}, "clearance is nan mm"),
         ({"max_lines": 5}, "max_lines is 5"),
+        ({"plunge_feed": 2.0}, "plunge_feed is 120 mm/min, the limits are above 0 and up to 60 mm/min"),
+        ({"plunge_feed": 1e-9}, "the limit is 5e"),
+        ({"depth": np.nan}, "depth of pass finish is nan mm"),
     ],
 )
 def test_options_that_make_no_sense(tmp_path, options, message):

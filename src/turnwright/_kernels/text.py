@@ -23,8 +23,8 @@ COLON = 58
 POWERS = 10.0 ** np.arange(19)
 POWERS_U = U(10) ** np.arange(19, dtype=np.uint64)
 
-# A feed stands for a block's time to this part of it, and a run of blocks shares one feed within twice this much:
-# together they stay below the 1e-9 that the header promises.
+# A feed with decimals to spare stands for a block's time to this part of it, and a run of blocks shares one feed within
+# twice this much: together they stay below 1e-9.
 FEED_ERROR = 2.5e-10
 HALF = np.int64(0xFFFFFFFF)
 BEHIND = 7  # letters behind a text that its reader looks at, for it takes eight at a time
@@ -72,14 +72,17 @@ def check_steps(angle, factor, shift, half_turn, sign):
 
 
 @jit
-def shortest(value):
-    """Return (mantissa, decimals) of the decimal with the fewest places within FEED_ERROR of ``value``."""
-    for places in range(18):
+def shortest(value, most):
+    """Return (mantissa, decimals) of the decimal with the fewest places within FEED_ERROR of ``value``, or with most.
+
+    ``most`` is below 18.
+    """
+    for places in range(most):
         scaled = value * POWERS[places]
         mantissa = np.rint(scaled)
         if mantissa > 0 and abs(mantissa - scaled) <= FEED_ERROR * scaled:
             return np.int64(mantissa), np.int64(places)
-    return np.int64(np.rint(value * POWERS[17])), np.int64(17)
+    return np.int64(np.rint(value * POWERS[most])), np.int64(most)
 
 
 @jit
@@ -91,9 +94,10 @@ def seconds(feed, unit):
 
 
 @jit
-def feeds(time, start, stop, unit, every, state, mantissa, places, duration):
+def feeds(time, start, stop, unit, every, most, state, mantissa, places, duration):
     """Choose the feed word, in its unit, of the blocks that end at points ``start`` to ``stop`` - 1 (start >= 1).
 
+    It has ``most`` decimals at most, and where these are too few it is wrong by up to half of the last.
     ``state`` carries [end of the run of equal blocks, mantissa, places] from one call to the next. A mantissa of 0 in
     the output is a feed that stays in force and is not written. Returns the first block too short or too long, or -1.
     """
@@ -113,7 +117,7 @@ def feeds(time, start, stop, unit, every, state, mantissa, places, duration):
                 j += 1
             mean = (time[j - 1] - time[i - 1]) / (j - i)
             said = 60.0 / mean if unit == INVERSE_MINUTES else mean * 1e3 if unit == MILLISECONDS else mean
-            digits, shift = shortest(said)
+            digits, shift = shortest(said, most)
             fresh = every or digits != state[1] or shift != state[2]
             state[0], state[1], state[2] = j, digits, shift
         written = state[1] / POWERS[state[2]]

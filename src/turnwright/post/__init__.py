@@ -1,20 +1,28 @@
 """Programs on disk: write them, read them back, read other people's."""
 
+from turnwright.post._approach import GAP, PLUNGE_FEED, Approach, approach_to, entry_words, first_turn
 from turnwright.post._header import ProgramHeader, ProgramInfo, ProgramPass, ProgramWarning, inspect_nc
 from turnwright.post._reader import read_nc
 from turnwright.post._registry import dialect_of
 from turnwright.post._sync import FastToolFiles, read_fast_tool, write_fast_tool
 from turnwright.post._table import read_table
-from turnwright.post._writer import ProgramFiles, write_nc
+from turnwright.post._writer import FASTEST_PLUNGE, ProgramFiles, write_nc
 
 __all__ = [
+    "FASTEST_PLUNGE",
+    "GAP",
+    "PLUNGE_FEED",
+    "Approach",
     "FastToolFiles",
     "ProgramFiles",
     "ProgramHeader",
     "ProgramInfo",
     "ProgramPass",
     "ProgramWarning",
+    "approach_to",
     "dialect_of",
+    "entry_words",
+    "first_turn",
     "inspect_nc",
     "read_fast_tool",
     "read_nc",

@@ -27,6 +27,8 @@ class Dialect:
     feed
         What F means under G93: the block's time in seconds, or one over its time in minutes; or, where words hold
         velocities, what PVT means: its time in milliseconds.
+    feed_decimals
+        Most decimals of the number that says the time of a block.
     feed_every_block
         Whether G93 needs an F in every block, or F is modal.
     block
@@ -54,6 +56,7 @@ class Dialect:
     decimals: Mapping[str, int]
     wrapped: bool
     feed: Literal["seconds", "inverse minutes", "milliseconds"]
+    feed_decimals: int
     feed_every_block: bool
     block: str
     setup: tuple[str, ...]
@@ -86,6 +89,10 @@ class Dialect:
     def begin(self) -> list[str]:
         """Return the lines before the first block of a cut."""
         return ["DWELL10"] if self.velocities else ["G93"]
+
+    def plunge(self) -> list[str]:
+        """Return the lines before the first block of a plunge, which is written like a cut."""
+        return ["DWELL10"] if self.velocities else ["G93 G1"]
 
     def end(self) -> list[str]:
         """Return the lines that end a cut, or any other way of moving, for feed moves at mm per minute."""

@@ -12,18 +12,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.errors import ProgramError
+from turnwright.post._approach import entry_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
 
     from turnwright.machine import Machine
+    from turnwright.post._approach import Approach
     from turnwright.post._dialect import Dialect
 
 __all__ = ["ProgramHeader", "ProgramInfo", "ProgramPass", "ProgramWarning", "inspect_nc"]
 
 SIGNATURE = "( TURNWRIGHT PROGRAM 1 )"
 SUB_SIGNATURE = "( TURNWRIGHT SUB-PROGRAM 1 )"
+ENTRY = ", ENTRY"
+"""What follows the name of a pass where its plunge begins: its blocks are no cut."""
 NO_HASH = "0" * 64
 BOM = b"\xef\xbb\xbf"
 """Three bytes that some text editors put before the first line."""
@@ -148,10 +152,17 @@ def _feed_line(dialect: Dialect) -> str:
         )
     said = "THE SECONDS OF A BLOCK" if dialect.feed == "seconds" else "ONE OVER THE MINUTES OF A BLOCK"
     kept = "" if dialect.feed_every_block else ", IN FORCE UNTIL THE NEXT F"
-    return f"( FEED: UNDER G93, F IS {said}{kept}; TIME IS RIGHT TO 1E-9 )"
+    return f"( FEED: UNDER G93, F IS {said}{kept}; WITH {dialect.feed_decimals} DECIMALS AT MOST )"
 
 
-def lines(header: ProgramHeader, machine: Machine, dialect: Dialect, passes: Sequence[ProgramPass]) -> list[str]:
+def lines(
+    header: ProgramHeader,
+    machine: Machine,
+    dialect: Dialect,
+    passes: Sequence[ProgramPass],
+    approaches: Sequence[Approach],
+    links_s: float,
+) -> list[str]:
     """Return the header as comment lines; its length does not depend on the hashes."""
     convention = machine.convention
     written = [SIGNATURE, f"( SOFTWARE: {software()} )"]
@@ -174,7 +185,8 @@ def lines(header: ProgramHeader, machine: Machine, dialect: Dialect, passes: Seq
         "( SPINDLE: C AXIS, NO M03 OR M04; M03 IS CLOCKWISE SEEN FROM BEHIND THE SPINDLE )",
         "( BEFORE THE START: SELECT WORK OFFSET AND TOOL )",
     ]
-    for one in passes:
+    for one, approach in zip(passes, approaches, strict=True):
+        written.append(f"( ENTRY {one.name}: {entry_words(approach).upper()} )")
         written.append(
             f"( TURNS {one.name}: C {'GROWS' if one.sense * convention.c_sense > 0 else 'FALLS'}, SEEN FROM THE TOOL "
             f"THE PART TURNS {'CLOCKWISE, AS M04' if one.sense > 0 else 'COUNTER-CLOCKWISE, AS M03'} )"
@@ -183,7 +195,11 @@ def lines(header: ProgramHeader, machine: Machine, dialect: Dialect, passes: Seq
             f"( CUT {one.name}: {one.points} POINTS, {one.minutes:.3f} MINUTES, FROM C {one.first_c:.6f}, "
             f"SENSE {one.sense:+d}, SHA256 {one.hash} )"
         )
-    written.append(f"( MINUTES: {sum(one.minutes for one in passes):.3f} )")
+    written += [
+        f"( MINUTES: {sum(one.minutes for one in passes):.3f} )",
+        f"( LINKS: {links_s / 60:.3f} MINUTES FOR APPROACH, PLUNGE AND RETRACT )",
+        "( AFTER A STOP: RETRACT IN Z FIRST, THEN BEGIN THE PASS AGAIN WITH ITS APPROACH )",
+    ]
     return written
 
 

@@ -19,6 +19,7 @@ from turnwright.path import Motion
 from turnwright.post._digest import hashed_rows
 from turnwright.post._header import (
     BOM,
+    ENTRY,
     SIGNATURE,
     SUB_SIGNATURE,
     ProgramInfo,
@@ -525,6 +526,9 @@ class _Reader:
         cut, self.cut = self.cut, None
         self.whole[OPEN] = 0
         if cut is None:
+            return
+        if cut.name.endswith(ENTRY):
+            self.cuts -= 1  # the plunge before a cut
             return
         if cut.blocks == 1 and not cut.named:
             self.cuts -= 1  # one block alone positions C, and is a cut only where there is no other

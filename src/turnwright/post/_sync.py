@@ -15,12 +15,14 @@ import numpy as np
 from turnwright._arrays import positive, rows_of_numbers
 from turnwright.errors import ProgramError
 from turnwright.path import Motion
+from turnwright.post._approach import PLUNGE_FEED
 from turnwright.post._header import NO_HASH, convention_line, inspect_nc, plain, require_regular, software
 from turnwright.post._reader import read_nc
 from turnwright.post._registry import dialect_of
 from turnwright.post._writer import CHUNK, ProgramFiles, _disk_error, write_nc
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from os import PathLike
     from typing import BinaryIO
 
@@ -83,6 +85,8 @@ def write_fast_tool(
     rate_hz: float | None = None,
     header: ProgramHeader | None = None,
     clearance: float = 5.0,
+    depth: float | Mapping[str, float | None] | None = 0.0,
+    plunge_feed: float = PLUNGE_FEED,
     progress: Progress | None = None,
 ) -> FastToolFiles:
     """Write the program of the lathe without W, see `write_nc` and `Motion.lathe`, and a table of W beside it.
@@ -112,7 +116,7 @@ def write_fast_tool(
         What the table is synchronised by.
     rate_hz
         Heights per second, by time only. [Hz]
-    header, clearance, progress
+    header, clearance, depth, plunge_feed, progress
         See `write_nc`.
 
     Raises
@@ -142,7 +146,10 @@ def write_fast_tool(
             with hidden.open("wb") as file:
                 file.write(_head(motion, machine, dialect, rows.shape[0], rate_hz, path, (NO_HASH, NO_HASH)))
                 digest = _body(file, rows, decimals)
-            program = write_nc(motion.lathe(), machine, path, header=header, clearance=clearance, progress=progress)
+            program = write_nc(
+                motion.lathe(), machine, path, header=header, clearance=clearance, depth=depth, plunge_feed=plunge_feed,
+                progress=progress,
+            )  # fmt: skip
             with hidden.open("r+b") as file:
                 file.write(_head(motion, machine, dialect, rows.shape[0], rate_hz, path, (digest, program.hash)))
             hidden.replace(table)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import math
 import re
 import shutil
 import tempfile
@@ -11,6 +12,7 @@ from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 
@@ -20,8 +22,10 @@ from turnwright._arrays import Floats, Ints
 from turnwright.errors import ProgramError
 from turnwright.machine import FAST
 from turnwright.path import Motion
+from turnwright.post._approach import DOWN, PLUNGE_FEED, TRAVERSE, Approach, approach_to, link_seconds
 from turnwright.post._digest import hashed_rows
 from turnwright.post._header import (
+    ENTRY,
     NO_HASH,
     SUB_SIGNATURE,
     ProgramHeader,
@@ -43,10 +47,10 @@ __all__ = ["ProgramFiles", "write_nc"]
 
 CHUNK = 1 << 16
 """Points formatted at a time: their text and numbers together stay near 10 MB."""
+FASTEST_PLUNGE = 1.0
+"""A plunge beyond this is a slip of the unit. [mm/s]"""
 LARGEST = 1e9
 """Beyond any machine, and safe in 64-bit integers at six decimals. [mm or deg]"""
-PLUNGE = 0.1
-"""Height above the first point from which the tool goes down slowly. [mm]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,16 +64,22 @@ class ProgramFiles:
     lines, bytes
         In all files together.
     minutes
-        Time of the cuts, without approach and retract. [min]
+        Time of the cuts. [min]
+    links_minutes
+        Time of approaches, plunges and retracts, from the first clear plane on. [min]
     passes
         Each pass with its points, minutes and hash.
+    approaches
+        How the tool comes to each pass, by its name.
     """
 
     files: tuple[Path, ...]
     lines: int
     bytes: int
     minutes: float
+    links_minutes: float
     passes: tuple[ProgramPass, ...]
+    approaches: Mapping[str, Approach]
 
     @property
     def hash(self) -> str:
@@ -86,19 +96,27 @@ class _Pass:
     letters: tuple[str, ...]
     factors: Mapping[str, float]  # Turnwright's unit to the controller's, without decimals
     shifts: Mapping[str, float]
+    clocking: float  # of C, which is shifted by as many turns more as it counts on [deg]
     dialect: Dialect
     velocity: Mapping[str, Floats] | None  # at the points, from rest to rest; only where the dialect says it
+    approach: Approach
 
-    def units(self, letter: str, index: int) -> int:
-        """Return one coordinate as written, without its decimal point and without wrapping."""
+    def units(self, letter: str, value: float) -> int:
+        """Return a position as written, without its decimal point and without wrapping."""
         scale = 10.0 ** self.dialect.decimals[letter]
-        value = self.motion.axes[letter][index] * (self.factors[letter] * scale) + self.shifts[letter] * scale
-        return int(np.rint(value))
+        return int(np.rint(value * (self.factors[letter] * scale) + self.shifts[letter] * scale))
 
-    def word(self, letter: str, index: int, above: float = 0.0) -> str:
-        """Return one word, as the approach needs it; ``above`` is a height out of the part. [mm]."""
+    @property
+    def first_c(self) -> float:
+        """Controller's C at the first point as the motion counts it, whatever turns C has counted on. [deg]."""
+        places = self.dialect.decimals["C"]
+        turns = round((self.shifts["C"] - self.clocking) / 360)
+        return (self.units("C", float(self.motion.axes["C"][0])) - turns * 360 * 10**places) / 10.0**places
+
+    def word(self, letter: str, value: float) -> str:
+        """Return one word of the approach."""
         places = self.dialect.decimals[letter]
-        units = self.units(letter, index) + round(above * self.factors[letter] * 10**places)
+        units = self.units(letter, value)
         if letter == "C" and self.dialect.wrapped:
             units %= 360 * 10**places
         sign = "-" if units < 0 else ""
@@ -115,16 +133,22 @@ def write_nc(
     *,
     header: ProgramHeader | None = None,
     clearance: float = 5.0,
+    depth: float | Mapping[str, float | None] | None = 0.0,
+    plunge_feed: float = PLUNGE_FEED,
     max_lines: int | None = None,
     progress: Progress | None = None,
 ) -> ProgramFiles:
     """Write a motion, or the named passes of a job in their order, as a program for a machine's controller.
 
-    The numbers are fixed-point, rounded to the dialect's last decimal; a block's time is kept to 1e-9 of itself. Every
-    pass begins with an approach from ``clearance`` above its highest point and ends with a retract to there. All files
-    are written beside their final place and put there, the main program last, when the whole program is complete; if
-    anything fails before that, the folder is as it was. Sub-programs that an earlier program of this name left and that
-    this one does not call are removed.
+    The numbers are fixed-point, rounded to the dialect's last decimal, and so is a block's time. Every pass begins with
+    an approach from ``clearance`` above its highest point and ends with a retract to there. From 0.1 mm above the
+    material the tool comes down only while C turns: it follows the first revolution of the pass, raised by less and
+    less, by no more in a revolution than the pass advances (or 1 um) and never faster than ``plunge_feed``. Where C is
+    cumulative it begins within a turn of 0 and counts on from pass to pass, so that the spindle is never unwound.
+
+    All files are written beside their final place and put there, the main program last, when the whole program is
+    complete; if anything fails before that, the folder is as it was. Sub-programs that an earlier program of this name
+    left and that this one does not call are removed.
 
     Parameters
     ----------
@@ -138,6 +162,11 @@ def write_nc(
         Design, tool, date and notes for the header.
     clearance
         Height of approach and retract above the highest point of the pass, more than the stock stands proud. [mm]
+    depth
+        Height of the material above the path where the pass begins, for all passes or by name; ``None`` for a pass that
+        begins clear of all material, which is approached without a plunge. [mm]
+    plunge_feed
+        Fastest plunge into material. [mm/s]
     max_lines
         Most lines in one file, if not the dialect's own limit.
     progress
@@ -173,9 +202,15 @@ def write_nc(
     """
     path = Path(path)
     dialect = dialect_of(machine)
-    passes = _passes({"finish": motion} if isinstance(motion, Motion) else motion, machine, dialect)
     if not 0 < clearance <= 1e3:
         raise ProgramError(f"clearance is {clearance:g} mm, the limits are above 0 and up to 1000 mm: give its height")
+    if not 0 < plunge_feed <= FASTEST_PLUNGE:
+        raise ProgramError(
+            f"plunge_feed is {plunge_feed * 60:g} mm/min, the limits are above 0 and up to {FASTEST_PLUNGE * 60:g} "
+            "mm/min: give it in mm/s"
+        )
+    motions = {"finish": motion} if isinstance(motion, Motion) else motion
+    passes = _passes(motions, machine, dialect, _approaches(motions, clearance, depth, plunge_feed))
     limit = dialect.max_lines if max_lines is None else max_lines
     if limit < 100:
         raise ProgramError(f"max_lines is {limit}, approach and retract need at least 100: allow longer files")
@@ -192,7 +227,6 @@ def write_nc(
             dialect=dialect,
             machine=machine,
             header=header,
-            clearance=clearance,
             limit=limit,
             progress=progress,
         )
@@ -216,10 +250,35 @@ def _disk_error(path: Path, error: OSError) -> ProgramError:
             f"{path} cannot be written, a file grew beyond the largest that the system allows here ({error.strerror}), "
             "nothing was changed: raise that limit (ulimit -f), or write elsewhere"
         )
+    if error.errno in (errno.ENOENT, errno.ENOTDIR):
+        return ProgramError(
+            f"{path} cannot be written, {path.parent} is not a folder: make it first, or write elsewhere"
+        )
     return ProgramError(f"{path} cannot be written ({error.strerror}), nothing was changed: check the folder's rights")
 
 
-def _passes(motions: Mapping[str, Motion], machine: Machine, dialect: Dialect) -> list[_Pass]:
+def _approaches(
+    motions: Mapping[str, Motion],
+    clearance: float,
+    depth: float | Mapping[str, float | None] | None,
+    plunge_feed: float,
+) -> dict[str, Approach]:
+    """Return the approach to every pass by its name."""
+    approaches = {}
+    heights = dict.fromkeys(motions, depth) if depth is None or isinstance(depth, int | float) else depth
+    for name, motion in motions.items():
+        height = heights[name]
+        if height is not None and not np.isfinite(height):
+            raise ProgramError(f"depth of pass {name} is {height:g} mm, it must be finite: give the material's height")
+        approaches[name] = approach_to(
+            motion, clearance=clearance, depth=height, plunge_feed=plunge_feed, name=name
+        )  # fmt: skip
+    return approaches
+
+
+def _passes(
+    motions: Mapping[str, Motion], machine: Machine, dialect: Dialect, approaches: Mapping[str, Approach]
+) -> list[_Pass]:
     """Return the passes ready to be written, or raise for what cannot be."""
     if not motions:
         raise ProgramError("a program without passes was asked for, it needs at least 1: give a motion")
@@ -230,8 +289,9 @@ def _passes(motions: Mapping[str, Motion], machine: Machine, dialect: Dialect) -
         "Y": 1.0,
         "Z": float(convention.z_sign),
     }
-    shifts = {"C": float(np.rad2deg(convention.clocking)), "X": 0.0, "Y": 0.0, "Z": 0.0}
-    passes = []
+    clocking = float(np.rad2deg(convention.clocking))
+    shifts = {"C": clocking, "X": 0.0, "Y": 0.0, "Z": 0.0}
+    passes: list[_Pass] = []
     for name, motion in motions.items():
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _-]{0,39}", name):
             raise ProgramError(
@@ -250,13 +310,17 @@ def _passes(motions: Mapping[str, Motion], machine: Machine, dialect: Dialect) -
                 f"{', '.join(dialect.decimals)}: leave it out"
             )
         velocity = _velocity(motion) if dialect.velocities else None
+        if not dialect.wrapped:
+            start = approaches[name].start["C"] * factors["C"] + clocking
+            turns = _turns_on(passes[-1] if passes else None, start, motion.sense * convention.c_sense)
+            shifts = {**shifts, "C": clocking + 360.0 * turns}
         _require_sizes(name, motion.axes, factors, shifts, "reaches", "mm or deg: check its unit")
         if velocity is not None:
             _require_sizes(name, velocity, factors, {}, "moves at", "mm/s or deg/s: check the time of its blocks")
         passes.append(
             _Pass(
                 name=name, motion=motion, letters=dialect.letters(motion.axes), factors=factors, shifts=shifts,
-                dialect=dialect, velocity=velocity,
+                clocking=clocking, dialect=dialect, velocity=velocity, approach=approaches[name],
             )
         )  # fmt: skip
     if len({one.letters for one in passes}) > 1:
@@ -267,6 +331,15 @@ def _passes(motions: Mapping[str, Motion], machine: Machine, dialect: Dialect) -
     if len(names) < len(passes):
         raise ProgramError("two passes would share a file name: give them names that differ in more than blanks")
     return passes
+
+
+def _turns_on(before: _Pass | None, start: float, sense: int) -> int:
+    """Return how many turns C counts on, so that it turns less than once to the start of an approach, given in deg.
+
+    It comes from the end of the pass before, or from 0 where there is none.
+    """
+    end = 0.0 if before is None else float(before.motion.axes["C"][-1]) * before.factors["C"] + before.shifts["C"]
+    return sense * math.ceil(sense * (end - start) / 360.0)
 
 
 def _require_sizes(
@@ -315,39 +388,45 @@ class _Job:
         dialect: Dialect,
         machine: Machine,
         header: ProgramHeader,
-        clearance: float,
         limit: int,
         progress: Progress | None,
     ) -> None:
         self.folder, self.path, self.dialect, self.machine = folder, path, dialect, machine
-        self.header, self.clearance, self.limit, self.progress = header, clearance, limit, progress
+        self.header, self.limit, self.progress = header, limit, progress
         self.lines = self.bytes = self.done = self.total = 0
+        self.links_s = 0.0
         self.told: list[ProgramPass] = []
+        self.approaches: dict[str, Approach] = {}
 
     def write(self, passes: list[_Pass]) -> list[str]:
         """Write all files into the folder; return the names of the sub-programs in the order of their calls."""
         self.total = sum(one.motion.time.size for one in passes)
         self.told = [self._tell(one, NO_HASH) for one in passes]
+        self.approaches = {one.name: one.approach for one in passes}
+        self.links_s = link_seconds([(one.approach, one.motion) for one in passes], self.machine)
         main = [*self.dialect.setup]
-        inline = not self.dialect.always_call and self.total + 100 * (len(passes) + 1) <= self.limit
+        blocks = self.total + sum(plunge.time.size for one in passes if (plunge := one.approach.plunge) is not None)
+        inline = not self.dialect.always_call and blocks + 100 * (len(passes) + 1) <= self.limit
         if not (inline or self.dialect.call):
             raise ProgramError(
-                f"the program has {self.total} blocks, the limit is {self.limit} lines, and the dialect "
+                f"the program has {blocks} blocks, the limit is {self.limit} lines, and the dialect "
                 f"{self.dialect.name} calls no sub-programs: allow more lines"
             )
         subs: list[str] = []
         with (self.folder / self.path.name).open("wb") as file:
             if inline:
                 # The header tells the hashes, which are known at the end: it is written twice, at one length.
-                self._text(file, lines(self.header, self.machine, self.dialect, self.told) + main)
+                self._text(file, self._head() + main)
                 for index, one in enumerate(passes):
                     self._text(file, [f"( PASS: {one.name} )", *self._approach(one)])
+                    if one.approach.plunge is not None:
+                        self._text(file, [*self._plunge_begins(one), *self._plunge(one), f"( PASS: {one.name} )"])
+                    self._text(file, self.dialect.begin())
                     self.told[index] = self._tell(one, self._cut(one, [(file, 1, one.motion.time.size)]))
                     self._text(file, self._retract(one))
                 self._text(file, ["M30"])
                 file.seek(0)
-                head = self.dialect.commented(lines(self.header, self.machine, self.dialect, self.told))
-                file.write("\n".join(head).encode())
+                file.write("\n".join(self.dialect.commented(self._head())).encode())
             else:
                 for index, one in enumerate(passes):
                     names, digest = self._sub_programs(one)
@@ -355,8 +434,12 @@ class _Job:
                     subs += names
                     main += [f"( PASS {index + 1} OF {len(passes)} )"]
                     main += [self.dialect.call.format(file=name) for name in names]
-                self._text(file, [*lines(self.header, self.machine, self.dialect, self.told), *main, "M30"])
+                self._text(file, [*self._head(), *main, "M30"])
         return subs
+
+    def _head(self) -> list[str]:
+        approaches = list(self.approaches.values())
+        return lines(self.header, self.machine, self.dialect, self.told, approaches, self.links_s)
 
     def summary(self, written: list[str]) -> ProgramFiles:
         """Return what was written, under the final names."""
@@ -365,7 +448,9 @@ class _Job:
             lines=self.lines,
             bytes=self.bytes,
             minutes=sum(one.minutes for one in self.told),
+            links_minutes=self.links_s / 60,
             passes=tuple(self.told),
+            approaches=self.approaches,
         )
 
     def _tell(self, one: _Pass, digest: str) -> ProgramPass:
@@ -374,52 +459,75 @@ class _Job:
             name=one.name,
             points=time.size,
             minutes=float(time[-1] - time[0]) / 60,
-            first_c=one.units("C", 0) / 10.0 ** self.dialect.decimals["C"],
+            first_c=one.first_c,
             sense=one.motion.sense,
             hash=digest,
         )
 
     def _text(self, file: BinaryIO, rows: list[str]) -> None:
+        if not rows:
+            return
         data = ("\n".join(self.dialect.commented(rows)) + "\n").encode("ascii")
         file.write(data)
         self.lines += len(rows)
         self.bytes += len(data)
 
-    def _clear(self, one: _Pass) -> str:
-        """Return the Z word of the height where nothing can be touched."""
-        return one.word("Z", int(np.argmax(one.motion.axes["Z"])), self.clearance)
-
     def _approach(self, one: _Pass) -> list[str]:
-        others = " ".join(one.word(letter, 0) for letter in ("X", "Y") if letter in one.letters)
-        say = self.dialect
+        """Return the lines to where the tool has come straight down, C at rest."""
+        start, say = one.approach.start, self.dialect
+        others = " ".join(one.word(letter, start[letter]) for letter in ("X", "Y") if letter in one.letters)
         return [
             *say.end(),
-            *say.straight(self._clear(one), 500, "CLEAR OF THE PART"),
-            *say.straight(others, 500),
-            *say.rapid(one.word("C", 0)),
-            *say.straight(one.word("Z", 0, PLUNGE), 100),
-            *say.straight(one.word("Z", 0), 2),
-            *say.begin(),
+            *say.straight(one.word("Z", one.approach.clear), TRAVERSE * 60, "CLEAR OF THE PART"),
+            *say.straight(others, TRAVERSE * 60),
+            *say.rapid(one.word("C", start["C"])),
+            *say.straight(one.word("Z", start["Z"]), DOWN * 60, "ABOVE THE MATERIAL"),
         ]
 
+    def _plunge_begins(self, one: _Pass) -> list[str]:
+        """Return the lines before a plunge, or the rest of one; they keep its blocks apart from those of the cut."""
+        return [f"( PASS: {one.name}{ENTRY} )", *self.dialect.plunge()]
+
+    def _plunge(self, one: _Pass) -> list[str]:
+        """Return the blocks of a plunge."""
+        motion = one.approach.plunge
+        if motion is None:
+            return []
+        velocity = _velocity(motion) if self.dialect.velocities else None
+        text = BytesIO()
+        before = self.lines, self.bytes, self.done, self.progress
+        self.progress = None
+        self._cut(replace(one, motion=motion, velocity=velocity), [(text, 1, motion.time.size)])
+        self.lines, self.bytes, self.done, self.progress = before  # what is written of it counts when it is
+        return text.getvalue().decode("ascii").splitlines()
+
     def _retract(self, one: _Pass) -> list[str]:
-        return [*self.dialect.end(), *self.dialect.straight(self._clear(one), 100, "CLEAR OF THE PART")]
+        clear = one.word("Z", one.approach.clear)
+        return [*self.dialect.end(), *self.dialect.straight(clear, DOWN * 60, "CLEAR OF THE PART")]
 
     def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
         """Write one pass into numbered files; return their names and the hash."""
-        points = one.motion.time.size
+        points, plunge = one.motion.time.size, self._plunge(one)
         each = self.limit - 30
-        starts = range(1, points, each)
-        names = [f"{self.path.stem}.{_file_part(one.name)}.{k + 1:03d}{self.path.suffix}" for k in range(len(starts))]
+        count = -(-(len(plunge) + points - 1) // each)
+        names = [f"{self.path.stem}.{_file_part(one.name)}.{k + 1:03d}{self.path.suffix}" for k in range(count)]
 
         def files() -> Iterator[tuple[BinaryIO, int, int]]:
-            for k, (name, start) in enumerate(zip(names, starts, strict=True)):
+            for k, name in enumerate(names):
+                first, last = k * each - len(plunge) + 1, (k + 1) * each - len(plunge) + 1
+                entry = plunge[k * each : (k + 1) * each]
                 with (self.folder / name).open("wb") as file:
                     part = f", PART {k + 1} OF {len(names)}" if len(names) > 1 else ""
-                    begin = self._approach(one) if k == 0 else ["G93 G1"]
-                    head = [SUB_SIGNATURE, f"( PASS: {one.name}{part} )", *language(self.machine, self.dialect)]
-                    self._text(file, head + begin)
-                    yield file, start, min(start + each, points)
+                    self._text(file, [SUB_SIGNATURE, f"( PASS: {one.name}{part} )"])
+                    self._text(file, [*language(self.machine, self.dialect), *(self._approach(one) if k == 0 else [])])
+                    if entry:
+                        self._text(file, [*self._plunge_begins(one), *entry])
+                    if last > 1:
+                        # A plunge that ends here, or ended with the file before, gives way to the cut.
+                        begins = first <= 1
+                        self._text(file, [f"( PASS: {one.name} )"] if begins and plunge else [])
+                        self._text(file, self.dialect.begin() if begins else ["G93 G1"])
+                        yield file, max(first, 1), min(last, points)
                     self._text(file, [*(self._retract(one) if k == len(names) - 1 else []), "M99"])
 
         return names, self._cut(one, files())
@@ -490,13 +598,13 @@ class _Job:
         """Yield the chunks of a file with their feeds, which only one thread can choose, in order."""
         from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
 
-        unit, every = self.dialect.feed_unit, self.dialect.feed_every_block
+        unit, every, most = self.dialect.feed_unit, self.dialect.feed_every_block, self.dialect.feed_decimals
         state[0] = min(state[0], start)
         for begin in range(start, stop, CHUNK):
             end = min(begin + CHUNK, stop)
             mantissa, places = np.empty((2, end - begin), dtype=np.int64)
             duration = np.empty(end - begin)
-            bad = text.feeds(one.motion.time, begin, end, unit, every, state, mantissa, places, duration)
+            bad = text.feeds(one.motion.time, begin, end, unit, every, most, state, mantissa, places, duration)
             longest = self.dialect.longest_block
             if bad < 0 and duration.max() > longest:
                 bad = begin + int(duration.argmax())
@@ -514,7 +622,8 @@ class _Job:
 def _step_error(one: _Pass, index: int) -> ProgramError:
     """Return the sentence for a block that turns C too little or too far."""
     places = one.dialect.decimals["C"]
-    step = abs(one.units("C", index) - one.units("C", index - 1)) / 10.0**places
+    angle = one.motion.axes["C"]
+    step = abs(one.units("C", float(angle[index])) - one.units("C", float(angle[index - 1]))) / 10.0**places
     if step >= 180:
         return ProgramError(
             f"block {index} of pass {one.name} turns C by {step:g} deg, the limit is below 180 deg, beyond "

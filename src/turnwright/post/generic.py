@@ -9,6 +9,7 @@ GENERIC = Dialect(
     decimals={"X": 6, "Y": 6, "Z": 6, "C": 6},
     wrapped=False,
     feed="inverse minutes",
+    feed_decimals=6,
     feed_every_block=True,
     block="G1 ",
     setup=("G21 G90 G40 G18",),
@@ -17,6 +18,7 @@ GENERIC = Dialect(
     max_lines=1_000_000,
     sources={
         "feed": "RS-274/NGC: under G93, F is one over the minutes of the move and stands in every block",
+        "feed_decimals": "assumed: as many as any controller takes",
         "call": "assumed: a Fanuc-like call of a file by name",
         "max_lines": "assumed: files of about 50 MB",
     },

@@ -9,6 +9,7 @@ PMAC = Dialect(
     decimals={"C": 6, "X": 6, "Y": 6, "Z": 6},
     wrapped=False,
     feed="milliseconds",
+    feed_decimals=6,
     feed_every_block=False,
     block="",
     setup=("ABS",),
@@ -18,6 +19,7 @@ PMAC = Dialect(
     sources={
         "feed": "Turbo PMAC/PMAC2 Software Reference, PVT{data}: the time of every segment in ms until the next one, "
         "up to 4095.9998 ms, which the controller rounds to a quarter of a microsecond",
+        "feed_decimals": "a nanosecond, far below the quarter of a microsecond to which the controller rounds",
         "velocities": "the same, {axis}{data}:{data}: signed, in axis units over the time units of Isx90, which is "
         "1000 for seconds; no velocity means 0; PMAC User Manual: the path is a Hermite spline through the points",
         "setup": "the same: ABS, LINEAR, RAPID, DWELL{data} in ms, F in axis units over the time units of Isx90",

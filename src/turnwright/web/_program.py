@@ -40,7 +40,7 @@ BEST = 6
 
 REMARK = re.compile(r"\([^()]*\)|;.*$")
 WORD = re.compile(r"([CXYZ])\s*([+-]?(?:\d+\.?\d*|\.\d+))")
-PASS = re.compile(rb"PASS: ([^,)\n]*)")
+PASS = re.compile(rb"PASS: ([^,)\n]*)(, ENTRY)?")
 
 
 def index(out: Path, machine: Machine) -> None:
@@ -57,6 +57,7 @@ def index(out: Path, machine: Machine) -> None:
     total = sum(_count(file) for file in files)
     stride = min(max(1, total // FINEST), COARSEST)
     number, starts, which = 0, [], []
+    plunging: set[bytes] = set()
     passes: dict[bytes, int] = {}  # where each begins, so that a place is looked for in the last one only
     for place, file in enumerate(files):
         first, begun = number, 0
@@ -67,7 +68,12 @@ def index(out: Path, machine: Machine) -> None:
             starts.append(begins[:-1][keep])
             which.append(np.full(int(keep.sum()), place))
             for match in PASS.finditer(block):
-                passes.setdefault(match.group(1).strip(), first + int(np.searchsorted(ends, offset + match.start())))
+                name = match.group(1).strip()
+                if match.group(2):
+                    plunging.add(name)  # its cut is named again, and begins there
+                elif name in plunging or name not in passes:
+                    plunging.discard(name)
+                    passes[name] = first + int(np.searchsorted(ends, offset + match.start()))
             first, begun = int(at[-1]), int(begins[-1])
         number = first
     offsets, owners = np.concatenate(starts), np.concatenate(which)

@@ -1,0 +1,236 @@
+"""How the tool comes to a pass and leaves it: down from a clear plane, and into the material only while C turns."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.errors import ProgramError
+from turnwright.path import Motion
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from turnwright._arrays import Floats
+    from turnwright.machine import Machine
+
+__all__ = [
+    "DOWN",
+    "GAP",
+    "PLUNGE_FEED",
+    "TRAVERSE",
+    "Approach",
+    "approach_to",
+    "entry_words",
+    "first_turn",
+    "link_seconds",
+]
+
+TURN = 2 * math.pi
+
+GAP = 0.1
+"""Height above material, and distance beside it, down to which the tool may move with C at rest. [mm]"""
+PLUNGE_FEED = 0.03
+"""Fastest plunge into material where nobody states another. [mm/s]"""
+TRAVERSE, DOWN = 500 / 60, 100 / 60
+"""Feeds in free space: to and along the clear plane, and down from it. [mm/s]"""
+LEAST_ADVANCE = 1e-3
+"""Least plunge in a revolution, however fine the feed of the pass. [mm/rev]"""
+MOST_POINTS = 5_000_000
+"""Points of a plunge: beyond this a feed or a height is a slip of the unit."""
+SLOWEST = 60.0
+"""Longest revolution of a plunge whose pass is less than one. [s]"""
+WIDEST = 0.9 * math.pi
+"""Widest step of C in a plunge. [rad]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Approach:
+    """How the tool comes to the first point of a pass, in Turnwright's own axes.
+
+    Parameters
+    ----------
+    clear
+        Height of the clear plane, along which the tool moves above all material. [mm]
+    start
+        Position by axis letter where the way straight down from the clear plane ends, C at rest until then.
+    plunge
+        From there to the first point of the pass, while C turns; ``None`` where the pass begins in free space.
+    per_rev
+        Plunge in a revolution; 0 without one. [mm/rev]
+    """
+
+    clear: float
+    start: Mapping[str, float]
+    plunge: Motion | None
+    per_rev: float = 0.0
+
+    @property
+    def plunge_s(self) -> float:
+        """Time of the plunge. [s]."""
+        return 0.0 if self.plunge is None else float(self.plunge.time[-1] - self.plunge.time[0])
+
+    @property
+    def plunge_feed(self) -> float:
+        """Mean speed of the plunge, what the surface under the tool rises and falls by apart. [mm/s]."""
+        return 0.0 if self.plunge is None else self.per_rev * self.turns / self.plunge_s
+
+    @property
+    def turns(self) -> float:
+        """Revolutions of C in the plunge."""
+        if self.plunge is None:
+            return 0.0
+        return float(abs(self.plunge.axes["C"][-1] - self.plunge.axes["C"][0])) / TURN
+
+    @property
+    def height(self) -> float:
+        """Height above the path of the pass at which the plunge begins. [mm]."""
+        return self.per_rev * self.turns
+
+
+def approach_to(motion: Motion, *, clearance: float, depth: float | None, plunge_feed: float, name: str) -> Approach:
+    """Return the approach to a pass.
+
+    Straight down from the clear plane, C at rest, to 0.1 mm above the material; then C turns at the speed of the pass
+    and the tool comes down along the path of its first revolution, raised by less and less, at the radius where the
+    pass begins. In a revolution it plunges by no more than the pass advances (or 1 um), and never faster than
+    ``plunge_feed``.
+
+    Parameters
+    ----------
+    motion
+        The pass.
+    clearance
+        Of the clear plane above its highest point. [mm]
+    depth
+        Height of the material above the path at the radius where the pass begins; ``None`` where it begins clear of
+        the material. [mm]
+    plunge_feed
+        Fastest plunge. [mm/s]
+    name
+        Of the pass, for messages.
+    """
+    clear = float(motion.axes["Z"].max()) + clearance
+    first = {letter: float(values[0]) for letter, values in motion.axes.items()}
+    if depth is None:
+        return Approach(clear=clear, start=first, plunge=None)
+    plunge, per_rev = _plunge(motion, max(depth, 0.0) + GAP, plunge_feed, name)
+    start = {letter: float(values[0]) for letter, values in plunge.axes.items()}
+    return Approach(clear=max(clear, start["Z"]), start=start, plunge=plunge, per_rev=per_rev)
+
+
+def _plunge(motion: Motion, height: float, plunge_feed: float, name: str) -> tuple[Motion, float]:
+    """Return the motion down to the first point of a pass, and its depth in a revolution [mm/rev]."""
+    turned, time, others, advance = first_turn(motion)
+    turn_s = float(time[-1])
+    per_rev = min(plunge_feed * turn_s, max(advance, LEAST_ADVANCE))
+    turns = math.ceil(height / per_rev - 1e-9)
+    each = turned.size - 1
+    if turns * each > MOST_POINTS:
+        raise ProgramError(
+            f"pass {name} plunges {height:.4g} mm by {per_rev * 1e3:.3g} um in a revolution, {turns * each:.3g} "
+            f"points, the limit is {MOST_POINTS:.0e}: take less off at a time, or raise the plunge feed"
+        )
+    per_rev = height / turns
+    number = np.arange(turns * each + 1)
+    turn, place = number // each, number % each
+    angle = turned[place] + TURN * (turn - turns)
+    axes = {letter: values[place] for letter, values in others.items()}
+    axes["Z"] = axes["Z"] - per_rev * angle / TURN
+    axes["C"] = float(motion.axes["C"][0]) + motion.sense * angle
+    for letter, values in axes.items():
+        values[-1] = motion.axes[letter][0]
+    clock = time[place] + turn_s * turn
+    return Motion(time=clock, axes={letter: axes[letter] for letter in motion.axes}, machine=motion.machine), per_rev
+
+
+def first_turn(motion: Motion) -> tuple[Floats, Floats, dict[str, Floats], float]:
+    """Return the path of a pass around its first point, at the radius of that point.
+
+    The radius of a pass changes over its first revolution. What its other axes are at the radius of the first point is
+    found from its first three revolutions by the parabola through them, so that the tool can stay at that radius and
+    follow the surface.
+
+    Returns
+    -------
+    turned, time, axes, advance
+        Angle from the first point, 0 to a whole turn (n,) [rad]; time (n,) [s]; every axis but C there, by letter (n,)
+        [mm]; and how far the first revolution moves X [mm].
+    """
+    angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
+    x = motion.axes["X"]
+    last = int(np.searchsorted(angle, TURN - 1e-9))
+    letters = [letter for letter in motion.axes if letter != "C"]
+    if last >= angle.size:
+        # Less than a revolution says nothing of the rest of the way around: it is bridged, at an even pace.
+        step = min(float(np.diff(angle).max()), math.pi / 4)
+        turned = np.linspace(0, TURN, max(math.ceil(TURN / step), 8) + 1)
+        pace = min(float(motion.time[-1] - motion.time[0]) / float(angle[-1]), SLOWEST / TURN)
+        axes = {one: np.interp(turned, angle, motion.axes[one], period=TURN) for one in letters}
+        axes["X"] = np.full(turned.size, x[0])
+        return turned, turned * pace, axes, abs(float(x[-1] - x[0])) * TURN / float(angle[-1])
+    turned = angle[:last]
+    closing = TURN - turned[-1]
+    if last > 2 and closing < 0.5 * float(np.median(np.diff(turned))) and closing + turned[-1] - turned[-2] < WIDEST:
+        turned = turned[:-1]
+    turned = np.append(turned, TURN)
+    time = np.interp(turned, angle, motion.time) - motion.time[0]
+
+    def at(values: Floats, turn: int) -> Floats:
+        return np.interp(turned + turn * TURN, angle, values)
+
+    known = min(int(angle[-1] / TURN + 1e-9), 3)
+    radii = [at(x, turn) for turn in range(known)]
+    axes = {"X": np.full(turned.size, x[0])}
+    weights = _weights(radii, float(x[0]))
+    for letter in letters:
+        if letter != "X":
+            values = sum(weight * at(motion.axes[letter], turn) for turn, weight in enumerate(weights))
+            axes[letter] = np.asarray(values)
+            axes[letter][[0, -1]] = motion.axes[letter][0]
+    return turned, time, axes, abs(float(at(x, 0)[-1] - x[0]))
+
+
+def _weights(radii: list[Floats], radius: float) -> list[Floats]:
+    """Return Lagrange's weights of some revolutions at a radius; of the first alone where the others coincide."""
+    far = max((float(np.ptp(one)) for one in radii), default=0.0)
+    apart = [float(np.abs(after - before).min()) for before, after in pairwise(radii)]
+    count = next((k + 1 for k, gap in enumerate(apart) if not gap > max(1e-9, 0.2 * far)), len(radii))
+    weights = []
+    for i in range(count):
+        weight = np.ones(radii[0].size)
+        for j in range(count):
+            if j != i:
+                weight = weight * (radius - radii[j]) / (radii[i] - radii[j])
+        weights.append(weight)
+    return weights
+
+
+def link_seconds(approaches: list[tuple[Approach, Motion]], machine: Machine) -> float:
+    """Return the time of all approaches, plunges and retracts; that of the way to the first clear plane apart. [s]."""
+    seconds = 0.0
+    place: dict[str, float] | None = None
+    for approach, motion in approaches:
+        if place is not None:
+            aside = math.hypot(*(approach.start[letter] - place[letter] for letter in "XY" if letter in place))
+            seconds += (abs(place["Z"] - approach.clear) + aside) / TRAVERSE
+            seconds += motion.sense * (approach.start["C"] - place["C"]) % TURN / TURN * 60 / machine.spindle_rpm
+        seconds += (approach.clear - approach.start["Z"]) / DOWN + approach.plunge_s
+        place = {letter: float(values[-1]) for letter, values in motion.axes.items()}
+        seconds += (approach.clear - place["Z"]) / DOWN
+        place["Z"] = approach.clear
+    return seconds
+
+
+def entry_words(approach: Approach) -> str:
+    """Say how the tool enters the material of a pass."""
+    if approach.plunge is None:
+        return "begins clear of the material, no plunge"
+    return (
+        f"C turns while the tool plunges {approach.height:.3f} mm at {approach.plunge_feed * 60:.3f} mm/min, "
+        f"{approach.per_rev * 1e3:.3f} um a revolution"
+    )
