@@ -145,7 +145,7 @@ if TYPE_CHECKING:
         trim_edge,
     )
     from turnwright.motion import Limits, SpeedProfile, check_limits, drive
-    from turnwright.part import Part
+    from turnwright.part import Blank, Part
     from turnwright.path import Motion, Path, Spiral
     from turnwright.pose import Pose
     from turnwright.post import (
@@ -344,7 +344,7 @@ _HOMES = {
         "trim_edge",
     ),
     "motion": ("Limits", "SpeedProfile", "check_limits", "drive"),
-    "part": ("Part",),
+    "part": ("Blank", "Part"),
     "path": ("Motion", "Path", "Spiral"),
     "pose": ("Pose",),
     "post": (
@@ -420,6 +420,7 @@ __all__ = [
     "Bearing",
     "BestFit",
     "Biconic",
+    "Blank",
     "Case",
     "Cause",
     "CentreDefect",

@@ -14,7 +14,8 @@ stated) has the keys
 ``least_clearance``
     Least height of the edge above the surface over the finishing path.
 ``program``
-    The file names, main program first, lines, bytes, minutes and the hash of all its points.
+    The file names, main program first, lines, bytes, minutes of the cuts and of the links between them, how the tool
+    enters the material of each pass, and the hash of all its points.
 ``predictions``
     One entry per map: ``name``, ``file`` of the heights (cut minus design, mm), ``axes`` (files by name), ``shape`` and
     ``roughness`` with the fields of `turnwright.Roughness`. ``tracking`` is ``null`` unless the servos were asked; then
@@ -43,6 +44,7 @@ from turnwright._whole import whole_file, write_whole
 from turnwright.errors import InputError
 from turnwright.files import write_map
 from turnwright.heightmap import HeightMap
+from turnwright.post import entry_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -106,6 +108,8 @@ def write_archive(result: Result, folder: str | PathLike[str]) -> None:
             "lines": result.program.lines,
             "bytes": result.program.bytes,
             "minutes": result.program.minutes,
+            "links_minutes": result.program.links_minutes,
+            "entries": {name: entry_words(one) for name, one in result.program.approaches.items()},
             "hash": result.program.hash,
         },
         "predictions": write_maps(result.predictions, folder),

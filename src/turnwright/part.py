@@ -16,13 +16,43 @@ if TYPE_CHECKING:
     from turnwright.surface._smoothing import Smooth
     from turnwright.surface.gridded import Gridded
 
-__all__ = ["Part", "correction_of"]
+__all__ = ["Blank", "Part", "correction_of"]
 
 FEWEST = 100
 """Heights below which an error is not told from its noise."""
 
 FINEST = 200
 """Cutoffs on the diameter at most: a finer correction follows cusps and noise of any instrument."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blank:
+    """What a part is cut from: a disc on the axis of the spindle.
+
+    Its top follows the finished surface at the distance of the part's stock. Beyond the clear radius, where nothing is
+    known of the finished surface, it goes on at the slope of the rim where that rises outward, and level where it
+    falls.
+
+    Parameters
+    ----------
+    radius
+        How far from the axis there is material, its runout included. [mm]
+
+    Raises
+    ------
+    InputError
+        If the radius is not positive.
+    """
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        positive(self.radius, "blank radius", "mm")
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of any material from the axis. [mm]."""
+        return self.radius
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,11 +73,14 @@ class Part:
         Free text on the material: condition, supplier, lot. Nothing is derived from it.
     name
         What the shop calls the part.
+    blank
+        What it is cut from; ``None`` where that is not known. Then material is taken to reach farther out than the tool
+        ever does, so that no pass begins beside it.
 
     Raises
     ------
     InputError
-        If the radius is not positive or the stock is negative.
+        If the radius is not positive, the stock is negative, or the blank is smaller than the part.
     DomainError
         If the surface is not defined everywhere inside the clear radius.
     """
@@ -58,9 +91,15 @@ class Part:
     material: str = ""
     material_note: str = ""
     name: str = ""
+    blank: Blank | None = None
 
     def __post_init__(self) -> None:
         positive(self.radius, "part radius", "mm")
+        if self.blank is not None and self.blank.reach < self.radius:
+            raise InputError(
+                f"the blank reaches {self.blank.reach:g} mm from the axis, the limit is the clear radius "
+                f"{self.radius:g} mm or more: give the radius of the blank"
+            )
         if not self.stock >= 0:
             raise InputError(f"stock is {self.stock:g} mm, it cannot be below 0 mm: give the thickness to remove")
         self.surface.require_disc(self.radius, "the clear radius")

@@ -215,6 +215,7 @@ _FRIENDLY = {
     "rad": ("deg", "urad", "rad"),
     "rpm": ("rpm",),
     "s": ("s",),
+    "mm/s": ("mm/min",),
 }
 
 

@@ -156,12 +156,14 @@ def test_check_names_feed_and_what_the_material_does_not_say(tmp_path, capsys):
     assert "ductile up to a feed of" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("stock", ["10 nm", "0.6 mm"])
-def test_a_stock_whose_chips_cannot_be_foretold_does_not_stop_a_check(tmp_path, capsys, stock):
-    """Cusps of 25 nm are higher than 10 nm of stock, and 0.6 mm are beyond the nose; a run judges the former."""
+@pytest.mark.parametrize(("stock", "code"), [("10 nm", 0), ("0.6 mm", 2)])
+def test_a_stock_whose_chips_cannot_be_foretold_does_not_stop_a_check(tmp_path, capsys, stock, code):
+    """Cusps of 25 nm are higher than 10 nm of stock, which a run judges; 0.6 mm in one pass are beyond the nose."""
     file = job(tmp_path, stock=stock)
-    assert main(["check", str(file)]) == 0
-    assert "finish: what its chips will be is not foretold, a run finds them: " in capsys.readouterr().out
+    assert main(["check", str(file)]) == code
+    told = capsys.readouterr()
+    assert "finish: what its chips will be is not foretold, a run finds them: " in told.out
+    assert ("pass finish takes off 600 um at a time" in told.err) == (code == 2)
     if stock == "10 nm":
         chips = tw.run(Job.load(file)).passes[0].chips
         assert chips.verdict == "ductile"

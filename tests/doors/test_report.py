@@ -124,7 +124,7 @@ def test_no_control_character_reaches_the_page(small, tmp_path):
 
 def test_every_picture_has_its_words_and_every_axis_its_unit(page):
     seen = read(page)
-    assert len(seen.pictures) == 11
+    assert len(seen.pictures) == 13
     assert all(len(words) > 20 for words in seen.pictures)
     labels = re.findall(r"<text[^>]*>([^<]*)</text>", page.read_text(encoding="utf-8"))
     named = [

@@ -9,9 +9,11 @@ from turnwright.errors import JobError
 from turnwright.job import Job, run
 
 WAVES = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["0.5 mm", "0.5 mm"]}
-SPIRAL = {"feed": "20 um/rev", "points_per_rev": 180, "spindle_speed": "60 rpm"}
+SPIRAL = {"feed": "20 um/rev", "points_per_rev": 180, "spindle_speed": "60 rpm", "lead_in": "0.3 mm"}
 PART = [("part.surface", WAVES), ("part.radius", "0.5 mm"), ("simulation.patches", [])]
 FAST = [("machine.name", "nanoform-fts-70")]
+BLANK = ("part.blank", {"radius": "0.51 mm"})
+"""A fast tool by time cannot plunge, so that the spiral begins beside the blank."""
 ADAPTIVE = {"kind": "adaptive tool servo", "scallop": "80 nm", "chord": "10 nm", "spindle_speed": "60 rpm"}
 SWINGING = {
     "kind": "quasi-elliptical tool servo",
@@ -32,7 +34,7 @@ def left(changes, tmp_path, name):
 @pytest.mark.parametrize("program", [{"fast_tool": "position"}, {"fast_tool": "time", "fast_tool_rate": "20 kHz"}])
 def test_a_fast_tool_leaves_what_the_slide_would(kind, program, tmp_path):
     slow = left([*FAST, ("strategy", {"kind": "slow tool servo", **SPIRAL})], tmp_path, "slow")
-    fast = left([*FAST, ("strategy", {"kind": kind, **SPIRAL}), ("program", program)], tmp_path, "fast")
+    fast = left([*FAST, BLANK, ("strategy", {"kind": kind, **SPIRAL}), ("program", program)], tmp_path, "fast")
     apart = fast.predictions[0].error.z - slow.predictions[0].error.z
     assert np.abs(apart).max() * 1e6 < slow.rounding_limit_nm + fast.rounding_limit_nm
     assert fast.rounding_nm <= fast.rounding_limit_nm < 2
@@ -132,7 +134,8 @@ def test_what_does_not_fit_is_one_sentence(changes, sentence):
 
 def test_a_stream_too_slow_for_the_motion_is_refused_and_nothing_is_left(tmp_path, capsys):
     program = {"fast_tool": "time", "fast_tool_rate": "1 Hz"}
-    job = written(tmp_path, *PART, *FAST, ("strategy", {"kind": "fast tool servo", **SPIRAL}), ("program", program))
+    servo = {"kind": "fast tool servo", **SPIRAL}
+    job = written(tmp_path, *PART, *FAST, BLANK, ("strategy", servo), ("program", program))
     assert main(["run", str(job), "--out", str(tmp_path / "out")]) == 2
     told = capsys.readouterr().err.splitlines()[-1]
     assert "1 heights per second leave out up to" in told

@@ -83,6 +83,7 @@ def check(context: typer.Context, job: JobFile) -> None:
         door.say(f"{name}: {points} points, at least {plan.shortest_s[name] / 60:.1f} min")
     for name, sentence in plan.chips.items():
         door.say(f"{name}: {sentence}")
+    warn(plan.warnings)
     if plan.refused:
         raise JobError("\n".join(plan.refused))
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from turnwright.access import Access
     from turnwright.cutting.chip import ChipMap
     from turnwright.heightmap import HeightMap
+    from turnwright.job._approach import Entry
     from turnwright.job._cutting import PassChips
     from turnwright.job._schema import Job
     from turnwright.machine import Machine
@@ -50,6 +51,8 @@ class Preview:
         What the material will make of each pass, by name, where it is known.
     remarks
         What was worked out for the surface and the job does not state, a sentence each.
+    warnings
+        Sizes that are hardly meant, a sentence each.
     """
 
     access: Access
@@ -58,6 +61,7 @@ class Preview:
     refused: tuple[str, ...]
     chips: Mapping[str, str]
     remarks: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -178,6 +182,8 @@ class Result:
         What the program's decimals allow that difference to be.
     chips
         The chips of each pass at up to 20,000 points, by name, where the material is known.
+    entries
+        How the tool enters the material of each pass, by its name.
     warnings
         One sentence each.
     timings
@@ -203,6 +209,7 @@ class Result:
     rounding_nm: float
     rounding_limit_nm: float
     chips: Mapping[str, ChipMap]
+    entries: Mapping[str, Entry]
     warnings: tuple[str, ...]
     timings: Mapping[str, float]
     peak_memory_gb: float

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from turnwright.access import check_access
+from turnwright.access import check_access, check_depths, odd_sizes
 from turnwright.contact import place
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.generation import generate, generate_polar
+from turnwright.job._approach import Entry, entries_of
 from turnwright.job._cutting import PassChips, chips_of, foretold
 from turnwright.job._interpolated import interpolated, off_curves
 from turnwright.job._result import Pass, Prediction, Preview, Result
@@ -28,6 +29,7 @@ from turnwright.motion import check_limits, drive
 from turnwright.path import Spiral
 from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_tool, read_nc, write_fast_tool, write_nc
 from turnwright.tracking import precorrect
+from turnwright.units import say_length
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -46,6 +48,7 @@ __all__ = [
     "WHOLE",
     "StageProgress",
     "Watch",
+    "depths_of",
     "planned",
     "predict",
     "preview",
@@ -120,7 +123,8 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
     with watch.stage("access") as tell:
         access = check_access(part, tool, sense=job.strategy.sense, progress=tell)
-    warnings = _accepted_access(job, access)
+    warnings = _accepted_access(job, access) + list(odd_sizes(part, tool))
+    require_depths(job, access)
 
     motions: dict[str, Motion] = {}
     passes: list[Pass] = []
@@ -147,8 +151,10 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     shown, turns = _part_of(motion, _few(motion.time.size)), _turns(motion)
     del path, lifted, before
 
+    with watch.stage("approach"):
+        entries = entries_of(job, motions)
     with watch.stage("write program") as tell:
-        program = written(job, motions, File(out), tell)
+        program = written(job, motions, File(out), tell, entries)
     motions.clear()
     with watch.stage("read program") as tell:
         again = read_back(job, program.files[0], passes[-1].name, tell)
@@ -158,7 +164,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     predictions = predict(job, again, meant=meant, watch=watch)
     del again
 
-    warnings += _assumed(job, passes) + _judged(job, predictions)
+    warnings += _walls(job, access, passes, entries) + _assumed(job, passes) + _judged(job, predictions)
     if rounding > limit:
         warnings.append(
             f"the program on disk leaves a surface {rounding:.3g} nm from that of the motion in memory, its decimals "
@@ -169,8 +175,39 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         actual_tool=job.actual_tool, actual_machine=job.actual_machine, access=access,
         passes=tuple(passes), path=pictured, motion=shown, turns=turns, least_clearance=least,
         program=program, predictions=predictions, rounding_nm=rounding, rounding_limit_nm=limit,
-        chips=chips, warnings=tuple(dict.fromkeys(warnings)), timings=watch.timings, peak_memory_gb=_peak_memory(),
+        chips=chips, entries=entries, warnings=tuple(dict.fromkeys(warnings)), timings=watch.timings,
+        peak_memory_gb=_peak_memory(),
     )  # fmt: skip
+
+
+def depths_of(job: Job) -> dict[str, float]:
+    """Return how much each pass takes off at a time, by its name. [mm]."""
+    depths, stock = {}, job.part.part.stock
+    for cut in job.passes:
+        depths[cut.name] = (stock - cut.allowance) / cut.repeats(stock)
+        stock = cut.allowance
+    return depths
+
+
+def require_depths(job: Job, access: Access) -> None:
+    """Raise if a pass takes off more than the edge can cut; no job can accept that."""
+    for finding in check_depths(job.tool.tool, access, depths_of(job)):
+        if not finding.ok:
+            raise GougeError(finding.sentence)
+
+
+def _walls(job: Job, access: Access, passes: list[Pass], entries: Mapping[str, Entry]) -> list[str]:
+    """Warn of passes that plunge beside a wall of the blank that is higher than the edge cuts."""
+    found = []
+    for one in passes:
+        wall = job.part.part.stock - one.allowance
+        (limit, *_) = (finding.limit for finding in check_depths(job.tool.tool, access, {one.name: max(wall, 1e-9)}))
+        if entries[one.name].depth is not None and limit is not None and wall > limit * (1 + 1e-9):
+            found.append(
+                f"pass {one.name} plunges beside a wall of {say_length(wall)} that the passes leave outside, the edge "
+                f"cuts up to {say_length(limit)}: state part.blank and a lead_in with which the passes begin beside it"
+            )
+    return found
 
 
 def planned(job: Job, cut: PassTable, watch: Watch) -> tuple[float, Path, Motion, Motion | None]:
@@ -229,17 +266,28 @@ def _judged_chips(
     return told
 
 
-def written(job: Job, motions: dict[str, Motion], out: File, tell: Progress | None = None) -> ProgramFiles:
+def written(
+    job: Job,
+    motions: dict[str, Motion],
+    out: File,
+    tell: Progress | None = None,
+    entries: Mapping[str, Entry] | None = None,
+) -> ProgramFiles:
     """Write the program of all passes, with the table of a fast tool beside it if there is one."""
+    entries = entries_of(job, motions) if entries is None else entries
     part, machine, file = job.part.part, job.machine.machine, out / f"{job.program.name}.nc"
     stated = ", ".join(one for one in (part.material, part.material_note) if one)
     notes = f"material {stated}" if stated else ""
     header = ProgramHeader(design=part.name, tool=job.tool.tool.name, notes=notes)
-    shared: dict[str, Any] = {"header": header, "clearance": 5 + part.stock, "progress": tell}
+    shared: dict[str, Any] = {
+        "header": header, "clearance": max(one.clearance for one in entries.values()), "progress": tell,
+        "depth": {name: one.depth for name, one in entries.items()}, "plunge_feed": job.program.plunge_feed,
+    }  # fmt: skip
     by = job.program.fast_tool
     if by is None:
         return write_nc(motions, machine, file, max_lines=job.program.max_lines, **shared)
     (motion,) = motions.values()
+    (shared["depth"],) = shared["depth"].values()  # its program has one pass, with a name of its own
     both = write_fast_tool(motion, machine, file, by=by, rate_hz=job.program.fast_tool_rate, **shared)
     size = both.program.bytes + both.table.stat().st_size
     return replace(both.program, files=(*both.program.files, both.table), bytes=size)
@@ -289,9 +337,10 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     refused = tuple(
         _or_accept(one.sentence, one.name) for one in access.findings if not one.ok and one.name not in job.accept
     )
+    refused += tuple(one.sentence for one in check_depths(tool, access, depths_of(job)) if not one.ok)
     return Preview(
         access=access, points=points, shortest_s=shortest, refused=refused, chips=chips,
-        remarks=job.part.part.surface.remarks,
+        remarks=job.part.part.surface.remarks, warnings=odd_sizes(part, tool),
     )  # fmt: skip
 
 

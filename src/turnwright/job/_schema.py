@@ -47,9 +47,9 @@ from turnwright.job._table import faults as faults_of
 from turnwright.machine import Machine
 from turnwright.material import Material
 from turnwright.motion import require_variable
-from turnwright.part import Part
+from turnwright.part import Blank, Part
 from turnwright.pose import Pose
-from turnwright.post import dialect_of
+from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, dialect_of
 from turnwright.surface import Gridded
 from turnwright.tool import Tool, WavinessTable
 from turnwright.units import parse, unit
@@ -100,6 +100,17 @@ def _material(text: str, info: ValidationInfo) -> str:
     return str(found.resolve())
 
 
+class BlankTable(Table):
+    """What the part is cut from, a disc: see `turnwright.Blank`."""
+
+    radius: Size
+
+    @cached_property
+    def blank(self) -> Blank:
+        """The blank."""
+        return Blank(radius=self.radius)
+
+
 class PartTable(Table):
     """What is asked for: see `turnwright.Part`.
 
@@ -119,6 +130,7 @@ class PartTable(Table):
     material_note: Text = ""
     name: Text = ""
     correction: ExistingFile | None = None
+    blank: BlankTable | None = None
 
     @cached_property
     def part(self) -> Part:
@@ -132,6 +144,7 @@ class PartTable(Table):
             material=material,
             material_note=self.material_note,
             name=self.name,
+            blank=self.blank.blank if self.blank else None,
         )
 
     @cached_property
@@ -228,6 +241,7 @@ class ToolTable(ToolDeviations):
     nose_radius: Size
     included: Angle | None = None
     clearance: Angle | None = None
+    edge_length: Size | None = None
     name: Text = ""
 
     @cached_property
@@ -237,6 +251,7 @@ class ToolTable(ToolDeviations):
             nose_radius=self.nose_radius,
             included=self.included,
             clearance=self.clearance,
+            edge_length=self.edge_length,
             name=self.name,
             **self.stated,
         )
@@ -575,6 +590,8 @@ class ProgramTable(Table):
         Heights per second of a table by time. [Hz]
     precorrect
         Whether the program is corrected beforehand for what the servos will make of it.
+    plunge_feed
+        Fastest plunge into the material where a pass cannot begin beside it; C turns meanwhile. [mm/s]
     """
 
     name: Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9_-]{1,30}$")] = "part"
@@ -582,6 +599,16 @@ class ProgramTable(Table):
     fast_tool: Literal["position", "time"] | None = None
     fast_tool_rate: Annotated[float, unit("Hz", above=0.0)] | None = None
     precorrect: Annotated[bool, Strict()] = False
+    plunge_feed: Annotated[float, unit("mm/s", above=0.0)] = PLUNGE_FEED
+
+    @model_validator(mode="after")
+    def _plunge_is_slow(self) -> Self:
+        if self.plunge_feed > FASTEST_PLUNGE:
+            raise JobError(
+                f"plunge_feed is {self.plunge_feed * 60:g} mm/min, the limit is {FASTEST_PLUNGE * 60:g} mm/min: check "
+                "its unit"
+            )
+        return self
 
 
 def _all_different(what: str, names: list[str]) -> None:

@@ -111,7 +111,8 @@ class _Pass:
         """Controller's C at the first point as the motion counts it, whatever turns C has counted on. [deg]."""
         places = self.dialect.decimals["C"]
         turns = round((self.shifts["C"] - self.clocking) / 360)
-        return (self.units("C", float(self.motion.axes["C"][0])) - turns * 360 * 10**places) / 10.0**places
+        units = self.units("C", float(self.motion.axes["C"][0])) - turns * 360 * 10**places
+        return float(units / 10.0**places)
 
     def word(self, letter: str, value: float) -> str:
         """Return one word of the approach."""

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from turnwright.access import Access
     from turnwright.job import Job, Prediction, Result
+    from turnwright.job._approach import Entry
     from turnwright.machine import Machine
     from turnwright.motion import Limits
     from turnwright.part import Part
@@ -139,6 +140,8 @@ class _Page(Page):
     access_map: Picture | None
     path: Sequence[Picture]
     spiral: Sequence[_Row]
+    approaches: Sequence[Picture]
+    approach: Sequence[tuple[str, Sequence[str]]]
     axes: Sequence[Picture]
     passes: Sequence[_Block]
     chips: _Chips | None
@@ -209,6 +212,11 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
                 f"{result.least_clearance * NM + 0.0:.3g} nm (0 is contact, less a gouge)",
             ),
         ],
+        approaches=[
+            draw.approach_view(name, result.entries[name], result.tool)
+            for name in dict.fromkeys((result.passes[0].name, result.passes[-1].name))
+        ],
+        approach=[(name, _approach_facts(one)) for name, one in result.entries.items()],
         axes=[draw.z_over_turns(result.turns), draw.axes_over_time(result.motion)],
         passes=[
             _Block(
@@ -241,6 +249,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             _Row("Lines", f"{result.program.lines:,}"),
             _Row("Size", f"{result.program.bytes / 1e6:.3g} MB"),
             _Row("Cutting time", _duration(result.program.minutes * 60)),
+            _Row("Approaches, plunges and retracts", _duration(result.program.links_minutes * 60)),
             _Row("SHA-256", result.program.hash),
             _Row(
                 "Back-plot of the file against the path in memory",
@@ -312,6 +321,8 @@ def write_backplot(
         access_map=None,
         path=[draw.spiral(shown, turns[len(turns) // 2], feed)],
         spiral=_spiral_rows(turns, limits, feed),
+        approaches=[],
+        approach=[],
         axes=[draw.z_over_turns(turns), draw.axes_over_time(shown)],
         passes=[
             _Block(
@@ -334,6 +345,21 @@ def write_backplot(
         job=job.to_toml(),
     )
     return set_page("run.html.j2", page, path)
+
+
+def _approach_facts(entry: Entry) -> tuple[str, ...]:
+    """Return how the tool comes to a pass: material above its first point, way in, feed, turns, time, least gap."""
+    approach = entry.approach
+    if approach.plunge is None:
+        return ("none", "beside the material", "–", "–", "–", _length(entry.least_gap))
+    return (
+        _length(max(entry.depth or 0.0, 0.0)),
+        "plunges while C turns",
+        f"{approach.plunge_feed * 60:.3g} mm/min, {approach.per_rev * 1e3:.3g} µm/rev",
+        f"{approach.turns:.0f}",
+        _duration(approach.plunge_s),
+        _length(entry.least_gap),
+    )
 
 
 def _length(length: float) -> str:
@@ -464,6 +490,7 @@ def _facts(part: Part, tool: Tool, actual: Tool, machine: Machine, real: Machine
         lathe.append(_Row("Squareness, simulated", f"{real.squareness * 1e6:.4g} µrad"))
     sheet = [_Row("Name", part.name or "–"), _Row("Surface", type(part.surface).__name__)]
     sheet += [_Row("Clear radius", f"{part.radius:.6g} mm"), _Row("Stock", _length(part.stock))]
+    sheet += [_Row("Blank", f"disc, radius {part.blank.radius:.6g} mm" if part.blank else "not stated")]
     sheet += [_Row("Material", part.material or "not stated")]
     if part.material_note:
         sheet.append(_Row("Material note", part.material_note))

@@ -30,14 +30,17 @@ if TYPE_CHECKING:
     from turnwright.diagnosis import Move
     from turnwright.heightmap import HeightMap
     from turnwright.job import Candidate
+    from turnwright.job._approach import Entry
     from turnwright.material import Material
     from turnwright.metrology import Spectrum
     from turnwright.part import Part
     from turnwright.path import Motion, Path
+    from turnwright.tool import Tool
 
 __all__ = [
     "Picture",
     "access_map",
+    "approach_view",
     "axes_over_time",
     "chip_map",
     "contact",
@@ -64,6 +67,9 @@ PIXELS = 480
 
 MOST_PIXELS = 900
 """Longest side of a map that is drawn as it is; a longer one is drawn with every second pixel, third, and so on."""
+
+GAP_WORDS = "0.1 mm"
+"""Height above the material at which C begins to turn, in words."""
 
 FEW = 1e-3
 """Share of the area below which no line is drawn around what is beyond a limit."""
@@ -254,6 +260,59 @@ def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
         canvas.svg,
         f"Map of the angle on the nose that touches the part, within {limit:.3g} deg of the tip, with the "
         "tightest places marked by the numbers of the table.",
+    )
+
+
+def approach_view(name: str, entry: Entry, tool: Tool) -> Picture:
+    """Draw the radial cut where a pass begins: the material before it, the finished surface, the tool and its way."""
+    approach = entry.approach
+    end = approach.start if approach.plunge is None else {k: float(v[-1]) for k, v in approach.plunge.axes.items()}
+    x, z, top = end["X"], end["Z"], approach.start["Z"]
+    depth = max(entry.depth or 0.0, 0.0)
+    wide = 2.2 * math.sqrt(2 * tool.actual_radius * max(depth, 0.02)) + 0.1
+    sweep = np.linspace(-1.4, 1.4, 401)
+    u, _, e = tool.edge(sweep)
+    low, high = (x - wide, x + 1.6 * wide) if entry.outward else (x - 1.6 * wide, x + wide)
+    rim = entry.radius[np.isfinite(entry.finished)]
+    if approach.plunge is None and rim.size:
+        low = min(low, float(rim.max()) - 0.4 * wide)
+    near = (entry.radius >= low) & (entry.radius <= high)
+    radius, material, finished = entry.radius[near], entry.material[near], entry.finished[near]
+    heights = np.concatenate([material, finished, [z, top]])
+    heights = heights[np.isfinite(heights)]
+    span = float(np.ptp(heights))
+    bottom, ceiling = float(heights.min()) - 0.35 * span, max(float(heights.max()), top) + 0.25 * span
+    with _canvas(5.2, 4.2) as canvas:
+        axes = canvas.figure.add_subplot()
+        there = np.isfinite(material)
+        axes.fill_between(
+            radius, np.where(there, material, bottom), bottom, where=there, color=LINE, alpha=0.8, linewidth=0,
+            label="material before the pass",
+        )  # fmt: skip
+        axes.plot(radius, finished, color=SERIES[1], linewidth=1.4, label="finished surface")
+        for height, style, label in ((top, "--", "tool, C at rest until here"), (z, "-", "tool where the pass begins")):
+            axes.plot(x + u, height + e, color=SERIES[0], linestyle=style, linewidth=1.2, label=label)
+        if approach.plunge is None:
+            axes.annotate(
+                "", (x, z), (x, ceiling), arrowprops={"arrowstyle": "->", "color": INK, "linewidth": 0.9}
+            )  # fmt: skip
+        else:
+            axes.annotate("", (x, top), (x, ceiling), arrowprops={"arrowstyle": "->", "color": INK, "linewidth": 0.9})
+            axes.annotate(
+                "", (x, z), (x, top), arrowprops={"arrowstyle": "->", "color": SERIES[2], "linewidth": 1.6}
+            )  # fmt: skip
+            axes.plot([], [], color=SERIES[2], linewidth=1.6, label="plunge, C turning")
+        goes = 0.5 * wide if entry.outward else -0.5 * wide
+        axes.annotate("", (x + goes, z), (x, z), arrowprops={"arrowstyle": "->", "color": SERIES[0], "linewidth": 1.6})
+        axes.set(xlim=(low, high), ylim=(bottom, ceiling), xlabel="distance from the axis [mm]", ylabel="z [mm]")
+        axes.set_title(f"pass {name}")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, fontsize=7)
+        axes.grid(visible=True)
+    how = "begins clear of the material" if approach.plunge is None else "plunges while C turns"
+    return Picture(
+        canvas.svg,
+        f"Side view of the approach to pass {name}, which {how}: the material before it, the finished surface, the "
+        f"tool {GAP_WORDS} above the material and where the pass begins.",
     )
 
 

@@ -252,7 +252,8 @@ def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
     found["access"] = plain(plan.access)
     found["preview"] = plain({"points": plan.points, "shortest_s": plan.shortest_s, "refused": plan.refused})
     found["chips"] = dict(plan.chips)
-    found["warnings"] = [one.sentence for one in plan.access.findings if not one.ok and one.name in job.accept]
+    accepted = [one.sentence for one in plan.access.findings if not one.ok and one.name in job.accept]
+    found["warnings"] = [*accepted, *plan.warnings]
     points = sum(plan.points.values())
     if points > MOST_POINTS:
         found["errors"] = [{"field": "strategy", "sentence": too_many(points)}]

@@ -22,7 +22,7 @@ from turnwright.web._references import FILE_KEYS, kind_of
 
 __all__ = ["job_schema"]
 
-DISPLAY = {"mm": "mm", "mm/rev": "um/rev", "rad": "deg", "rpm": "rpm", "Hz": "Hz", "mm/s^2": "mm/s^2"}
+DISPLAY = {"mm": "mm", "mm/rev": "um/rev", "rad": "deg", "rpm": "rpm", "Hz": "Hz", "mm/s": "mm/min", "mm/s^2": "mm/s^2"}
 """The unit that a person writes, by the unit inside."""
 
 SMALLER = {

@@ -1,0 +1,197 @@
+"""How the tool comes to a pass: by programs that an independent reader follows, and closed forms of the edge."""
+
+import itertools
+import math
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from job_files import changed
+
+import turnwright as tw
+from turnwright.access import check_access, check_depths
+from turnwright.errors import InputError, JobError, LimitError
+from turnwright.job import Job, preview
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "proof"))
+
+from proof_approach import Figures, failures, run
+
+FEW = ("simulation", {"whole_part": {"radii": 11, "angles": 8}})
+DOME = (
+    FEW, ("part.surface", {"family": "sphere", "radius": "-40 mm"}), ("part.radius", "5 mm"),
+    ("strategy.feed", "0.1 mm/rev"), ("strategy.points_per_rev", 36), ("tool.included", "100 deg"),
+)  # fmt: skip
+BESIDE = (("part.stock", "50 um"), ("part.blank", {"radius": "5.2 mm"}), ("strategy.lead_in", "0.7 mm"))
+
+
+def carried_out(folder, *changes):
+    result = tw.run(Job.read(changed(*DOME, *changes)), out=folder)
+    return result, [path.read_text() for path in result.program.files]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_random_programs_touch_nothing_at_rest(seed):
+    figures = Figures()
+    run(10, seed, figures)
+    assert failures(figures)[:5] == [] or failures(figures) == ["jobs plunge, and jobs begin beside the blank"]
+    assert figures.plunges
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize(("stock", "included"), [("50 um", "100 deg"), ("160 um", "120 deg")])
+def test_the_part_turns_before_the_tool_touches_it(tmp_path, stock, included, inside_out):
+    """What stood still before: a dome of R 40 mm, its stock taken off in one pass."""
+    changes = (("part.stock", stock), ("tool.included", included), ("strategy.inside_out", inside_out))
+    result, (text,) = carried_out(tmp_path, *changes)
+    thickness = float(stock.split()[0]) / 1e3
+    before = text[: text.index("( PASS: finish, ENTRY )")]
+    down = float(re.findall(r"^G1 Z(-?[\d.]+) F100", before, re.MULTILINE)[-1])
+    first = float(re.findall(r"Z(-?[\d.]+)", text[: text.index("\nG93\n")])[-1])
+    assert down >= first + thickness + 0.1 - 1e-6
+    plunge = text[text.index("G93 G1\n") : text.index("\nG93\n")]
+    degrees = [float(one) for one in re.findall(r"C(-?[\d.]+)", plunge)]
+    assert all(after > before for before, after in itertools.pairwise(degrees))
+    # 2 revolutions a second: 36 blocks of 10 deg.
+    heights = [float(one) for one in re.findall(r"Z(-?[\d.]+)", plunge)]
+    minutes = [1 / float(one) for one in re.findall(r"F([\d.]+)", plunge)]
+    assert (heights[0] - heights[-1]) / sum(minutes[1:]) <= 1.8 * (1 + 1e-4)
+    assert result.entries["finish"].least_gap >= 0.1 - 1e-9
+
+
+def test_a_spiral_from_beside_the_blank_needs_no_plunge(tmp_path):
+    result, (text,) = carried_out(tmp_path, *BESIDE)
+    assert result.entries["finish"].depth is None
+    assert "ENTRY )" not in text
+    assert "BEGINS CLEAR OF THE MATERIAL" in text
+    # Where the edge meets the blank's corner, from circle and dome alone: the tool begins farther out than that.
+    nose, bend, rim = 0.5, 40.0, 5.0
+    axis = 5.7
+    fall = math.sqrt(bend**2 - rim**2) - bend
+    below = math.sqrt((bend + nose) ** 2 - axis**2) - bend - nose
+    assert axis - 5.2 > math.sqrt(nose**2 - (nose - (fall + 0.05 - below)) ** 2)
+    shorter, (text,) = carried_out(tmp_path, *BESIDE[:2], ("strategy.lead_in", "0.3 mm"))
+    assert shorter.entries["finish"].depth > 0.05
+    assert "ENTRY )" in text
+
+
+def test_without_a_blank_material_is_everywhere(tmp_path):
+    result, _ = carried_out(tmp_path, BESIDE[0], BESIDE[2])
+    assert result.entries["finish"].depth >= 0.05
+
+
+@pytest.mark.parametrize("dialect", ["generic", "pmac"])
+def test_c_counts_on_from_pass_to_pass(tmp_path, dialect):
+    machine = {"name": "generic"}
+    if dialect == "pmac":
+        (tmp_path / "pmac.toml").write_text(
+            'base = "nanoform"\nname = "m"\ndialect = "pmac"\n[controller]\ninterpolation = "hermite"\n'
+        )
+        machine = {"file": str(tmp_path / "pmac.toml")}
+    cuts = [{"name": "rough", "depth": "20 um", "allowance": "10 um"}, {"name": "finish"}]
+    result, (text,) = carried_out(tmp_path, ("machine", machine), ("part.stock", "50 um"), ("passes", cuts))
+    assert [one.name for one in result.passes] == ["rough 1", "rough 2", "finish"]
+    degrees = [float(one) for one in re.findall(r"^(?:G[01] )?(?:X.* )?C(-?[\d.]+)", text, re.MULTILINE)]
+    assert 0 <= degrees[0] <= 360
+    steps = np.diff(degrees)
+    assert (steps >= 0).all()
+    assert steps.max() <= 360
+    assert degrees[-1] > 3 * 50 * 360
+    machine = result.machine
+    for one in result.passes:
+        again = tw.read_nc(result.program.files[0], machine, name=one.name)
+        assert again.time.size == one.points
+        assert abs(again.axes["C"][0]) < 1e-9
+    assert result.program.links_minutes > 0
+
+
+def test_a_feed_word_has_the_decimals_of_its_dialect(tmp_path):
+    _, (text,) = carried_out(tmp_path, ("part.stock", "50 um"), ("strategy.spindle_speed", "77.7 rpm"))
+    assert max(len(one) for one in re.findall(r" F\d+\.(\d+)", text)) <= 6
+
+
+@pytest.mark.parametrize("name", ["nanotech-350fg", "generic"])
+def test_a_job_with_a_blank_reads_back(tmp_path, name):
+    job = Job.read(changed(*DOME, *BESIDE, ("machine.name", name), ("program", {"plunge_feed": "1.2 mm/min"})))
+    job.dump(tmp_path / "job.toml")
+    again = Job.load(tmp_path / "job.toml")
+    assert again == job
+    assert again.part.part.blank == tw.Blank(radius=5.2)
+    assert again.program.plunge_feed == 0.02
+
+
+def test_what_cannot_be_a_blank_or_a_plunge():
+    with pytest.raises(InputError, match="the blank reaches 4 mm from the axis, the limit is the clear radius 5 mm"):
+        tw.Part(surface=tw.Plane(), radius=5.0, blank=tw.Blank(radius=4.0))
+    with pytest.raises(InputError, match="blank radius"):
+        tw.Blank(radius=0.0)
+    with pytest.raises(JobError, match="plunge_feed is 120 mm/min, the limit is 60 mm/min"):
+        Job.read(changed(("program", {"plunge_feed": "120 mm/min"})))
+
+
+@pytest.mark.parametrize("bend", [-40.0, 25.0, None])
+@pytest.mark.parametrize("included", [60, 100, 140])
+def test_a_chip_stays_on_the_edge(bend, included):
+    """The limit of the depth by a dense search over contact and chip, without our formula."""
+    surface = tw.Plane() if bend is None else tw.Sphere(radius=bend)
+    tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(included), clearance=0.2)
+    access = check_access(tw.Part(surface=surface, radius=5.0), tool)
+    (finding,) = check_depths(tool, access, {"finish": 0.01})
+    slopes = np.linspace(0, 0 if bend is None else math.asin(5 / abs(bend)), 500) * (
+        1 if bend is None or bend > 0 else -1
+    )
+    depth = np.linspace(1e-4, 0.5, 20_001)
+    worst = math.inf
+    for slope in slopes:
+        half = np.arccos(np.maximum(1 - depth * math.cos(slope) / 0.5, -1))
+        fits = (slope + half <= np.deg2rad(included / 2)) & (slope - half >= -np.deg2rad(included / 2))
+        worst = min(worst, depth[fits].max())
+    assert finding.limit == pytest.approx(worst, abs=3e-5)
+    assert not check_depths(tool, access, {"finish": finding.limit * 1.001})[0].ok
+    assert check_depths(tool, access, {"finish": finding.limit * 0.999})[0].ok
+    assert check_depths(tool, access, {"finish": 0.0}) == ()
+
+
+def test_flanks_that_cut_take_more():
+    plain = tw.Tool(nose_radius=0.5, included=np.deg2rad(60), clearance=0.2)
+    long = tw.Tool(nose_radius=0.5, included=np.deg2rad(60), clearance=0.2, edge_length=0.2)
+    access = check_access(tw.Part(surface=tw.Plane(), radius=5.0), plain)
+    limits = [check_depths(tool, access, {"a": 0.01})[0].limit for tool in (plain, long)]
+    assert limits[1] - limits[0] == pytest.approx(0.2 * math.sin(math.radians(30)))
+
+
+def test_sizes_of_a_slip_are_refused_or_warned_of(tmp_path):
+    with pytest.raises(tw.TurnwrightError, match="takes off 500 um at a time, the edge cuts up to"):
+        carried_out(tmp_path, ("part.stock", "0.5 mm"))
+    deep = preview(Job.read(changed(("part.stock", "50 mm"))))
+    assert any("takes off 50 mm at a time" in one for one in deep.refused)
+    assert any("stock is 50 mm, more than the nose_radius" in one for one in deep.warnings)
+    wide = preview(Job.read(changed(("tool.nose_radius", "500 mm"), ("part.surface", {"family": "plane"}))))
+    assert any("nose_radius is 500 mm" in one for one in wide.warnings)
+
+
+def test_a_wall_higher_than_the_edge_is_warned_of(tmp_path):
+    deep = (("part.stock", "0.4 mm"), ("tool.included", "120 deg"), ("passes", [{"name": "cut", "depth": "0.1 mm"}]))
+    result, _ = carried_out(tmp_path, *deep)
+    walls = [one for one in result.warnings if "plunges beside a wall" in one]
+    # The edge cuts up to 0.199 mm: all but the first of four passes of 0.1 mm leave more standing outside.
+    assert [one.split(" plunges")[0] for one in walls] == ["pass cut 2", "pass cut 3", "pass cut 4"]
+    beside = (("part.blank", {"radius": "5.2 mm"}), ("strategy.lead_in", "1.2 mm"))
+    result, _ = carried_out(tmp_path, *deep, *beside)
+    assert not [one for one in result.warnings if "plunges beside a wall" in one]
+
+
+def test_a_fast_tool_by_time_must_begin_beside_the_blank(tmp_path):
+    waves = {"family": "sine grid", "amplitude": ["2 um", "2 um"], "period": ["0.5 mm", "0.5 mm"]}
+    fast = (
+        FEW, ("part.surface", waves), ("machine.name", "nanoform-fts-70"),
+        ("strategy.kind", "fast tool servo"), ("strategy.spindle_speed", "60 rpm"), ("strategy.points_per_rev", 360),
+        ("program", {"fast_tool": "time", "fast_tool_rate": "20 kHz"}),
+    )  # fmt: skip
+    with pytest.raises(LimitError, match=r"state part\.blank and a longer lead_in"):
+        tw.run(Job.read(changed(*fast)), out=tmp_path)
+    wide = (("part.blank", {"radius": "1.02 mm"}), ("strategy.lead_in", "0.3 mm"))
+    result = tw.run(Job.read(changed(*fast, *wide)), out=tmp_path)
+    assert result.entries["finish"].depth is None
