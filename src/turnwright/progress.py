@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from itertools import islice
+from pathlib import Path
 from typing import TypeAlias
+
+from turnwright.errors import LimitError
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with (done, total); raising in it, as Ctrl-C does, stops the work cleanly."""
@@ -93,3 +96,46 @@ def run_chunks(
             for future in running:
                 future.cancel()
             raise
+
+
+def free_memory_gb(system: Path = Path("/")) -> float | None:
+    """Memory that may be taken, the limit of a container included; None where the system does not say.
+
+    In GB. What a container keeps of files that it has read counts as used, and is given back when it is needed.
+    """
+    found = []
+    with suppress(OSError, StopIteration, ValueError):
+        lines = (system / "proc/meminfo").read_text(encoding="ascii").splitlines()
+        found.append(int(next(line for line in lines if line.startswith("MemAvailable")).split()[1]) / 1e6)
+    for group, limit, used, given_back in (
+        ("sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
+        ("sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+    ):
+        with suppress(OSError, ValueError, KeyError):  # "max" is no number, and no limit
+            most, now = (int((system / group / one).read_text(encoding="ascii")) for one in (limit, used))
+            lines = (system / group / "memory.stat").read_text(encoding="ascii").splitlines()
+            files = int(dict(line.split() for line in lines)[given_back])
+            found.append((most - now + files) / 1e9)
+    with suppress(ImportError, OSError, ValueError):  # there is none on Windows
+        import resource  # noqa: PLC0415
+
+        most = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if most != resource.RLIM_INFINITY:
+            pages = int((system / "proc/self/statm").read_text(encoding="ascii").split()[0])
+            found.append((most - pages * resource.getpagesize()) / 1e9)
+    return min(found, default=None)
+
+
+def require_memory(needed: float, what: str, remedy: str) -> None:
+    """Raise unless as many bytes may be taken: to run out of memory on the way loses all that is done.
+
+    Raises
+    ------
+    LimitError
+        With what needs them, how many there are, and the remedy.
+    """
+    free = free_memory_gb()
+    if free is not None and needed > free * 1e9:
+        raise LimitError(
+            f"{what} takes about {needed / 1e9:.3g} GB of memory, {max(free, 0.0):.3g} GB are free: {remedy}"
+        )

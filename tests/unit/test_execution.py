@@ -29,7 +29,7 @@ import turnwright as tw
 from turnwright.errors import InputError, StudyError
 from turnwright.execution import _conduct, _executors, case_key, cluster, conduct, local, program_version
 from turnwright.execution._store import Store
-from turnwright.progress import at_most, cores
+from turnwright.progress import at_most, cores, free_memory_gb
 
 HERE = Path(__file__).parent
 
@@ -390,13 +390,13 @@ def test_cores_are_those_that_one_was_given(monkeypatch):
 )
 def test_the_pool_is_sized_to_cores_and_memory(free, need, workers, monkeypatch):
     monkeypatch.setattr(_executors, "cores", lambda: 8)
-    monkeypatch.setattr(_executors, "_free_memory_gb", lambda: free)
+    monkeypatch.setattr(_executors, "free_memory_gb", lambda: free)
     with local(memory_gb=need) as made:
         assert made.workers == workers
 
 
 def test_the_free_memory_is_that_of_the_system():
-    free = _executors._free_memory_gb()
+    free = free_memory_gb()
     assert 0 < free <= os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
 
 
@@ -411,15 +411,15 @@ def test_what_a_container_has_read_is_free_memory(folder, limit, used, cached, t
     # The working set of a container, as Kubernetes counts it: its usage less its inactive files.
     (tmp_path / "proc").mkdir()
     (tmp_path / "proc" / "meminfo").write_text("MemTotal: 64000000 kB\nMemAvailable: 50000000 kB\n")
-    assert _executors._free_memory_gb(tmp_path) == 50.0
+    assert free_memory_gb(tmp_path) == 50.0
     group = tmp_path / folder
     group.mkdir(parents=True)
     (group / limit).write_text("8000000000\n")
     (group / used).write_text("7500000000\n")
     (group / "memory.stat").write_text(f"anon 500000000\n{cached} 6500000000\nactive_file 500000000\n")
-    assert _executors._free_memory_gb(tmp_path) == 7.0
+    assert free_memory_gb(tmp_path) == 7.0
     (group / limit).write_text("max\n")
-    assert _executors._free_memory_gb(tmp_path) == 50.0
+    assert free_memory_gb(tmp_path) == 50.0
 
 
 def test_a_store_that_cannot_be_read_is_one_sentence(store):

@@ -22,13 +22,12 @@ from contextlib import contextmanager, suppress
 from importlib import import_module
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import urlsplit
 
 from turnwright import _given as given
 from turnwright.errors import InputError, StudyError
-from turnwright.progress import THREADS, cores
+from turnwright.progress import THREADS, cores, free_memory_gb
 
 __all__ = [
     "Cluster",
@@ -374,29 +373,8 @@ def share_of(workers: int) -> int:
 
 def fitting(memory_gb: float | None = None) -> int:
     """Return how many workers there are cores and memory for, at least one."""
-    free = _free_memory_gb()
+    free = free_memory_gb()
     return max(1, cores() if free is None else min(cores(), int(free / (memory_gb or MEMORY_GB))))
-
-
-def _free_memory_gb(system: Path = Path("/")) -> float | None:
-    """Memory that may be taken, the limit of a container included; None where the system does not say.
-
-    In GB. What a container keeps of files that it has read counts as used, and is given back when it is needed.
-    """
-    found = []
-    with suppress(OSError, StopIteration, ValueError):
-        lines = (system / "proc/meminfo").read_text(encoding="ascii").splitlines()
-        found.append(int(next(line for line in lines if line.startswith("MemAvailable")).split()[1]) / 1e6)
-    for group, limit, used, given_back in (
-        ("sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
-        ("sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
-    ):
-        with suppress(OSError, ValueError, KeyError):  # "max" is no number, and no limit
-            most, now = (int((system / group / one).read_text(encoding="ascii")) for one in (limit, used))
-            lines = (system / group / "memory.stat").read_text(encoding="ascii").splitlines()
-            files = int(dict(line.split() for line in lines)[given_back])
-            found.append((most - now + files) / 1e9)
-    return min(found, default=None)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from turnwright._arrays import positive
 from turnwright._given import whole as whole_number
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
+from turnwright.progress import require_memory
 from turnwright.strategy._strategy import Strategy, glimpsed
 
 if TYPE_CHECKING:
@@ -30,6 +31,12 @@ TURN = 2 * math.pi
 
 MOST_POINTS = 300_000_000
 """Beyond this a spiral is a slip of the unit: no controller takes such a program, and no memory holds it."""
+
+BYTES_PER_POINT = 160
+"""Of a path with its contacts and the motion along it, 20 numbers."""
+
+BYTES_PER_SAMPLE = 24
+"""Of a path that is looked at piece by piece, to place its points."""
 
 MOST_SAMPLES = 1 << 24
 """Samples of a piece of a path by chord, beyond which it is rougher than memory holds."""
@@ -191,7 +198,7 @@ class SlowToolServo(Strategy):
         self._require_overlap(tool)
         if self.points_per_rev is not None:
             last = self._last(part, tool, self.points_per_rev)
-            spiral = self._some(np.arange(last + 1.0), last, self.points_per_rev, tool)
+            spiral = self._some(_steps(last), last, self.points_per_rev, tool)
         else:
             end, start = self._ends(part, tool)
             if self.chord is not None:
@@ -298,7 +305,7 @@ class SlowToolServo(Strategy):
         steps = math.ceil(TURN / widest * (1 - 1e-12))
         finest = max(256, 12 * steps, 8 * TURN * part.radius / part.surface.feature_size)
         per_turn = steps * math.ceil(finest / steps)
-        samples = _steps((start - end) / self.feed * per_turn)
+        samples = _steps((start - end) / self.feed * per_turn, BYTES_PER_SAMPLE)
         whole = float(samples[-1]) * TURN / per_turn
 
         def height(turned: Floats) -> Floats:
@@ -316,6 +323,8 @@ class SlowToolServo(Strategy):
         # The last two steps of a piece share what is left at its border: they are thinned again with the next piece, or
         # their shortness would bind the block rate of the whole cut.
         rest = np.empty((3, 0))
+        if progress is not None:
+            progress(0, max(round(whole / TURN), 1))
         borders = np.linspace(0, samples.size - 1, math.ceil((samples.size - 1) / BLOCK) + 1).astype(np.int64)
         for low, high in pairwise(borders):  # neighbours share their end
             turned, z, bulge = _refined(samples[low : high + 1] * (TURN / per_turn), height, tolerance)
@@ -332,6 +341,7 @@ class SlowToolServo(Strategy):
             if progress is not None:
                 progress(round(float(turned[-1]) / TURN), round(whole / TURN))
         _check_count(sum(part.size for part in kept))
+        _require_room(sum(part.size for part in kept))
         return np.concatenate(kept)
 
 
@@ -344,6 +354,13 @@ def _check_count(count: float) -> None:
         )
 
 
+def _require_room(count: float, bytes_each: int = BYTES_PER_POINT) -> None:
+    """Raise if there is no memory for a path of as many points, and the motion along it."""
+    require_memory(
+        bytes_each * count, f"a path of {count:.3g} points", "take a larger feed, fewer points, or another computer"
+    )
+
+
 def _check_samples(count: int, tolerance: float) -> None:
     """Raise if a path is so rough that no sampling of it fits into memory."""
     if count > MOST_SAMPLES:
@@ -353,9 +370,11 @@ def _check_samples(count: int, tolerance: float) -> None:
         )
 
 
-def _steps(count: float) -> Floats:
+def _steps(count: float, bytes_each: int = BYTES_PER_POINT) -> Floats:
     """Return 0, 1, 2 and so on up to ``count``, rounded up but for what is rounding itself. (n,)."""
-    return np.arange(_count(count) + 1, dtype=np.float64)
+    whole = _count(count)
+    _require_room(whole, bytes_each)
+    return np.arange(whole + 1, dtype=np.float64)
 
 
 def _count(steps: float) -> int:
