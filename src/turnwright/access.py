@@ -34,6 +34,9 @@ STARTS = 32
 STEEPEST = 1e6
 """A surface steeper than this, in mm per mm, is described wrongly: no part has such a wall."""
 
+HIGHEST = 1e6
+"""A surface higher than this is described wrongly, and heights beyond lose their nanometres. [mm]."""
+
 SHARP = 1e-6
 """A slope that jumps by less than this, or a height by less than this many mm, is rounding."""
 
@@ -344,13 +347,13 @@ def reach_at(part: Part, tool: Tool, *, x: Floats, y: Floats, sense: int = 1) ->
 def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) -> _Shape:
     """Return the surface as the edge meets it. Each (n,)."""
     c, s = np.cos(angle), np.sin(angle)
-    _, zx, zy, zxx, zxy, zyy = part.surface.evaluate(radius * c, radius * s, 2)
+    z, zx, zy, zxx, zxy, zyy = part.surface.evaluate(radius * c, radius * s, 2)
     with np.errstate(all="ignore"):  # what is not finite is refused below
         fu, fv = zx * c + zy * s, zy * c - zx * s
         fuu = zxx * c**2 + 2 * zxy * c * s + zyy * s**2
         fuv = (zyy - zxx) * c * s + zxy * (c**2 - s**2)
         fvv = zxx * s**2 - 2 * zxy * c * s + zyy * c**2
-    bad = ~np.isfinite(fu + fv + fuu + fuv + fvv) & (radius > 1e-9)  # the axis alone may be missing
+        bad = ~np.isfinite(fu + fv + fuu + fuv + fvv) & (radius > 1e-9)  # the axis alone may be missing
     if bad.any():
         x, y = float((radius * c)[bad][0]), float((radius * s)[bad][0])
         raise DomainError(
@@ -365,6 +368,11 @@ def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) ->
         raise DomainError(
             f"the surface climbs by {steepness[worst]:.3g} mm per mm {_at((x, y))}, the limit is {STEEPEST:g}, as good "
             "as a vertical wall: check the units and the exponents of its terms"
+        )
+    if (highest := float(np.max(np.abs(z), where=np.isfinite(z), initial=0.0))) > HIGHEST:
+        raise DomainError(
+            f"the surface is {highest:.3g} mm high or deep, the limit is {HIGHEST:g} mm: check the units and the "
+            "exponents of its terms"
         )
     up, back = math.cos(tool.rake), -sense * math.sin(tool.rake)
     # Not positive where the surface climbs over the rake face: there no edge cuts, and the limit of the nose is zero.

@@ -372,3 +372,13 @@ def test_an_early_interrupt_is_not_lost(kill, delay, tmp_path):
     assert said.splitlines()[-1].startswith("turnwright: interrupted")
     assert "Traceback (most recent call last)" not in said
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "place", ["part.surface.file", "part.correction", "part.material", "tool.waviness_file", "machine.file"]
+)
+def test_a_name_too_long_for_any_system_is_no_file(place, tmp_path, capsys):
+    changes = [("part.surface", GRID)] if "surface" in place else [("machine", {})] if "machine" in place else []
+    job = written(tmp_path, *changes, (place, "x" * 5000 + ".toml"))
+    assert main(["check", str(job)]) == 2
+    assert "does not exist beside the job file" in capsys.readouterr().err

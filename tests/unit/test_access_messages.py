@@ -92,3 +92,10 @@ def test_a_formula_without_a_slope_on_the_axis_says_no_nan(formula):
     assert "nan" not in "".join(finding.sentence for finding in access.findings)
     if formula.startswith("hypot"):
         assert access.included_needed == pytest.approx(2 * np.arctan(0.1 * np.sqrt(2)), rel=1e-9)
+
+
+@pytest.mark.parametrize("height", [1.1e6, -1e302])
+def test_a_surface_beyond_all_parts_is_refused(height):
+    part = Part(surface=Expression(f"{height!r} + 0*x"), radius=1.0)
+    with pytest.raises(DomainError, match=r"mm high or deep, the limit is 1e\+06 mm"):
+        check_access(part, Tool(nose_radius=0.1, included=1.0, clearance=0.2))

@@ -42,7 +42,7 @@ class Preview:
     access
         Whether the tool reaches the part.
     points
-        Number of program points by pass.
+        Number of program points by pass; none where it would be refused.
     shortest_s
         The shortest time that block rate and spindle allow, by pass; the slides may need longer. [s]
     refused

@@ -315,9 +315,14 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
     with watch.stage("access") as tell:
         access = check_access(part, tool, sense=job.strategy.sense, progress=tell)
+    refused = tuple(
+        _or_accept(one.sentence, one.name) for one in access.findings if not one.ok and one.name not in job.accept
+    )
     points, shortest, chips = {}, {}, {}
     stock = part.stock
-    for cut in job.passes:
+    # As in a run nothing is planned for a tool that does not reach the part: where that is a slip of a unit, a path
+    # over walls takes points without end.
+    for cut in () if refused else job.passes:
         servo = job.servo(cut)
         with watch.stage("plan") as tell:
             # A job is checked while somebody types, so not all points are made that are counted.
@@ -334,9 +339,6 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         if expected:
             chips[cut.name] = expected
         stock = cut.allowance
-    refused = tuple(
-        _or_accept(one.sentence, one.name) for one in access.findings if not one.ok and one.name not in job.accept
-    )
     refused += tuple(one.sentence for one in check_depths(tool, access, depths_of(job)) if not one.ok)
     return Preview(
         access=access, points=points, shortest_s=shortest, refused=refused, chips=chips,

@@ -39,6 +39,7 @@ from turnwright.job._table import (
     Table,
     Text,
     Thickness,
+    existing,
     read_columns,
     refuse,
     sentences,
@@ -94,10 +95,7 @@ def _material(text: str, info: ValidationInfo) -> str:
                 "or state a material that is not to be judged as material_note"
             )
         return text
-    found = File((info.context or {}).get("folder", ".")) / text
-    if not found.is_file():
-        raise JobError(f"the file {text!r} does not exist beside the job file: correct the name or put it there")
-    return str(found.resolve())
+    return str(existing(File(text), info))
 
 
 class BlankTable(Table):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from contextlib import suppress
@@ -105,7 +106,7 @@ def _with_whole_paths(value: Any, folder: Path) -> Any:
         return {key: _with_whole_paths(one, folder) for key, one in value.items()}
     if isinstance(value, list):
         return [_with_whole_paths(one, folder) for one in value]
-    if isinstance(value, str) and Path(value).suffix and (folder / value).is_file():
+    if isinstance(value, str) and Path(value).suffix and os.path.isfile(folder / value):  # noqa: PTH113 - see `existing`
         return str((folder / value).resolve())
     return value
 

@@ -50,7 +50,7 @@ function Plan() {
       ${refused.map((sentence) => html`<p>${sentence}</p>`)}</div>
     </section>
     <${Card} title="Access"><ul class="findings">${access.findings.map((finding) => html`<${Finding} key=${finding.name} finding=${finding} />`)}</ul></${Card}>
-    ${preview && html`<${Length} preview=${preview} />`}
+    ${Object.keys(preview?.points ?? {}).length > 0 && html`<${Length} preview=${preview} />`}
     ${Object.keys(chips).length > 0 && html`<${Card} title="Chips"><ul class="sentences">${Object.entries(chips).map(([name, sentence]) => html`<li><strong>${name}</strong> ${String(sentence)}</li>`)}</ul></${Card}>`}
     ${warnings.length > 0 && html`<${Warnings} warnings=${warnings} />`}
     </div></${Fragment}>`;
