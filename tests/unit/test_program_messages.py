@@ -64,7 +64,7 @@ DAMAGED = {
     "standstill": (START + "C2\nC2\nC3\n", "line 6 stands still in mid-cut"),
     "back": (START + "C2\nC1.5\nC3\n", "block 3 of cut 1 turns C back"),
     "half a turn": (START + "C181\n", "block 2 of cut 1 turns C back, by nothing or by half a turn"),
-    "no feed": ("X1 Z1\nC0\nC1\n", "line 3 cuts with a feed of nan"),
+    "no feed": ("X1 Z1\nC0\nC1\n", "line 3 cuts without a feed"),
     "feed of zero": (START + "F0\nC2\n", "line 6 cuts with a feed of 0"),
     "missing sub-program": ("M98(gone.nc)\n", "line 1 calls gone.nc, which is not beside it"),
     "sub-program by number": ("M98 P1000\n", "line 1 calls sub-program 1000 by number"),

@@ -850,9 +850,8 @@ class _Reader:
             feed = self.speed_feed
         if not feed > 0:
             mode = ("PVT" if inverse else "LINEAR") if self.dialect.velocities else f"G{93 if inverse else 94}"
-            raise self._error(
-                f"cuts with a feed of {feed:g} under {mode}, it must be above 0", f"give an F after {mode}"
-            )
+            stated = "without a feed" if np.isnan(feed) else f"with a feed of {feed:g}"
+            raise self._error(f"cuts {stated} under {mode}, it must be above 0", f"give an F after {mode}")
         if inverse:
             duration = text.seconds(feed, self.whole[FEED_UNIT])
         else:
