@@ -66,3 +66,8 @@ def test_a_number_of_thousands_of_digits_is_refused(number):
 def test_a_large_toml_text_is_refused_before_it_is_read():
     with pytest.raises(InputError, match=r"the job has 7,340,036 bytes, the limit is 1,048,576"):
         read_toml(b"a=1\n" + b"\n" * (7 << 20), "the job")
+
+
+def test_a_job_of_too_many_values_is_refused_before_each_is_judged():
+    with pytest.raises(JobError, match=r"^the job has more than 100,000 values, the limit: keep long tables"):
+        Job.read({"passes": [1] * 4_000_000})

@@ -71,6 +71,9 @@ Accepted: TypeAlias = Literal["nose radius", "included angle", "clearance", "rak
 MOST_REPEATS = 100
 """Times that one pass is repeated: beyond this a depth is a slip of the unit."""
 
+MOST_VALUES = 100_000
+"""In all tables and lists of a job: heights and curves have files of their own."""
+
 MOST_SAMPLES = 1e8
 """Heights in one map: beyond this a pixel is a slip of the unit."""
 
@@ -667,6 +670,23 @@ class Job(Table):
     measurement: MeasurementTable = MeasurementTable()
     program: ProgramTable = ProgramTable()
     accept: tuple[Accepted, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _is_no_table_of_numbers(cls, data: object) -> object:
+        """Refuse what is too long to be a job, before each of its values is judged."""
+        count, waiting = 0, [data]
+        while waiting:
+            one = waiting.pop()
+            if isinstance(one, dict | list | tuple):
+                count += len(one)
+                if count > MOST_VALUES:
+                    raise JobError(
+                        f"the job has more than {MOST_VALUES:,} values, the limit: keep long tables of numbers in "
+                        "files of their own, which it names"
+                    )
+                waiting.extend(one.values() if isinstance(one, dict) else one)
+        return data
 
     @model_validator(mode="after")
     def _passes_fit(self) -> Self:
