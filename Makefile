@@ -1,5 +1,5 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve fmt check lint types layers test docs screenshots bench clean
+.PHONY: help setup demo serve fmt check lint types layers test proof fuzz docs screenshots bench clean
 
 PYTHON ?= python3
 VENV := .venv
@@ -42,6 +42,13 @@ serve: $(VENV)/.installed ## open the workbench, a page to plan, see, run and co
 # A process of tests for each core: threads of linear algebra beside them only wait for each other, at full speed.
 test: $(VENV)/.testing ## install what tests need and run them, doctests included
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests src README.md -q -n auto --dist worksteal
+
+# The suite keeps a tenth of these cases or less.
+proof: $(VENV)/.testing ## carry out the acceptance proofs, thousands of cases: figures, and failure where one is missed
+	@for one in tests/proof/proof_*.py; do echo "== $$one"; $(BIN)/python $$one || failed=1; done; test -z "$$failed"
+
+fuzz: $(VENV)/.testing ## give 20,000 mutated inputs to every door; the suite gives 300
+	$(BIN)/python tests/proof/fuzz.py --inputs 20000
 
 fmt: setup ## format, and mend what can be mended
 	$(BIN)/ruff format src tests benchmarks docs
