@@ -196,7 +196,7 @@ def write_nc(
     ...     text = done.files[-1].read_text()
     >>> [file.name for file in done.files]
     ['part.nc', 'part.finish.001.nc']
-    >>> print(text[text.index("G93") : text.rindex("G94")].rstrip())
+    >>> print(text[text.rindex("G93") : text.rindex("G94")].rstrip())
     G93
     C355.23383 X4.900000 Z0.240000 F0.001
     C0.96341 X4.800000 Z0.230000
