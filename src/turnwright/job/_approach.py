@@ -45,8 +45,8 @@ STEPS = 3000
 ABOVE = 5.0
 """Height of the clear plane above the highest material. [mm]"""
 
-SETTLED = 1e-9
-"""What counts as one height: rounding of the path. [mm]"""
+BESIDE = 0.01
+"""Least distance along z at which a pass counts as beginning beside a blank that is wider by 0.1 mm. [mm]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,7 +156,7 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
     depth: float | None = float((touched - lowest).max()) - rest
     if part.blank is not None:
         wider = _before(part, tool, before, x0, plain.angle, GAP).touch(tool, motion.sense, x0, y0)
-        if float((wider - lowest).max()) - rest <= SETTLED:
+        if float((wider - lowest).max()) - rest <= -BESIDE:
             depth = None
     top = _top(part, x0)
     clearance = max(ABOVE + part.stock, top + ABOVE - float(motion.axes["Z"].max()))
@@ -172,10 +172,11 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
     )  # fmt: skip
     first = float(np.interp(np.mod(approach.start["C"], TURN), plain.angle, touched, period=TURN))
     gap = min(approach.start["Z"] + float(w[0]) + rest - first, approach.clear + float(w.min()) - top)
-    if not gap >= GAP / 2 and not (depth is None and gap >= -SETTLED):
+    least = GAP / 2 if depth is not None else BESIDE
+    if not gap >= least:
         raise LimitError(
             f"pass {name}: the tool would come within {gap:.4g} mm of the material while C stands still, the limit is "
-            f"{GAP / 2:g} mm: state part.blank and a longer lead_in"
+            f"{least:g} mm: state part.blank and a longer lead_in"
         )
     return Entry(
         approach=approach, clearance=clearance, depth=depth, least_gap=gap,
