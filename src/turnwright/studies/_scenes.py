@@ -54,12 +54,15 @@ GAP = 0.25
 """Where the last turn of a spiral leaves its highest cusp, in feeds from the axis: the passes on either side of it are
 half a turn apart, so that the middle between them is a quarter of a feed aside."""
 
-AROUND = 4
+AROUND = 12
 """How many times as finely that cusp is looked at: it rises along half a turn and falls at once, where the cut ends."""
 
 GOLDEN = (math.sqrt(5) - 1) / 2
 """Where these places lie between lines, in steps: never at the azimuth of that fall, which is a fraction of a turn, so
 that the least turn of the surface does not lift or drop one."""
+
+NEAR_RIM = 4
+"""How many times as finely as by one ring, whose azimuths meet each cusp once a turn, the cusps at the rim are met."""
 
 PER_FEATURE = 6
 """Places to a feature of the surface, along the radius and around the rim."""
@@ -247,11 +250,16 @@ def lines_of(job: Job, feed: float, *, even: bool = False) -> Scene:
         while INWARD * rings[-1] < share[0]:
             rings.append(INWARD * rings[-1])
         fine = (np.arange(AROUND) + GOLDEN) / AROUND * azimuth[1]
-        radius = np.concatenate([[0.0], np.full(AROUND, rings[0]), rings[1:], share, [RIM]])
+        # Rings a whole number of feeds apart would meet all cusps alike, and a tilt would take that off.
+        across = feed / part.radius
+        if across * radii < 1:
+            share = np.minimum((np.floor(share / across) + np.arange(radii) * GOLDEN % 1) * across, RIM)
+        rim = RIM - np.arange(NEAR_RIM) / NEAR_RIM * across / angles
+        radius = np.concatenate([[0.0], np.full(AROUND, rings[0]), rings[1:], share, rim])
         twist = np.zeros(radius.size)
         twist[1 : 1 + AROUND] = fine
         weight = np.zeros(radius.size)
-        weight[-1 - radii : -1] = 2 * share / radii
+        weight[-NEAR_RIM - radii : -NEAR_RIM] = 2 * share / radii
         order = np.argsort(radius, kind="stable")
         radius, twist, weight = radius[order], twist[order], weight[order]
     return Scene(
