@@ -16,6 +16,7 @@ class Stop:
 
     def __init__(self) -> None:
         self.wanted = False
+        self.number: int = signal.SIGINT
         self.deaf = False
         self._before: dict[int, object] = {}
 
@@ -30,7 +31,14 @@ class Stop:
         for number, handler in self._before.items():
             signal.signal(number, handler)  # type: ignore[arg-type] # as it was
 
-    def _hear(self, _number: int, _frame: object) -> None:
+    @property
+    def code(self) -> int:
+        """Exit code of a process that ends by the first signal: 128 and its number."""
+        return 128 + int(self.number)
+
+    def _hear(self, number: int, _frame: object) -> None:
+        if not self.wanted:
+            self.number = number
         self.wanted = True
         if not self.deaf:
             raise KeyboardInterrupt

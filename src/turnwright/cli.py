@@ -1,7 +1,9 @@
 """The door of the command line: it hears a wish to stop from the first moment, and says how the work ended.
 
-Exit codes: 0 done, 1 a defect of Turnwright (the traceback is kept in a file), 2 bad input or an output that cannot be
-written, 130 interrupted. A reader of the output that goes away (as ``head`` does) changes nothing.
+Exit codes: 0 done and every stated tolerance kept, 1 a defect of Turnwright (the traceback is kept in a file), 2 bad
+input, a limit that cannot be kept or an output that cannot be written, 4 done and written but a stated tolerance is
+missed, 128 and the number of the signal that stopped it (130 for Ctrl-C, 143 for SIGTERM). A reader of the output that
+goes away (as ``head`` does) changes nothing.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 INTERRUPTED = 130
+DONE = (0, 4)
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -51,14 +54,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             door, code = None, INTERRUPTED
         stop.deaf = True
         if stop.wanted or code == INTERRUPTED:
-            code = INTERRUPTED
+            code = stop.code
             if door is not None and door.kept is not None:
                 _say(f"interrupted when all was done: the results are complete in {door.kept}")
             elif door is not None and door.partly:
                 _say(f"interrupted, {door.partly}")
             else:
                 _say("interrupted, nothing was kept: start it again")
-        if code == 0 and door is not None and door.unsaid is not None and door.unsaid.errno != errno.EPIPE:
+        if code in DONE and door is not None and door.unsaid is not None and door.unsaid.errno != errno.EPIPE:
             _say(f"the standard output cannot be written ({door.unsaid.strerror}): send it elsewhere")
             code = 2
     return code

@@ -130,7 +130,7 @@ def test_the_table_is_asked_by_name_and_by_number(job, threads):
     alone = Stages(Job.read({**DATA, "tool": {**DATA["tool"], "nose_radius": "0.4 mm"}}))
     assert found["pv_nm@askew"][4] == alone.prediction("askew").roughness.pv_nm
     assert found["deepest"][4] == deepest(alone)
-    assert found["form_pv_nm"][4] == alone.prediction("whole part").roughness.pv_nm
+    assert found["form_pv_nm"][4] == alone.form_pv_nm
     with pytest.raises(InputError, match="the study has no column 'sq', it has"):
         found["sq"]
     with pytest.raises(InputError, match="several cases stand at the same"):
@@ -416,29 +416,33 @@ def test_a_study_of_refused_cases_alone_is_no_success_but_its_rows_are_there(job
 
 @pytest.mark.usefixtures("signals_heard")
 def test_what_a_killed_command_left_is_removed_by_the_next_and_nothing_else(job_file, tmp_path):
-    command = [
-        sys.executable, "-m", "turnwright", "study", str(job_file), "--out", str(tmp_path / "out"), "--workers", "1",
-        "--vary", "tool.nose_radius=0.2..0.6 mm:400", "--measure", "minutes",
-    ]  # fmt: skip
+    def command(out):
+        return [
+            sys.executable, "-m", "turnwright", "study", str(job_file), "--out", str(tmp_path / out), "--workers", "1",
+            "--vary", "tool.nose_radius=0.2..0.6 mm:400", "--measure", "minutes",
+        ]  # fmt: skip
 
     def hidden():
-        return {one.name for one in tmp_path.iterdir() if one.name.startswith(".out-")}
+        return {one.name for one in tmp_path.iterdir() if one.name.startswith((".out-", ".other-", ".third-"))}
 
-    def started():
-        before, process = hidden(), subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    def started(out):
+        before, process = hidden(), subprocess.Popen(command(out), stderr=subprocess.DEVNULL)
         until = time.monotonic() + 60
         while not (new := hidden() - before) and time.monotonic() < until:
             time.sleep(0.02)
         return process, new.pop()
 
-    killed, left = started()
-    running, alive = started()
+    killed, left = started("out")
+    running, alive = started("other")
     killed.kill()
     killed.wait()
     (tmp_path / ".out-notes").mkdir()  # of somebody else
     (tmp_path / ".output-12345678").mkdir()
     assert hidden() == {left, alive, ".out-notes"}
-    third, new = started()
+    second = subprocess.run(command("other"), capture_output=True, text=True, check=False, timeout=60)
+    assert second.returncode == 2
+    assert "another run is writing" in second.stderr
+    third, new = started("third")
     assert hidden() == {alive, new, ".out-notes"}
     for process in (third, running):
         process.send_signal(signal.SIGINT)
