@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from turnwright.job._stages import Stages
     from turnwright.job._terms import Finish, finish
     from turnwright.job._text import edited
+    from turnwright.job._verdict import Verdict, judge, judge_form, missed, unjudged
 
 _HOMES = {
     "_artefacts": ("Artefact", "artefact"),
@@ -40,6 +41,7 @@ _HOMES = {
     "_shares": ("Shares", "shares"),
     "_stages": ("Stages",),
     "_terms": ("Finish", "finish"),
+    "_verdict": ("Verdict", "judge", "judge_form", "missed", "unjudged"),
     "_text": ("edited",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
@@ -61,6 +63,7 @@ __all__ = [
     "StageProgress",
     "Stages",
     "Trial",
+    "Verdict",
     "artefact",
     "compare",
     "correct",
@@ -69,7 +72,10 @@ __all__ = [
     "faults",
     "finish",
     "finishing_motion",
+    "judge",
+    "judge_form",
     "measure",
+    "missed",
     "plan",
     "predict",
     "predicted_motion",
@@ -77,6 +83,7 @@ __all__ = [
     "program_shares",
     "run",
     "shares",
+    "unjudged",
 ]
 
 

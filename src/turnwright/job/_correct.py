@@ -20,6 +20,7 @@ from turnwright.job._finish import finished
 from turnwright.job._measure import Measured, cutoff_of, same_part
 from turnwright.job._schema import Job
 from turnwright.job._shares import pv_nm_of, rms_nm_of
+from turnwright.job._verdict import Verdict, judge_form
 from turnwright.part import correction_of
 from turnwright.tool import WavinessTable
 from turnwright.units import write
@@ -79,6 +80,12 @@ class Correction:
         """Peak to valley and root mean square of each map that there is. [nm]."""
         maps = {"measured": self.measured, "predicted": self.predicted, "simulated": self.simulated}
         return {name: (pv_nm_of(one.z), rms_nm_of(one.z)) for name, one in maps.items() if one is not None}
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """Which stated tolerances the corrected part should keep, at the places that it is predicted at."""
+        pv_nm, _ = self.numbers_nm["simulated" if self.predicted is None else "predicted"]
+        return judge_form(self.job, pv_nm, sq_reason="a correction predicts the form, run the job")
 
 
 def correct(

@@ -15,6 +15,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.job._advice import open_questions
 from turnwright.job._finish import finished
 from turnwright.job._shares import pv_nm_of, rms_nm_of
+from turnwright.job._verdict import Verdict, judge_form
 from turnwright.metrology import (
     Lenslets,
     Registration,
@@ -108,6 +109,13 @@ class Measured:
     zernike: ZernikeFit | None
     roughness: Roughness | None
     lenslets: Lenslets | None
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """Which stated tolerances the measured part keeps: the form; a map of the form does not resolve the finish."""
+        return judge_form(
+            self.job, self.form_pv_nm, sq_reason="it is that of the patches, predict them or measure each"
+        )
 
     @property
     def open_questions(self) -> tuple[str, ...]:

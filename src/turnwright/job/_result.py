@@ -9,6 +9,7 @@ import numpy as np
 
 from turnwright.job._interpolated import UNSEEN
 from turnwright.job._shares import pv_nm_of, rms_nm_of
+from turnwright.job._verdict import judge, missed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
     from turnwright.job._approach import Entry
     from turnwright.job._cutting import PassChips
+    from turnwright.job._extremes import Extremes
     from turnwright.job._schema import Job
+    from turnwright.job._verdict import Verdict
     from turnwright.machine import Machine
     from turnwright.metrology import Roughness
     from turnwright.motion import Limits
@@ -116,6 +119,10 @@ class Prediction:
         Number of points that the lowest pass leaves higher than the stated stock, so that it cuts nothing there.
     off_curves
         How far the straight pieces that were simulated are from the controller's curves. [mm]
+    form
+        Highest and lowest place of the whole part, which a grid meets by chance; ``None`` for a patch.
+    finish_nm
+        Sq of the roughest ring of the whole part, where the job states a tolerance and has no patch; else ``None``.
     """
 
     name: str
@@ -124,6 +131,8 @@ class Prediction:
     tracking: HeightMap | None = None
     above_stock: int = 0
     off_curves: float = 0.0
+    form: Extremes | None = None
+    finish_nm: float | None = None
 
     @property
     def uncut(self) -> int:
@@ -143,6 +152,11 @@ class Prediction:
                 "controller, memory allows no more pieces"
             )
         return tuple(found)
+
+    @property
+    def pv_nm(self) -> float:
+        """Peak to valley: of the whole part from its highest to its lowest place, of a patch as its grid shows it."""
+        return self.roughness.pv_nm if self.form is None else self.form.pv_nm
 
     @property
     def tracking_nm(self) -> tuple[float, float] | None:
@@ -223,3 +237,13 @@ class Result:
     def ok(self) -> bool:
         """Whether the tool reaches the part and the machine keeps all its limits."""
         return bool(self.access.ok and all(cut.limits.ok for cut in self.passes))
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """Which stated tolerances the predicted surface keeps."""
+        return judge(self.job, self.predictions)
+
+    @property
+    def keeps_tolerances(self) -> bool:
+        """Whether no stated tolerance is missed."""
+        return not missed(self.verdicts)

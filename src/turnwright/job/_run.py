@@ -21,9 +21,19 @@ from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.generation import generate, generate_polar
 from turnwright.job._approach import Entry, entries_of
 from turnwright.job._cutting import PassChips, chips_of, foretold
+from turnwright.job._extremes import find_extremes
 from turnwright.job._interpolated import interpolated, off_curves
 from turnwright.job._result import Pass, Prediction, Preview, Result
-from turnwright.job._shares import Shares, has_servos, require_servos, shares, without_servos
+from turnwright.job._shares import (
+    Shares,
+    finish_nm,
+    has_servos,
+    lines,
+    require_servos,
+    shares,
+    without_servos,
+)
+from turnwright.job._verdict import judge
 from turnwright.metrology import roughness
 from turnwright.motion import check_limits, drive
 from turnwright.path import Spiral
@@ -353,6 +363,7 @@ def predict(
     tracking: bool | None = None,
     meant: Motion | None = None,
     only: Collection[str] | None = None,
+    extremes: bool = True,
     watch: Watch | None = None,
     progress: StageProgress | None = None,
 ) -> tuple[Prediction, ...]:
@@ -373,6 +384,8 @@ def predict(
         Where the axes shall really pass, if ``motion`` is corrected for the servos: what these add is against that.
     only
         Names of the places to predict, of the patches and "whole part"; all of them if not given.
+    extremes
+        Whether the highest and the lowest place of the whole part are found; a motion of some azimuths has none.
     watch, progress
         Who keeps the time, or who is told (stage, done, total).
 
@@ -415,6 +428,8 @@ def predict(
         return only is None or name in only
 
     predictions = [predicted(WHOLE, "none", whole)] if wanted(WHOLE) else []
+    if extremes and predictions:
+        predictions = [_with_extremes(job, predictions[0], real or motion, watch)]
     for patch in filter(lambda one: wanted(one.name), job.simulation.patches):
 
         def rectangle(one: Motion, tell: Progress, axes: tuple[Floats, Floats] = patch.axes) -> HeightMap:
@@ -422,6 +437,26 @@ def predict(
 
         predictions.append(predicted(patch.name, job.roughness.form, rectangle))
     return tuple(predictions)
+
+
+def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) -> Prediction:
+    """Return the whole part with its highest and lowest place, and the finish where no patch shows it."""
+    tool, part, machine = job.actual_tool, job.part.part, job.actual_machine
+    with watch.stage("highest and lowest place") as tell:
+        form = find_extremes(motion, tool, part, machine=machine, known=whole.error, progress=tell)
+    ring = None
+    if job.tolerances.sq is not None and not job.simulation.patches:
+        with watch.stage("roughest ring"):
+            ring = _ring_sq_nm(job, motion)
+    return replace(whole, form=form, finish_nm=ring)
+
+
+def _ring_sq_nm(job: Job, motion: Motion) -> float:
+    """Return the Sq of the roughest ring of the whole part."""
+    part = job.part.part
+    radius, angle = lines(part, motion.feed)
+    made = generate_polar(motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine)
+    return finish_nm(made.minus(part.surface), motion.feed)
 
 
 def _followed(
@@ -654,17 +689,9 @@ def _assumed(job: Job, passes: list[Pass]) -> list[str]:
 
 
 def _judged(job: Job, predictions: tuple[Prediction, ...]) -> list[str]:
-    """Say what is not cut, and which tolerances are not kept."""
-    found: list[str] = []
-    for one in predictions:
-        found += one.remarks
-        whole = one.error.polar
-        limit = job.tolerances.form_pv if whole else job.tolerances.sq
-        value = one.roughness.pv_nm if whole else one.roughness.sq_nm
-        if limit is not None and value > limit * 1e6:
-            kind = "form error PV" if whole else "Sq"
-            found.append(f"{one.name}: {kind} is {value:.4g} nm, the tolerance is {limit * 1e6:.4g} nm")
-    return found
+    """Say what is not cut, and which tolerances are not kept or not judged."""
+    found = [sentence for one in predictions for sentence in one.remarks]
+    return found + [one.sentence for one in judge(job, predictions) if not one.kept]
 
 
 def _peak_memory() -> float:

@@ -12,6 +12,7 @@ from turnwright._arrays import rounding
 from turnwright.contact import place
 from turnwright.errors import InputError
 from turnwright.generation import generate_polar
+from turnwright.job._extremes import find_extremes
 from turnwright.job._interpolated import interpolated
 from turnwright.path import Motion, Spiral
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Shares",
     "apart_nm",
+    "exact_cusps",
     "exact_motion",
     "finish_nm",
     "has_servos",
@@ -70,8 +72,10 @@ class Shares:
         ... by the decimals of the program.
     tracking_nm
         ... by how the servos answer.
-    pv_nm, rms_nm
-        Of all together: cut minus design.
+    pv_nm
+        Of all together: cut minus design, from the highest to the lowest place of the whole part.
+    rms_nm
+        The same, root mean square on the lines.
     sq_nm
         Finish of all together: largest Sq of a ring a few feeds wide, straight lines across it removed.
     error
@@ -97,6 +101,7 @@ def shares(
     *,
     again: Motion | None = None,
     meant: Motion | None = None,
+    pv_nm: float | None = None,
     progress: Progress | None = None,
 ) -> Shares:
     """Return where the error of a plan comes from.
@@ -114,6 +119,8 @@ def shares(
     meant
         Where the axes shall really pass, if ``motion`` is corrected for the servos: then points count by what is meant,
         and servos by how far the real surface is from that, the decimals' part in it included.
+    pv_nm
+        Peak to valley of all together, where it is known.
     progress
         Called with (surfaces done, surfaces in all).
     """
@@ -122,30 +129,54 @@ def shares(
     radius, angle = lines(part, feed)
 
     def made(one: Motion, done: int) -> HeightMap:
-        told(done, 5)
+        told(done, 6)
         return generate_polar(one, tool, radius=radius, angle=angle)
 
-    exact = made(exact_motion(spiral, part, tool, machine, angle), 0)
+    ideal_path = exact_motion(spiral, part, tool, machine, angle)
+    exact = made(ideal_path, 0)
     again, ideal = again or motion, without_servos(machine)
     steady = machine.controller.interpolation == "linear"
     sent = made(motion if steady else interpolated(motion, ideal), 1)
     wanted = sent if meant is None else made(interpolated(meant, without_servos(machine, corrected=True)), 2)
-    rounded = sent if again is motion else made(again if steady else interpolated(again, ideal), 3)
-    real = made(interpolated(again, machine), 4) if has_servos(machine) else rounded
-    told(5, 5)
+    moved = again if steady else interpolated(again, ideal)
+    rounded = sent if again is motion else made(moved, 3)
+    real = rounded
+    if has_servos(machine):
+        moved = interpolated(again, machine)
+        real = made(moved, 4)
     error = real.minus(part.surface)
-    cusps = exact.minus(part.surface).z
+    told(5, 6)
+    if pv_nm is None:
+        form = find_extremes(moved, tool, part, known=error)
+        pv_nm = math.nan if form is None else form.pv_nm
+    told(6, 6)
+    cusps = exact.minus(part.surface)
     return Shares(
-        cusp_nm=pv_nm_of(cusps),
-        cusp_away_nm=pv_nm_of(cusps[:, radius > 2 * feed]),
+        cusp_nm=pv_nm_of(np.append(cusps.z.ravel(), _about_axis(ideal_path, part, tool, feed, angle))),
+        cusp_away_nm=pv_nm_of(cusps.z[:, radius > 2 * feed]),
         chord_nm=apart_nm(wanted, exact),
         rounding_nm=apart_nm(rounded, sent),
         tracking_nm=apart_nm(real, rounded if meant is None else wanted),
-        pv_nm=pv_nm_of(error.z),
+        pv_nm=pv_nm,
         rms_nm=rms_nm_of(error.z),
         sq_nm=finish_nm(error, feed),
         error=error,
     )
+
+
+def exact_cusps(spiral: Spiral, part: Part, tool: Tool, machine: Machine) -> tuple[HeightMap, float]:
+    """Return what an exact path leaves on lines across all passes [mm], and its peak to valley, about the axis too."""
+    radius, angle = lines(part, spiral.feed)
+    motion = exact_motion(spiral, part, tool, machine, angle)
+    error = generate_polar(motion, tool, radius=radius, angle=angle).minus(part.surface)
+    axis = _about_axis(motion, part, tool, spiral.feed, angle)
+    return error, pv_nm_of(np.append(error.z.ravel(), axis))
+
+
+def _about_axis(motion: Motion, part: Part, tool: Tool, feed: float, angle: Floats) -> Floats:
+    """Return the error close about the axis, where one cusp stands alone and is higher than all others. [mm]."""
+    radius = np.linspace(0, min(2 * feed, part.radius), 2 * PER_FEED**2 + 1)
+    return generate_polar(motion, tool, radius=radius, angle=angle).minus(part.surface).z.ravel()
 
 
 def pv_nm_of(z: Floats) -> float:

@@ -178,6 +178,15 @@ class Stages:
             self._predictions[name] = self._predicted(name)
         return self._predictions[name]
 
+    @cached_property
+    def form_pv_nm(self) -> float:
+        """Form error of the whole part, from its highest to its lowest place."""
+        known = self._predictions.get(WHOLE)
+        if known is None or known.form is None:
+            _ = self._finishing  # the places between the azimuths of the map count too
+            self._predictions[WHOLE] = known = self._predicted(WHOLE)
+        return known.pv_nm
+
     def _predicted(self, name: str) -> Prediction:
         known = [WHOLE, *(patch.name for patch in self.job.simulation.patches)]
         if name not in known:

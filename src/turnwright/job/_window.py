@@ -126,7 +126,7 @@ def predict_parted(job: Job, name: str) -> Prediction | None:
         if not 2 <= keep.size <= WORTH * spiral.angle.size:
             return None
         motion = _motion(job, servo, spiral, keep)
-        found = predict(job, motion, only=(name,))[0]
+        found = predict(job, motion, only=(name,), extremes=False)[0]
         z = found.error.z if patch is not None else found.error.z[:, 0]
         if patch is not None and np.isnan(z).any():
             return None

@@ -99,7 +99,7 @@ PLAIN: dict[str, tuple[str, str, _Taken]] = {
     "typical_chip_nm": ("", "chips", lambda stages, _: stages.chips[-1].typical * NM),
     "axial_force_mN": ("", "chips", lambda stages, _: _milli(stages.chips[-1].axial)),
     "cutting_force_mN": ("", "chips", lambda stages, _: _milli(stages.chips[-1].cutting)),
-    "form_pv_nm": ("", "place", lambda stages, _: stages.prediction(WHOLE).roughness.pv_nm),
+    "form_pv_nm": ("", "place", lambda stages, _: stages.form_pv_nm),
     "form_rms_nm": ("", "place", lambda stages, _: stages.prediction(WHOLE).roughness.sq_nm),
 }  # fmt: skip
 """Measures of a whole job: unit, stage and how it is taken. Chips and forces are those of the finishing pass."""

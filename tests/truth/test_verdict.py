@@ -1,0 +1,125 @@
+"""What a part is judged by: the highest and the lowest place, one judge for all, and the cusps of a study."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import turnwright as tw
+from turnwright.execution import Store
+from turnwright.generation import generate_polar
+from turnwright.job import finishing_motion, judge, judge_form, missed, plan, unjudged
+from turnwright.job._extremes import find_extremes
+from turnwright.job._run import Watch, planned
+from turnwright.studies import ErrorBudget
+from turnwright.studies._draws import Bench, laid_out
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "proof"))
+
+from proof_verdict import judged, random_job
+from tolerance_jobs import SERVO, job_of
+
+DISH = {
+    "part": {"name": "dish", "radius": "0.4 mm", "surface": {"family": "sphere", "radius": "20 mm"}},
+    "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
+    "machine": {"name": "generic"},
+    "strategy": {"kind": "slow tool servo", "feed": "10 um/rev", "points_per_rev": 360, "spindle_speed": "60 rpm"},
+    "simulation": {"whole_part": {"radii": 40, "angles": 36}},
+}
+
+
+def test_the_cusp_on_the_axis_counts_as_closed_form_has_it():
+    """The middle of the last turn is a quarter of a feed aside, its cusp 9/4 of f^2/(8 R (1 - R/radius))."""
+    job = tw.Job.read(DISH | {"tolerances": {"form_pv": "40 nm"}})
+    cusp = 0.01**2 / (8 * 0.5) * (1 - 0.5 / 20) ** -1 * 9 / 4 * 1e6
+    _, _, exact, _ = planned(job, job.passes[-1], Watch(None))
+    assert find_extremes(exact, job.tool.tool, job.part.part).pv_nm == pytest.approx(cusp, rel=2e-4)
+    _, result = finishing_motion(job)
+    whole = result.predictions[0]
+    assert whole.pv_nm == pytest.approx(cusp, abs=2 * result.rounding_limit_nm)
+    assert whole.roughness.pv_nm < 40 < whole.pv_nm
+    assert not result.keeps_tolerances
+    assert [one.kept for one in result.verdicts] == [False]
+    assert any("form error PV is 5" in one for one in result.warnings)
+
+
+@pytest.mark.parametrize("number", [1, 3, 8])
+def test_no_grid_shows_more_than_the_stated_pv(number):
+    rng = np.random.default_rng([1, number])
+    found = judged(random_job(rng, largest=0.6), rng)
+    assert found["beyond"] < 1e-6
+    assert found["stated"] <= 1.01 * found["refined"] + 1e-3
+
+
+def test_places_that_no_pass_cuts_keep_no_tolerance():
+    table = DISH | {"tolerances": {"form_pv": "1 mm"}, "actual": {"tool": {"offset": ["0 um", "3 um", "0 um"]}}}
+    _, result = finishing_motion(tw.Job.read(table))
+    (verdict,) = result.verdicts
+    assert verdict.kept is False
+    assert "points are not cut" in verdict.sentence
+
+
+def test_the_judge_says_what_is_not_judged():
+    job = tw.Job.read(DISH | {"tolerances": {"form_pv": "40 nm", "sq": "8 nm"}})
+    assert [one.kept for one in unjudged(job, "no surface")] == [None, None]
+    form, sq = judge_form(job, 41.0, sq_reason="a map of the form")
+    assert (form.kept, sq.kept) == (False, None)
+    assert "a map of the form" in sq.sentence
+    assert missed((form, sq))
+    assert not missed((sq,))
+    assert [one.kept for one in judge(job, ())] == [None, None]
+
+
+def test_a_job_without_patches_is_judged_by_its_roughest_ring():
+    _, result = finishing_motion(tw.Job.read(DISH | {"tolerances": {"sq": "5 nm"}}))
+    (verdict,) = result.verdicts
+    cusp = 0.01**2 / (8 * 0.5 * (1 - 0.5 / 20)) * 1e6
+    assert verdict.value_nm == pytest.approx(cusp * np.sqrt(4 / 45), rel=0.1)
+    assert verdict.kept is False
+
+
+PATCH = {"name": "p", "centre": ["0.25 mm", "0 mm"], "size": ["60 um", "60 um"], "pixel": "1 um"}
+
+
+def test_plan_judges_the_finish_as_run_does_form_included():
+    table = DISH | {
+        "tolerances": {"form_pv": "60 nm", "sq": "8 nm"},
+        "roughness": {"form": "none"},
+        "simulation": {"patches": [PATCH]},
+    }
+    chosen = plan(tw.Job.read(table))
+    _, result = finishing_motion(chosen.job)
+    assert result.keeps_tolerances
+    for own, again in zip(chosen.verdicts, result.verdicts, strict=True):
+        assert own.value_nm == pytest.approx(again.value_nm, rel=1e-6)
+
+
+def test_a_plan_with_servos_is_run_with_servos(tmp_path):
+    (tmp_path / "lathe.toml").write_text(SERVO, encoding="utf-8")
+    table = DISH | {
+        "machine": {"file": str(tmp_path / "lathe.toml")}, "tolerances": {"form_pv": "100 nm", "sq": "10 nm"},
+    }  # fmt: skip
+    chosen = plan(tw.Job.read(table))
+    assert chosen.job.simulation.tracking
+    _, result = finishing_motion(chosen.job)
+    assert result.predictions[0].pv_nm == pytest.approx(chosen.shares.pv_nm, rel=1e-6)
+    assert result.keeps_tolerances
+
+
+@pytest.mark.parametrize("kind", ["mirror", "flat"])
+def test_a_study_without_errors_finds_the_cusps_of_a_dense_map(kind, tmp_path):
+    job = job_of(kind)
+    job = tw.Job.read({**job.model_dump(mode="json", exclude_unset=True, exclude_none=True), "simulation": {}})
+    shared = laid_out(job, ErrorBudget.typical(), Store.open(tmp_path / "store"), correction=False)
+    bench = Bench.of(shared, Store.open(tmp_path / "store"))
+    found, _ = bench.judged(bench.real({}))
+    motion, result = finishing_motion(job)
+    count = 4000
+    radius = job.part.part.radius * np.sqrt((np.arange(count) + 0.5) / count)
+    angle = np.linspace(0, 2 * np.pi, 96, endpoint=False) + 0.01
+    error = generate_polar(motion, job.tool.tool, radius=radius, angle=angle).minus(job.part.part.surface)
+    level = replace(error, z=error.z - error.z.mean())
+    assert found["form_rms_nm"] == pytest.approx(np.sqrt(np.mean(level.z**2)) * 1e6, rel=0.01)
+    assert found["form_pv_nm"] == pytest.approx(result.predictions[0].pv_nm, rel=0.01)
