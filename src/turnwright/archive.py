@@ -5,6 +5,9 @@ stated) has the keys
 
 ``schema``, ``turnwright``, ``ok``
     1; the version; whether the tool reaches the part and the machine keeps all its limits.
+``verdicts``, ``keeps_tolerances``
+    One entry per stated tolerance and place: ``tolerance``, ``place``, ``limit_nm``, ``value_nm``, ``kept`` (``null``
+    if it was not judged), ``reason``, ``sentence``; whether none is missed.
 ``part``, ``machine``, ``dialect``
     Names.
 ``access``
@@ -18,7 +21,9 @@ stated) has the keys
     enters the material of each pass, and the hash of all its points.
 ``predictions``
     One entry per map: ``name``, ``file`` of the heights (cut minus design, mm), ``axes`` (files by name), ``shape`` and
-    ``roughness`` with the fields of `turnwright.Roughness`. ``tracking`` is ``null`` unless the servos were asked; then
+    ``roughness`` with the fields of `turnwright.Roughness`. ``pv_nm`` is what is judged: of the whole part from its
+    highest to its lowest place, which ``form`` has with ``x``, ``y`` and ``error`` in mm (``null`` for a patch; then it
+    is that of ``roughness``). ``tracking`` is ``null`` unless the servos were asked; then
     it has the ``file`` of what they add to the heights (mm), and its ``pv_nm`` and ``rms_nm``.
 ``rounding_nm``, ``rounding_limit_nm``
     How far the surfaces of the program on disk and of the motion in memory are apart, and how far they may be.
@@ -33,7 +38,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -97,6 +102,8 @@ def write_archive(result: Result, folder: str | PathLike[str]) -> None:
         "schema": 1,
         "turnwright": __version__,
         "ok": result.ok,
+        "verdicts": [{**asdict(one), "sentence": one.sentence} for one in result.verdicts],
+        "keeps_tolerances": result.keeps_tolerances,
         "part": result.part.name,
         "machine": result.machine.name,
         "dialect": result.machine.dialect,
@@ -310,10 +317,19 @@ def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -
                 "axes": axes,
                 "shape": one.error.z.shape,
                 "roughness": _plain(one.roughness),
+                "pv_nm": _plain(one.pv_nm),
+                "form": _extremes(one),
                 "tracking": tracking,
             }
         )
     return told
+
+
+def _extremes(one: Prediction) -> dict[str, dict[str, float]] | None:
+    """Return the highest and the lowest place of the whole part."""
+    if one.form is None:
+        return None
+    return {"highest": one.form.highest._asdict(), "lowest": one.form.lowest._asdict()}
 
 
 def _save(file: Path, values: Floats) -> None:

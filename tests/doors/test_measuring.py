@@ -90,11 +90,11 @@ def test_measure_says_how_far_the_part_is_off(shop, tmp_path, capsys):
     assert "The job states no tolerances.form_pv to judge by." in page
 
 
-@pytest.mark.parametrize(("allowed", "grade"), [("10 um", "good"), ("1 nm", "bad")])
-def test_a_stated_tolerance_judges_the_form(shop, tmp_path, allowed, grade):
+@pytest.mark.parametrize(("allowed", "grade", "code"), [("10 um", "good", 0), ("1 nm", "bad", 4)])
+def test_a_stated_tolerance_judges_the_form(shop, tmp_path, allowed, grade, code):
     judged = written(tmp_path, *DISH, ("tolerances.form_pv", allowed))
     out = tmp_path / "measured"
-    assert main(["measure", str(shop / "dish.x3p"), "--job", str(judged), "--out", str(out)]) == 0
+    assert main(["measure", str(shop / "dish.x3p"), "--job", str(judged), "--out", str(out)]) == code
     assert f'<section class="verdict {grade}"' in (out / "report.html").read_text(encoding="utf-8")
 
 

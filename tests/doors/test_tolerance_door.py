@@ -1,6 +1,7 @@
 """The command of tolerances, its table and page, budgets that cannot be, and a study that goes on where it stopped."""
 
 import csv
+import re
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -148,8 +149,8 @@ def test_the_command_writes_a_table_and_a_page(tmp_path):
     ]  # fmt: skip
     with Stop() as stop:
         result = CliRunner().invoke(app, words, obj=Door(stop), catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    assert "of 16 parts keep all tolerances" in result.output
+    shares = re.findall(r"([0-9.]+)% of 16 parts keep all tolerances", result.output)
+    assert result.exit_code == (0 if shares[-1] == "100.0" else 4), result.output
     assert "confirmed: " in result.output
     with (tmp_path / "out" / "cases.csv").open() as lines:
         rows = list(csv.reader(lines))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from turnwright._commands._shared import Door, new_folder, progress_of
+from turnwright._commands._shared import MISSED, Door, new_folder, progress_of
 from turnwright._stop import Stop
 from turnwright._whole import write_whole
 from turnwright.errors import InputError
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from turnwright.job import Job, Result, StageProgress
 
 __all__ = ["run_batch", "run_into"]
+
+DEFECT = "(a defect, please report it)"
+"""How the reason of a job ends that met a defect, see `turnwright.execution.conduct`."""
 
 DONE = "case.json"
 """Says which job, and which program, a folder of a batch was made by, and in one line with what outcome."""
@@ -49,7 +52,7 @@ def run_batch(jobs: Sequence[Path], out: Path, door: Door, *, force: bool, worke
     InputError
         If two jobs would be put into the same folder.
     typer.Exit
-        With the code of bad input, if a job failed.
+        With the gravest code of a job: of a defect, then of bad input, then of a missed tolerance.
     """
     from turnwright.execution import Case, conduct, fitting, local, share_of  # noqa: PLC0415 - only for several jobs
 
@@ -78,14 +81,22 @@ def run_batch(jobs: Sequence[Path], out: Path, door: Door, *, force: bool, worke
     width = max(map(len, named))
     for case, row in zip(cases, rows, strict=True):
         outcome = f"failed: {'; '.join(row['reason'].splitlines())}" if "reason" in row else row["outcome"]
-        door.say(f"{case.key:<{width}}  {outcome}")
+        door.say(f"{case.key:<{width}}  {outcome} (exit code {_code(row)})")
     failed = sum("reason" in row for row in rows)
     door.say(f"{len(rows) - failed} of {len(rows)} jobs are done, their reports in {out}/JOB/report.html")
-    if failed:
-        raise typer.Exit(2)
+    code = next((one for one in (1, 2, MISSED) if one in map(_code, rows)), 0)
+    if code:
+        raise typer.Exit(code)
 
 
-def _run_case(data: Mapping[str, Any], shared: Mapping[str, Any], _store: Store | None) -> dict[str, str]:
+def _code(row: Mapping[str, Any]) -> int:
+    """Return the exit code that a job alone would end with."""
+    if "reason" in row:
+        return 1 if row["reason"].endswith(DEFECT) else 2
+    return MISSED if row["missed"] else 0
+
+
+def _run_case(data: Mapping[str, Any], shared: Mapping[str, Any], _store: Store | None) -> dict[str, Any]:
     """Run one job of a batch, unless its folder is there and made by the same job and program."""
     from turnwright.execution import case_key  # noqa: PLC0415
     from turnwright.job import Job  # noqa: PLC0415 - costly
@@ -96,17 +107,19 @@ def _run_case(data: Mapping[str, Any], shared: Mapping[str, Any], _store: Store 
     with suppress(OSError, ValueError, KeyError, TypeError):  # TypeError: JSON, but of something else
         done = json.loads((out / DONE).read_text(encoding="utf-8"))
         if done["key"] == key:
-            return {"outcome": f"as before: {done['outcome']}"}
+            return {"outcome": f"as before: {done['outcome']}", "missed": done["missed"]}
     with Stop() as stop, new_folder(out, Door(stop), force=shared["force"]) as folder:
-        outcome = _outcome(run_into(folder, job, lambda *_: stop.check()))
-        write_whole(folder / DONE, json.dumps({"key": key, "outcome": outcome}) + "\n")
-    return {"outcome": outcome}
+        result = run_into(folder, job, lambda *_: stop.check())
+        done = {"outcome": _outcome(result), "missed": sum(one.kept is False for one in result.verdicts)}
+        write_whole(folder / DONE, json.dumps({"key": key, **done}) + "\n")
+    return done
 
 
 def _outcome(result: Result) -> str:
     minutes = sum(cut.limits.cycle_time_s for cut in result.passes) / 60
     said = [f"{minutes:.1f} min", f"{sum(cut.points for cut in result.passes)} points"]
     said += [f"{one.name} Sq {one.roughness.sq_nm:.3g} nm" for one in result.predictions]
+    said += [f"missed: {one.sentence}" for one in result.verdicts if one.kept is False]
     if result.warnings:
         said.append(f"warnings in its report: {len(result.warnings)}")
     return ", ".join(said)

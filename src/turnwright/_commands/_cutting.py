@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turnwright._commands._batch import run_batch, run_into
-from turnwright._commands._shared import Door, Folder, Force, JobFile, app, new_folder, progress_of, require_new, warn
+from turnwright._commands._shared import (
+    Door,
+    Folder,
+    Force,
+    JobFile,
+    app,
+    end_by,
+    new_folder,
+    progress_of,
+    require_new,
+    warn,
+)
 from turnwright.errors import InputError, JobError
 
 if TYPE_CHECKING:
@@ -65,16 +76,18 @@ def run(
     door.say(f"time and memory: {sum(result.timings.values()):.1f} s, {result.peak_memory_gb:.2f} GB")
     warn(result.warnings)
     door.say(f"report: {out / 'report.html'}")
+    end_by(door, result.verdicts)
 
 
 @app.command()
 def check(context: typer.Context, job: JobFile) -> None:
     """Read a job and say whether the tool reaches the part, and how long the program will be."""
     door: Door = context.obj
-    from turnwright.job import Job, preview  # noqa: PLC0415
+    from turnwright.job import Job, preview, unjudged  # noqa: PLC0415
 
+    recipe = Job.load(job)
     with progress_of(door.stop) as progress:
-        plan = preview(Job.load(job), progress=progress)
+        plan = preview(recipe, progress=progress)
     for sentence in plan.remarks:
         door.say(sentence)
     for finding in plan.access.findings:
@@ -83,6 +96,8 @@ def check(context: typer.Context, job: JobFile) -> None:
         door.say(f"{name}: {points} points, at least {plan.shortest_s[name] / 60:.1f} min")
     for name, sentence in plan.chips.items():
         door.say(f"{name}: {sentence}")
+    for verdict in unjudged(recipe, "check predicts no surface, run does"):
+        door.say(verdict.sentence)
     warn(plan.warnings)
     if plan.refused:
         raise JobError("\n".join(plan.refused))
@@ -116,7 +131,10 @@ def plan(
         f"form error PV {found.pv_nm:.3g} nm: cusps {found.cusp_nm:.3g} nm, points {found.chord_nm:.3g} nm, decimals "
         f"{found.rounding_nm:.3g} nm, servos {found.tracking_nm:.3g} nm; Sq {found.sq_nm:.3g} nm"
     )
+    for verdict in chosen.verdicts:
+        door.say(verdict.sentence)
     door.say(f"job: {out}")
+    end_by(door, chosen.verdicts)
 
 
 @app.command()
@@ -171,7 +189,7 @@ def backplot(
 ) -> None:
     """Predict the surface that a program leaves, anybody's."""
     door: Door = context.obj
-    from turnwright.job import Job, predict  # noqa: PLC0415
+    from turnwright.job import Job, judge, predict  # noqa: PLC0415
     from turnwright.motion import check_limits  # noqa: PLC0415
 
     with ExitStack() as stack:
@@ -199,6 +217,9 @@ def backplot(
     if out is not None:
         door.say(f"maps: {out / 'maps'}")
         door.say(f"report: {out / 'report.html'}")
+    verdicts = judge(recipe, predictions)
+    warn([one.sentence for one in verdicts if not one.kept])
+    end_by(door, verdicts)
 
 
 def _read(program: Path, recipe: Job, cut: str | None, progress: StageProgress, *, block_delete: bool | None) -> Motion:
@@ -225,7 +246,7 @@ def _read(program: Path, recipe: Job, cut: str | None, progress: StageProgress, 
 def _say_predictions(door: Door, predictions: Sequence[Prediction]) -> None:
     for one in predictions:
         door.say(
-            f"{one.name}: Sq {one.roughness.sq_nm:.3g} nm, PV {one.roughness.pv_nm:.4g} nm"
+            f"{one.name}: Sq {one.roughness.sq_nm:.3g} nm, PV {one.pv_nm:.4g} nm"
             + (" from the design" if one.roughness.form == "none" else f" after form removal ({one.roughness.form})")
             + (
                 f"; of it the servos {servos[0]:.4g} nm PV, {servos[1]:.3g} nm rms"

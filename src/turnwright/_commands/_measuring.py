@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turnwright._commands._shared import Door, Folder, Force, JobFile, app, new_folder, progress_of, require_new, warn
+from turnwright._commands._shared import (
+    Door,
+    Folder,
+    Force,
+    JobFile,
+    app,
+    end_by,
+    new_folder,
+    progress_of,
+    require_new,
+    warn,
+)
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -79,7 +90,10 @@ def measure(context: typer.Context, file: MapFile, job: JobOption, out: Folder, 
         write_measured(measured, folder)
         progress("report", 1, 1)
     _say_measured(door, [measured])
+    for verdict in measured.verdicts:
+        door.say(verdict.sentence)
     door.say(f"report: {out / 'report.html'}")
+    end_by(door, measured.verdicts)
 
 
 @app.command()
@@ -137,8 +151,11 @@ def correct(
     _say_causes(door, found)
     for name, (pv, rms) in better.numbers_nm.items():
         door.say(f"{name}: PV {pv:.4g} nm, rms {rms:.4g} nm")
+    for verdict in better.verdicts:
+        door.say(f"corrected: {verdict.sentence}")
     door.say(f"job: {out / 'job.toml'}")
     door.say(f"report: {out / 'report.html'}")
+    end_by(door, better.verdicts)
 
 
 def _measured(files: Sequence[Path], jobs: Sequence[Path], progress: StageProgress) -> list[Measured]:

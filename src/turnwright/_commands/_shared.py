@@ -25,11 +25,27 @@ except ImportError:  # Windows: there what a killed process left stays
     fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from turnwright.job import StageProgress
+    from turnwright.job import StageProgress, Verdict
 
-__all__ = ["Door", "Folder", "Force", "JobFile", "app", "new_folder", "progress_of", "require_new", "tell", "warn"]
+__all__ = [
+    "MISSED",
+    "Door",
+    "Folder",
+    "Force",
+    "JobFile",
+    "app",
+    "end_by",
+    "new_folder",
+    "progress_of",
+    "require_new",
+    "tell",
+    "warn",
+]
+
+MISSED = 4
+"""Exit code of work that is done and written, of which a stated tolerance is missed."""
 
 app = typer.Typer(
     name="turnwright",
@@ -81,6 +97,23 @@ def tell(text: str) -> None:
     """Say beside the results; nobody needs to listen."""
     with suppress(OSError):
         typer.echo(shortened(text), err=True)
+
+
+def end_by(door: Door, verdicts: Iterable[Verdict]) -> None:
+    """End a command that has done its work: with the code of a missed tolerance if one is.
+
+    Raises
+    ------
+    typer.Exit
+        With that code.
+    """
+    from turnwright.job import missed  # noqa: PLC0415
+
+    verdicts = tuple(verdicts)
+    if missed(verdicts):
+        many = sum(one.kept is False for one in verdicts)
+        door.say(f"done and written, but {many} of {len(verdicts)} verdicts on the stated tolerances say: missed")
+        raise typer.Exit(MISSED)
 
 
 @app.callback(invoke_without_command=True)
@@ -200,27 +233,55 @@ def _begun(out: Path) -> tuple[Path, int | None]:
 
     The system gives a lock up when the process that holds it is gone, however it went. A lock may hold on one machine
     only, so the name of the folder says on which.
+
+    Raises
+    ------
+    InputError
+        If another process is at work for the same folder.
     """
     here = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
     head = f".{out.name}-{here}-"
-    left = re.compile(re.escape(head) + "[a-z0-9_]{8}")  # as mkdtemp names them
-    others: list[Path] = []
-    with suppress(OSError):  # one may be allowed to write where one may not look
-        others = [one for one in out.parent.iterdir() if left.fullmatch(one.name)]
-    for other in others:
-        with suppress(BlockingIOError):
-            held = _lock(other)
-            if held is not None:
-                shutil.rmtree(other, ignore_errors=True)
-                os.close(held)
     while True:
+        _require_alone(out, here)
         folder = Path(tempfile.mkdtemp(prefix=head, dir=out.parent))
         with suppress(BlockingIOError):  # another process takes it for one that was left, and removes it
             held = _lock(folder)
             if folder.is_dir():
-                return folder, held
+                break
             if held is not None:
                 os.close(held)
+    try:
+        _require_alone(out, here, folder.name)
+    except InputError:
+        shutil.rmtree(folder, ignore_errors=True)
+        if held is not None:
+            os.close(held)
+        raise
+    return folder, held
+
+
+def _require_alone(out: Path, here: str, own: str = "") -> None:
+    """Remove what dead processes have left beside a folder, whatever it was for; refuse one that is being made.
+
+    Of two that begin at a time that one goes on whose hidden name comes first.
+    """
+    left = re.compile(rf"\.(.+)-{here}-[a-z0-9_]{{8}}")  # as mkdtemp names them
+    others: list[Path] = []
+    with suppress(OSError):  # one may be allowed to write where one may not look
+        others = [one for one in out.parent.iterdir() if one.name != own and left.fullmatch(one.name)]
+    for other in others:
+        try:
+            held = _lock(other)
+        except BlockingIOError:
+            found = left.fullmatch(other.name)
+            if found is not None and found[1] == out.name and (not own or other.name < own):
+                raise InputError(
+                    f"another run is writing {str(out)!r}: name another folder, or wait for its end"
+                ) from None
+            continue
+        if held is not None:
+            shutil.rmtree(other, ignore_errors=True)
+            os.close(held)
 
 
 def _lock(folder: Path) -> int | None:

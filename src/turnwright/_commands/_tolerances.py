@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turnwright._commands._shared import Door, Folder, Force, JobFile, app, new_folder, progress_of
+from turnwright._commands._shared import MISSED, Door, Folder, Force, JobFile, app, new_folder, progress_of
 from turnwright._commands._studies import Cluster, KeptAt, Workers, kept_cases, over
 
 if TYPE_CHECKING:
@@ -65,6 +65,10 @@ def tolerance(
     _say(door, found)
     door.say(f"table: {out / 'cases.csv'}")
     door.say(f"report: {out / 'report.html'}")
+    *_, last = found.outcomes.values()
+    if last.probability.value < 1:
+        door.say("done and written, but not all parts keep all tolerances")
+        raise typer.Exit(MISSED)
 
 
 def _say(door: Door, found: ToleranceStudy) -> None:

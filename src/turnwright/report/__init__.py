@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from turnwright.job import judge
 from turnwright.path import Motion
 from turnwright.report._comparison import write_comparison
 from turnwright.report._measured import write_correction, write_diagnosis, write_measured
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from turnwright.access import Access
-    from turnwright.job import Job, Prediction, Result
+    from turnwright.job import Job, Prediction, Result, Verdict
     from turnwright.job._approach import Entry
     from turnwright.machine import Machine
     from turnwright.motion import Limits
@@ -175,9 +176,9 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
     from turnwright.report import _figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
     path = page_file(path)
-    tolerances = result.job.tolerances
-    numbers = _numbers(result.predictions, [cut.limits for cut in result.passes], tolerances.form_pv, tolerances.sq)
-    failed = _failed(numbers)
+    verdicts = result.verdicts
+    numbers = _numbers(result.predictions, [cut.limits for cut in result.passes], verdicts)
+    failed = _failed(verdicts)
     if result.rounding_nm > result.rounding_limit_nm:
         failed.append("the program differs from the plan")
     if failed:
@@ -187,10 +188,9 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
     elif not result.ok:
         verdict = _Verdict("warn", "Ready as accepted", "beyond a limit, which the job accepts")
     else:
-        stated = tolerances.form_pv is not None or tolerances.sq is not None
-        verdict = _Verdict(
-            "good", "Ready to cut", "reach, limits and tolerances kept" if stated else "reach and limits kept"
-        )
+        open_ones = [one.sentence for one in verdicts if one.kept is None]
+        kept = "reach, limits and tolerances kept" if len(open_ones) < len(verdicts) else "reach and limits kept"
+        verdict = _Verdict("warn" if open_ones else "good", "Ready to cut", "; ".join([kept, *open_ones]))
     feed = result.passes[-1].feed
     maps, left_out = _maps(result.predictions, feed)
     page = _Page(
@@ -299,8 +299,9 @@ def write_backplot(
 
     path, program = page_file(path), File(program)
     part, machine = job.part.part, job.machine.machine
-    numbers = _numbers(predictions, [limits], job.tolerances.form_pv, job.tolerances.sq)
-    failed = _failed(numbers)
+    verdicts = judge(job, predictions)
+    numbers = _numbers(predictions, [limits], verdicts)
+    failed = _failed(verdicts)
     if not limits.ok:
         failed.append("the machine cannot follow")
     verdict = (
@@ -431,29 +432,30 @@ def _number(value: float) -> str:
     return f"{value:.4g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.3g}"
 
 
-def _numbers(
-    predictions: Sequence[Prediction], passes: Sequence[Limits], form_pv: float | None, sq: float | None
-) -> list[_Number]:
+def _numbers(predictions: Sequence[Prediction], passes: Sequence[Limits], verdicts: Sequence[Verdict]) -> list[_Number]:
     """Return the three numbers that matter: form, roughness, time."""
     numbers = []
+    judged = {(one.tolerance, one.place): one for one in verdicts}
 
-    def judged(label: str, value: float, limit: float | None, note: str) -> _Number:
-        if limit is None:
+    def number(label: str, value: float, key: tuple[str, str], note: str) -> _Number:
+        one = judged.get(key)
+        if one is None:
             return _Number(label, _number(value), "nm", note)
-        words = f"tolerance {_number(limit * NM)} nm, {note}"
-        return _Number(label, _number(value), "nm", words, ok=value <= limit * NM)
+        words = "; ".join([f"tolerance {_number(one.limit_nm)} nm, {note}", *filter(None, [one.reason])])
+        return _Number(label, _number(value), "nm", words, ok=one.kept is not False)
 
     whole = [one for one in predictions if one.error.polar]
     patches = [one for one in predictions if not one.error.polar]
-    if whole:
-        worst = max(whole, key=lambda one: one.roughness.pv_nm)
+    for one in whole:
         numbers.append(
-            judged("Form error PV", worst.roughness.pv_nm, form_pv, "whole part, cusps as the grid meets them")
+            number("Form error PV", one.pv_nm, ("form_pv", one.name), "from the highest to the lowest place")
         )
+        if one.finish_nm is not None:
+            numbers.append(number("Sq", one.finish_nm, ("sq", one.name), "of the roughest ring"))
     if patches:
-        worst = max(patches, key=lambda one: one.roughness.sq_nm)
+        worst = max(patches, key=lambda one: (bool(one.uncut), one.roughness.sq_nm))
         note = f"at “{worst.name}”" + (f", the roughest of {len(patches)} patches" if len(patches) > 1 else "")
-        numbers.append(judged("Sq", worst.roughness.sq_nm, sq, note))
+        numbers.append(number("Sq", worst.roughness.sq_nm, ("sq", worst.name), note))
     last = passes[-1]
     note = f"{last.nearest} is nearest to its limit, {last.utilisation[last.nearest]:.0%}"
     if len(passes) > 1:
@@ -463,9 +465,9 @@ def _numbers(
     return numbers
 
 
-def _failed(numbers: Sequence[_Number]) -> list[str]:
-    """Return which numbers are out of tolerance."""
-    return [f"{number.label} above tolerance" for number in numbers if not number.ok]
+def _failed(verdicts: Sequence[Verdict]) -> list[str]:
+    """Return which tolerances are missed, a sentence each."""
+    return [one.sentence for one in verdicts if one.kept is False]
 
 
 def _facts(part: Part, tool: Tool, actual: Tool, machine: Machine, real: Machine) -> dict[str, list[_Row]]:
@@ -602,7 +604,7 @@ def _maps(predictions: Sequence[Prediction], feed: float) -> tuple[list[_Map], i
         note = f"{size[1]} radii × {size[0]} azimuths" if one.error.polar else f"{size[1]} × {size[0]} pixels"
         if one.error.x is not None:
             note += f" of {(one.error.x[1] - one.error.x[0]) * 1e3:.4g} µm"
-        note += f" · PV {_number(rough.pv_nm)} nm · Sq {_number(rough.sq_nm)} nm"
+        note += f" · PV {_number(one.pv_nm)} nm · Sq {_number(rough.sq_nm)} nm"
         note += " from the design" if rough.form == "none" else f" after form removal ({_form(rough.form)})"
         if one.error.radius is not None and (step := one.error.radius[1] - one.error.radius[0]) > feed / 4:
             note += f" · radii {_length(float(step))} apart, {_length(feed)} per turn: cusps beat with this grid"

@@ -214,13 +214,16 @@ def write_correction(
 
 def _judged(measured: Measured) -> dict[str, str]:
     """Return grade, word and reason: whether the form keeps its tolerance."""
-    allowed = measured.job.tolerances.form_pv
-    if allowed is None:
+    verdicts = measured.verdicts
+    form = next((one for one in verdicts if one.tolerance == "form_pv"), None)
+    if form is None:
         return {"grade": "plain", "word": "Measured", "why": "The job states no tolerances.form_pv to judge by."}
-    told = f"PV {measured.form_pv_nm:.4g} nm of {allowed * NM:.4g} nm allowed."
-    if measured.form_pv_nm <= allowed * NM:
-        return {"grade": "good", "word": "Keeps its form", "why": told}
-    return {"grade": "bad", "word": "Form is off", "why": told}
+    why = " ".join(f"{one.sentence}." for one in verdicts)
+    return {
+        "grade": "good" if form.kept else "bad",
+        "word": "Keeps its form" if form.kept else "Form is off",
+        "why": why,
+    }
 
 
 def _open_questions(measured: Measured) -> list[str]:

@@ -168,7 +168,7 @@ def listed(folder: str) -> list[dict[str, Any]]:
             {
                 "name": one["name"], "unit": "mm", "shape": list(one["shape"]),
                 "x": spans.get("x"), "y": spans.get("y"), "radius": spans.get("radius"), "angle": spans.get("angle"),
-                "pixel": _pixel(axes), "pv_nm": rough["pv_nm"], "sq_nm": rough["sq_nm"],
+                "pixel": _pixel(axes), "pv_nm": one["pv_nm"], "sq_nm": rough["sq_nm"],
                 "tracking": one["tracking"] is not None,
             }
         )  # fmt: skip

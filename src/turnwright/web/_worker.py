@@ -154,7 +154,10 @@ def _cut(job: Job, out: Path, tell: _Teller) -> str:
     index(out, job.machine.machine)
     minutes = sum(one.limits.cycle_time_s for one in result.passes) / 60
     points = sum(one.points for one in result.passes)
-    return f"{points} points, {minutes:.1f} min" + (f", {len(result.warnings)} warnings" if result.warnings else "")
+    told = [f"{points} points, {minutes:.1f} min"]
+    missing = sum(one.kept is False for one in result.verdicts)
+    told = ([f"misses {missing} of {len(result.verdicts)} verdicts on its tolerances"] if missing else []) + told
+    return ", ".join(told + ([f"{len(result.warnings)} warnings"] if result.warnings else []))
 
 
 def _compare(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> str:

@@ -87,13 +87,12 @@ function Outcome() {
   const last = result.passes.at(-1);
   const seconds = result.passes.reduce((sum, cut) => sum + cut.limits.cycle_time_s, 0);
   return html`<div class="cards" id="outcome">
-    <section class=${result.ok ? "card verdict good" : "card verdict bad"}><${Mark} ok=${result.ok} />
-      <div><h3>${result.ok ? "Cut as planned, within all limits" : "Not within all limits"}</h3><p class="quiet">${result.part}, on ${result.machine}</p></div></section>
+    <${Tolerances} result=${result} />
     <${Card} title="Surface left">
       <table class="small"><thead><tr><th>where</th><th class="number">PV</th><th class="number">Sq</th><th class="number">Sa</th></tr></thead>
-      <tbody>${result.predictions.map(({ name, roughness }) => html`<tr class="pick" onClick=${() => set({ map: name, drawer: "maps", view: "drawer" })}>
+      <tbody>${result.predictions.map(({ name, roughness, pv_nm }) => html`<tr class="pick" onClick=${() => set({ map: name, drawer: "maps", view: "drawer" })}>
         <th scope="row"><button type="button" class="link" onClick=${() => set({ map: name, drawer: "maps", view: "drawer" })}>${name}</button></th>
-        <td class="number">${height(roughness.pv_nm)}</td><td class="number">${height(roughness.sq_nm)}</td><td class="number">${height(roughness.sa_nm)}</td></tr>`)}</tbody></table>
+        <td class="number">${height(pv_nm ?? roughness.pv_nm)}</td><td class="number">${height(roughness.sq_nm)}</td><td class="number">${height(roughness.sa_nm)}</td></tr>`)}</tbody></table>
     </${Card}>
     ${result.warnings.length > 0 && html`<${Warnings} warnings=${result.warnings} />`}
     <${Budget} run=${run} result=${result} />
@@ -111,6 +110,22 @@ function Outcome() {
       <${Downloads} path=${`/runs/${run}`} files=${files} />
       <p><button type="button" class="add" onClick=${() => editAgain(run)}><${Icon} name="left" />Take this job into the fields</button></p></${Card}>
   </div>`;
+}
+
+/** The verdict on a run: its tolerances first, then the limits of the machine. */
+function Tolerances({ result }) {
+  const { verdicts = [], ok } = result;
+  const missed = verdicts.filter(({ kept }) => kept === false);
+  const open = verdicts.filter(({ kept }) => kept === null);
+  const head = missed.length ? `Misses ${missed.length === 1 ? "a tolerance" : `${missed.length} tolerances`}`
+    : !ok ? "Not within all limits"
+    : open.length ? "Within all limits, not every tolerance judged"
+    : verdicts.length ? "Keeps its tolerances, within all limits" : "Within all limits; no tolerance is stated";
+  const good = ok && !missed.length && !open.length;
+  return html`<section class=${good ? "card verdict good" : missed.length || !ok ? "card verdict bad" : "card verdict"}><${Mark} ok=${good} warn=${!missed.length && ok} />
+    <div><h3>${head}</h3>${missed.length > 0 && !ok && html`<p>Not within all limits either.</p>`}
+      ${[...missed, ...open, ...verdicts.filter(({ kept }) => kept)].map(({ sentence }) => html`<p>${sentence}</p>`)}
+      <p class="quiet">${result.part}, on ${result.machine}</p></div></section>`;
 }
 
 function Limits({ limits, name }) {

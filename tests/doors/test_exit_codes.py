@@ -1,0 +1,92 @@
+"""How a command ends: every stated tolerance kept, or the code that says what stands against it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import tomli_w
+
+from turnwright.cli import main
+
+DISH = {
+    "part": {"name": "dish", "radius": "0.4 mm", "surface": {"family": "sphere", "radius": "20 mm"}},
+    "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
+    "machine": {"name": "generic"},
+    "strategy": {"kind": "slow tool servo", "feed": "10 um/rev", "points_per_rev": 180, "spindle_speed": "60 rpm"},
+    "simulation": {"whole_part": {"radii": 40, "angles": 36}},
+}
+
+
+def job_file(place, name, **tables):
+    file = place / f"{name}.toml"
+    file.write_text(tomli_w.dumps(DISH | tables), encoding="utf-8")
+    return str(file)
+
+
+@pytest.mark.parametrize(("limit", "code", "head"), [("40 nm", 4, "Not ready"), ("80 nm", 0, "Ready to cut")])
+def test_run_ends_by_its_tolerances(limit, code, head, tmp_path, capsys):
+    file = job_file(tmp_path, "dish", tolerances={"form_pv": limit})
+    assert main(["run", file, "--out", str(tmp_path / "out")]) == code
+    said = capsys.readouterr()
+    found = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert found["keeps_tolerances"] is (code == 0)
+    assert found["verdicts"][0]["kept"] is (code == 0)
+    assert found["predictions"][0]["pv_nm"] > 50
+    assert head in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert ("missed" in said.out) is (code == 4)
+
+
+def test_check_says_which_tolerances_it_does_not_judge(tmp_path, capsys):
+    file = job_file(tmp_path, "dish", tolerances={"form_pv": "40 nm", "sq": "1 nm"})
+    assert main(["check", file]) == 0
+    said = capsys.readouterr().out
+    assert said.count("is not judged") == 2
+
+
+def test_a_batch_ends_with_the_gravest_code(tmp_path, capsys):
+    good = job_file(tmp_path, "good", tolerances={"form_pv": "80 nm"})
+    over = job_file(tmp_path, "over", tolerances={"form_pv": "40 nm"})
+    wrong = job_file(tmp_path, "wrong", strategy={})
+    assert main(["run", good, over, "--out", str(tmp_path / "two"), "--workers", "1"]) == 4
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("(exit code 0)")
+    assert lines[1].endswith("(exit code 4)")
+    assert main(["run", over, wrong, "--out", str(tmp_path / "two"), "--workers", "1"]) == 2
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("over   as before: ")
+    assert lines[0].endswith("(exit code 4)")
+    assert lines[1].endswith("(exit code 2)")
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no locks on folders")
+def test_a_second_run_into_a_folder_is_refused_at_once_and_a_kill_is_cleaned_by_any(tmp_path):
+    program = (
+        "import sys, time; from pathlib import Path; from turnwright._stop import Stop\n"
+        "from turnwright._commands._shared import Door, new_folder\n"
+        "with Stop() as stop, new_folder(Path(sys.argv[1]), Door(stop), force=False):\n"
+        "    print('at work', flush=True); time.sleep(60)\n"
+    )
+
+    def started(name):
+        process = subprocess.Popen(
+            [sys.executable, "-c", program, str(tmp_path / name)], stdout=subprocess.PIPE, text=True
+        )
+        assert process.stdout.readline() == "at work\n"
+        return process
+
+    first = started("out")
+    file = job_file(tmp_path, "dish")
+    begin = time.monotonic()
+    assert main(["run", file, "--out", str(tmp_path / "out")]) == 2
+    assert time.monotonic() - begin < 5
+    first.send_signal(signal.SIGKILL)
+    first.communicate()
+    assert [one for one in tmp_path.iterdir() if one.name.startswith(".out-")]
+    other = started("other")
+    assert not [one for one in tmp_path.iterdir() if one.name.startswith(".out-")]
+    other.kill()
+    other.communicate()
