@@ -298,7 +298,7 @@ def test_a_core_is_never_more_than_half_of_a_part():
     left, error, _ = left_by(job, planned(job, Reach(along=0.02, across=0.01, servos={})), y=0.9)
     there = np.isfinite(error)
     assert np.hypot(left.x, left.y)[there].min() == pytest.approx(math.hypot(1.5, 0.9), rel=1e-3)
-    assert there.any(axis=0).sum() == 22  # the outer half of 40, the edge of the core, the rim
+    assert there.any(axis=0).sum() == 25  # the outer half of 40, the edge of the core, four rings at the rim
 
 
 def test_form_is_that_of_the_whole_part_to_its_rim(tmp_path):

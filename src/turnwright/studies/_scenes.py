@@ -251,15 +251,16 @@ def lines_of(job: Job, feed: float, *, even: bool = False) -> Scene:
             rings.append(INWARD * rings[-1])
         fine = (np.arange(AROUND) + GOLDEN) / AROUND * azimuth[1]
         # Rings a whole number of feeds apart would meet all cusps alike, and a tilt would take that off.
-        across = feed / part.radius
+        across, area = feed / part.radius, 2 * share / radii
         if across * radii < 1:
-            share = np.minimum((np.floor(share / across) + np.arange(radii) * GOLDEN % 1) * across, RIM)
+            share = (np.floor(share / across) + np.arange(1, radii + 1) * GOLDEN % 1) * across
+            share = np.where(share > 1 - across, share - across, share)
         rim = RIM - np.arange(NEAR_RIM) / NEAR_RIM * across / angles
         radius = np.concatenate([[0.0], np.full(AROUND, rings[0]), rings[1:], share, rim])
         twist = np.zeros(radius.size)
         twist[1 : 1 + AROUND] = fine
         weight = np.zeros(radius.size)
-        weight[-NEAR_RIM - radii : -NEAR_RIM] = 2 * share / radii
+        weight[-NEAR_RIM - radii : -NEAR_RIM] = area
         order = np.argsort(radius, kind="stable")
         radius, twist, weight = radius[order], twist[order], weight[order]
     return Scene(
