@@ -295,3 +295,10 @@ def test_the_uncertainty_of_a_power_is_that_of_nonlinear_least_squares():
     assert found.cutting.high - found.cutting.value == pytest.approx(half[0], rel=1e-4)
     assert found.exponents[0].value == pytest.approx(answer[1], abs=1e-6)
     assert found.exponents[0].high - found.exponents[0].value == pytest.approx(half[1], rel=1e-4)
+
+
+def test_exact_forces_are_in_proportion():
+    chip, width, force = averages(np.random.default_rng(1), noise=0.0)
+    found = learn_material(Cuts(thickness=chip, width=width, cutting=force, thrust=force / 2))
+    assert not any("as if" in one for one in found.sentences)
+    assert found.cutting.value == pytest.approx(1489, rel=1e-12)

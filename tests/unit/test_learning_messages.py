@@ -165,3 +165,19 @@ def test_what_is_wrong_is_one_sentence(case):
 
 def test_no_force_along_an_axis_is_uncertain_beyond_measure():
     assert sensor().relative_uncertainty([1.0, 2.0, 0.0]).tolist() == [0.0, 0.0, np.inf]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"thickness": np.linspace(0.05, 1.2, 30)}, r"the thickest chip is 1\.2 mm, the limit is 0\.1 mm"),
+        ({"cutting": np.zeros(30)}, "the cutting force of all cuts is 0 N"),
+        ({"thrust": np.zeros(30)}, "the thrust of all cuts is 0 N"),
+        ({"cutting": -np.linspace(0.01, 0.2, 30)}, r"the cutting coefficient comes out as -.*above 0"),
+    ],
+)
+def test_cuts_that_no_diamond_made_are_refused(change, message):
+    chip = np.linspace(50e-6, 600e-6, 30)
+    given = {"thickness": chip, "width": np.full(30, 0.2), "cutting": 300 * chip, "thrust": 160 * chip} | change
+    with pytest.raises(InputError, match=message):
+        learn_material(Cuts(**given))

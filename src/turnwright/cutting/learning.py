@@ -60,6 +60,12 @@ CLEAR = 5.0
 """Times the scatter in air that a force must have for its cut to be found beyond doubt, as `engagements` looks for it.
 """
 
+THICKEST = 0.1
+"""Uncut chip beyond which a thickness is likely not in mm: that of a diamond is below. [mm]"""
+
+EXACT = 1e-6
+"""Share of the thickest chip below which a departure from proportion is that of the arithmetic."""
+
 FEWEST = 4
 """Rows that a part of the forces must have on either side of the transition."""
 
@@ -367,6 +373,7 @@ def learn_material(
             break
         split, ductile = _parts(rows, confidence)
     parts = [rows.slope(component, ductile | ~rows.engaged, confidence) for component in range(COMPONENTS)]
+    require_cutting(parts[0][0])
     from scipy.stats import norm  # noqa: PLC0415 - costly to import
 
     wide = float(norm.ppf(0.5 + confidence / 2))
@@ -423,6 +430,7 @@ class _Rows:
             raise InputError(
                 "edge_force and size_effect are both asked for, the limit is 1: forces do not tell them apart"
             )
+        require_plausible(cuts.thickness, {"cutting force": cuts.cutting, "thrust": cuts.thrust})
         self.thickness = cuts.thickness
         self.engaged: Bools = cuts.thickness > 0
         spread = np.zeros_like(cuts.thickness) if cuts.spread is None else cuts.spread
@@ -570,6 +578,29 @@ class _Rows:
             cover = (max(scale, 1.0) if self.stated else scale) * inverse
         sigma = float(np.sqrt(cover[0, 0])) / size[0]
         return float(answer[0] / size[0]), sigma, float(t.ppf(0.5 + confidence / 2, free)) * sigma
+
+
+def require_plausible(thickness: Floats, forces: Mapping[str, Floats]) -> None:
+    """Raise for chips that are no diamond's, and for channels that measured nothing."""
+    thickest = float(thickness.max(initial=0.0))
+    if thickest > THICKEST:
+        raise InputError(
+            f"the thickest chip is {thickest:g} mm, the limit is {THICKEST:g} mm: state thicknesses in mm, of which 1 "
+            "um is 0.001"
+        )
+    engaged = thickness > 0
+    for name, force in forces.items():
+        if engaged.any() and not force[engaged].any():
+            raise InputError(f"the {name} of all cuts is 0 N, it must be measured: check its channel")
+
+
+def require_cutting(value: float) -> None:
+    """Raise for a cutting coefficient that no material has."""
+    if not value > 0:
+        raise InputError(
+            f"the cutting coefficient comes out as {value:.4g} N/mm^2, it must be above 0: check the signs of both "
+            "channels"
+        )
 
 
 def drifts(time: Floats | None, record: Floats, air: Bools, degree: int) -> Floats:
@@ -790,7 +821,7 @@ def _misfits(rows: _Rows, ductile: Bools, split: _Split | None) -> list[str]:
         return said
     for component, name in enumerate(("cutting force", "thrust")):
         off, _, half = rows.offset(component, ductile, UNLIKELY)
-        if abs(off) > half:
+        if abs(off) > max(half, EXACT * rows.thickness.max()):
             said.append(
                 f"the {name} is not in proportion to the chip: it is as if the chips were {abs(off) * 1e6:.3g} nm "
                 f"{'thinner' if off > 0 else 'thicker'} than stated, so the intervals do not hold: check where the cut "
