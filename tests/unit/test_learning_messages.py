@@ -5,6 +5,8 @@ import pytest
 
 import turnwright as tw
 from turnwright.cutting.dynamometer import Dynamometer, TapTest
+from turnwright.cutting.edge_cuts import NoseCuts
+from turnwright.cutting.edge_learning import learn_along_edge
 from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
 from turnwright.cutting.fracture import ri80
 from turnwright.cutting.learning import Cuts, learn_material, measured_cuts
@@ -181,3 +183,21 @@ def test_cuts_that_no_diamond_made_are_refused(change, message):
     given = {"thickness": chip, "width": np.full(30, 0.2), "cutting": 300 * chip, "thrust": 160 * chip} | change
     with pytest.raises(InputError, match=message):
         learn_material(Cuts(**given))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"feed": np.linspace(0.1, 1.0, 30), "depth": np.full(30, 0.5)},
+            r"the thickest chip is .* mm, the limit is 0\.1 mm",
+        ),
+        ({"axial": np.zeros(30)}, "the axial force of all cuts is 0 N"),
+        ({"cutting": -0.02 * np.linspace(0.5, 5.0, 30)}, r"the cutting coefficient comes out as -.*above 0"),
+    ],
+)
+def test_round_noses_are_held_to_the_same(change, message):
+    feed = np.linspace(0.5e-3, 5e-3, 30)
+    given = {"nose_radius": np.ones(30), "depth": np.full(30, 0.02), "feed": feed, "axial": 8 * feed}
+    with pytest.raises(InputError, match=message):
+        learn_along_edge(NoseCuts(**{**given, "cutting": 15 * feed, **change}))

@@ -31,6 +31,7 @@ from turnwright.cutting._edge_rows import Fit, InterruptedRows, Rows, TurningRow
 from turnwright.cutting.edge_cuts import InterruptedCuts, NoseCuts
 from turnwright.cutting.learning import (
     CERTAIN,
+    EXACT,
     FEWEST,
     ROUNDS,
     SETTLED,
@@ -39,6 +40,8 @@ from turnwright.cutting.learning import (
     Estimate,
     ForceFit,
     LearnedMaterial,
+    require_cutting,
+    require_plausible,
     said_of,
     too_weak,
 )
@@ -47,6 +50,9 @@ from turnwright.errors import InputError
 __all__ = ["learn_along_edge"]
 
 NAMES = ("cutting", "thrust")
+
+LABELS = {"axial": "axial force", "feed": "feed force", "cutting": "cutting force"}
+"""What components of the force are called; those of a mill are named after their axes."""
 
 LOOKED = 96
 """Thicknesses at which a transition is first looked for."""
@@ -116,6 +122,8 @@ def learn_along_edge(
     if edge_force and size_effect:
         raise InputError("edge_force and size_effect are both asked for, the limit is 1: forces do not tell them apart")
     rows = TurningRows(cuts, drift) if isinstance(cuts, NoseCuts) else InterruptedRows(cuts, drift)
+    names = [LABELS.get(one, f"force along {one}") for one in cuts.components]
+    require_plausible(rows.thickest, dict(zip(names, rows.force.T, strict=True)))
     shares = np.zeros(rows.force.shape[1]) if calibration is None else frozen(calibration, "calibration")
     if shares.size != rows.force.shape[1]:
         raise InputError(
@@ -126,6 +134,8 @@ def learn_along_edge(
     rows.edge, rows.power = edge_force, [0.0, 0.0] if size_effect else None
     split, ductile = _settled(rows, told, confidence)
     fit = _Estimates(rows, ductile | ~rows.engaged, told, confidence, split)
+    if "cutting" in told:
+        require_cutting(float(fit.value[told.index("cutting")]))
     from scipy.stats import norm  # noqa: PLC0415 - costly to import
 
     wide = float(norm.ppf(0.5 + confidence / 2))
@@ -453,7 +463,7 @@ def _misfits(rows: Rows, ductile: Bools, told: tuple[str, ...], shown: ForceFit)
     finally:
         rows.edge = False
     for name, value, (edge, half) in zip(told, fit.value, fit.second, strict=True):
-        if abs(edge) > half:
+        if abs(edge) > max(half, EXACT * abs(value) * rows.thickest.max()):
             force = {"cutting": "cutting force", "thrust": "thrust"}[name]
             said.append(
                 f"the {force} is not in proportion to the chip: it is as if chips were {abs(edge / value) * 1e6:.3g} "

@@ -26,6 +26,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, between, freeze, frozen, positive, same_length
 from turnwright._given import whole as whole_number
+from turnwright.cutting._saturation import saturated
 from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
 from turnwright.errors import InputError
 
@@ -62,6 +63,9 @@ CLEAR = 5.0
 
 THICKEST = 0.1
 """Uncut chip beyond which a thickness is likely not in mm: that of a diamond is below. [mm]"""
+
+SOLID = 0.9
+"""Share of the cuts from the first to the last at the end of a range that stand there, if that is the range."""
 
 EXACT = 1e-6
 """Share of the thickest chip below which a departure from proportion is that of the arithmetic."""
@@ -592,6 +596,21 @@ def require_plausible(thickness: Floats, forces: Mapping[str, Floats]) -> None:
     for name, force in forces.items():
         if engaged.any() and not force[engaged].any():
             raise InputError(f"the {name} of all cuts is 0 N, it must be measured: check its channel")
+    order = np.flatnonzero(engaged)
+    order = order[np.argsort(thickness[order], kind="stable")]
+    for name, force in forces.items():
+        clipped = saturated(force[order])
+        if clipped.size < SOLID * (np.ptp(clipped) + 1 if clipped.size else 1):
+            continue
+        at = order[clipped]
+        # Beyond a transition all forces may be constant; a range ends for one of them.
+        if len(forces) > 1 and not any(np.ptp(other[at]) for other in forces.values()):
+            continue
+        raise InputError(
+            f"the {name} is saturated: it is {force[at[0]]:.6g} N in {at.size} of {order.size} cuts, of chips from "
+            f"{thickness[at[0]] * 1e6:.4g} to {thickness[at[-1]] * 1e6:.4g} nm: record with a larger range, or leave "
+            "these cuts out"
+        )
 
 
 def require_cutting(value: float) -> None:
