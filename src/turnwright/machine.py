@@ -54,6 +54,9 @@ class Axis:
         Ends of the travel. [mm or rad]
     bandwidth_hz
         Highest frequency at which the axis still follows; `check_limits` says what a motion has of it. [Hz]
+    bandwidth_residual
+        What may remain of a motion above that: the amplitude of a sine of the same power over two turns; ``None`` for
+        1e-5. [mm or rad]
     response
         How the axis answers its command; ``None`` follows exactly.
     dead_time
@@ -71,6 +74,7 @@ class Axis:
     low: float | None = None
     high: float | None = None
     bandwidth_hz: float | None = None
+    bandwidth_residual: float | None = None
     response: Response | None = None
     dead_time: float | None = None
 
@@ -81,6 +85,8 @@ class Axis:
                 positive(limit, f"the {name} of an axis", f"mm{power} or rad{power}")
         if self.bandwidth_hz is not None:
             positive(self.bandwidth_hz, "the bandwidth of an axis", "Hz")
+        if self.bandwidth_residual is not None:
+            positive(self.bandwidth_residual, "the bandwidth_residual of an axis", "mm or rad")
         low = -np.inf if self.low is None else self.low
         high = np.inf if self.high is None else self.high
         if not low < high:
@@ -451,6 +457,7 @@ def _axis(letter: str, limits: object) -> Axis:
         "jerk": f"{length}/s^3",
         "low": length,
         "high": length,
+        "bandwidth_residual": length,
         "dead_time": "s",
     }
     _check_keys(limits, {*own, "bandwidth", "response"}, f"axes.{letter}")

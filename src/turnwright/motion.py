@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["Limits", "SpeedProfile", "check_limits", "drive", "require_variable"]
 
 TURN = 2 * math.pi
+NM = 1e6
 
 SLACK = 1e-3
 """A limit counts as kept up to this share above it: no data sheet is more exact, and a program read back is rounded."""
@@ -34,8 +35,11 @@ STATED = "spindle speed as stated"
 ROUNDED = 3e-10
 """A speed that is sought is left as it is up to this share above a limit: a jerk is then within 1e-9 of its own."""
 
-FAINT = 1e-4
-"""Share of the power of a motion that may lie above its highest frequency: a hundredth of its amplitude."""
+RESIDUAL = 1e-5
+"""What may remain of a motion above the bandwidth of an axis that states nothing else. [mm or rad]"""
+
+HANN_POWER = 3 / 8
+"""Mean square of the Hann window."""
 
 FULL = 0.99
 """Share of a limit from which on it is the limit that binds: the speed that `drive` finds uses all of one."""
@@ -153,6 +157,7 @@ class _Asked(NamedTuple):
     limit: float
     unit: str
     point: int
+    what: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -312,9 +317,10 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     jerk that is not in the motion, and three times as much by cubics, with :math:`t` the block time: 2 mm/s² and
     4000 mm/s³ for nanometres at 1000 blocks/s. Beside a fast tool the blocks of the lathe are those of `Motion.lathe`.
 
-    The highest frequency of an axis is the lowest one above which no two turns of its motion (under a Hann window, less
-    their mean) hold more than 1e-4 of the power of the strongest two; between the points it is taken as a cubic
-    spline. A pure sine of n periods per turn is found at n + 1/2, and at n + 2 at most if n is not whole.
+    The highest frequency of an axis is the lowest one above which less than its ``bandwidth_residual`` remains, 10 nm
+    where nobody states another: no two turns of its motion (under a Hann window, less their mean) hold more power there
+    than a sine of that amplitude, whatever moves more slowly. Between the points the motion is taken as a cubic spline.
+    A pure sine of n periods per turn is found at n + 1/2, and one of 1 um at n + 2 at most if n is not whole.
 
     Parameters
     ----------
@@ -350,11 +356,14 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
                 unit = f"{_length(letter)}/s" + ("", "^2", "^3")[power - 1]
                 asked.append(_Asked(f"{letter} {kind}", power, top[kind], limit, unit, at[kind]))
         if axis.bandwidth_hz is not None:
-            frequencies[letter], point = _frequency(motion.time, motion.axes["C"], motion.axes[letter])
-            asked.append(_Asked(f"{letter} bandwidth", 1, frequencies[letter], axis.bandwidth_hz, "Hz", point))
+            frequencies[letter], point = _frequency(motion.time, motion.axes["C"], motion.axes[letter], axis)
+            residual = axis.bandwidth_residual or RESIDUAL
+            size = f"{residual:.3g} rad" if letter in ROTARY else f"{residual * NM:.3g} nm"
+            what = f", above which less than {size} of its motion remains,"
+            asked.append(_Asked(f"{letter} bandwidth", 1, frequencies[letter], axis.bandwidth_hz, "Hz", point, what))
     utilisation = {one.name: one.value / one.limit for one in asked}
     findings = [
-        f"{one.name} reaches {one.value:.5g} {one.unit} at {motion.time[one.point] / 60:.2f} min "
+        f"{one.name} reaches {one.value:.5g} {one.unit}{one.what} at {motion.time[one.point] / 60:.2f} min "
         f"(X {motion.axes['X'][one.point]:.4g} mm), the limit of {machine.name} is {one.limit:.5g} {one.unit}: "
         f"turn at {mean_rpm * (one.limit / one.value) ** (1 / one.power):.4g} rev/min or less"
         for one in asked
@@ -446,7 +455,7 @@ def _highest(course: _Course, machine: Machine) -> float:
                 allowed.append((limit / value) ** (1 / power))
         band = machine.axes[letter].bandwidth_hz
         if band is not None:
-            highest, _ = _frequency(time, axes["C"], axes[letter])
+            highest, _ = _frequency(time, axes["C"], axes[letter], machine.axes[letter])
             if highest > 0:
                 allowed.append(band / highest)
     return float(min(allowed))
@@ -715,7 +724,7 @@ def _when(stages: list[float], phase: Floats) -> Floats:
     return np.where(phase > 0, (low + high) / 2, 0.0)
 
 
-def _frequency(time: Floats, angle: Floats, position: Floats) -> tuple[float, int]:
+def _frequency(time: Floats, angle: Floats, position: Floats, axis: Axis) -> tuple[float, int]:
     """Return the highest frequency of a motion, see `check_limits`, and the number of a point it is found at."""
     from scipy import fft, interpolate  # noqa: PLC0415 - costly to import
 
@@ -738,7 +747,7 @@ def _frequency(time: Floats, angle: Floats, position: Floats) -> tuple[float, in
         return part
 
     power = np.array([windowed(k) @ windowed(k) for k in range(starts.size)])
-    faint = FAINT * float(power.max())
+    faint = size * HANN_POWER * (axis.bandwidth_residual or RESIDUAL) ** 2 / 2
     highest, at = 0.0, 0
     for k in np.flatnonzero(power > faint).tolist():
         bins = np.abs(fft.rfft(windowed(k))) ** 2 * (2 / size)

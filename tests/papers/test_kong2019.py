@@ -92,7 +92,8 @@ def test_few_blocks_of_the_lathe_are_enough(path):
     limits = tw.check_limits(motion, MACHINE)
     assert np.abs(motion.axes["Z"] + motion.axes["W"] - path.z).max() < 1e-9
     assert limits.block_rate_hz == pytest.approx(180 * 100 / 60)
-    assert limits.ok, limits.findings
+    # The rims of the lenses are kinks, of which more than 10 nm is faster than the tool.
+    assert all(one.startswith("W bandwidth") for one in limits.findings), limits.findings
 
 
 @pytest.mark.parametrize("by", ["position", "time"])
