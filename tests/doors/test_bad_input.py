@@ -53,8 +53,8 @@ WRONG = {
     "a machine named twice": ([("machine.file", "job.toml")], r"machine: name and file of the machine are both given"),
     "an unknown dialect": ([("machine.dialect", "klingon")], r"dialect 'klingon'"),
     "a missing sag table": ([("part.surface", GRID | {"file": "none.csv"})], r"part\.surface\.file: .*does not exist"),
-    "nan in a sag table": ([("part.surface", GRID | {"file": "nan.csv"})], r"holds 1 values that are not finite"),
-    "words in a sag table": ([("part.surface", GRID | {"file": "words.csv"})], r"words\.csv is not a table of numbers"),
+    "nan in a sag table": ([("part.surface", GRID | {"file": "nan.csv"})], r"has no height at 1 places on or next to it"),
+    "words in a sag table": ([("part.surface", GRID | {"file": "words.csv"})], r"words\.csv has no table of numbers"),
     "an aperture larger than the grid": (
         [("part.surface", GRID), ("part.radius", "3 mm")],
         r"clear radius is 3 mm but Gridded is not defined beyond",
@@ -192,7 +192,7 @@ def place(tmp_path):
         return "\n".join(",".join(map(str, row)) for row in [["", *nodes], *rows])
 
     (folder / "sag.csv").write_text(table(rows))
-    (folder / "nan.csv").write_text(table([*rows[:-1], [*rows[-1][:-1], "nan"]]))
+    (folder / "nan.csv").write_text(table([*rows[:2], [*rows[2][:3], "nan", *rows[2][4:]], *rows[3:]]))
     (folder / "words.csv").write_text("x,y,z\none,two,three\n")
     (folder / "certificate.csv").write_text("sweep,deviation\n0,0\n1,1\n")
     (folder / "utf16.csv").write_text("sweep [deg],deviation [nm]\n0,0\n", encoding="utf-16")

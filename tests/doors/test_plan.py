@@ -69,8 +69,8 @@ def test_a_plan_keeps_what_a_person_wrote(tmp_path, elsewhere):
     for folder in {shop, out}:
         folder.mkdir()
     axis = np.linspace(-1.2, 1.2, 13)
-    table = np.vstack([np.r_[np.nan, axis], np.column_stack([axis, (axis**2 + axis[:, None] ** 2) / 80])])
-    np.savetxt(shop / "sag.csv", table, delimiter=",")
+    table = np.column_stack([axis, (axis**2 + axis[:, None] ** 2) / 80])
+    np.savetxt(shop / "sag.csv", table, delimiter=",", header="y/x," + ",".join(map(repr, axis.tolist())), comments="")
     (shop / "job.toml").write_bytes(WRITTEN_BY_HAND.replace("\n", "\r\n").encode())
     assert main(["plan", str(shop / "job.toml"), "--out", str(out / "planned.toml")]) == 0
     text = (out / "planned.toml").read_bytes().decode()

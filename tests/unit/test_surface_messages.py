@@ -50,7 +50,12 @@ BAD = {
         "takes one of them",
     ),
     "rings negative": (lambda: LensArray.hexagonal(pitch=1.0, lenslet=FLAT, rings=-1), "-1 rings"),
-    "table with a hole": (lambda: Gridded(x=AXIS, y=AXIS, z=HOLE), "1 values that are not finite"),
+    "table with a hole": (
+        lambda: Part(surface=Gridded(x=AXIS, y=AXIS, z=HOLE), radius=0.9 * AXIS[-1]),
+        "has no height at 1 places",
+    ),
+    "table of infinities": (lambda: Gridded(x=AXIS, y=AXIS, z=np.full(HOLE.shape, np.inf)), "infinite values"),
+    "table without a cell": (lambda: Gridded(x=AXIS, y=AXIS, z=np.full(HOLE.shape, np.nan)), "no cell with heights"),
     "table too small": (lambda: Gridded(x=AXIS[:5], y=AXIS, z=HOLE[:, :5]), "has 5 points, it needs 6"),
     "table unsorted": (lambda: Gridded(x=AXIS, y=AXIS[::-1], z=HOLE), "y of a gridded surface does not ascend"),
     "table turned": (lambda: Gridded(x=AXIS, y=AXIS, z=np.zeros((7, 8))), r"\(7, 8\) and its axes \(7, 7\)"),

@@ -24,14 +24,18 @@ __all__ = ["read_map"]
 
 
 def read_map(
-    file: str | PathLike[str], *, pixel_size: float | tuple[float, float] | None = None, unit: str | None = None
+    file: str | PathLike[str],
+    *,
+    pixel_size: float | tuple[float, float] | None = None,
+    unit: str | None = None,
+    lateral_unit: str | None = None,
 ) -> HeightMap:
     """Read a measured map, whatever instrument wrote it.
 
     The first bytes tell the format, and where they do not, the suffix: Zygo ``.dat``, ``.datx``, ASCII and XYZ;
     ISO 25178-72 ``.x3p``; ISO 25178-71 ``.sdf``; Digital Surf ``.sur``; Zemax grid sag; NumPy ``.npz`` and ``.npy``;
-    text and CSV of x, y and z; and with the extra ``formats`` those that SurfaceTopography reads, such as ``.opd``,
-    ``.plu`` and ``.al3d``.
+    text and CSV of x, y and z, or with x in the first row and y in the first column; and with the extra ``formats``
+    those that SurfaceTopography reads, such as ``.opd``, ``.plu`` and ``.al3d``.
 
     Parameters
     ----------
@@ -42,6 +46,8 @@ def read_map(
         not `calibrated`. [mm]
     unit
         Of the numbers in a text file that states none, such as "um".
+    lateral_unit
+        The same of x and y alone, where ``unit`` is that of the heights; empty where only the file may state it.
 
     Returns
     -------
@@ -58,12 +64,13 @@ def read_map(
     path = Path(file)
     data = _contents(path)
     reader, kind = _reader_of(path, data)
-    if unit is not None and reader is not _read_text:
-        raise MapError(f"{path} is {kind}, which has units of its own: leave unit={unit!r} out")
+    if reader is not _read_text and (unit or lateral_unit):
+        raise MapError(f"{path} is {kind}, which has units of its own: leave unit={unit or lateral_unit!r} out")
     try:
         # Numbers that overflow are no heights: they end as missing points.
         with np.errstate(over="ignore", invalid="ignore"):
-            found = _read_text(path, data, unit) if reader is _read_text else reader(path, data)
+            texts = {"unit": unit, "lateral_unit": lateral_unit} if reader is _read_text else {}
+            found = reader(path, data, **texts)
     except MapError:
         raise
     except DAMAGE as error:
@@ -127,8 +134,8 @@ def _reader_of_archive(path: Path, data: bytes) -> tuple[Callable[[Path, bytes],
     raise MapError(f"{path} is an archive of {len(names)} files, neither an .x3p nor an .npz: unpack or export the map")
 
 
-def _read_text(path: Path, data: bytes, unit: str | None = None) -> HeightMap:
-    """Read a text, of whatever kind it is; ``unit`` is for numbers that it gives none."""
+def _read_text(path: Path, data: bytes, unit: str | None = None, lateral_unit: str | None = None) -> HeightMap:
+    """Read a text, of whatever kind it is; the units are for numbers that it gives none."""
     text = text_of(data)
     if text is None:
         raise MapError(
@@ -138,9 +145,9 @@ def _read_text(path: Path, data: bytes, unit: str | None = None) -> HeightMap:
     own = zygo_text.read if text.startswith((zygo_text.PHASES, zygo_text.POINTS)) else None
     own = grid_sag.read if grid_sag.is_grid_sag(text) else own
     if own is None:
-        return points.read(path, text, unit)
-    if unit is not None:
-        raise MapError(f"{path} has units of its own: leave unit={unit!r} out")
+        return points.read(path, text, unit, lateral_unit)
+    if unit or lateral_unit:
+        raise MapError(f"{path} has units of its own: leave unit={unit or lateral_unit!r} out")
     return own(path, text)
 
 

@@ -1,15 +1,15 @@
-"""Text and CSV: points x, y, z in rows, which become a grid if they stand on one; or a bare table of heights.
+"""Text and CSV: points x, y, z in rows, which become a grid if they stand on one; or a table of heights.
 
 What the numbers mean must be in the file: separator and decimal sign are found from the rows, and refused where two
 readings are possible; names and units of the columns are taken from the description above. Points of a lattice become a
-grid with nan where it has none. A bare table of heights has more than eight columns, no names, and its first row at the
-top.
+grid with nan where it has none. A table of heights has x in its first row, after an empty cell or a word, and y in its
+first column; a bare one has more than eight columns, no names, and its first row at the top.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,6 +35,9 @@ ALIKE = 3
 
 SOME, ALL = 1, 2
 """How well lines read as a table."""
+
+CROSSED = 4
+"""Columns of a table with x in its first row and y in its first column, at least: three of heights."""
 
 BARE = 8
 """A table of more columns than this is one of heights; of fewer, it may be points with more beside them."""
@@ -74,10 +77,14 @@ class _Layout:
     numeric: bool  # every column
 
 
-def read(path: Path, text: str, unit: str | None) -> HeightMap:
-    """Read text; ``unit`` is for numbers that the text gives none."""
+def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> HeightMap:
+    """Read text; the units are for numbers that the text gives none."""
     lines = _first_lines(text)
     layout = _layout(path, lines)
+    lateral_unit = unit if lateral_unit is None else lateral_unit or None
+    crossed = _crossed(lines, layout)
+    if crossed is not None:
+        return _read_crossed(path, text, layout, crossed, _stated(lines[: crossed[0]]), (unit, lateral_unit))
     above = lines[: layout.first]
     names = _names(above, layout)
     chosen = _columns(path, names, layout.columns)
@@ -94,9 +101,59 @@ def read(path: Path, text: str, unit: str | None) -> HeightMap:
         require_points(path, found.shape[1], found.shape[0])
         return grid_map(path, found[::-1] * scale, None, metadata=metadata)
     units = _column_units(above, layout)
-    scales = {axis: _unit(path, units, _stated(above), axis, unit) for axis in chosen}
+    scales = {axis: _unit(path, units, _stated(above), axis, unit if axis == "z" else lateral_unit) for axis in chosen}
     found = _table(path, body, layout, tuple(chosen.values()))
     return _as_map(path, dict(zip(chosen, found.T, strict=True)), scales, metadata)
+
+
+def _crossed(lines: list[str], layout: _Layout) -> tuple[int, list[str]] | None:
+    """Return the line that holds x, and its cells, where rows of heights begin with their y."""
+    kind = COMMA if layout.comma else NUMBER
+    for number in (layout.first, layout.first - 1):
+        cells = _cells(lines[number], layout.separator) if number >= 0 else []
+        if not len(cells) == layout.columns >= CROSSED or not all(map(kind.fullmatch, cells[1:])):
+            continue
+        # A word for a missing number is one of a table of heights without axes.
+        if not cells[0] or not (kind.fullmatch(cells[0]) or MISSING.fullmatch(cells[0])):
+            return number, cells[1:]
+    return None
+
+
+def _read_crossed(
+    path: Path,
+    text: str,
+    layout: _Layout,
+    crossed: tuple[int, list[str]],
+    stated: dict[str, set[str]],
+    units: tuple[str | None, str | None],
+) -> HeightMap:
+    """Read a table with x in its first row and y in its first column."""
+    number, cells = crossed
+    scales = {axis: _unit(path, {}, stated, axis, units[axis != "z"]) for axis in "xyz"}
+    if None in scales.values():
+        raise MapError(f"{path} counts pixels where a length is needed: x, y and z must have lengths")
+    x = np.array([float(cell.replace(",", ".") if layout.comma else cell) for cell in cells])
+    begin = 0
+    for _ in range(number + 1):
+        begin = text.find("\n", begin) + 1 or len(text)
+    found = _table(path, text[begin:], replace(layout, first=number + 1), None)
+    y, z = found[:, 0], found[:, 1:]
+    require_points(path, x.size, y.size)
+    if x.size != z.shape[1]:
+        raise MapError(
+            f"{path} has {x.size} columns of x and {z.shape[1]} of heights, there must be as many: complete it"
+        )
+    axes = []
+    for name, axis in (("x", x), ("y", y)):
+        step = np.diff(axis)
+        if not ((step > 0).all() or (step < 0).all()):
+            raise MapError(f"{path} has {name} that neither ascend nor descend from {name} to {name}: sort the table")
+        axes.append(np.argsort(axis))
+    z = z[np.ix_(axes[1], axes[0])] * scales["z"]
+    return HeightMap(
+        x=x[axes[0]] * scales["x"], y=y[axes[1]] * scales["y"], z=np.where(np.isfinite(z), z, np.nan), name=path.name,
+        metadata={"format": "text"},
+    )  # fmt: skip
 
 
 def _as_map(
@@ -309,7 +366,7 @@ def _unit(
     told = {columns[axis]} if axis in columns else stated[axis]
     if len({SPELLINGS.get(one.lower(), one.lower()) for one in told}) > 1:
         raise MapError(f"{path} states the units {', '.join(sorted(told))} for {axis}, the limit is 1: state one")
-    if told and given is not None and axis == "z":
+    if told and given is not None and axis == "z" and given.lower() not in {one.lower() for one in told}:
         raise MapError(f"{path} states the unit of its heights, {next(iter(told))}: leave unit={given!r} out")
     unit = next(iter(told), given)
     if unit is None:

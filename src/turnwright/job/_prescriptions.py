@@ -9,7 +9,8 @@ from __future__ import annotations
 import re
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import cached_property, lru_cache
+from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias, get_args
 
 import numpy as np
@@ -17,8 +18,8 @@ from annotated_types import Ge
 from pydantic import BeforeValidator, Field, Strict, model_validator
 
 from turnwright import surface as surfaces
-from turnwright._arrays import rows_of_numbers
-from turnwright.errors import JobError, UnitError
+from turnwright.errors import JobError, MapError, UnitError
+from turnwright.files import read_map
 from turnwright.job._table import (
     Angle,
     Count,
@@ -31,7 +32,7 @@ from turnwright.job._table import (
     Thickness,
     refuse,
 )
-from turnwright.units import convert, parse, unit
+from turnwright.units import parse, unit
 
 if TYPE_CHECKING:
     from turnwright.surface import Surface
@@ -412,40 +413,61 @@ class ExpressionTable(Family):
 
 
 class GriddedTable(Family):
-    """See `turnwright.Gridded`; the file is a CSV table with x in its first row and y in its first column.
+    """See `turnwright.Gridded`; the file is of any kind that `turnwright.read_map` reads.
 
     Parameters
     ----------
     file
-        CSV table with x in its first row and y in its first column.
+        Table or list of heights, or a map of an instrument: text, CSV, Zemax grid sag and others.
     units
-        Of x and y.
+        Of x and y, where the file does not state it.
     sag_units
-        Of the heights.
+        Of the heights, where the file does not state it.
+    pixel_size
+        Of a file that counts pixels: one size, or one along x and one along y. [mm]
+    inverted
+        Whether the heights of the file grow into the material.
     """
 
     family: Literal["gridded"]
     file: ExistingFile
-    units: Literal["m", "mm", "um", "in"]
-    sag_units: Literal["m", "mm", "um", "nm", "in"]
+    units: Literal["m", "mm", "um", "in"] | None = None
+    sag_units: Literal["m", "mm", "um", "nm", "in"] | None = None
+    pixel_size: Size | tuple[Size, Size] | None = None
+    inverted: Annotated[bool, Strict()] = False
 
     def _build(self) -> Surface:
-        try:
-            rows = self.file.read_text(encoding="utf-8-sig").splitlines()
-            x = np.array([float(cell) for cell in rows[0].split(",")[1:]])
-            table = rows_of_numbers(rows[1:], ",")
-        except (ValueError, IndexError) as error:
-            raise JobError(
-                f"{self.file.name} is not a table of numbers ({error}): write x in its first row after an empty cell, "
-                "and y then the heights in each further row, parted by commas"
-            ) from error
-        if table.shape[1] != x.size + 1:
-            raise JobError(
-                f"{self.file.name} has {x.size} columns of x and {table.shape[1] - 1} of heights, there must be "
-                "as many: complete it"
-            )
-        scale = convert(1.0, self.units, "mm")
-        return surfaces.Gridded(x=x * scale, y=table[:, 0] * scale, z=table[:, 1:] * convert(1.0, self.sag_units, "mm"))
+        stamp = self.file.stat()
+        return _tabulated(
+            self.file, (stamp.st_mtime_ns, stamp.st_size), self.units, self.sag_units, self.pixel_size, self.inverted
+        )
+
+
+@lru_cache(maxsize=4)
+def _tabulated(
+    file: File,
+    _stamp: tuple[int, int],
+    units: str | None,
+    sag_units: str | None,
+    pixel_size: float | tuple[float, float] | None,
+    inverted: bool,
+) -> Surface:
+    """Return the surface through the heights of a file, which is read anew when it has changed."""
+    try:
+        found = read_map(file, unit=sag_units, lateral_unit=units or "", pixel_size=pixel_size)
+    except MapError as error:
+        told = str(error).replace(str(file), file.name)
+        told = re.sub("unit='mm', or as a column '([xy]) ", r"units = 'mm' in the job, or as a column '\1 ", told)
+        raise JobError(told.replace("unit='mm', or", "sag_units = 'mm' in the job, or")) from error
+    if not found.calibrated:
+        raise JobError(f"{file.name} counts pixels and does not say how large they are: state pixel_size")
+    z = -found.z if inverted else found.z
+    if found.x is None or found.y is None:
+        raise JobError(f"{file.name} holds a polar grid: write its heights over x and y, or as a list of points")
+    if found.scattered:
+        known = np.isfinite(z)
+        return surfaces.Scattered(x=found.x[known], y=found.y[known], z=z[known])
+    return surfaces.Gridded(x=found.x, y=found.y, z=z)
 
 
 class SumTable(Family):

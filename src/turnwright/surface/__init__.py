@@ -9,6 +9,7 @@ from turnwright.surface.gridded import Gridded
 from turnwright.surface.lens_array import LensArray
 from turnwright.surface.off_axis import OffAxis
 from turnwright.surface.polynomial import RadialPolynomial, XYPolynomial
+from turnwright.surface.scattered import Scattered
 from turnwright.surface.sine_grid import SineGrid
 from turnwright.surface.toroid import Biconic, Toroid
 from turnwright.surface.zernike import Zernike
@@ -25,6 +26,7 @@ __all__ = [
     "Placed",
     "Plane",
     "RadialPolynomial",
+    "Scattered",
     "SineGrid",
     "Sphere",
     "Sum",

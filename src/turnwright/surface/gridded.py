@@ -7,10 +7,25 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, frozen, only_read
-from turnwright.errors import InputError
+from turnwright.errors import DomainError, InputError
 from turnwright.surface._surface import Surface
+from turnwright.units import say_length
 
 __all__ = ["Gridded"]
+
+CONTINUED = 3
+"""Cells beyond the border of the known heights that are continued smoothly; farther out they hardly count."""
+
+FORM_DEGREE = 8
+"""Degree of the polynomial that carries the form beyond the border."""
+
+FORM_TERMS = (FORM_DEGREE + 1) * (FORM_DEGREE + 2) // 2
+
+MOST_OF_FORM = 20_000
+"""Heights that this polynomial is found from."""
+
+NEIGHBOURS = 32
+"""Known heights that each of them is continued from."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -20,12 +35,16 @@ class Gridded(Surface):
     The spline is twice continuously differentiable, with the not-a-knot condition at the border, so that it
     reproduces any bicubic polynomial. It follows noise as faithfully as form: smooth a measured table first.
 
+    Where a height is missing (nan), the cells that touch it are outside the domain. For the spline's sake a few heights
+    beyond the border are continued from the nearest ones; what they add to the error at the border fades to a quarter
+    with each cell inwards.
+
     Parameters
     ----------
     x, y
         Ascending columns (nx,) and rows (ny,); their steps need not be equal. [mm]
     z
-        Heights. (ny, nx) [mm]
+        Heights, nan where there is none. (ny, nx) [mm]
 
     Attributes
     ----------
@@ -38,7 +57,8 @@ class Gridded(Surface):
     Raises
     ------
     InputError
-        If an axis has fewer than 6 points or does not ascend, if anything is not finite, or if the shapes differ.
+        If an axis has fewer than 6 points or does not ascend, if a place is not finite or a height infinite, if no cell
+        has heights at all its corners, or if the shapes differ.
 
     Sources
     -------
@@ -55,6 +75,7 @@ class Gridded(Surface):
     z: Floats
     fit_error: float = field(init=False)
     _nodes: Floats = field(init=False, repr=False)
+    _whole: Bools | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         from scipy.interpolate import CubicSpline, make_interp_spline  # noqa: PLC0415 - scipy is costly to import
@@ -69,22 +90,34 @@ class Gridded(Surface):
                     "sort the table and drop repeated points"
                 )
             object.__setattr__(self, name, nodes)
-        z = frozen(self.z, "z of a gridded surface", ndim=2)
+        z = frozen(self.z, "z of a gridded surface", ndim=2, finite=False)
+        if np.isinf(z).any():
+            raise InputError(f"z of a gridded surface has {np.count_nonzero(np.isinf(z))} infinite values: write nan")
         if z.shape != (self.y.size, self.x.size):
             raise InputError(
                 f"z of a gridded surface has the shape {z.shape} and its axes {(self.y.size, self.x.size)}: "
                 "rows are y, columns are x"
             )
+        object.__setattr__(self, "z", z)
+        known = ~np.isnan(z)
+        whole = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
+        if not whole.any():
+            raise InputError(
+                f"z of a gridded surface has {np.count_nonzero(known)} of {z.size} heights and no cell with heights at "
+                "all four corners: complete it"
+            )
+        object.__setattr__(self, "_whole", None if known.all() else whole)
+        if self._whole is not None:
+            z = _continued(self.x, self.y, z)
         zx = CubicSpline(self.x, z, axis=1)(self.x, 1)
         zy, zxy = (CubicSpline(self.y, values, axis=0)(self.y, 1) for values in (z, zx))
-        object.__setattr__(self, "z", z)
         object.__setattr__(self, "_nodes", frozen(np.stack([z, zx, zy, zxy], axis=-1), "nodes", ndim=3, finite=False))
         middles = [nodes[:-1] + np.diff(nodes) / 2 for nodes in (self.x, self.y)]
         finer = make_interp_spline(self.x, z, k=5, axis=1)(middles[0])
         finer = make_interp_spline(self.y, finer, k=5, axis=0)(middles[1])
         x, y = np.meshgrid(*middles)
         (here,) = self.evaluate(x, y, 0)
-        object.__setattr__(self, "fit_error", float(np.abs(here - finer).max()))
+        object.__setattr__(self, "fit_error", float(np.abs(here - finer)[whole].max()))
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives; beyond the grid the border cells run on. See `Surface.evaluate`."""
@@ -97,16 +130,95 @@ class Gridded(Surface):
     def inside(self, x: Floats, y: Floats) -> Bools:
         """Return where the grid is."""
         on_grid: Bools = (x >= self.x[0]) & (x <= self.x[-1]) & (y >= self.y[0]) & (y <= self.y[-1])
-        return on_grid
+        if self._whole is None:
+            return on_grid
+        column, row = (
+            np.clip(np.searchsorted(axis, at, side="right") - 1, 0, axis.size - 2)
+            for axis, at in ((self.x, x), (self.y, y))
+        )
+        return on_grid & self._whole[row, column]
+
+    def require_disc(self, radius: float, what: str) -> None:
+        """Raise unless the surface is defined all over the disc, however small its holes are."""
+        if self._whole is not None:
+            beside = radius + np.hypot(np.diff(self.x).max(), np.diff(self.y).max())
+            row, column = np.nonzero(np.isnan(self.z) & (np.hypot(self.x, self.y[:, None]) <= beside))
+            holes = [(x, y) for x, y in zip(self.x[column], self.y[row], strict=True) if self._beside(x, y, radius)]
+            if holes:
+                raise DomainError(
+                    f"{what} is {radius:g} mm but {type(self).__name__} has no height at {len(holes)} places on or "
+                    f"next to it, the first at x = {holes[0][0]:.6g} mm, y = {holes[0][1]:.6g} mm: reduce the radius, "
+                    "or complete the table"
+                )
+        Surface.require_disc(self, radius, what)
+
+    def _beside(self, x: float, y: float, radius: float) -> bool:
+        """Whether a cell that touches a node of the grid reaches into a disc."""
+        near = []
+        for axis, at in ((self.x, x), (self.y, y)):
+            index = int(np.searchsorted(axis, at))
+            low, high = axis[max(index - 1, 0)], axis[min(index + 1, axis.size - 1)]
+            near.append(min(max(0.0, low), high))
+        return float(np.hypot(*near)) <= radius
 
     @property
     def domain(self) -> str:
         """Say where the grid is."""
+        holes = "" if self._whole is None else ", where all four corners of a cell have heights"
         return (
             f"its grid, x from {self.x[0]:.6g} to {self.x[-1]:.6g} mm and y from {self.y[0]:.6g} to {self.y[-1]:.6g} mm"
+            f"{holes}"
         )
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Say what the spline may miss. See `Surface.remarks`."""
+        steps = f"{np.diff(self.x).max():.4g} and {np.diff(self.y).max():.4g} mm"
+        sentence = (
+            f"table of {self.x.size} x {self.y.size} heights in steps of {steps}: between them the bicubic spline may "
+            f"be {say_length(self.fit_error)} off, and finer structure is not in it"
+        )
+        return (sentence,)
 
     @property
     def feature_size(self) -> float:
         """The least step of the grid. [mm]."""
         return float(min(np.diff(self.x).min(), np.diff(self.y).min()))
+
+
+def _continued(x: Floats, y: Floats, z: Floats) -> Floats:
+    """Return the heights with those that are missing continued from the known ones."""
+    from scipy.interpolate import RBFInterpolator  # noqa: PLC0415 - scipy is costly to import
+    from scipy.ndimage import binary_dilation, distance_transform_edt  # noqa: PLC0415
+
+    known = ~np.isnan(z)
+    near = binary_dilation(known, structure=np.ones((3, 3)), iterations=CONTINUED) & ~known
+    # Only what is known near the border is asked.
+    source = binary_dilation(~known, structure=np.ones((3, 3)), iterations=2 * CONTINUED) & known
+    steps = float(np.median(np.diff(x))), float(np.median(np.diff(y)))
+
+    def places(chosen: Bools) -> Floats:
+        row, column = np.nonzero(chosen)
+        return np.stack([x[column] / steps[0], y[row] / steps[1]], axis=1)
+
+    # What a polynomial has is continued by it, only the rest from neighbour to neighbour.
+    u, v = (2 * (at - at[0]) / (at[-1] - at[0]) - 1 for at in (x, y))
+    form = np.zeros(z.shape)
+    if np.count_nonzero(known) > 4 * FORM_TERMS:
+        powers = [(i, j) for i in range(FORM_DEGREE + 1) for j in range(FORM_DEGREE + 1 - i)]
+        along, across = (np.polynomial.chebyshev.chebvander(at, FORM_DEGREE) for at in (u, v))
+        row, column = (at[:: -(-at.size // MOST_OF_FORM)] for at in np.nonzero(known))
+        terms = np.stack([along[column, i] * across[row, j] for i, j in powers], axis=1)
+        weights = np.linalg.lstsq(terms, z[row, column])[0]
+        for (i, j), weight in zip(powers, weights, strict=True):
+            form += weight * along[:, i] * across[:, j, None]
+    filled = z - form
+    count = min(NEIGHBOURS, int(np.count_nonzero(source)))
+    filled[near] = RBFInterpolator(places(source), filled[source], neighbors=count, kernel="cubic", degree=1)(
+        places(near)
+    )
+    rest = np.isnan(filled)
+    if rest.any():
+        row, column = distance_transform_edt(rest, return_distances=False, return_indices=True)
+        filled = filled[row, column]
+    return np.where(known, z, filled + form)
