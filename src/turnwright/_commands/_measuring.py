@@ -35,6 +35,7 @@ Maps = Annotated[
 ]
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="What the instrument wrote.", show_default=False)]
 JobOption = Annotated[Path, typer.Option("--job", help="The job that cut the part.", show_default=False)]
+Unit = Annotated[str | None, typer.Option(help='Of the heights of a text file that states none, such as "um".')]
 Jobs = Annotated[
     list[Path],
     typer.Option(
@@ -77,11 +78,13 @@ def artefact(
 
 
 @app.command()
-def measure(context: typer.Context, file: MapFile, job: JobOption, out: Folder, force: Force = False) -> None:
+def measure(
+    context: typer.Context, file: MapFile, job: JobOption, out: Folder, unit: Unit = None, force: Force = False
+) -> None:
     """Register a measured map to its part and say how far the part is off."""
     door: Door = context.obj
     with new_folder(out, door, force=force) as folder, progress_of(door.stop) as progress:
-        measured = _measured([file], [job], progress)[0]
+        measured = _measured([file], [job], progress, unit)[0]
         progress("report", 0, 1)
         from turnwright.archive import write_measured as write_numbers  # noqa: PLC0415
         from turnwright.report import write_measured  # noqa: PLC0415
@@ -97,13 +100,15 @@ def measure(context: typer.Context, file: MapFile, job: JobOption, out: Folder, 
 
 
 @app.command()
-def diagnose(context: typer.Context, files: Maps, job: Jobs, out: Folder, force: Force = False) -> None:
+def diagnose(
+    context: typer.Context, files: Maps, job: Jobs, out: Folder, unit: Unit = None, force: Force = False
+) -> None:
     """Say why measured parts are off: tool, machine or mount, each with its uncertainty."""
     door: Door = context.obj
     with new_folder(out, door, force=force) as folder, progress_of(door.stop) as progress:
         from turnwright.job import explain  # noqa: PLC0415
 
-        measured = _measured(files, job, progress)
+        measured = _measured(files, job, progress, unit)
         found = explain(measured, progress=progress)
         progress("report", 0, 1)
         from turnwright.archive import write_diagnosis as write_numbers  # noqa: PLC0415
@@ -127,6 +132,7 @@ def correct(
         Path | None,
         typer.Option("--of", metavar="JOB.toml", help="The job to correct, if it is not the one that was measured."),
     ] = None,
+    unit: Unit = None,
     force: Force = False,
 ) -> None:
     """Write the job that takes what was found into account, and predict what it leaves."""
@@ -134,7 +140,7 @@ def correct(
     with new_folder(out, door, force=force) as folder, progress_of(door.stop) as progress:
         from turnwright.job import Job, correct, explain  # noqa: PLC0415
 
-        measured = _measured(files, job, progress)
+        measured = _measured(files, job, progress, unit)
         found = explain(measured, progress=progress)
         if of is None:
             better = correct(measured[0].job, found, measured, out=folder, progress=progress)
@@ -158,10 +164,9 @@ def correct(
     end_by(door, better.verdicts)
 
 
-def _measured(files: Sequence[Path], jobs: Sequence[Path], progress: StageProgress) -> list[Measured]:
+def _measured(files: Sequence[Path], jobs: Sequence[Path], progress: StageProgress, unit: str | None) -> list[Measured]:
     """Read every map and register it to its part."""
-    from turnwright.files import read_map  # noqa: PLC0415
-    from turnwright.job import Job, measure  # noqa: PLC0415
+    from turnwright.job import Job, measure, read_measurement  # noqa: PLC0415
 
     if len(jobs) not in (1, len(files)):
         raise InputError(
@@ -170,7 +175,7 @@ def _measured(files: Sequence[Path], jobs: Sequence[Path], progress: StageProgre
         )
     recipes = [Job.load(job) for job in jobs]
     return [
-        measure(recipe, read_map(file), progress=progress)
+        measure(recipe, read_measurement(recipe, file, unit=unit), progress=progress)
         for file, recipe in zip(files, recipes * (len(files) // len(recipes)), strict=True)
     ]
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from turnwright.job._artefacts import Artefact, artefact
     from turnwright.job._compare import Candidate, Comparison, compare
     from turnwright.job._correct import Correction, correct
-    from turnwright.job._measure import Measured, explain, measure
+    from turnwright.job._measure import Measured, explain, measure, read_measurement
     from turnwright.job._plan import Plan, Trial, plan
     from turnwright.job._result import Pass, Prediction, Preview, Result
     from turnwright.job._run import (
@@ -33,7 +33,7 @@ _HOMES = {
     "_artefacts": ("Artefact", "artefact"),
     "_compare": ("Candidate", "Comparison", "compare"),
     "_correct": ("Correction", "correct"),
-    "_measure": ("Measured", "explain", "measure"),
+    "_measure": ("Measured", "explain", "measure", "read_measurement"),
     "_plan": ("Plan", "Trial", "plan"),
     "_result": ("Pass", "Prediction", "Preview", "Result"),
     "_run": ("StageProgress", "finishing_motion", "predict", "predicted_motion", "preview", "program_shares", "run"),
@@ -81,6 +81,7 @@ __all__ = [
     "predicted_motion",
     "preview",
     "program_shares",
+    "read_measurement",
     "run",
     "shares",
     "unjudged",

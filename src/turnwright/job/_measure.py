@@ -11,6 +11,7 @@ import numpy as np
 
 from turnwright.diagnosis import DEFAULT, FREE, Diagnosis, diagnose
 from turnwright.errors import InputError
+from turnwright.files import read_map
 from turnwright.heightmap import HeightMap
 from turnwright.job._advice import open_questions
 from turnwright.job._finish import finished
@@ -30,16 +31,18 @@ from turnwright.metrology import (
     roughness,
     trim_edge,
 )
+from turnwright.pose import Pose
 from turnwright.surface._smoothing import beside_form, smooth_table
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from turnwright._arrays import Floats, Ints
     from turnwright.job._run import StageProgress
     from turnwright.job._schema import Job
     from turnwright.part import Part
-    from turnwright.pose import Pose
 
-__all__ = ["Measured", "cutoff_of", "explain", "measure", "same_part"]
+__all__ = ["Measured", "cutoff_of", "explain", "measure", "read_measurement", "same_part"]
 
 FIRST = 100_000
 """Points by which a map is found on the part before its spikes are known."""
@@ -123,6 +126,22 @@ class Measured:
         return open_questions(self.registration, self.job.measurement, self.job.part.radius)
 
 
+def read_measurement(job: Job, file: str | PathLike[str], *, unit: str | None = None) -> HeightMap:
+    """Read a measured map in the units that the file states, or else the job.
+
+    Parameters
+    ----------
+    job
+        Whose ``measurement`` says what is known of the instrument.
+    file
+        See `turnwright.read_map`.
+    unit
+        Of the heights, in place of the job's.
+    """
+    asked = job.measurement
+    return read_map(file, unit=unit or asked.sag_units, lateral_unit=asked.units or "")
+
+
 def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = None) -> Measured:
     """Say how far a measured part is off its design.
 
@@ -150,10 +169,10 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     known = {name for one in asked.fixed for name in OF_POSE[one]}
     free = tuple(name for name in asked.free if name not in known)
     told("register", 0, 2)
-    heights = _turned(heights, job)
+    heights, start = _with_reference(_turned(heights, job), job)
     pieces = part.surface.in_pieces
     first = register(
-        heights.thinned(FIRST), part, free=free, loss="huber" if pieces else "tukey", start=asked.pose,
+        heights.thinned(FIRST), part, free=free, loss="huber" if pieces else "tukey", start=start,
         reach=asked.reach, clocking=asked.clocking if "rotation" in free else 0.0,
     )  # fmt: skip
     told("register", 1, 2)
@@ -354,6 +373,39 @@ def _turned(heights: HeightMap, job: Job) -> HeightMap:
             return replace(heights, x=mirrored)
         return replace(heights, x=mirrored[::-1], z=heights.z[:, ::-1])
     return heights
+
+
+def _with_reference(heights: HeightMap, job: Job) -> tuple[HeightMap, Pose | None]:
+    """Return heights instead of departures, and where the map roughly lies on the part.
+
+    The reference is fixed to the instrument: its axis is where the job says that the map lies, or at the origin of the
+    map, or in its middle where the map does not reach the origin. A departure along the normal is turned into one along
+    z by the slope of the reference; what that neglects is half its square times the curvature.
+    """
+    asked = job.measurement
+    if asked.quantity == "height":
+        return heights, asked.pose
+    reference = job.part.part.surface
+    if asked.departure_from not in (None, "design"):
+        reference = asked.departure_from.surface  # type: ignore[union-attr] # a table, which the job has checked
+    x, y = heights.points()
+    known = ~np.isnan(heights.z)
+    pose = asked.pose
+    if pose is None:
+        spans = [(float(at[known].min()), float(at[known].max())) for at in (x, y)]
+        beside = any(low > 0 or high < 0 for low, high in spans)
+        pose = Pose(shift=(-sum(spans[0]) / 2, -sum(spans[1]) / 2, 0.0)) if beside else Pose()
+    u, v, _ = pose.apply(x[known], y[known], 0.0)
+    inside = reference.inside(u, v)
+    on = np.ones(u.shape, dtype=np.bool_) if inside is None else inside
+    departure = heights.z[known][on]
+    if asked.quantity == "departure, along the normal":
+        departure = departure * np.sqrt(1 + sum(slope**2 for slope in reference.gradient(u[on], v[on])))
+    whole = np.full(u.shape, np.nan)
+    whole[on] = departure + reference.sag(u[on], v[on])
+    z = np.full(heights.z.shape, np.nan)
+    z[known] = whole
+    return replace(heights, z=z), pose
 
 
 def _error_at(heights: HeightMap, part: Part, pose: Pose) -> HeightMap:

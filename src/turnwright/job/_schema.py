@@ -476,6 +476,14 @@ class MeasurementTable(Table):
     pixel_size
         Distance between the instrument's pixels, for a file that does not say it: one size, or one along x and
         one along y. [mm]
+    units
+        Of x and y of a text file that states none.
+    sag_units
+        Of the heights of such a file.
+    quantity
+        What the map holds: heights, or departures from a reference along z or along its normal.
+    departure_from
+        What departures count from: "design", or any prescription.
     mirrored
         Whether the map shows the part from the other side, left for right.
     inverted
@@ -509,6 +517,10 @@ class MeasurementTable(Table):
     """
 
     pixel_size: Size | tuple[Size, Size] | None = None
+    units: Literal["m", "mm", "um", "in"] | None = None
+    sag_units: Literal["m", "mm", "um", "nm", "in"] | None = None
+    quantity: Literal["height", "departure", "departure, along the normal"] = "height"
+    departure_from: Literal["design"] | AnySurface | None = None
     mirrored: Annotated[bool, Strict()] = False
     inverted: Annotated[bool, Strict()] = False
     spikes: Literal["robust", "second difference", "none"] = "robust"
@@ -541,6 +553,12 @@ class MeasurementTable(Table):
         for cause in self.causes or ():
             if cause not in CAUSES:
                 raise JobError(f"causes has {cause!r}, it can have {', '.join(CAUSES)}: name one of them")
+        if (self.quantity == "height") != (self.departure_from is None):
+            raise JobError(
+                f"quantity is {self.quantity!r} and departure_from is "
+                f"{'missing' if self.departure_from is None else 'stated'}: a departure needs what it counts from, "
+                '"design" or a prescription, and a height counts from nothing'
+            )
         if not self.free or (self.causes is not None and not self.causes):
             raise JobError("free and causes name nothing where they are empty: name at least 1, or leave them out")
         return self

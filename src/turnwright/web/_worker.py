@@ -175,8 +175,7 @@ def _compare(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _T
 
 def _measured(run: Path, server: Path, tell: _Teller, told: dict[str, Any]) -> Measured:
     """Read a measured file under limits, and register it."""
-    from turnwright.files import read_map  # noqa: PLC0415
-    from turnwright.job import measure  # noqa: PLC0415
+    from turnwright.job import measure, read_measurement  # noqa: PLC0415
     from turnwright.web._jobs import limit_memory  # noqa: PLC0415
 
     recipe, file = _job(run, server), run / told["file"]
@@ -185,7 +184,7 @@ def _measured(run: Path, server: Path, tell: _Teller, told: dict[str, Any]) -> M
     with _deadline(seconds, f"the file is not read after {seconds:g} s, the limit: it is damaged, or too large"):
         limit_memory(most)
         try:
-            heights = read_map(file)
+            heights = read_measurement(recipe, file)
         except InputError as error:
             called = told["called"] or file.name
             raise InputError(str(error).replace(str(file), file.name).replace(file.name, called)) from None
