@@ -129,8 +129,9 @@ def _read_crossed(
 ) -> HeightMap:
     """Read a table with x in its first row and y in its first column."""
     number, cells = crossed
-    scales = {axis: _unit(path, {}, stated, axis, units[axis != "z"]) for axis in "xyz"}
-    if None in scales.values():
+    found_units = {axis: _unit(path, {}, stated, axis, units[axis != "z"]) for axis in "xyz"}
+    scales = {axis: scale for axis, scale in found_units.items() if scale is not None}
+    if len(scales) < len(found_units):
         raise MapError(f"{path} counts pixels where a length is needed: x, y and z must have lengths")
     x = np.array([float(cell.replace(",", ".") if layout.comma else cell) for cell in cells])
     begin = 0

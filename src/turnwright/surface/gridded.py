@@ -192,9 +192,9 @@ def _continued(x: Floats, y: Floats, z: Floats) -> Floats:
     from scipy.ndimage import binary_dilation, distance_transform_edt  # noqa: PLC0415
 
     known = ~np.isnan(z)
-    near = binary_dilation(known, structure=np.ones((3, 3)), iterations=CONTINUED) & ~known
+    near = binary_dilation(known, structure=np.ones((3, 3), dtype=bool), iterations=CONTINUED) & ~known
     # Only what is known near the border is asked.
-    source = binary_dilation(~known, structure=np.ones((3, 3)), iterations=2 * CONTINUED) & known
+    source = binary_dilation(~known, structure=np.ones((3, 3), dtype=bool), iterations=2 * CONTINUED) & known
     steps = float(np.median(np.diff(x))), float(np.median(np.diff(y)))
 
     def places(chosen: Bools) -> Floats:

@@ -97,7 +97,7 @@ class Scattered(Surface):
             hull = ConvexHull(places)
         except QhullError as error:
             raise InputError("all scattered points stand on a line: give points over the whole part") from error
-        apart = KDTree(places).query(places, 2)[0][:, 1]
+        apart = np.asarray(KDTree(places).query(places, 2)[0])[:, 1]
         if apart.min() < 1e-9:
             first = int(apart.argmin())
             raise InputError(
@@ -116,10 +116,10 @@ class Scattered(Surface):
         heights = through(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(u.shape)
         object.__setattr__(self, "_grid", Gridded(x=middle[0] + size * axis, y=middle[1] + size * axis, z=heights))
         middles = axis[:-1] + np.diff(axis) / 2
-        u, v = (at.ravel() for at in np.meshgrid(middles, middles))
-        chosen = np.flatnonzero(self.inside(middle[0] + size * u, middle[1] + size * v))
+        between = np.stack([at.ravel() for at in np.meshgrid(middles, middles)], axis=1)
+        chosen = np.flatnonzero(self.inside(*(middle + size * between).T))
         chosen = chosen[:: -(-chosen.size // MOST_MIDDLES)]
-        at = np.concatenate([np.stack([u[chosen], v[chosen]], axis=1), places])
+        at = np.concatenate([between[chosen], places])
         (spline,) = self._grid.evaluate(middle[0] + size * at[:, 0], middle[1] + size * at[:, 1], 0)
         off = float(np.abs(spline - through(at)).max())
         object.__setattr__(self, "fit_error", max(off, self._missed(places, hull.equations, FINER * step)))
