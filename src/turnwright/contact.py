@@ -1,7 +1,8 @@
 r"""Placing the tool: bring the real edge into contact with the surface, exactly.
 
 Along Z the tip goes straight down until the edge touches: the dilation of `turnwright.dilation`, free of gouges by
-construction. Along the normal the contact point stays where the spiral sends it and the tip moves aside,
+construction; the clearance of the edge, looked at all over it and not where the contact was found, proves it. Along
+the normal the contact point stays where the spiral sends it and the tip moves aside,
 
 .. math:: \rho' = \rho - u(s), \qquad z' = f(\rho, \theta) - e(s), \qquad e'(s)/u'(s) = f_\rho
 
@@ -37,6 +38,13 @@ __all__ = ["place"]
 
 TANGENT = 1e-3
 """A contact this near to a tangent, as Newton's method sees it, is one; other contacts are on corners. [rad]"""
+
+PLACES, MOST_PLACES = 250_000, 4
+"""Places on the edge where its clearance is looked at, over the whole path and at one tip: of a longer path every
+second, third and so on is tried."""
+
+AXIS = 1e-6
+"""How close to the axis nothing is looked at: what a formula in the azimuth does there is rounding. [mm]"""
 
 STEP = 1e-8
 """What is higher than this on one side than on the other is a step, a ridge is not. [mm]"""
@@ -96,16 +104,47 @@ def place(
         return _along_normal(spiral, part, tool, progress)
     rim, y = part.radius, spiral.y
     at = touch(part.surface, tool, angle=angle, radius=radius, y=y, sense=sense, rim=rim, progress=progress)
-    # Nowhere on the edge is there less clearance than at the maximum itself; there it is what rounding leaves of 0. On
-    # the wall of a step the contact point, rounded, may fall to the foot of the wall, and right on an axis without a
-    # height there is none to compare with: neither is less than 0.
-    with np.errstate(all="ignore"):
-        left = at.surface_z - part.surface.evaluate(at.x, at.y, 0)[0]
     return Path(
         angle=angle, radius=radius, z=at.z, sweep=at.sweep, contact_x=at.x, contact_y=at.y, contact_z=at.surface_z,
-        clearance=np.fmin(left, 0.0), y=y, y_rate=spiral.y_rate, radius_rate=spiral.radius_rate, lift=spiral.lift,
-        z_rate=_z_rate(spiral, part, tool, at),
+        clearance=_clearance(spiral, part, tool, at.z), y=y, y_rate=spiral.y_rate, radius_rate=spiral.radius_rate,
+        lift=spiral.lift, z_rate=_z_rate(spiral, part, tool, at),
     )  # fmt: skip
+
+
+def _clearance(spiral: Spiral, part: Part, tool: Tool, z: Floats) -> Floats:
+    """Return the least height of the edge above the surface inside the rim, 0 at most, without a look at any contact.
+
+    The tips are tried at places of their own all over the edge, flanks included: the golden ratio spreads them evenly
+    over edge and path together, so that what a search has missed shows at some of the tips that miss it.
+    """
+    from turnwright._kernels import contact as kernel  # noqa: PLC0415 - numba is costly to import
+
+    edge, least = tool.table(spiral.sense), np.zeros(z.size)
+    aside = np.zeros(z.size) if spiral.y is None else spiral.y
+    every = slice(None, None, max(1, z.size // PLACES))
+    tips = [np.ascontiguousarray(one[every]) for one in (spiral.angle, spiral.radius, aside)]
+    seen, tip_z = np.zeros(tips[0].size), np.ascontiguousarray(z[every])
+    rim = max(part.radius, float(np.hypot(spiral.radius, aside).max()))
+    # A flank is a straight line over the sweep too: this is what it takes to the far side of the rim.
+    ends = np.array(tool.arc)
+    low, high = 2 * rim / np.abs(tool.edge(ends + np.array([-1.0, 1.0]))[0] - tool.edge(ends)[0])
+    times = int(np.clip(PLACES // seen.size, 1, MOST_PLACES))
+
+    def work(start: int, stop: int) -> None:
+        some = slice(start, stop)
+        x, y, e = np.empty((3, stop - start))
+        for k in range(times):
+            kernel.places(*edge, *(one[some] for one in tips), start * times + k, times, low, high, x, y, e)
+            with np.errstate(all="ignore"):
+                height = part.surface.evaluate(x, y, 0)[0]
+            inside = part.surface.inside(x, y)
+            if inside is not None:
+                height[~inside] = np.nan
+            kernel.lower_to_gap(tip_z[some], e, height, x, y, AXIS, rim, seen[some])
+
+    run_chunks(work, seen.size, CHUNK)
+    least[every] = seen
+    return least
 
 
 def _z_rate(spiral: Spiral, part: Part, tool: Tool, at: Touch) -> Floats | None:

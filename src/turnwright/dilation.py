@@ -13,7 +13,9 @@ and again at every point that Newton visits, that is at the density of the progr
 
 *Search.* Otherwise f - e is sampled along the edge well below the surface's `feature_size`; every sampled maximum
 that may be the greatest within the sampling error is refined, on either side of each kink or step, and the greatest is
-taken. Points that share an azimuth share one sampled line, so that this costs a few evaluations a point.
+taken. Points that share an azimuth share one sampled line, so that this costs a few evaluations a point. The arc is
+enough where the surface is nowhere steeper than the flanks. Where it is, or has a step, each point's window widens
+until no summit of the surface reaches over its ends, also across the axis.
 
 *The rim.* The nose hangs over the outermost turn. A surface with one tangent as far as the arc reaches from there is
 continued so far; of any other nothing counts outside the rim, where a formula may run away, step or end and nothing is
@@ -28,6 +30,7 @@ solution and the error of a wavy edge. Oracles: brute-force dilation, and closed
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple, NoReturn
 
 import numpy as np
@@ -49,13 +52,19 @@ SAMPLES_PER_PERIOD = 4
 """Samples per feature size of the grid that settles whether there is one tangent."""
 MOST_SAMPLES = 2_000_000
 """Samples of that grid, and of the tracks under the edge that are held at once."""
+MOST_ON_GROUND = 500_000
+"""Samples of the grid that settles whether the surface is steeper than the flanks anywhere."""
+FEWEST_ON_GROUND = 96
+"""Fewest samples on a radius of that grid."""
+STEP = 1e-11
+"""A height that jumps by less than this between two pieces is rounding. [mm]"""
 CHUNK = 8192
 FINEST = 1e-4
 """Least feature that is looked for, as a share of the nose radius."""
 LONGEST = 20_000_000
 """Samples of one line or track beyond which a search is refused."""
 WIDEST = 32
-"""How far up the flanks a contact is looked for, in half widths of the arc."""
+"""How far up the flanks a contact is looked for, in half widths of the arc, where the surface goes on without a rim."""
 BESIDE = 1e-9
 """How far from a kink or step its slopes are looked at, which only say to which side it rises. [mm]"""
 
@@ -89,12 +98,28 @@ class _Breaks(NamedTuple):
     slope: Floats
 
 
+class _Ground(NamedTuple):
+    """How steep the surface is where the edge may come."""
+
+    steepest: float  # along the radius, or in any direction; infinite at a step
+    top: float  # greatest height [mm]
+
+
+class _Same:
+    """A surface, equal to itself alone, so that looking it up costs nothing."""
+
+    def __init__(self, surface: Surface) -> None:
+        self.surface = surface
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.surface is other.surface
+
+    def __hash__(self) -> int:
+        return id(self.surface)
+
+
 _Tips = tuple[Floats, Floats, Floats]
 """Azimuth, distance from the axis and distance across, of each row."""
-
-
-class _NarrowWindow(Exception):  # noqa: N818 - a signal between two functions
-    """The edge touches beyond the window looked at."""
 
 
 def tip_height(
@@ -212,6 +237,70 @@ def _turn_length(angle: Floats) -> int | None:
     return n if np.abs(lag - 2 * np.pi).max() < 1e-9 else None
 
 
+@lru_cache(maxsize=8)
+def _ground(same: _Same, radius: float, *, radial: bool) -> _Ground:
+    """Look at a surface on whole diameters, a quarter of its feature size apart if that is not too many samples.
+
+    ``radial`` says that an edge in the radial plane feels its slopes; another one passes beside the axis.
+    """
+    surface = same.surface
+    spacing = min(surface.feature_size / SAMPLES_PER_PERIOD, radius / FEWEST_ON_GROUND)
+    spacing = max(spacing, radius * float(np.sqrt(2 * np.pi / MOST_ON_GROUND)))
+    rows, samples = int(np.ceil(np.pi * radius / spacing)), int(np.ceil(2 * radius / spacing)) + 1
+    # Not on the axis, nor on lines where pieces may meet.
+    along = np.linspace(-radius, radius, samples) * (1 - 1e-9) + 0.1 * spacing * np.linspace(1, 0, samples)
+    across = 0.0 if radial else 0.381966 * spacing
+    steepest, top, bend = 0.0, -np.inf, 0.0
+    for angle in np.array_split((np.arange(rows) + 0.381966) * (np.pi / rows), -(-rows * samples // 65536)):
+        c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        x, y = along * c - across * s, along * s + across * c
+        inside = surface.inside(x, y)
+        with np.errstate(all="ignore"):
+            z, zx, zy = surface.evaluate(x, y, 1)
+            if inside is not None:
+                z[~inside] = np.nan
+            slope = np.abs(zx * c + zy * s) if radial else np.hypot(zx, zy)
+            rise = np.abs(np.diff(z, axis=1))
+            second = np.abs(np.diff(z, 2, axis=1))
+        smooth = np.ones(rise.shape, dtype=np.bool_)
+        pieces = surface.piece(x, y)
+        if pieces is not None:
+            smooth = pieces[:, 1:] == pieces[:, :-1]
+            row, before = np.nonzero(~smooth)
+            jump, high = _jumps(surface, c[row, 0], s[row, 0], across, along[before], along[before + 1])
+            steepest = np.inf if jump > STEP else steepest
+            top = max(top, high)
+        for values, known in ((slope, np.isfinite(z)), (rise / np.diff(along), smooth)):
+            steepest = max(steepest, float(np.max(values, where=known & np.isfinite(values), initial=0.0)))
+        known = np.isfinite(second) & smooth[:, 1:] & smooth[:, :-1]
+        bend = max(bend, float(np.max(second, where=known, initial=0.0)))
+        top = max(top, float(np.max(z, where=np.isfinite(z), initial=-np.inf)))
+    # Between the samples the surface may stand higher by about what it bends from one to the next.
+    return _Ground(steepest, top + bend)
+
+
+def _jumps(surface: Surface, c: Floats, s: Floats, across: float, a: Floats, b: Floats) -> tuple[float, float]:
+    """Return the greatest jump where the piece changes between a and b on some lines, and the greatest height there."""
+    if not c.size:
+        return 0.0, -np.inf
+
+    def at(along: Floats) -> tuple[Floats, Floats]:
+        return along * c - across * s, along * s + across * c
+
+    first, low, high = surface.piece(*at(a)), a.copy(), b.copy()
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        mine = surface.piece(*at(middle)) == first
+        low, high = np.where(mine, middle, low), np.where(mine, high, middle)
+    with np.errstate(all="ignore"):
+        sides = np.stack([surface.evaluate(*at(side), 0)[0] for side in (low, high)])
+        jump = np.abs(sides[1] - sides[0])
+    return tuple(  # type: ignore[return-value] # of two
+        float(np.max(values, where=np.isfinite(values), initial=least))
+        for values, least in ((jump, 0.0), (sides, -np.inf))
+    )
+
+
 def _of(tips: _Tips, row: Ints) -> _Tips:
     """Return some of the tips."""
     angle, radius, aside = (part[row] for part in tips)
@@ -240,7 +329,11 @@ class _Contact:
         # What the plan covers.
         outermost = float(np.hypot(radius + self.row[5], aside).max())
         self.rim = max(rim, outermost)
-        self.reach = (self.rim if self.rim < np.inf else outermost) + max(self.arc[1], -self.arc[0])
+        self.extent = self.rim if self.rim < np.inf else outermost
+        self.reach = self.extent + max(self.arc[1], -self.arc[0])
+        self.flank = float(self.row[3] * min(-self.profile.row[3], self.profile.row[6]))
+        # Height that the surface reaches outside of what is looked at, where it is steeper than the flanks.
+        self.top = -np.inf
 
     def edge_curvature(self) -> float:
         """Return the least curvature of the edge anywhere on its arc, as height over distance. [1/mm]."""
@@ -276,8 +369,7 @@ class _Contact:
                 steps = np.abs(np.diff(bend, axis=1))
             change = max(change, float(steps[np.isfinite(steps)].max(initial=0.0)))
         # On the flanks, which are straight, the surface may come up again unless it is nowhere as steep as they are.
-        flank = self.row[3] * min(-self.profile.row[3], self.profile.row[6])
-        return bool(steepest < CONCAVITY * flank and sharpest + change < self.limit)
+        return bool(steepest < CONCAVITY * self.flank and sharpest + change < self.limit)
 
     def _steepness(self, x: Floats, y: Floats, c: Floats, s: Floats) -> tuple[Floats, Floats]:
         """Return the greatest slope, and the curvature upward, that an edge at azimuth (c, s) may meet at (x, y)."""
@@ -392,17 +484,22 @@ class _Contact:
         turn = _turn_length(angle) if self.upright else None
         width = self.arc[1] - self.arc[0]
         step = min(self.feature / SAMPLES_PER_FEATURE, width / SAMPLES_PER_EDGE)
+        ground = _ground(_Same(self.surface), self.extent, radial=self.upright)
+        steep = ground.steepest * (1 + abs(self.row[4])) >= CONCAVITY * self.flank
+        self.top = ground.top if steep else -np.inf
 
         def lines(start: int, stop: int) -> None:
             points = np.arange(start, angle.size, turn)[:, None] + np.arange(stop - start)
             points = np.minimum(points, angle.size).T
-            counts = np.count_nonzero(points < angle.size, axis=1)
-            self._widening(angle, radius, aside, points[points < angle.size], counts, step, out)
+            used = points < angle.size
+            self._widening(angle, radius, aside, points[used], np.nonzero(used)[0], step, out)
 
         def tracks(start: int, stop: int) -> None:
             self._widening(angle, radius, aside, np.arange(start, stop), None, step, out)
 
-        samples = (width + (self.farthest - self.nearest if turn is not None else 0.0)) / step
+        samples = width / step
+        if turn is not None:
+            samples += (2 * self.extent if steep else self.farthest - self.nearest) / step
         if samples > LONGEST:
             raise InputError(
                 f"{type(self.surface).__name__} has features of {self.surface.feature_size:.3g} mm, which take "
@@ -416,82 +513,109 @@ class _Contact:
             run_chunks(tracks, angle.size, int(np.clip(MOST_SAMPLES // 4 * step / width, 1, CHUNK)), progress)
 
     def _widening(
-        self, angle: Floats, radius: Floats, aside: Floats, points: Ints, counts: Ints | None, step: float, out: Touch
+        self, angle: Floats, radius: Floats, aside: Floats, points: Ints, line: Ints | None, step: float, out: Touch
     ) -> None:
-        """Find the contacts of ``points`` on the arc, or further up the flanks where the arc does not touch."""
-        low, high = self.arc
-        waiting = [(points, counts, low, high)]
+        """Find the contacts of ``points`` on the arc, or further up the flanks where the arc does not touch.
+
+        ``line`` says, ascending, which of them share an azimuth; ``None`` where none do.
+        """
+        waiting = [(points, line, *self.arc)]
         while waiting:
-            some, counts, low, high = waiting.pop()
-            try:
-                part = self._touch(angle[some], radius[some], aside[some], counts, step, low, high)
-            except _NarrowWindow:
-                if high > WIDEST * self.arc[1]:
-                    raise GougeError(
-                        f"with the tip {radius[some[0]]:.6g} mm from the axis the surface stands above the edge "
-                        f"even {high:.3g} mm up its flanks: take a tool with a larger included angle, or a surface "
-                        "that does not run away outside the part"
-                    ) from None
-                # A wider window takes more room: where every point has its own, fewer points at a time.
-                pieces = [some] if counts is not None else np.array_split(some, min(2, some.size))
-                waiting += [(piece, counts, 2 * low, 2 * high) for piece in pieces]
-                continue
+            some, line, low, high = waiting.pop()
+            part, narrow = self._touch(angle[some], radius[some], aside[some], line, step, low, high)
             for target, values in zip(out, part, strict=True):
-                target[some] = values
+                target[some[~narrow]] = values[~narrow]
+            if not narrow.any():
+                continue
+            some = some[narrow]
+            if high > max(WIDEST * self.arc[1], 4 * self.extent):
+                raise GougeError(
+                    f"with the tip {radius[some[0]]:.6g} mm from the axis the surface stands above the edge "
+                    f"even {high:.3g} mm up its flanks: take a tool with a larger included angle, or a surface "
+                    "that does not run away outside the part"
+                )
+            low, high = 2 * low, 2 * high
+            if line is not None:
+                waiting.append((some, line[narrow], low, high))
+                continue
+            # A wider window takes more room: where every point has its own, fewer points at a time.
+            pieces = int(np.ceil(some.size * min(high - low, 2 * self.extent) / step / (MOST_SAMPLES // 4)))
+            waiting += [(piece, None, low, high) for piece in np.array_split(some, min(max(pieces, 1), some.size))]
 
     def _touch(
-        self, angle: Floats, radius: Floats, aside: Floats, counts: Ints | None, step: float, low: float, high: float
-    ) -> Touch:
-        """Find the contacts of points in rows of ``counts`` that share an azimuth, or (without) one to a row."""
-        if counts is None:
+        self, angle: Floats, radius: Floats, aside: Floats, line: Ints | None, step: float, low: float, high: float
+    ) -> tuple[Touch, Bools]:
+        """Find the contacts of points on lines, or (without) on tracks of their own, and which need a wider window."""
+        whole = line is not None and self.top > -np.inf
+        if line is None:
             offsets = np.arange(angle.size + 1)
             row_angle, row_radius, row_aside, position = angle, radius, aside, np.zeros(angle.size)
         else:
             # The line itself is the track of an edge whose tip stands on the axis.
-            offsets = np.concatenate([[0], np.cumsum(counts)])
-            row_angle, row_radius = angle[offsets[:-1]], np.full(counts.size, -self.row[5])
-            row_aside = np.zeros(counts.size)
+            offsets = np.append(np.flatnonzero(np.diff(line, prepend=-1)), line.size)
+            row_angle, row_radius = angle[offsets[:-1]], np.full(offsets.size - 1, -self.row[5])
+            row_aside = np.zeros(offsets.size - 1)
             position = radius + self.row[5]
+        first, last = float(position.min()) + low, float(position.max()) + high
+        if whole:
+            first, last = min(first, -self.extent), max(last, self.extent)
+        if self.rim < np.inf:
+            # Nothing counts outside the rim.
+            tips = radius + self.row[5] if line is None else np.zeros(1)
+            first = max(first, -self.rim - float(tips.max()))
+            last = min(last, self.rim - float(tips.min()))
         # Not on the axis, nor on any other round place where a prescription may be special.
-        origin = float(position.min()) + low - 2.381966 * step
-        samples = int(np.ceil((float(position.max()) + high - origin) / step)) + 4
+        origin = first - 2.381966 * step
+        samples = int(np.ceil((last - origin) / step)) + 4
         u = np.ascontiguousarray(np.broadcast_to(origin + step * np.arange(samples), (row_angle.size, samples)))
         x, y = np.empty(u.shape), np.empty(u.shape)
         self.kernel.places(self.row, *self.profile[:2], row_angle, row_radius, row_aside, u, x, y)
         heights = self._heights(x, y)
         breaks = self._breaks(x, y, heights, u, (row_angle, row_radius, row_aside))
-        found, direct, direct_at, ended = self._candidates(heights, origin, step, offsets, position, breaks, low, high)
-        if found is None:
-            raise _NarrowWindow
+        found, direct, direct_at, ended, narrow = self._candidates(
+            heights, origin, step, offsets, position, breaks, low, high, -np.inf if whole else self.top
+        )
         if not isinstance(found, _Candidates):
             self._outside(float(angle[found]), float(radius[found]))
-        top, sweep = self._maximum(angle[found.point], radius[found.point], aside[found.point], found)
-        best = np.empty(angle.size)
-        self.kernel.sweeps_at(*self.edge, direct_at, best)
-        z = direct - self.row[7]
-        self.kernel.keep_highest(found.point, top, sweep, z, best, ended)
-        if not np.isfinite(z).all():
-            k = int(np.argmin(np.isfinite(z)))
+        best, z = np.zeros(angle.size), np.zeros(angle.size)
+        if found.point.size or not narrow.all():
+            top, sweep = self._maximum(angle[found.point], radius[found.point], aside[found.point], found)
+            self.kernel.sweeps_at(*self.edge, direct_at, best)
+            z = direct - self.row[7]
+            self.kernel.keep_highest(found.point, top, sweep, z, best, ended)
+        if not (np.isfinite(z) | narrow).all():
+            k = int(np.argmin(np.isfinite(z) | narrow))
             raise GougeError(
                 f"no place on the edge touches with the tip {radius[k]:.6g} mm from the axis at azimuth "
                 f"{np.rad2deg(angle[k]) % 360:.4g} deg, the surface must be finite there: check the prescription"
             )
         part = Touch(z, best, *np.empty((3, angle.size)))
         self._contact_points(angle, radius, aside, part)
+        ended &= ~narrow
         if ended.any():
-            self._judge_ends(angle[ended], radius[ended], Touch(*(values[ended] for values in part)))
-        return part
+            self._judge_ends(angle[ended], radius[ended], aside[ended], Touch(*(values[ended] for values in part)))
+        return part, narrow
 
-    def _judge_ends(self, angle: Floats, radius: Floats, at: Touch) -> None:
+    def _judge_ends(self, angle: Floats, radius: Floats, aside: Floats, at: Touch) -> None:
         """Refuse contacts at an end of the surface, unless it is the rim and the arc that touches."""
         distance = np.hypot(at.x, at.y)
         inside = distance < self.rim * (1 - 1e-9)
         if inside.any():
             k = int(np.argmax(inside))
             self._outside(float(angle[k]), float(radius[k]))
-        on_flank = (at.sweep < self.row[1]) | (at.sweep > self.row[2])
-        if on_flank.any():
-            k = int(np.argmax(on_flank))
+        on_flank = np.flatnonzero((at.sweep < self.row[1]) | (at.sweep > self.row[2]))
+        if not on_flank.size:
+            return
+        # A wall that the rim happens to cut is touched like any other; a surface that climbs all the way is not met.
+        angle, radius, aside, sweep = (one[on_flank] for one in (angle, radius, aside, at.sweep))
+        x, y, lift = np.empty(on_flank.size), np.empty(on_flank.size), []
+        for part in np.linspace(0.0, 0.99, 9):
+            place = np.clip(sweep, self.row[1], self.row[2]) * (1 - part) + sweep * part
+            self.kernel.under_edge(*self.edge, angle, radius, aside, place, x, y)
+            lift.append(self._heights(x, y) - self._edge_at(place)[2])
+        climbs = (np.diff(lift, axis=0) > 0).all(axis=0)
+        if climbs.any():
+            k = int(np.argmax(climbs))
             raise GougeError(
                 f"with the tip {radius[k]:.6g} mm from the axis at azimuth {np.rad2deg(angle[k]) % 360:.4g} deg a "
                 f"flank of the tool stands on the rim of the path, {self.rim:.6g} mm from the axis, where the surface "
@@ -524,24 +648,25 @@ class _Contact:
         breaks: _Breaks,
         low: float,
         high: float,
-    ) -> tuple[_Candidates | int | None, Floats, Floats, Bools]:
-        """Run the kernel of this name with as much room as it needs; None is a narrow window, an int is outside."""
-        direct, direct_at, ended = np.empty(position.size), np.zeros(position.size), np.empty(position.size, np.bool_)
+        elsewhere: float,
+    ) -> tuple[_Candidates | int, Floats, Floats, Bools, Bools]:
+        """Run the kernel of this name with as much room as it needs; an int is the tip that nothing is under."""
+        direct, direct_at = np.empty(position.size), np.zeros(position.size)
+        ended, narrow = np.empty((2, position.size), np.bool_)
+        whole = bool(self.rim < np.inf and min(-low, high) > self.rim + self.farthest)
         size = 4 * position.size + 4 * heights.shape[1]
         while True:
             point = np.empty(size, dtype=np.int64)
             start, stop, guess = np.empty((3, size))
             found = self.kernel.candidates(
                 heights, origin, step, offsets, position, *breaks, self.row[3], *self.profile, low, high,
-                point, start, stop, guess, direct, direct_at, ended,
+                elsewhere, whole, point, start, stop, guess, direct, direct_at, ended, narrow,
             )  # fmt: skip
             if found >= 0:
                 intervals = _Candidates(point[:found], start[:found], stop[:found], guess[:found])
-                return intervals, direct, direct_at, ended
-            if found == self.kernel.NARROW:
-                return None, direct, direct_at, ended
+                return intervals, direct, direct_at, ended, narrow
             if found <= self.kernel.OUTSIDE:
-                return self.kernel.OUTSIDE - found, direct, direct_at, ended
+                return self.kernel.OUTSIDE - found, direct, direct_at, ended, narrow
             size *= 4
 
     # ------------------------------------------------------------------------------------------- kinks and steps

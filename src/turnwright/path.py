@@ -95,7 +95,8 @@ class Path:
     contact_x, contact_y, contact_z
         The cutter-contact point in the part frame. Each (n,) [mm]
     clearance
-        Least height of the whole edge above the surface: 0 in contact, negative where the tool gouges. (n,) [mm]
+        Least height of the whole edge above the surface: 0 in contact, negative where the tool gouges; of a path along
+        z as seen at places spread over the edge and the path. (n,) [mm]
     y, radius_rate, y_rate, lift
         As in the `Spiral` that was placed. The height z is that in contact; a strategy whose spiral has a lift adds it
         in its axes.

@@ -6,6 +6,8 @@ from turnwright._kernels import jit
 from turnwright._kernels.edge import edge
 from turnwright._kernels.trig import sincos
 
+GOLDEN = 0.6180339887498949  # the golden ratio less 1: its multiples, without their whole parts, leave no large gap
+
 
 @jit
 def rates(
@@ -36,3 +38,39 @@ def rates(
         rate[i] = (fx[i] + bent_x * step) * out_x + (fy[i] + bent_y * step) * out_y
         across[0, i], across[1, i] = out_x, out_y
         along[0, i], along[1, i], rise[i] = dx, dy, row[3] * dw
+
+
+@jit
+def places(row, breaks, coefficients, angle, radius, aside, first, step, below, above, x, y, e):
+    """Fill ``x``, ``y`` with where the edge stands over the part at one place each, and ``e`` with its height there.
+
+    The places follow each other by the golden ratio: half of them on the arc; the others on the flanks, closer together
+    at its ends, as far as ``below`` and ``above`` reach. [rad]
+    """
+    low, high = row[1], row[2]
+    for i in range(angle.size):
+        at = (first + step * i) * GOLDEN
+        at = 2.0 * (at - np.floor(at)) - 1.0
+        if at < -0.5:
+            sweep = low - below * (2.0 * at + 1.0) ** 2
+        elif at > 0.5:
+            sweep = high + above * (2.0 * at - 1.0) ** 2
+        else:
+            sweep = 0.5 * (low + high) + (high - low) * at
+        sine, cosine = sincos(angle[i])
+        u, w, _, _, _, _ = edge(row, breaks, coefficients, sweep)
+        along = radius[i] + row[5] + u
+        across = aside[i] + row[6] + row[4] * w
+        x[i] = along * cosine - across * sine
+        y[i] = along * sine + across * cosine
+        e[i] = row[3] * w + row[7]
+
+
+@jit
+def lower_to_gap(z, e, f, x, y, axis, rim, least):
+    """Lower ``least`` to the height of the edge above the surface, at places off the axis and inside the rim."""
+    for i in range(z.size):
+        square = x[i] * x[i] + y[i] * y[i]
+        gap = z[i] + e[i] - f[i]
+        if axis * axis < square <= rim * rim and gap < least[i]:
+            least[i] = gap

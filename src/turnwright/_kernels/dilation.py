@@ -6,7 +6,7 @@ from turnwright._kernels import jit
 from turnwright._kernels.edge import edge, height, slope, sweep_at
 from turnwright._kernels.trig import sincos
 
-FULL, NARROW, OUTSIDE = -1, -2, -3  # what `candidates` answers when it cannot
+FULL, OUTSIDE = -1, -2  # what `candidates` answers when it cannot
 # After a Newton step this small [rad], to a top this little higher [mm], the parabola's top is the maximum within 1e-11
 # mm, also on a ridge a tenth of a micrometre sharp, and within 1e-13 mm elsewhere: its error goes with the third power.
 CLOSE = 3e-5
@@ -149,7 +149,7 @@ def candidates(
     heights, origin, step, offsets, position,
     break_offsets, break_after, break_at, break_height, break_slope,
     rake_cos, profile, table, convex, low, high,
-    point, start, stop, guess, direct, direct_at, ended,
+    elsewhere, whole, point, start, stop, guess, direct, direct_at, ended, narrow,
 ):  # fmt: skip
     """Find where f - e may be greatest: on each row a sampled line, and on it one or more tool positions.
 
@@ -164,18 +164,21 @@ def candidates(
         and slopes (2, n) of the line just before and just after; beyond an end the height is -inf.
     low, high
         Window of the edge to look at, from its tip. [mm]
+    elsewhere, whole
+        Height that the surface reaches beyond the samples, -inf where it is less steep than the flanks; and whether
+        the window is all that counts. [mm]
     point, start, stop, guess
         Filled: tip position, ends of a short smooth interval and a first guess in it, from the tip. A sampled maximum
         within the sampling error of the greatest counts too, so that exact heights decide between several tangents.
-    direct, direct_at, ended
+    direct, direct_at, ended, narrow
         Filled for each tip position: the greatest f - e of those that stand exactly on a break, where, and whether the
-        domain ends there.
+        domain ends there; and whether the edge may touch beyond the window, so that nothing else is filled.
 
     Returns
     -------
     int
-        Number of intervals; or `FULL` if they do not fit; `NARROW` if a contact is at the end of the window, so that
-        the edge touches beyond it; or `OUTSIDE` - k if there is no surface under the edge at position k.
+        Number of intervals; or `FULL` if they do not fit; or `OUTSIDE` - k if there is no surface under the edge at
+        position k.
     """
     rows, m = heights.shape
     g = np.empty(m)
@@ -214,6 +217,11 @@ def candidates(
             above = rake_cos * height(profile, table, high)
         if falling < rake_cos * slope(profile, table, low):
             above = min(above, rake_cos * height(profile, table, low))
+        if elsewhere > -np.inf:
+            above = rake_cos * min(height(profile, table, low), height(profile, table, high))
+            summit = max(summit, elsewhere)
+        if whole:
+            above = np.inf
         near, far = low, high
         if convex and steepest >= falling:
             near = max(low, distance_at_slope(profile, table, falling / rake_cos, low, high) - 2.0 * step)
@@ -235,7 +243,7 @@ def candidates(
                     greatest, where = g[j], j
             if where < 0:
                 return OUTSIDE - k
-            direct[k], ended[k] = -np.inf, False
+            direct[k], ended[k], narrow[k] = -np.inf, False, False
             top = greatest
             first, last = -1, -1
             for b in range(first_break, last_break):
@@ -246,7 +254,8 @@ def candidates(
                 e = rake_cos * height(profile, table, break_at[b] - p)
                 top = max(top, max(break_height[0, b], break_height[1, b]) - e)
             if summit - above > top or (top == greatest and (where == begin or where == end)):
-                return NARROW
+                narrow[k] = True
+                continue
             u = origin + step * where - p
             curve = rake_cos * abs(
                 height(profile, table, u - step) - 2.0 * height(profile, table, u) + height(profile, table, u + step)
