@@ -37,6 +37,9 @@ STEEPEST = 1e6
 HIGHEST = 1e6
 """A surface higher than this is described wrongly, and heights beyond lose their nanometres. [mm]."""
 
+AXIS = 1e-5
+"""How near to the axis a surface may be steeper still, as a formula in the azimuth is: it is judged as a wall. [mm]"""
+
 SHARP = 1e-6
 """A slope that jumps by less than this, or a height by less than this many mm, is rounding."""
 
@@ -361,7 +364,7 @@ def _shape(part: Part, tool: Tool, sense: int, radius: Floats, angle: Floats) ->
             "places), everywhere but on the axis it needs both: keep the part clear of poles and of places where a "
             "term ends"
         )
-    steepness = np.where(radius > 1e-9, np.hypot(fu, fv), 0.0)
+    steepness = np.where(radius > AXIS, np.hypot(fu, fv), 0.0)
     if steepness.max(initial=0.0) > STEEPEST:
         worst = int(np.argmax(steepness))
         x, y = float((radius * c)[worst]), float((radius * s)[worst])

@@ -65,3 +65,11 @@ def test_a_wall_that_the_rim_cuts_is_touched_by_a_flank():
     path = tw.place(tw.Spiral(angle=angle, radius=np.full(9, 1.2)), part, tool)
     assert path.clearance.min() > -1e-9
     assert (path.sweep > tool.arc[1]).any()
+
+
+@pytest.mark.parametrize("formula", ["0.2*sin(phi)", "0.2358*cos(3*phi)"])
+def test_access_judges_a_formula_in_the_azimuth_near_its_axis(formula):
+    """Around the axis it falls ever more steeply: no heel clears that, which is a finding and no refusal."""
+    access = tw.check_access(tw.Part(surface=tw.Expression(formula), radius=2.0), tool_of("narrow"))
+    assert access.clearance_needed > np.deg2rad(89)
+    assert "clearance" in [one.name for one in access.findings if not one.ok]
