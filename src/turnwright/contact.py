@@ -219,7 +219,7 @@ def _along_normal(spiral: Spiral, part: Part, tool: Tool, progress: Progress | N
     at = touch(part.surface, tool, angle=angle, radius=radius, y=aside, sense=sense, rim=rim, progress=progress)
     return Path(
         angle=angle, radius=radius, z=z, sweep=sweep, contact_x=x, contact_y=y, contact_z=surface_z,
-        clearance=z - at.z, y=spiral.y,
+        clearance=z - at.z, y=spiral.y, y_rate=spiral.y_rate, lift=spiral.lift,
     )  # fmt: skip
 
 

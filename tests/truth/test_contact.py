@@ -441,3 +441,12 @@ def test_sphere_under_a_tip_across_the_rake_plane_in_closed_form(radius, along):
     if along == "normal":
         np.testing.assert_allclose(found, where.radius, atol=1e-12)
         assert np.abs(path.clearance).max() < 1e-12
+
+
+def test_a_path_along_the_normal_keeps_what_its_spiral_states():
+    where = spiral(1.0, 0.1, 36)
+    y, lift = 0.01 * np.sin(where.angle), 1e-5 * np.cos(where.angle)
+    where = replace(where, y=y, y_rate=0.01 * np.cos(where.angle), lift=lift)
+    path = tw.place(where, tw.Part(surface=tw.Sphere(radius=20.0), radius=1.0), ROUND, along="normal")
+    np.testing.assert_array_equal(path.lift, lift)
+    np.testing.assert_array_equal(path.y_rate, where.y_rate)
