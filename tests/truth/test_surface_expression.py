@@ -1,6 +1,7 @@
 """Formulas against SymPy and mpmath, and on the axis against the same surface written without rho and phi."""
 
 import multiprocessing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -195,3 +196,18 @@ def test_a_long_sum_of_pairs_is_read(name):
     formula = "+".join([f"{name}(x+1.5,2)"] * 400) + f"+{name}(" + "+".join(["x"] * 400) + ",7)"
     oracle = getattr(np, {"hypot": "hypot", "atan2": "arctan2"}[name])
     np.testing.assert_allclose(Expression(formula).sag(x, y), 400 * oracle(x + 1.5, 2) + oracle(400 * x, 7), rtol=1e-12)
+
+
+def test_another_formula_has_a_feature_size_of_its_own():
+
+    slow = Expression("0.001*sin(x)")
+    fast = replace(slow, formula="0.001*sin(100*x)")
+    assert fast.feature_size == Expression("0.001*sin(100*x)").feature_size < slow.feature_size / 50
+    assert replace(Expression("x", feature_size=0.2), formula="sin(100*x)").feature_size == 0.2
+
+
+def test_equal_formulas_are_one_key_and_surfaces_are_summed():
+    one, same = (Expression("a*x", constants={"a": 0.1}) for _ in range(2))
+    assert one == same
+    assert {one: 1}[same] == 1
+    assert sum([one, same]).sag(2.0, 0.0) == pytest.approx(0.4)

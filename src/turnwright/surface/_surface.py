@@ -164,6 +164,10 @@ class Surface(ABC):
 
         return Sum(terms=(self, other))
 
+    def __radd__(self, other: object) -> Surface:
+        """Return this surface itself where `sum` begins with 0."""
+        return self if isinstance(other, int) and other == 0 else NotImplemented
+
     def placed(
         self,
         *,

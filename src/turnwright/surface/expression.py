@@ -110,6 +110,12 @@ class _Axis(NamedTuple):
     order: int  # how many of them are limits: -1 none, 0 the height, 1 the slopes, 2 all
 
 
+class _Estimate(float):
+    """A feature size that the formula itself gives, and another formula another."""
+
+    __slots__ = ()
+
+
 @dataclass(frozen=True, slots=True)
 class Expression(Surface):
     """A surface z = formula in x, y, rho and phi.
@@ -163,10 +169,15 @@ class Expression(Surface):
         object.__setattr__(self, "_axis", self._on_axis() if names & {"rho", "phi"} else None)
         if "phi" in names:
             self._require_no_cut()
-        size = self._estimate() if self.feature_size is None else self.feature_size
-        if self.feature_size is not None:
-            positive(size, "feature_size of an expression", "mm")
+        if self.feature_size is None or isinstance(self.feature_size, _Estimate):
+            size: float = _Estimate(self._estimate())
+        else:
+            size = positive(self.feature_size, "feature_size of an expression", "mm")
         object.__setattr__(self, "feature_size", size)
+
+    def __hash__(self) -> int:
+        """Return a number that equal formulas with equal constants share."""
+        return hash((self.formula, frozenset(self.constants.items()), self.feature_size))
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives, nan outside the domain. See `Surface.evaluate`."""
