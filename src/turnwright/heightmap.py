@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Floats, frozen, positive
+from turnwright._given import whole
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -144,6 +145,7 @@ class HeightMap:
 
         A map that has no more than that is returned as it is.
         """
+        most = whole(most, "most, the heights to keep,", 1)
         valid = np.isfinite(self.z)
         count = int(np.count_nonzero(valid))
         if count <= most:

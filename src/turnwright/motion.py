@@ -126,6 +126,8 @@ class SpeedProfile:
         for name in ("radius", "spindle_rpm"):
             object.__setattr__(self, name, frozen(getattr(self, name), name))
         same_length([("radius", self.radius), ("spindle_rpm", self.spindle_rpm)])
+        if not self.radius.size:
+            raise InputError("a speed profile has 0 radii, it needs at least 1: give a radius and its spindle speed")
         if not (self.radius[1:] > self.radius[:-1]).all():
             raise InputError("the radii of a speed profile do not ascend: sort them, and give each one speed")
         if not (self.spindle_rpm > 0).all():

@@ -100,8 +100,10 @@ class Part:
                 f"the blank reaches {self.blank.reach:g} mm from the axis, the limit is the clear radius "
                 f"{self.radius:g} mm or more: give the radius of the blank"
             )
-        if not self.stock >= 0:
-            raise InputError(f"stock is {self.stock:g} mm, it cannot be below 0 mm: give the thickness to remove")
+        if not 0 <= self.stock < np.inf:
+            raise InputError(
+                f"stock is {self.stock:g} mm, it must be finite and cannot be below 0 mm: give the thickness to remove"
+            )
         self.surface.require_disc(self.radius, "the clear radius")
 
     def corrected(self, error: HeightMap, *, cutoff: float, beyond: float) -> Part:

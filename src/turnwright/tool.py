@@ -163,6 +163,8 @@ class Tool:
                 f"radius_error is {self.radius_error:g} mm on a nose_radius of {self.nose_radius:g} mm, nothing is "
                 "left of the nose: give actual minus nominal radius"
             )
+        most = 0.1 * self.nose_radius
+        between(self.radius_error, "radius_error", -most, most, "mm (a tenth of the nose_radius)")
         if len(self.offset) != 3 or not np.isfinite(self.offset).all():
             raise InputError(f"offset is {self.offset}, it must be three finite lengths (dx, dy, dz): complete it")
         object.__setattr__(self, "offset", tuple(float(value) for value in self.offset))

@@ -38,7 +38,7 @@ BAD = {
     "apertures overlap": (lambda: square(aperture=0.6, surround=0.0), "0.6 mm, the limit is half .* 0.5 mm"),
     "aperture negative": (lambda: square(aperture=-0.1, surround=0.0), "aperture of a lenslet is -0.1 mm"),
     "pitch zero": (lambda: square(pitch=0.0), "pitch of a lens array is 0 mm"),
-    "no rows": (lambda: square(rows=0), "0 rows of 2"),
+    "no rows": (lambda: square(rows=0), "rows of a lens array is 0"),
     "rows and within": (lambda: square(within=3.0), "rows and columns, or within alone"),
     "rows only": (lambda: square(columns=None), "columns None"),
     "within too small": (lambda: square(rows=None, columns=None, within=0.4), "no lens of radius 0.5 mm"),
@@ -49,7 +49,7 @@ BAD = {
         lambda: LensArray.hexagonal(pitch=1.0, lenslet=FLAT, rings=1, within=2.0),
         "takes one of them",
     ),
-    "rings negative": (lambda: LensArray.hexagonal(pitch=1.0, lenslet=FLAT, rings=-1), "-1 rings"),
+    "rings negative": (lambda: LensArray.hexagonal(pitch=1.0, lenslet=FLAT, rings=-1), "rings of a lens array is -1"),
     "table with a hole": (
         lambda: Part(surface=Gridded(x=AXIS, y=AXIS, z=HOLE), radius=0.9 * AXIS[-1]),
         "has no height at 1 places",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, positive
+from turnwright._given import whole
 from turnwright.errors import InputError
 from turnwright.surface._surface import Surface
 
@@ -167,7 +168,8 @@ class LensArray(Surface):
         if within is not None and rows is None and columns is None:
             centres = _whole((pitch, 0), (0, pitch), offset, within, aperture)
         elif within is None and rows is not None and columns is not None:
-            if min(rows, columns) < 1 or rows * columns > MOST_LENSES:
+            rows, columns = whole(rows, "rows of a lens array", 1), whole(columns, "columns of a lens array", 1)
+            if rows * columns > MOST_LENSES:
                 raise InputError(
                     f"a lens array has {rows} rows of {columns}, the limits are 1 of each and {MOST_LENSES} lenses: "
                     "correct the counts"
@@ -218,9 +220,8 @@ class LensArray(Surface):
         if within is not None:
             centres = _whole(*slanted, offset, within, aperture)
         else:
-            if not 0 <= rings <= 500:  # type: ignore[operator]
-                raise InputError(f"a lens array has {rings} rings, the limits are 0 to 500: correct the count")
-            i = np.arange(-rings, rings + 1)  # type: ignore[operator]
+            rings = whole(rings, "rings of a lens array", 0, 500)
+            i = np.arange(-rings, rings + 1)
             first, second = (part.ravel() for part in np.meshgrid(i, i))
             centres = _lattice(i, i, *slanted, offset)[np.abs(first + second) <= rings]
         return cls(centres=centres, lenslet=lenslet, aperture=aperture, surround=surround)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from turnwright._arrays import Floats, positive
+from turnwright._arrays import Floats, between, positive
 from turnwright.errors import InputError
 from turnwright.surface._surface import Surface
 
@@ -56,6 +56,8 @@ class SineGrid(Surface):
             object.__setattr__(self, name, tuple(float(value) for value in values))
         for value, axis in zip(self.period, "xy", strict=True):
             positive(value, f"period of a sine grid along {axis}", "mm")
+        for value, axis in zip(self.phase, "xy", strict=True):
+            between(value, f"phase of a sine grid along {axis}", -2 * np.pi, 2 * np.pi, "rad")
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives. See `Surface.evaluate`."""

@@ -1,0 +1,38 @@
+"""Numbers that no thing has: not finite, not whole where they count, degrees where radians are meant."""
+
+import numpy as np
+import pytest
+
+import turnwright as tw
+from turnwright.motion import SpeedProfile
+
+FLAT = tw.Plane()
+X = np.linspace(-1, 1, 5)
+REFUSED = {
+    "radius error nan": (lambda: tw.Tool(nose_radius=0.5, radius_error=np.nan), "radius_error is nan"),
+    "radius error inf": (lambda: tw.Tool(nose_radius=0.5, radius_error=np.inf), "radius_error is inf"),
+    "radius error of a nose": (lambda: tw.Tool(nose_radius=0.5, radius_error=5.0), "radius_error is 5 .*limits are"),
+    "stock inf": (lambda: tw.Part(surface=FLAT, radius=1.0, stock=np.inf), "stock is inf"),
+    "stock nan": (lambda: tw.Part(surface=FLAT, radius=1.0, stock=np.nan), "stock is nan"),
+    "half a row": (lambda: tw.LensArray.square(pitch=1.0, lenslet=FLAT, rows=2.5, columns=2), "rows .*2.5.*whole"),
+    "half a ring": (lambda: tw.LensArray.hexagonal(pitch=1.0, lenslet=FLAT, rings=1.5), "rings .*1.5.*whole"),
+    "no speeds": (lambda: SpeedProfile(radius=[], spindle_rpm=[]), "0 radii"),
+    "no heights": (lambda: tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))).thinned(0), "is 0, it must be a whole number"),
+    "rotation in degrees": (lambda: FLAT.placed(rotation=90), "rotation is 90 rad"),
+    "phase in degrees": (
+        lambda: tw.SineGrid(amplitude=(1e-3, 1e-3), period=(1.0, 1.0), phase=(90, 0)), "phase .* is 90 rad",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "words"), REFUSED.values(), ids=REFUSED)
+def test_numbers_that_no_thing_has_are_refused(make, words):
+    with pytest.raises(tw.InputError, match=words):
+        make()
+
+
+def test_numbers_at_their_limits_are_taken():
+    turn = 2 * np.pi
+    assert FLAT.placed(rotation=turn).rotation == turn
+    assert tw.SineGrid(amplitude=(1e-3, 1e-3), period=(1.0, 1.0), phase=(turn, -turn)).phase == (turn, -turn)
+    assert tw.Tool(nose_radius=0.5, radius_error=-0.05).actual_radius == 0.45
