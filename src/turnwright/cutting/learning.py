@@ -15,11 +15,14 @@ made of all splits that the likelihood ratio does not reject,
 (7.35 for p = 95 %), with the long-run variance η² of the noise on the side that would then be on the wrong part
 [Hansen2000]_. What lies within that interval takes no part in the fit of K. Correlation in time is counted in all of
 it.
+
+Forces may also go on without a drop and grow more slowly beyond the critical thickness. F tests choose among no
+transition, a drop and a change of slope; an edge force or a size effect, which bend forces too, is no transition.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +30,7 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, Ints, between, freeze, frozen, positive, same_length
 from turnwright._given import whole as whole_number
 from turnwright.cutting._saturation import saturated
+from turnwright.cutting._slope_change import SlopeChange, slope_change
 from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
 from turnwright.errors import InputError
 
@@ -213,7 +217,7 @@ class LearnedMaterial:
         Thickest chip of all rows. [mm]
     remaining
         Force beyond the transition as a share of what the ductile line has there, for each coefficient that is told;
-        ``None`` without a transition.
+        1 where the forces go on without a drop; ``None`` without a transition.
     fit
         The forces beside what was learned makes of them.
     chance
@@ -362,7 +366,7 @@ def learn_material(
     Raises
     ------
     InputError
-        If there are too few cuts to tell.
+        If there are too few cuts to tell, or a channel is saturated, all zero, or of the wrong sign or unit.
 
     Sources
     -------
@@ -422,7 +426,7 @@ def learn_material(
 
 def _parts(rows: _Rows, confidence: float) -> tuple[_Split | None, Bools]:
     """Return the transition, and which rows are ductile beyond doubt."""
-    split = _transition(rows, confidence)
+    split = _selected(rows, _transition(rows, confidence), slope_change(rows, confidence))
     return split, rows.engaged & (rows.upper <= (np.inf if split is None else split.low))
 
 
@@ -462,16 +466,22 @@ class _Rows:
         """Thickness at which a power of it is 1. [mm]."""
         return float(np.exp(np.log(self.thickness[self.engaged]).mean()))
 
-    def ductile_columns(self, component: int) -> Floats:
-        """Return what multiplies the coefficient, and the edge's own force or the bend by a power. (n, 1 or 2)."""
-        area = self.areas[component]
+    def ductile_columns(self, component: int, limit: float = np.inf) -> Floats:
+        """Return what multiplies the coefficient, and the edge's own force or the bend by a power. (n, 1 or 2).
+
+        Beyond a limit [mm] they stay, per width, what they are there.
+        """
+        area, thickness = self.areas[component], self.thickness
+        if limit < np.inf:
+            thickness = np.minimum(thickness, limit)
+            area = self.per_thickness(component) * thickness
         if self.power is not None:
-            ratio = np.where(self.engaged, self.thickness / self.reference, 1.0)
+            ratio = np.where(self.engaged, thickness / self.reference, 1.0)
             falls = area * ratio ** -self.power[component]
             return np.column_stack((falls, -falls * np.log(ratio)))
         if not self.edge:
             return area[:, None]
-        return np.column_stack((area, self._per_thickness(component)))
+        return np.column_stack((area, self.per_thickness(component)))
 
     def line(self, component: int, answer: Floats, at: float) -> float:
         """Return the force per width of the ductile part at some thickness."""
@@ -505,9 +515,10 @@ class _Rows:
 
     def brittle_columns(self, component: int) -> Floats:
         """Return a constant force per width, and one that grows with the thickness. (n, 2)."""
-        return np.column_stack((self._per_thickness(component), self.areas[component]))
+        return np.column_stack((self.per_thickness(component), self.areas[component]))
 
-    def _per_thickness(self, component: int) -> Floats:
+    def per_thickness(self, component: int) -> Floats:
+        """Return the width that takes part in a force: the area over the thickness, 0 in air. (n,) [mm]."""
         return np.divide(self.areas[component], self.thickness, out=np.zeros_like(self.thickness), where=self.engaged)
 
     def tau(self, residual: Floats, rows: Bools) -> float:
@@ -543,7 +554,7 @@ class _Rows:
 
         The value [mm], its standard uncertainty and half its interval.
         """
-        columns = np.column_stack((self._per_thickness(component), self.areas[component]))
+        columns = np.column_stack((self.per_thickness(component), self.areas[component]))
         edge, sigma, half = self._first(component, columns, rows, confidence)
         slope = self._first(component, columns[:, ::-1], rows, confidence)[0]
         return -edge / slope, abs(sigma / slope), abs(half / slope)
@@ -651,8 +662,18 @@ class _Split:
     chance: float
 
 
-def _transition(rows: _Rows, confidence: float) -> _Split | None:
-    """Find the thickness at which the forces leave the ductile line, and all those that could be it."""
+@dataclass(frozen=True, slots=True)
+class _Drop:
+    """The best split with a drop, and what it leaves of each component, with weights and long-run variance."""
+
+    split: _Split
+    squares: Floats
+    weight: Floats
+    noise: float
+
+
+def _transition(rows: _Rows, confidence: float) -> _Drop | None:
+    """Find the thickness at which the forces leave the ductile line with a jump, and all those that could be it."""
     engaged = np.flatnonzero(rows.engaged)
     order = engaged[np.argsort(rows.thickness[engaged], kind="stable")]
     ascending = rows.thickness[order]
@@ -682,15 +703,50 @@ def _transition(rows: _Rows, confidence: float) -> _Split | None:
     chance = _chance(one - float(joint[best]), max(eta), n, free)
     at = 0.5 * (ascending[after[best] - 1] + ascending[after[best]])
     remaining = tuple(_remaining(rows, component, order, int(after[best]), float(at)) for component in (0, 1))
-    if chance > CERTAIN or remaining[0] >= 1:
-        return None
-    return _Split(
+    split = _Split(
         value=float(at),
         low=max(float(low - spread[order[inside.min() - 1]]), 0.0),
         high=float(high + spread[order[inside.max()]]),
         remaining=(remaining[0], remaining[1]),
         chance=chance,
     )
+    return _Drop(split, np.array([many[best] for many, _ in sums]), weight, max(eta))
+
+
+def _selected(rows: _Rows, drop: _Drop | None, bend: SlopeChange | None) -> _Split | None:
+    """Return the transition that the forces ask for: none, a drop, or a change of slope.
+
+    A change of slope is the simpler one. A drop is taken where it explains more than chance would; where it may, the
+    interval holds both. Neither is taken where an edge force or a size effect explains as much.
+    """
+    from scipy.stats import f  # noqa: PLC0415 - costly to import
+
+    n = rows.thickness.size
+    free = max(n - rows.nuisance.shape[1] - 3, 1)
+
+    def probability(squares: Floats, numbers: int) -> float:
+        """Return how often noise alone lets a drop, with so many more numbers, explain so much more."""
+        assert drop is not None  # noqa: S101 - asked of a drop only
+        # The noise is that of the richer model: what a drop leaves of two lines that meet would count as noise.
+        return float(f.sf(float(drop.weight @ (squares - drop.squares)) / drop.noise / numbers, numbers, free))
+
+    split = None if drop is None or drop.split.chance > CERTAIN or drop.split.remaining[0] >= 1 else drop.split
+    if bend is None:
+        return split
+    if split is not None and n * probability(bend.smooth, COMPONENTS) > CERTAIN:
+        split = None
+    # What could as well begin at no thickness at all is no change of slope.
+    if bend.chance > CERTAIN or bend.straight or not bend.falls or bend.low == 0:
+        return split
+    bent = _Split(bend.value, bend.low, bend.high, (1.0, 1.0), bend.chance)
+    if drop is None:
+        return bent
+    chance = probability(bend.squares, COMPONENTS + 1)
+    if n * chance < CERTAIN:
+        return split
+    if split is not None and chance < CERTAIN:
+        return replace(bent, low=min(bent.low, split.low), high=max(bent.high, split.high))
+    return bent
 
 
 def _chance(gain: float, eta: float, rows: int, free: int) -> float:
@@ -871,7 +927,9 @@ def said_of(
         force = {"cutting": "cutting force", "thrust": "thrust"}
         shares = [f"{share:.0%} of the {force[name]}" for name, share in zip(estimates, remaining, strict=True)]
         said.append(
-            f"the critical thickness is {critical * 1e6:.4g} nm; beyond it {' and '.join(shares)} "
+            f"the critical thickness is {critical * 1e6:.4g} nm; beyond it the forces grow more slowly, without a drop"
+            if all(share == 1 for share in remaining)
+            else f"the critical thickness is {critical * 1e6:.4g} nm; beyond it {' and '.join(shares)} "
             f"{'remain' if len(shares) > 1 else 'remains'}"
         )
     return said
