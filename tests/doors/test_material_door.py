@@ -189,6 +189,11 @@ WRONG = {
     "no thickness": (('ramp = ["50 nm", "1200 nm"]\n', ""), "no thickness: give one of thickness, ramp, steps"),
     "an unknown key": (("drift = 1", "drift = 1\ndrfit = 2"), "'drfit' in record is not known"),
     "no such channel": (('"Fy"', '"Fq"'), "has no channel 'Fq', it has"),
+    "a range that ends below the forces": (
+        ("drift = 1", "drift = 1\nrange_n = 0.15"),
+        "samples of channel 'Fy' stand at",
+    ),
+    "a range of no force": (("drift = 1", "drift = 1\nrange_n = 0"), "range_n"),
     "too high a drift": (("drift = 1", "drift = 9"), "degree of the drift is 9, the limits are 0 to 6"),
     "no file": (('file = "forces.csv"', 'file = "none.csv"'), "cannot be read (No such file or directory)"),
     "the wrong sign": (('"-Fz"', '"Fz"'), "thrust coefficient comes out as -8"),

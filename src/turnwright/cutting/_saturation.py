@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright.errors import InputError
+
 if TYPE_CHECKING:
     from turnwright._arrays import Floats, Ints
 
-__all__ = ["saturated"]
+__all__ = ["require_unsaturated", "saturated"]
 
 MIN_RUN = 5
 """Neighbouring values that stand exactly at one end of a range before it counts as saturated."""
@@ -39,3 +41,13 @@ def saturated(values: Floats) -> Ints:
         if np.unique(level).size >= MIN_LEVELS:
             return np.flatnonzero(values == end)
     return np.zeros(0, dtype=np.int64)
+
+
+def require_unsaturated(label: str, channel: str, values: Floats, at: Ints, rate_hz: float) -> None:
+    """Raise if samples of a channel of a record are saturated."""
+    if at.size:
+        raise InputError(
+            f"{label} is saturated: {at.size} of {values.size} samples of channel {channel!r} stand at "
+            f"{values[at[0]]:.6g} N, between {at[0] / rate_hz:.4g} and {at[-1] / rate_hz:.4g} s: record with a larger "
+            "range, or leave that part out"
+        )

@@ -316,6 +316,7 @@ class _Record:
             raise InputError(f"record has channels = {self.channels!r}, it must be a list of names: write [ ]")
         self.unit = keys.text("unit", None)
         self.rate = keys.quantity("rate", "Hz", None)
+        self.range = keys.number("range_n", None)
         self.drift = keys.raw("drift")
         self.shortest, self.lead = keys.quantity("shortest", "s"), keys.quantity("lead", "s", 0.0)
         self.whole_turns = kind in ("slot", "fly-cut") and keys.flag("whole_turns")
@@ -328,7 +329,7 @@ class _Record:
         keys.done()
 
     def read(self, path: Path) -> ForceRecord:
-        return read_forces(path, channels=self.channels, unit=self.unit, rate_hz=self.rate)
+        return read_forces(path, channels=self.channels, unit=self.unit, rate_hz=self.rate, range_n=self.range)
 
     def passband(self, sensor: Dynamometer | None, bandwidth: float, noise: float, rate: float) -> Passband | None:
         """Return what the filters leave of forces at some frequencies, or ``None`` for all."""

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from turnwright import _apart as _other
-from turnwright._arrays import Floats, rows_of_numbers
+from turnwright._arrays import Floats, positive, rows_of_numbers
+from turnwright.cutting._saturation import require_unsaturated
 from turnwright.cutting.signals import ForceRecord
 from turnwright.errors import InputError
 
@@ -40,6 +41,9 @@ UNITS = ("unit", "units", "unit_string")
 UNEVEN = 0.1
 """Share of a step by which a time may be off, since times are printed rounded; a sample that is missing is half a step.
 """
+
+ROUNDED = 1e-6
+"""Share of the range of a channel by which its end may be off in print."""
 
 REAL = "iuf"
 """Kinds of numbers that a force can be; a complex one belongs to a spectrum."""
@@ -66,6 +70,7 @@ def read_forces(
     channels: Sequence[str] | None = None,
     unit: str | None = None,
     rate_hz: float | None = None,
+    range_n: float | None = None,
 ) -> ForceRecord:
     """Read a force record.
 
@@ -81,11 +86,14 @@ def read_forces(
         What the forces are in where the file does not say: N, kN, mN or uN.
     rate_hz
         Samples per second where the file says neither that nor the times. [Hz]
+    range_n
+        Force at which the channels end, either way; ``None`` where that is not known. [N]
 
     Raises
     ------
     InputError
-        If the file cannot be read, lacks a channel, its unit or its rate, or holds values that are not finite.
+        If the file cannot be read, lacks a channel, its unit or its rate, holds values that are not finite, or a
+        channel is saturated.
 
     Sources
     -------
@@ -103,7 +111,12 @@ def read_forces(
         raw = _tdms(path, data, channels)
     else:
         raw = _csv(path, data)
-    return _chosen(path, raw, channels, unit, rate_hz)
+    record = _chosen(path, raw, channels, unit, rate_hz)
+    if range_n is not None:
+        limit = positive(range_n, "range_n", "N") * (1 - ROUNDED)
+        for name, column in zip(record.channels, record.force.T, strict=True):
+            require_unsaturated(str(path), name, column, np.flatnonzero(np.abs(column) >= limit), record.rate_hz)
+    return record
 
 
 def _chosen(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, between, frozen, positive
-from turnwright.cutting._saturation import saturated
+from turnwright.cutting._saturation import require_unsaturated, saturated
 from turnwright.errors import InputError
 from turnwright.units import MOST
 
@@ -99,13 +99,7 @@ class ForceRecord:
         if self.force.shape[0] < 2:
             raise InputError(f"{label} has {self.force.shape[0]} samples, it needs at least 2: record for longer")
         for name, column in zip(self.channels, self.force.T, strict=True):
-            clipped = saturated(column)
-            if clipped.size:
-                raise InputError(
-                    f"{label} is saturated: {clipped.size} of {column.size} samples of channel {name!r} stand at "
-                    f"{column[clipped[0]]:.6g} N, between {clipped[0] / self.rate_hz:.4g} and "
-                    f"{clipped[-1] / self.rate_hz:.4g} s: record with a larger range, or leave that part out"
-                )
+            require_unsaturated(label, name, column, saturated(column), self.rate_hz)
 
     @property
     def samples(self) -> int:
