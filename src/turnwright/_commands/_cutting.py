@@ -88,7 +88,7 @@ def check(context: typer.Context, job: JobFile) -> None:
     recipe = Job.load(job)
     with progress_of(door.stop) as progress:
         plan = preview(recipe, progress=progress)
-    for sentence in plan.remarks:
+    for sentence in (*plan.remarks, *plan.shape.sentences):
         door.say(sentence)
     for finding in plan.access.findings:
         door.say(f"{'ok' if finding.ok else 'NO'}: {finding.sentence}")

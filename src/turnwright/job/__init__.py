@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         run,
     )
     from turnwright.job._schema import Job, faults
+    from turnwright.job._shape import PartShape, part_shape
     from turnwright.job._shares import Shares, shares
     from turnwright.job._stages import Stages
     from turnwright.job._terms import Finish, finish
@@ -38,6 +39,7 @@ _HOMES = {
     "_result": ("Pass", "Prediction", "Preview", "Result"),
     "_run": ("StageProgress", "finishing_motion", "predict", "predicted_motion", "preview", "program_shares", "run"),
     "_schema": ("Job", "faults"),
+    "_shape": ("PartShape", "part_shape"),
     "_shares": ("Shares", "shares"),
     "_stages": ("Stages",),
     "_terms": ("Finish", "finish"),
@@ -54,6 +56,7 @@ __all__ = [
     "Finish",
     "Job",
     "Measured",
+    "PartShape",
     "Pass",
     "Plan",
     "Prediction",
@@ -76,6 +79,7 @@ __all__ = [
     "judge_form",
     "measure",
     "missed",
+    "part_shape",
     "plan",
     "predict",
     "predicted_motion",

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from turnwright.job._cutting import PassChips
     from turnwright.job._extremes import Extremes
     from turnwright.job._schema import Job
+    from turnwright.job._shape import PartShape
     from turnwright.job._verdict import Verdict
     from turnwright.machine import Machine
     from turnwright.metrology import Roughness
@@ -56,6 +57,8 @@ class Preview:
         What was worked out for the surface and the job does not state, a sentence each.
     warnings
         Sizes that are hardly meant, a sentence each.
+    shape
+        What the surface looks like over the clear aperture.
     """
 
     access: Access
@@ -65,6 +68,7 @@ class Preview:
     chips: Mapping[str, str]
     remarks: tuple[str, ...]
     warnings: tuple[str, ...]
+    shape: PartShape
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

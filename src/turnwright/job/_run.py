@@ -24,6 +24,7 @@ from turnwright.job._cutting import PassChips, chips_of, foretold
 from turnwright.job._extremes import find_extremes
 from turnwright.job._interpolated import interpolated, off_curves
 from turnwright.job._result import Pass, Prediction, Preview, Result
+from turnwright.job._shape import part_shape
 from turnwright.job._shares import (
     Shares,
     finish_nm,
@@ -352,7 +353,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
     refused += tuple(one.sentence for one in check_depths(tool, access, depths_of(job)) if not one.ok)
     return Preview(
         access=access, points=points, shortest_s=shortest, refused=refused, chips=chips,
-        remarks=job.part.part.surface.remarks, warnings=odd_sizes(part, tool),
+        remarks=job.part.part.surface.remarks, warnings=odd_sizes(part, tool), shape=part_shape(job.part.part),
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from turnwright.job import judge
+from turnwright.job import judge, part_shape
 from turnwright.path import Motion
 from turnwright.report._comparison import write_comparison
 from turnwright.report._measured import write_correction, write_diagnosis, write_measured
@@ -494,6 +494,7 @@ def _facts(part: Part, tool: Tool, actual: Tool, machine: Machine, real: Machine
     sheet += [_Row("Clear radius", f"{part.radius:.6g} mm"), _Row("Stock", _length(part.stock))]
     sheet += [_Row("Blank", f"disc, radius {part.blank.radius:.6g} mm" if part.blank else "not stated")]
     sheet += [_Row("Material", part.material or "not stated")]
+    sheet += [_Row(name, value) for name, value in part_shape(part).facts.items()]
     if part.material_note:
         sheet.append(_Row("Material note", part.material_note))
     return {"Part": sheet, f"Tool {tool.name}".strip(): shown, "Machine": lathe}

@@ -250,7 +250,15 @@ def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
             found["access"] = plain(check_access(job.part.aimed, job.tool.tool, sense=job.strategy.sense))
         return found
     found["access"] = plain(plan.access)
-    found["preview"] = plain({"points": plan.points, "shortest_s": plan.shortest_s, "refused": plan.refused})
+    found["preview"] = plain(
+        {
+            "points": plan.points,
+            "shortest_s": plan.shortest_s,
+            "refused": plan.refused,
+            "shape": plan.shape.facts,
+            "remarks": plan.remarks,
+        }
+    )
     found["chips"] = dict(plan.chips)
     accepted = [one.sentence for one in plan.access.findings if not one.ok and one.name in job.accept]
     found["warnings"] = [*accepted, *plan.warnings]

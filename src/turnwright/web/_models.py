@@ -180,6 +180,8 @@ class Preview(Model):
     points: dict[str, int]
     shortest_s: dict[str, float | None]
     refused: list[str] = Field(description="Why a run would refuse the job.")
+    shape: dict[str, str] = Field(description="What the surface looks like over the clear aperture, by quantity.")
+    remarks: list[str] = Field(description="What was worked out for the surface and the job does not state.")
 
 
 class Check(Model):
