@@ -22,6 +22,7 @@ from turnwright.generation import generate, generate_polar
 from turnwright.job._approach import Entry, entries_of
 from turnwright.job._cutting import PassChips, chips_of, foretold
 from turnwright.job._extremes import find_extremes
+from turnwright.job._gouge import find_gouge
 from turnwright.job._interpolated import interpolated, off_curves
 from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.job._shape import part_shape
@@ -120,7 +121,8 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     Raises
     ------
     GougeError
-        If the tool does not reach the part, or cuts into it, and the job does not accept that.
+        If the tool does not reach the part, or cuts into it, and the job does not accept that; so also if the surface
+        predicted from the program lies below the design by more than the plan allows, and no program is kept then.
     LimitError
         If the machine cannot do what is asked and the job does not accept that.
     TurnwrightError
@@ -173,6 +175,12 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         rounding, limit = _rounding(job, motion, again)
     del motion
     predictions = predict(job, again, meant=meant, watch=watch)
+    gouge = find_gouge(job, predictions[0], again, limit)
+    if gouge is not None:
+        if "gouge" not in job.accept:
+            for file in program.files:
+                file.unlink()
+        warnings += _accepted(job, "gouge", GougeError(gouge.sentence))
     del again
 
     warnings += _walls(job, access, passes, entries) + _assumed(job, passes) + _judged(job, predictions)
