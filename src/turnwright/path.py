@@ -44,7 +44,8 @@ class Spiral:
     Parameters
     ----------
     angle
-        Azimuth of the part under the tool, cumulative over the turns, strictly growing or strictly falling. (n,) [rad]
+        Azimuth of the part under the tool, cumulative over the turns, strictly growing or strictly falling, in most
+        steps by half a turn at most. (n,) [rad]
     radius
         Commanded distance of the tip from the axis (for a path along the normal: of the contact point). (n,) [mm]
     y
@@ -70,6 +71,13 @@ class Spiral:
     def __post_init__(self) -> None:
         freeze(self, ("angle", "radius"), ("y", "radius_rate", "y_rate", "lift"))
         object.__setattr__(self, "sense", _sense(self.angle, "a spiral"))
+        step = float(np.median(np.abs(np.diff(self.angle))))
+        # Tips of a spiral that are looked at one by one may lie whole turns apart.
+        if step > np.pi * (1 + 1e-9) and abs(np.remainder(step + 1, 2 * np.pi) - 1) > 1e-6:
+            raise InputError(
+                f"the points of a spiral are {step:.4g} rad apart, the limit is half a turn: angles are in rad, "
+                "take more points"
+            )
 
     @property
     def turns(self) -> float:

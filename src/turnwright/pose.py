@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Floats, between
 from turnwright.errors import InputError
 
 __all__ = ["Pose"]
@@ -32,7 +32,7 @@ class Pose:
     Raises
     ------
     InputError
-        If a number is missing or not finite.
+        If a number is missing or not finite, or the rotation is beyond a turn, as one in degrees is.
 
     >>> quarter = Pose(shift=(1, 0, 0), rotation=np.pi / 2)
     >>> [float(round(one, 12)) for one in quarter.apply(2, 0, 5)]
@@ -53,7 +53,7 @@ class Pose:
             object.__setattr__(self, name, tuple(float(value) for value in values))
         if not np.isfinite(self.rotation):
             raise InputError(f"rotation is {self.rotation}, it must be finite: give an angle in rad")
-        object.__setattr__(self, "rotation", float(self.rotation))
+        object.__setattr__(self, "rotation", between(self.rotation, "rotation", -2 * np.pi, 2 * np.pi, "rad"))
 
     @classmethod
     def of(cls, matrix: ArrayLike, shift: ArrayLike) -> Pose:

@@ -15,7 +15,7 @@ SURFACES = {
     "array": LensArray.hexagonal(pitch=1.0, rings=3, lenslet=Expression("rho**2/20"), offset=(0.01, 0.02)),
     "sum": GRID + Plane(slope=(0.1, -0.2)),
 }
-angles = st.floats(-7, 7)
+angles = st.floats(-2 * np.pi, 2 * np.pi)
 lengths = st.floats(-3, 3)
 leans = st.floats(-0.4, 0.4)
 surfaces = st.sampled_from(sorted(SURFACES)).map(SURFACES.get)

@@ -124,7 +124,7 @@ def test_a_sphere_far_from_its_vertex_brought_to_the_axis():
     """No start on the surface's own vertex plane helps here: the line leaves the sphere's disc there."""
     lean = np.arcsin(50 / 60)
     at = to_part([[50.0, 0.0, 60 - np.sqrt(60**2 - 50**2)]], tilt=(0.0, lean))[0]
-    surface = Sphere(radius=60.0).placed(tilt=(0.0, lean), shift=tuple(-at))
+    surface = Placed(surface=Sphere(radius=60.0), tilt=(0.0, lean), shift=tuple(-at))
     x, y = disc(4.0)
     np.testing.assert_allclose(surface.sag(x, y), 60 - np.sqrt(60**2 - x**2 - y**2), atol=1e-13)
 
@@ -141,7 +141,7 @@ def test_tilted_lenses_meet_in_valleys():
 def test_what_overhangs_is_refused():
     # The walls of this wave rise at up to 0.94 in 1; leaning by more than 46 deg makes them overhang.
     wave = SineGrid(amplitude=(0.3, 0.0), period=(2.0, 2.0))
-    upright, folded = wave.placed(tilt=(0.0, 0.7)), wave.placed(tilt=(0.0, 0.9))
+    upright, folded = wave.placed(tilt=(0.0, 0.7)), Placed(surface=wave, tilt=(0.0, 0.9))
     x, y = disc(5.0, count=200)
     assert upright.inside(x, y).all()
     assert not folded.inside(x, y).all()

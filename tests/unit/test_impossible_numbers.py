@@ -19,6 +19,11 @@ REFUSED = {
     "no speeds": (lambda: SpeedProfile(radius=[], spindle_rpm=[]), "0 radii"),
     "no heights": (lambda: tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))).thinned(0), "is 0, it must be a whole number"),
     "rotation in degrees": (lambda: FLAT.placed(rotation=90), "rotation is 90 rad"),
+    "rotation of a pose in degrees": (lambda: tw.Pose(rotation=90), "rotation is 90 rad"),
+    "tilt in degrees": (lambda: FLAT.placed(tilt=(1, 0)), "tilt is 1 rad.*limit is 0.7854 rad"),
+    "spiral in degrees": (
+        lambda: tw.Spiral(angle=np.arange(0, 3600, 5.0), radius=np.linspace(1, 0, 720)), "angles are in rad",
+    ),
     "phase in degrees": (
         lambda: tw.SineGrid(amplitude=(1e-3, 1e-3), period=(1.0, 1.0), phase=(90, 0)), "phase .* is 90 rad",
     ),
@@ -34,5 +39,8 @@ def test_numbers_that_no_thing_has_are_refused(make, words):
 def test_numbers_at_their_limits_are_taken():
     turn = 2 * np.pi
     assert FLAT.placed(rotation=turn).rotation == turn
+    assert FLAT.placed(tilt=(np.pi / 4, -np.pi / 4)).tilt == (np.pi / 4, -np.pi / 4)
+    assert tw.OffAxis(parent=tw.Conic(radius=10, conic=-1), distance=15.0).lean > np.pi / 4
+    assert tw.Spiral(angle=np.arange(10) * np.pi, radius=np.linspace(1, 0, 10)).sense == 1
     assert tw.SineGrid(amplitude=(1e-3, 1e-3), period=(1.0, 1.0), phase=(turn, -turn)).phase == (turn, -turn)
     assert tw.Tool(nose_radius=0.5, radius_error=-0.05).actual_radius == 0.45

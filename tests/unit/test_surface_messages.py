@@ -5,7 +5,7 @@ import pytest
 
 from turnwright.errors import InputError
 from turnwright.part import Part
-from turnwright.surface import Expression, Gridded, LensArray, Plane, SineGrid, Sphere, Sum
+from turnwright.surface import Expression, Gridded, LensArray, Placed, Plane, SineGrid, Sphere, Sum
 
 FLAT = Plane()
 AXIS = np.linspace(-1, 1, 7)
@@ -23,8 +23,8 @@ BAD = {
     "shift of two": (lambda: FLAT.placed(shift=(1.0, 2.0)), "3 finite numbers"),
     "shift nan": (lambda: FLAT.placed(shift=(1.0, 2.0, np.nan)), "3 finite numbers"),
     "rotation inf": (lambda: FLAT.placed(rotation=np.inf), "rotation is inf"),
-    "upside down": (lambda: FLAT.placed(tilt=(np.pi, 0.0)), "by 180 deg, the limit is 89.9 deg"),
-    "on edge": (lambda: FLAT.placed(tilt=(0.0, np.pi / 2)), "by 90 deg"),
+    "upside down": (lambda: Placed(surface=FLAT, tilt=(np.pi, 0.0)), "by 180 deg, the limit is 89.9 deg"),
+    "on edge": (lambda: Placed(surface=FLAT, tilt=(0.0, np.pi / 2)), "by 90 deg"),
     "amplitude of one": (lambda: SineGrid(amplitude=0.1, period=(1, 1)), "amplitude of a sine grid is 0.1"),
     "period zero": (lambda: SineGrid(amplitude=(1, 1), period=(1, 0)), "period of a sine grid along y is 0 mm"),
     "phase nan": (lambda: SineGrid(amplitude=(1, 1), period=(1, 1), phase=(0, np.nan)), "phase of a sine grid"),

@@ -659,7 +659,7 @@ class Job(Table):
         How the program is written.
     accept
         Findings that the shop accepts: those of `check_access` by name, "limits" of the machine, "gouge" of a path
-        along the normal. Without it they end the run, with it they are warnings.
+        along the normal or of the predicted surface. Without it they end the run, with it they are warnings.
 
     Raises
     ------

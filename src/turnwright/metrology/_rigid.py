@@ -98,7 +98,7 @@ class _Sums(NamedTuple):
 
 def turns(state: Floats) -> tuple[Floats, Floats]:
     """Return the rotation matrix of a state, and the axes that its three angles turn about, as rows. (3, 3) each."""
-    pose = Pose(rotation=state[3], tilt=(state[4], state[5]))
+    pose = Pose(rotation=np.fmod(state[3], 2 * np.pi), tilt=(state[4], state[5]))
     c, s = np.cos(state[3]), np.sin(state[3])
     ca, sa = np.cos(state[4]), np.sin(state[4])
     return pose.matrix, np.array([[0, 0, 1], [c, s, 0], [-s * ca, c * ca, sa]])
@@ -108,7 +108,7 @@ def pose_of(state: Floats, pivot: Floats) -> Pose:
     """Return the pose of a state."""
     turn, _ = turns(state)
     x, y, z = state[:3] - turn @ pivot
-    return Pose(shift=(x, y, z), rotation=state[3], tilt=(state[4], state[5]))
+    return Pose(shift=(x, y, z), rotation=np.fmod(state[3], 2 * np.pi), tilt=(state[4], state[5]))
 
 
 def state_of(pose: Pose, pivot: Floats, terms: int) -> Floats:

@@ -19,7 +19,7 @@ from turnwright.errors import InputError
 from turnwright.metrology._grid import valid_points
 from turnwright.metrology._least_squares import Cloud, Sums, solve, sums_over
 from turnwright.pose import Pose
-from turnwright.surface import Conic, EvenAsphere, Plane, Sphere, Surface
+from turnwright.surface import Conic, EvenAsphere, Placed, Plane, Sphere, Surface
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
@@ -442,7 +442,7 @@ class _Revolved(_Model):
         else:
             terms = dict(zip(self.powers, coefficients.tolist(), strict=True))
             shape = EvenAsphere(radius=radius, conic=conic, terms=terms)
-        return shape.placed(shift=pose.shift, tilt=pose.tilt)
+        return Placed(surface=shape, shift=pose.shift, tilt=pose.tilt)
 
     def ends(self, parameters: Floats, x: Floats, y: Floats) -> bool:
         c, k, _ = self._shape(parameters)

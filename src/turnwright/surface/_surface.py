@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints
-from turnwright.errors import DomainError
+from turnwright.errors import DomainError, InputError
 
 if TYPE_CHECKING:
     from turnwright.surface.compound import Placed, Sum
@@ -184,8 +184,20 @@ class Surface(ABC):
         rotation
             About z, counter-clockwise seen from the tool. [rad]
         tilt
-            About its own x axis, then about its own y axis, before the rotation. [rad]
+            About its own x axis, then about its own y axis, before the rotation, each within an eighth of a turn:
+            only an off-axis part leans further, see `OffAxis` and `Placed`. [rad]
+
+        Raises
+        ------
+        InputError
+            If a number is not finite or out of its range, as an angle in degrees is.
         """
         from turnwright.surface.compound import Placed  # noqa: PLC0415
 
+        for lean in np.atleast_1d(tilt):
+            if abs(lean) > np.pi / 4:
+                raise InputError(
+                    f"tilt is {lean:g} rad, the limit is {np.pi / 4:.4g} rad, an eighth of a turn: give it in radians; "
+                    "for a piece far from the axis of its parent use OffAxis"
+                )
         return Placed(surface=self, shift=shift, rotation=rotation, tilt=tilt)

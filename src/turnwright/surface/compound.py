@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import between
 from turnwright.errors import InputError
 from turnwright.pose import Pose
 from turnwright.surface._surface import Surface
@@ -158,7 +157,6 @@ class Placed(Surface):
         pose = self.pose
         for name in ("shift", "rotation", "tilt"):
             object.__setattr__(self, name, getattr(pose, name))
-        between(self.rotation, "rotation", -2 * np.pi, 2 * np.pi, "rad")
         lean = np.rad2deg(np.arccos(np.clip(np.cos(self.tilt[0]) * np.cos(self.tilt[1]), -1, 1)))
         if lean > 89.9:
             raise InputError(

@@ -94,7 +94,7 @@ class OffAxis(Surface):
         pose = Pose.of(turn, -turn @ (*self._at, height))
         object.__setattr__(self, "distance", distance)
         object.__setattr__(self, "azimuth", azimuth)
-        moved = self.parent.placed(shift=pose.shift, rotation=pose.rotation, tilt=pose.tilt)
+        moved = Placed(surface=self.parent, shift=pose.shift, rotation=pose.rotation, tilt=pose.tilt)
         object.__setattr__(self, "_moved", moved)
 
     @property
