@@ -314,3 +314,36 @@ def test_a_megabyte_of_odd_lines_is_read_in_linear_time(tmp_path):
         read(tmp_path, START + "M8\n" * count + "C2\nM30\n")
         seconds.append(time.process_time() - started)
     assert seconds[1] < 8 * seconds[0] + 0.2
+
+
+# ----------------------------------------------------------------------------------------------- C that counts on
+def degrees(folder, stops, dialect="generic", start=0):
+    blocks = "".join(f"C{stop} X{5 - 0.01 * k:.2f} F60\n" for k, stop in enumerate(stops, 1))
+    cut = read(folder, f"G90 G94 G1 X5 C{start} Z1 F200\nG93 G1\n{blocks}M30\n", dialect)
+    return np.rad2deg(cut.axes["C"])
+
+
+@pytest.mark.parametrize("dialect", ["generic", "nanotech"])
+@pytest.mark.parametrize(
+    ("start", "stops"),
+    [
+        (0, (300, 600, 900)),
+        (0, (36010,)),
+        (0, (350, 370, 390)),
+        (0, (360, 720)),
+        (0, (-200, -400, -590)),
+        (7200, (7300, 7490)),
+    ],
+)
+def test_a_c_beyond_one_turn_is_taken_as_written(tmp_path, dialect, start, stops):
+    """Oracle: G90 positions of an axis that does not roll over are the positions."""
+    assert degrees(tmp_path, stops, dialect, start) == pytest.approx([start, *stops], rel=1e-14, abs=1e-11)
+
+
+def test_a_c_within_one_turn_rolls_over_or_counts_as_the_dialect_says(tmp_path):
+    assert degrees(tmp_path, (200, 350)) == pytest.approx([0, 200, 350])
+    assert degrees(tmp_path, (200, 30), "nanotech") == pytest.approx([0, -160, -330])
+    for dialect in ("generic", "nanotech"):
+        assert degrees(tmp_path, (120, 240, 0, 120), dialect) == pytest.approx([0, 120, 240, 360, 480])
+        with pytest.raises(ProgramError, match="turns C back.*leaves 0 to 360"):
+            degrees(tmp_path, (200, 400, 300), dialect)

@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright._kernels import jit
 
-__all__ = ["clock", "feeds", "format_blocks", "pack", "parse_blocks", "quantise", "unwrap"]
+__all__ = ["clock", "count_on", "feeds", "format_blocks", "pack", "parse_blocks", "quantise", "unwrap"]
 
 U = np.uint64
 # Places in text are counted without sign: then the compiler need not ask whether an index counts from the end.
@@ -511,6 +511,22 @@ def unwrap(degrees, first):
         turns -= jump
         degrees[i] = here + 360.0 * turns
         before = here
+    return -1
+
+
+@jit
+def count_on(degrees, first):
+    """Move a C that counts on by whole turns in place, to near ``first``; return the first unclean step, or -1.
+
+    A step is unclean if it is none or has the other sense; then nothing is moved.
+    """
+    sign = 0.0
+    for i in range(1, degrees.size):
+        step = degrees[i] - degrees[i - 1]
+        if step == 0 or step * sign < 0:
+            return i
+        sign = step
+    degrees += 360.0 * np.rint((first - degrees[0]) / 360.0)
     return -1
 
 

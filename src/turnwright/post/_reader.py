@@ -105,7 +105,8 @@ def read_nc(
 
     The motion begins where the first cutting block begins and has one point more than there are blocks. A cutting
     block is a straight feed move (G1) that turns C; what stands before, between and after the cuts is followed but not
-    kept. Time begins at 0. C is cumulative, whether it is written so or within one turn. A program that carries
+    kept. Time begins at 0. C is cumulative. It is taken as written where the machine's dialect counts on or a C word
+    leaves 0 to 360; within one turn it may roll over, and then takes the short way. A program that carries
     Turnwright's header is checked against it.
 
     Where a program sets coordinates (G92), the motion stays in those that it began with; at the start, where no place
@@ -240,17 +241,26 @@ def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine)
     from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
 
     convention = machine.convention
+    dialect = dialect_of(machine)
     rows = found.rows[:, : found.points]
+    within = bool(0 <= rows[0].min() and rows[0].max() <= 360)
     for (start, shift), (stop, _) in pairwise([*found.shifts, (found.points, np.zeros(4))]):
-        shift[0] -= 360 * np.rint(shift[0] / 360)  # whole turns are a matter of counting
         for k in np.flatnonzero(shift):
             rows[k, start:stop] += shift[k]
     axes: dict[str, Floats] = {letter: rows[k] for k, letter in enumerate(AXES) if letter != "Y" or found.has_y}
-    bad = text.unwrap(axes["C"], told.first_c if told else axes["C"][0])
+    first = told.first_c if told else rows[0, 0] - 360 * np.rint(found.shifts[0][1][0] / 360)
+    # A C that counts on is exact, however far a block turns it; one that rolls over takes the short way.
+    cumulative = not (within and dialect.wrapped)
+    bad = text.count_on(axes["C"], first) if cumulative else -1
+    if not cumulative or (bad >= 0 and within):
+        bad = text.unwrap(axes["C"], first)
+        cumulative = False
     if bad >= 0:
+        why = "" if within else " (it leaves 0 to 360, so it does not roll over)"
+        how = "or not at all" if cumulative else "by nothing or by half a turn"
         raise ProgramError(
-            f"{path}: block {bad} of {found.name} turns C back, by nothing or by half a turn, to {axes['C'][bad]:g}, "
-            "the sense of rotation must stay: split the program there"
+            f"{path}: block {bad} of {found.name} turns C back, {how}, to {axes['C'][bad]:g}{why}, the sense of "
+            "rotation must stay: split the program there"
         )
     time = rows[4]
     text.clock(time)
