@@ -345,5 +345,54 @@ def test_a_c_within_one_turn_rolls_over_or_counts_as_the_dialect_says(tmp_path):
     assert degrees(tmp_path, (200, 30), "nanotech") == pytest.approx([0, -160, -330])
     for dialect in ("generic", "nanotech"):
         assert degrees(tmp_path, (120, 240, 0, 120), dialect) == pytest.approx([0, 120, 240, 360, 480])
-        with pytest.raises(ProgramError, match="turns C back.*leaves 0 to 360"):
+        with pytest.raises(ProgramError, match=r"turns C back.*leaves 0 to 360"):
             degrees(tmp_path, (200, 400, 300), dialect)
+
+
+# ------------------------------------------------------------------------------------------- calls and comments
+CALLER = "G90 G94 G1 X5 C0 Z1 F200\nG93 G1\n"
+
+
+def called(folder, text):
+    (folder / "s.nc").write_text("G1 C10 X4 F60\nC20 X3 F60\nM99\n")
+    (folder / "t.nc").write_text("G1 C40 X1 F60\nG92 C0\nM99\n")
+    return read(folder, CALLER + text, "generic").axes["X"]
+
+
+@pytest.mark.parametrize(
+    "comment", ["(then M98(s.nc))", "; then M98(s.nc)", "(was M98<s.nc>)", "(see M98(gone.nc))", "(a) ; (M98(s.nc))"]
+)
+@pytest.mark.parametrize("line", ["C5 X4.5 F60 {}\n", "{}\nC5 X4.5 F60\n"])
+def test_a_call_within_a_comment_is_none(tmp_path, comment, line):
+    assert called(tmp_path, line.format(comment) + "C30 X2 F60\nM30\n") == pytest.approx([5, 4.5, 2])
+
+
+def test_a_block_moves_before_it_calls(tmp_path):
+    for line in ("C5 X4.5 F60 M98(s.nc)", "C5 X4.5 F60\nN10 M98(s.nc) (again)", "C5 X4.5 F60 m98 <s.nc> L1"):
+        assert called(tmp_path, line + "\nC30 X2 F60\nM30\n") == pytest.approx([5, 4.5, 4, 3, 2])
+
+
+def test_a_call_is_repeated_as_its_l_says(tmp_path):
+    assert called(tmp_path, "C5 X4.5 F60\nM98(t.nc) L3\nM30\n") == pytest.approx([5, 4.5, 1, 1, 1])
+
+
+@pytest.mark.parametrize(
+    "line", ["M98(s.nc) P3", "M98(s.nc) L0", "M98(s.nc) X3", "M98(s.nc) M98(s.nc)", "L3 M98(s.nc)", "M98(s.nc) L1.5"]
+)
+def test_other_words_beside_a_call_are_refused(tmp_path, line):
+    with pytest.raises(ProgramError, match=r"line 3 calls s\.nc with more words"):
+        called(tmp_path, line + "\nM30\n")
+
+
+@pytest.mark.parametrize("line", ["(a (b) C5)", "C5) F60"])
+def test_a_bracket_without_its_partner_is_refused(tmp_path, line):
+    with pytest.raises(ProgramError, match="line 3 has a bracket"):
+        called(tmp_path, line + "\nM30\n")
+
+
+def test_an_f_is_no_axis_and_a_sub_program_ends_with_m99(tmp_path):
+    with pytest.raises(ProgramError, match="line 3 gives F two values"):
+        called(tmp_path, "C5 F60 F30\nM30\n")
+    (tmp_path / "sub.nc").write_text(WHOLE + "C3 X0")
+    with pytest.warns(ProgramWarning, match=r"sub\.nc ends without M99"):
+        read(tmp_path, "M98(sub.nc)\nM30\n")

@@ -51,7 +51,7 @@ DAMAGED = {
     "comma": (START + "C2 X1,5\n", "line 5 cannot be read at ',5'"),
     "two points": (START + "C2 X1.2.3\n", "line 5 cannot be read at '.3'"),
     "no number": (START + "C2 X Z1\n", "line 5 cannot be read at 'X Z1'"),
-    "twice": (START + "C2 X1 X2\n", "line 5 gives one axis two values"),
+    "twice": (START + "C2 X1 X2\n", "line 5 gives X two values"),
     "huge": (START + "C2 X99999999999\n", "line 5 has X1e[+]11, the limit is 1e[+]09"),
     "cut off in mid-number": (START + "C2 X1.0 Z-", "line 5 cannot be read at 'Z-'"),
     "open comment": (START + "C2 (what\n", "line 5 has a bracket without its partner"),

@@ -57,6 +57,8 @@ LARGEST = 1e9
 WHOLE = "take all files of the program from where they were written again"
 """What to do about a program that is not whole."""
 AXES = "CXYZ"
+CALLED = "\x00"
+"""What stands for a call in a block whose comments are gone; no text has it."""
 SHOWN = 40
 """Letters of a name or a line that a message repeats."""
 HARMLESS = frozenset("CXYZFTSODHPLQ")
@@ -77,8 +79,12 @@ SET_G = 92
 UNSET_G = frozenset({92.1, 92.2})
 
 # No pattern may try a run of letters twice (possessive repeats, which give nothing back): 60,000 blanks would hang.
-COMMENT = re.compile(r"\([^()]*+\)|;.*$")
+COMMENT = re.compile(r"\([^()]*+(?:\([^()]*+\)\s*+)?+\)|;.*$")
+"""A comment, which may end with a bracket of its own; what stands in it is not followed."""
 CALL = re.compile(r"M\s*+98\s*+(?:\(([^()<>\r\n]++)\)|<([^()<>\r\n]++)>)", re.IGNORECASE)
+PARTS = re.compile(f"{CALL.pattern}|{COMMENT.pattern}|(?P<stray>[()])", re.IGNORECASE)
+REPEAT = re.compile(r"(?:L\s*+0*+([1-9]\d{0,2}))?+")
+"""How often a call is made."""
 PASS = re.compile(r"\(\s*+PASS:([^()\r\n]++)\)", re.IGNORECASE)
 PART = re.compile(r"PART (\d{1,9}) OF \d{1,9}", re.IGNORECASE)
 DELETED = re.compile(r"\s*+(?:N\s*+\d++\s*+)?/[1-9]?", re.IGNORECASE)
@@ -243,7 +249,7 @@ def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine)
     convention = machine.convention
     dialect = dialect_of(machine)
     rows = found.rows[:, : found.points]
-    within = bool(0 <= rows[0].min() and rows[0].max() <= 360)
+    within = bool(rows[0].min() >= 0 and rows[0].max() <= 360)
     for (start, shift), (stop, _) in pairwise([*found.shifts, (found.points, np.zeros(4))]):
         for k in np.flatnonzero(shift):
             rows[k, start:stop] += shift[k]
@@ -428,8 +434,9 @@ class _Reader:
         if COMMENT.sub(" ", last).strip():
             signs.append(f"line {int(self.whole[LINES])} has no line end")
         signs += [f"loop {label} has no END" for label in loops[-1:]]
+        end = "M30 or M02" if len(self.stack) == 1 else "M99"
         doubt = (
-            f"{path} ends without M30 or M02, and {' and '.join(signs)}: it may be cut short, compare it with the file "
+            f"{path} ends without {end}, and {' and '.join(signs)}: it may be cut short, compare it with the file "
             "that was written"
         )
         if signs and doubt not in self.doubts:
@@ -567,12 +574,40 @@ class _Reader:
         text = self._undeleted(text)
         if name := _pass_name(text):
             self._marker(*name)
-        if call := CALL.search(text):
-            self._call((call[1] or call[2]).strip())
-            return
-        bare = COMMENT.sub(" ", text).strip().upper()
-        if "(" in bare or ")" in bare:
+        calls: list[str] = []
+        block, *behind = PARTS.sub(lambda part: self._part(part, calls), text).strip().upper().split(CALLED)
+        if calls:
+            self._call_from(block.strip(), calls, behind)
+        else:
+            self._bare(block)
+
+    def _part(self, part: re.Match[str], calls: list[str]) -> str:
+        """Return what stands for a comment, or for a call, which is noted."""
+        if part["stray"]:
             raise self._error("has a bracket without its partner", "close the comment")
+        if name := part[1] or part[2]:
+            calls.append(name.strip())
+            return CALLED
+        return " "
+
+    def _call_from(self, block: str, calls: list[str], behind: list[str]) -> None:
+        """Follow a block that ends with a call: what stands before it comes first."""
+        repeat = REPEAT.fullmatch(behind[0].strip())
+        if repeat is None or len(calls) > 1 or re.search("[DHLPQ]", block):
+            raise self._error(
+                f"calls {_short(calls[0])} with more words, behind a call may stand L and how often, 1 to 999",
+                "write the other words, or the other call, in a block of their own",
+            )
+        self._bare(block)
+        if self.over or self.ended:
+            raise self._error("ends and calls a file", "write the call in a block of its own")
+        for _ in range(int(repeat[1] or 1)):
+            self._call(calls[0])
+            if self.ended:
+                return
+
+    def _bare(self, bare: str) -> None:
+        """Follow a block without comments."""
         if bare.startswith("%"):
             bare = self._tape_mark(bare)
         if not bare:
@@ -696,8 +731,9 @@ class _Reader:
         for code in codes:
             self._g(code)
         values = {letter: value for letter, value in words if letter not in "GMN"}
-        if len(values) < sum(letter not in "GMN" for letter, _ in words):
-            raise self._error("gives one axis two values", "keep one word of each letter")
+        letters = [letter for letter, _ in words if letter not in "GMN"]
+        if twice := [letter for letter in values if letters.count(letter) > 1]:
+            raise self._error(f"gives {', '.join(twice)} two values", "keep one word of each letter")
         self._block(codes, values)
 
     def _m(self, code: float, words: list[tuple[str, float]]) -> None:
