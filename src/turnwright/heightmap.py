@@ -43,7 +43,7 @@ class HeightMap:
     Raises
     ------
     InputError
-        If the axes do not fit the heights, or are neither both rectangular nor both polar.
+        If the axes do not fit the heights or do not ascend, or are neither both rectangular nor both polar.
     """
 
     z: Floats
@@ -66,6 +66,9 @@ class HeightMap:
         scattered = np.ndim(self.z) == 1 and given == ["x", "y"]
         object.__setattr__(self, "z", frozen(self.z, "z", ndim=1 if scattered else 2, finite=False))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+        for name in () if scattered else given:
+            if not (np.diff(getattr(self, name)) > 0).all():
+                raise InputError(f"the {name} of the height map does not ascend: sort it and drop repeated values")
         columns, rows = (getattr(self, name).size for name in given)
         if scattered and not self.z.size == columns == rows:
             raise InputError(

@@ -16,6 +16,11 @@ REFUSED = {
     "stock nan": (lambda: tw.Part(surface=FLAT, radius=1.0, stock=np.nan), "stock is nan"),
     "half a row": (lambda: tw.LensArray.square(pitch=1.0, lenslet=FLAT, rows=2.5, columns=2), "rows .*2.5.*whole"),
     "half a ring": (lambda: tw.LensArray.hexagonal(pitch=1.0, lenslet=FLAT, rings=1.5), "rings .*1.5.*whole"),
+    "columns that fall": (lambda: tw.HeightMap(x=X[::-1], y=X, z=np.zeros((5, 5))), "x of the height map does not"),
+    "rows that stay": (lambda: tw.HeightMap(x=X, y=X * 0, z=np.zeros((5, 5))), "y of the height map does not ascend"),
+    "radii that fall": (
+        lambda: tw.HeightMap(radius=-X, angle=X, z=np.zeros((5, 5))), "radius of the height map does not ascend",
+    ),
     "no speeds": (lambda: SpeedProfile(radius=[], spindle_rpm=[]), "0 radii"),
     "no heights": (lambda: tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))).thinned(0), "is 0, it must be a whole number"),
     "rotation in degrees": (lambda: FLAT.placed(rotation=90), "rotation is 90 rad"),

@@ -39,9 +39,6 @@ def measure(heights: HeightMap) -> Grid:
     columns, rows = (heights.radius, heights.angle) if polar else (heights.x, heights.y)
     if columns is None or rows is None:
         raise InputError("a height map lacks an axis: give x and y, or radius and angle")
-    for name, axis in zip(("radius", "angle") if polar else ("x", "y"), (columns, rows), strict=True):
-        if not (np.diff(axis) > 0).all():
-            raise InputError(f"the {name} of the height map does not ascend: sort it and drop repeated values")
     if polar and columns[0] < 0:
         raise InputError(f"the height map has radius {columns[0]:g} mm, the limit is 0 mm: give radii, not diameters")
     # A full turn is one whose gap at the end is no wider than the widest step.
