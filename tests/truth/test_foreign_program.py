@@ -396,3 +396,19 @@ def test_an_f_is_no_axis_and_a_sub_program_ends_with_m99(tmp_path):
     (tmp_path / "sub.nc").write_text(WHOLE + "C3 X0")
     with pytest.warns(ProgramWarning, match=r"sub\.nc ends without M99"):
         read(tmp_path, "M98(sub.nc)\nM30\n")
+
+
+# --------------------------------------------------------------------------------------------- nothing left unsaid
+@pytest.mark.parametrize(("rest", "blocks"), [(3, 6), (8, 1)])
+@pytest.mark.parametrize("line", ["X4.25 F60", "G0 C400\nG1"])
+def test_what_stands_beside_the_stretch_that_is_read_is_counted(tmp_path, rest, blocks, line):
+    rows = [f"C{20 * k} X{5 - 0.1 * k:.1f} F60" for k in range(1, 10)]
+    if rest == 3:
+        rows.insert(6, line.replace("400", "121"))
+    else:
+        rows.insert(8, line.replace("400", "161"))
+    text = CALLER + "\n".join(rows) + "\nM30\n"
+    with pytest.warns(ProgramWarning, match=f"in 2 stretches without names, {blocks} of their 9 blocks are left out"):
+        read(tmp_path, text, "generic")
+    if rest == 3:
+        assert read(tmp_path, text, "generic", name="cut 1").time.size == 7

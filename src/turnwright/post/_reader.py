@@ -141,6 +141,7 @@ def read_nc(
     Warns
     -----
     ProgramWarning
+        If several stretches of cutting without names exist and none was asked for: the others are left out.
         If the numbers are not those whose hash the header states: the program was edited. If the program has no end
         (M30, M02) and breaks off within a line or a loop: it may be cut short.
 
@@ -238,6 +239,8 @@ class _Cut:
     points: int = 1
     blocks: int = 0
     has_y: bool = False
+    timed: bool = False
+    """Whether its first block states its time (G93), as no block does that only positions."""
     shifts: list[tuple[int, Floats]] = field(default_factory=list)
     """From which column on, by how much the part's C, X, Y, Z are above the program's. (4,) [deg, mm]"""
 
@@ -338,6 +341,7 @@ class _Reader:
         self.kept: _Cut | None = None
         self.cuts = 0
         self.names: list[str] = []
+        self.unnamed: list[int] = []  # blocks of each cut that has no name
         self.done = self.total = 0
         self.over = self.ended = False
         self.stack: list[Path] = []
@@ -379,6 +383,13 @@ class _Reader:
                 )
             raise ProgramError(
                 f"{self.path} has no cutting block, at least 1 is needed: give a program whose G1 blocks turn C"
+            )
+        others = sum(self.unnamed) - self.kept.blocks
+        if self.wanted is None and not self.kept.named and len(self.unnamed) > 1 and others > 0:
+            self.doubts.append(
+                f"{self.path} cuts in {len(self.unnamed)} stretches without names, {others} of their "
+                f"{sum(self.unnamed)} blocks are left out: only {self.kept.name} is read, a block that does not turn C "
+                "ends a stretch; state the name of the one to read"
             )
         return self.kept, self.kept_digest
 
@@ -517,13 +528,18 @@ class _Reader:
                     text.quantise(some[5 + row], scale, 0.0, 0, units, each * column + 1)
             self.digest.update(hashed_rows(units, some[4]))
 
-    def _open(self) -> None:
+    def _open(self, *, timed: bool) -> None:
         """Begin a cut at the present position."""
         self.cuts += 1
         # As many points as the header says, if the text is long enough to hold them, and one to spare: only a full
         # table is made wider.
         room = max(2, min(self.told.points, self.total) + 1) if self.told else 1 << 16
-        cut = _Cut(name=self.named or f"cut {self.cuts}", named=self.named is not None, rows=_rows(room, self.height))
+        cut = _Cut(
+            name=self.named or f"cut {self.cuts}",
+            named=self.named is not None,
+            timed=timed,
+            rows=_rows(room, self.height),
+        )
         cut.rows[:4, 0] = self.real[:4]
         cut.rows[4, 0] = 0.0
         cut.shifts.append((0, self.shift.copy()))
@@ -547,6 +563,8 @@ class _Reader:
         if cut.name.endswith(ENTRY):
             self.cuts -= 1  # the plunge before a cut
             return
+        if not cut.named and (cut.blocks > 1 or cut.timed):
+            self.unnamed.append(cut.blocks)
         if cut.blocks == 1 and not cut.named:
             self.cuts -= 1  # one block alone positions C, and is a cut only where there is no other
         elif cut.name not in self.names:
@@ -906,7 +924,7 @@ class _Reader:
         if self.cut is None:
             after = self.real.copy()
             self.real[:4] = before
-            self._open()
+            self._open(timed=inverse)
             self.real[:] = after
         rows, first = self._room()
         rows[:4, first] = self.real[:4]
