@@ -1,5 +1,6 @@
 """How the tool comes to a pass: by programs that an independent reader follows, and closed forms of the edge."""
 
+import dataclasses
 import itertools
 import math
 import re
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from job_files import changed
+from scipy.interpolate import CubicHermiteSpline
 
 import turnwright as tw
 from turnwright.access import check_access, check_depths
@@ -105,6 +107,35 @@ def test_c_counts_on_from_pass_to_pass(tmp_path, dialect):
         assert again.time.size == one.points
         assert abs(again.axes["C"][0]) < 1e-9
     assert result.program.links_minutes > 0
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+def test_cubics_of_a_plunge_never_turn_back_nor_exceed_the_limits(tmp_path, inside_out):
+    # Oracle: SciPy's Hermite cubics through the words of the program, block by block.
+    base = tw.Machine.load("nanotech-350fg")
+    machine = dataclasses.replace(base, dialect="pmac", controller=tw.Controller(interpolation="hermite"))
+    part = tw.Part(surface=tw.Sphere(radius=-40.0), radius=1.0, stock=0.02)
+    tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(100), clearance=np.deg2rad(12))
+    servo = tw.SlowToolServo(feed=0.02, points_per_rev=72, spindle_rpm=60, inside_out=inside_out)
+    motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)
+    tw.write_nc(motion, machine, tmp_path / "part.nc", depth=0.02)
+    entry = (tmp_path / "part.nc").read_text().split("DWELL10")[1]
+    words = re.findall(r"PVT([\d.]+)|^C(-?[\d.]+):(-?[\d.]+)", entry, re.MULTILINE)
+    time, angle, speed, block = [0.0], [0.0], [0.0], 0.0
+    for duration, position, velocity in words:
+        block = float(duration) / 1e3 if duration else block
+        if position:
+            time.append(time[-1] + block)
+            angle.append(float(position))
+            speed.append(float(velocity))
+    angle[0] = angle[1] - (angle[2] - angle[1])  # where C was sent before, one even step back
+    sense = np.sign(angle[-1] - angle[0])
+    curve = CubicHermiteSpline(time, sense * np.array(angle), sense * np.array(speed))
+    dense = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(time)])
+    assert curve(dense, 1).min() >= -1e-6
+    assert speed[-1] == 0.0
+    highest = np.rad2deg(machine.axes["C"].acceleration)
+    assert np.abs(curve(dense, 2)).max() <= highest * (1 + 1e-6)
 
 
 def test_a_feed_word_has_the_decimals_of_its_dialect(tmp_path):

@@ -44,6 +44,8 @@ MOST_POINTS = 5_000_000
 """Points of a plunge: beyond this a feed or a height is a slip of the unit."""
 SLOWEST = 60.0
 """Longest revolution of a plunge whose pass is less than one. [s]"""
+SLOWEST_PVT = 4.0
+"""The same where the pass states velocities, whose blocks last 4 s at most. [s]"""
 WIDEST = 0.9 * math.pi
 """Widest step of C in a plunge. [rad]"""
 
@@ -126,7 +128,7 @@ def approach_to(motion: Motion, *, clearance: float, depth: float | None, plunge
 def _plunge(motion: Motion, height: float, plunge_feed: float, name: str) -> tuple[Motion, float]:
     """Return the motion down to the first point of a pass, and its depth in a revolution [mm/rev]."""
     turned, time, others, advance = first_turn(motion)
-    turn_s = float(time[-1])
+    turn_s = float(time[-1]) if motion.velocity is None else TURN / _fastest(motion)
     per_rev = min(plunge_feed * turn_s, max(advance, LEAST_ADVANCE))
     turns = math.ceil(height / per_rev - 1e-9)
     each = turned.size - 1
@@ -135,6 +137,8 @@ def _plunge(motion: Motion, height: float, plunge_feed: float, name: str) -> tup
             f"pass {name} plunges {height:.4g} mm by {per_rev * 1e3:.3g} um in a revolution, {turns * each:.3g} "
             f"points, the limit is {MOST_POINTS:.0e}: take less off at a time, or raise the plunge feed"
         )
+    if motion.velocity is not None:
+        turns = max(turns, 2)  # one to come to speed, one to come to rest
     per_rev = height / turns
     number = np.arange(turns * each + 1)
     turn, place = number // each, number % each
@@ -144,8 +148,54 @@ def _plunge(motion: Motion, height: float, plunge_feed: float, name: str) -> tup
     axes["C"] = float(motion.axes["C"][0]) + motion.sense * angle
     for letter, values in axes.items():
         values[-1] = motion.axes[letter][0]
-    clock = time[place] + turn_s * turn
-    return Motion(time=clock, axes={letter: axes[letter] for letter in motion.axes}, machine=motion.machine), per_rev
+    velocity = None
+    if motion.velocity is None:
+        clock = time[place] + turn_s * turn
+    else:
+        clock, pace = _from_rest_to_rest(motion, angle + TURN * turns, turns)
+        velocity = {letter: pace * np.gradient(axes[letter], angle) for letter in motion.axes}
+    axes = {letter: axes[letter] for letter in motion.axes}
+    return Motion(time=clock, axes=axes, machine=motion.machine, velocity=velocity), per_rev
+
+
+def _fastest(motion: Motion) -> float:
+    """Return how fast C turns at most in the plunge to a pass that states velocities. [rad/s]."""
+    assert motion.velocity is not None  # noqa: S101 - for the type checker
+    passed = np.abs(motion.axes["C"] - motion.axes["C"][0])
+    if passed[-1] < 2 * TURN:
+        return max(float(passed[-1] / (motion.time[-1] - motion.time[0])), TURN / SLOWEST_PVT)
+    return float(np.abs(motion.velocity["C"])[passed <= 2 * TURN].max())
+
+
+def _from_rest_to_rest(motion: Motion, angle: Floats, turns: int) -> tuple[Floats, Floats]:
+    """Return when a plunge is at each angle from its start, and how fast C turns there. [s, rad/s].
+
+    A pass that states velocities begins at rest: its first revolution brings C to speed, its second one is repeated at
+    that speed, and the first one backwards in time brings C to rest where the pass begins. So the plunge asks no more
+    of C than the pass does.
+    """
+    assert motion.velocity is not None  # noqa: S101 - for the type checker
+    passed = np.abs(motion.axes["C"] - motion.axes["C"][0])
+    speed = np.abs(motion.velocity["C"])
+    if passed[-1] < 2 * TURN:  # hardly a pass: evenly faster for a revolution, evenly slower in the last one
+        fastest, before_end = _fastest(motion), angle[-1] - angle
+        rising, falling = (np.sqrt(np.minimum(one, TURN) / TURN) for one in (angle, before_end))
+        clock = np.where(angle < TURN, 2 * TURN * rising, angle + TURN)
+        clock = np.where(before_end < TURN, angle[-1] + 2 * TURN - 2 * TURN * falling, clock)
+        return clock / fastest, fastest * np.minimum(rising, falling)
+    time = motion.time - motion.time[0]
+    to_speed, steady = np.interp(TURN, passed, time), np.interp(2 * TURN, passed, time)
+    turn = np.minimum((angle / TURN + 1e-9).astype(np.int64), turns - 1)
+    place = angle - TURN * turn
+    begun = to_speed + (turn - 1) * (steady - to_speed)
+    clock = np.where(
+        turn == 0, np.interp(place, passed, time), np.interp(place + TURN, passed, time) - to_speed + begun
+    )
+    pace = np.where(turn == 0, np.interp(place, passed, speed), np.interp(place + TURN, passed, speed))
+    last = turn == turns - 1
+    clock[last] = begun[-1] + to_speed - np.interp(TURN - place[last], passed, time)
+    pace[last] = np.interp(TURN - place[last], passed, speed)
+    return clock, pace
 
 
 def first_turn(motion: Motion) -> tuple[Floats, Floats, dict[str, Floats], float]:
