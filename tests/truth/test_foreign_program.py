@@ -412,3 +412,42 @@ def test_what_stands_beside_the_stretch_that_is_read_is_counted(tmp_path, rest, 
         read(tmp_path, text, "generic")
     if rest == 3:
         assert read(tmp_path, text, "generic", name="cut 1").time.size == 7
+
+
+CUT = "C5 X4.9 F60\nC10 X4.8 F60\n"
+UNSEEN = {
+    "length": ("G43 H2\n", r"line 6 .*X, Z stands"),
+    "length, restated": ("G43 H2\nG94 G0 X4.8 Z1\nG93 G1\n", r"line 8 cuts on after line 5 .*H2"),
+    "tool": ("T2 M6\n", r"line 6 .*X, Z stands"),
+    "tool, restated": ("T0202\nG0 X4.8 Z1\nG1\n", r"line 8 cuts on after line 5 .*T202"),
+    "machine": ("G53 X0\n", r"line 6 .*X stands"),
+    "home": ("G28 X0\n", r"line 6 .*X stands"),
+    "dwell": ("C12 G4 P1\n", "line 5 moves and dwells"),
+    "modes": ("G93 G94 C12 X4 F3\n", "line 5 has G93 and G94"),
+    "moves": ("G0 G1 C12 X4\n", "line 5 has G0 and G1"),
+    "set and unset": ("G92 G92.1 X4\n", "line 5 has G92 and G92.1"),
+    "home and set": ("G28 G92 X4\n", "line 5 has G28 and G92"),
+    "other label": ("#1=0\nWHILE[#1 LT 1]DO 1\nC12 X4 F60\n#1=1\nEND 2\n", "line 9 ends loop 2, .* begun is 1"),
+    "lone end": ("END 1\n", "line 5 ends loop 1, no loop is open"),
+    "no end": ("#1=0\nWHILE[#1 LT 1]DO 1\nC12 X4 F60\n#1=1\n", "within loop 1, which has no END"),
+    "twice": ("#1=0\nWHILE[#1 LT 1]DO 1\nWHILE[#1 LT 1]DO 1\n", "line 7 begins loop 1 within itself"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNSEEN)
+def test_what_moves_the_tool_unseen_or_says_two_things_is_refused(tmp_path, name):
+    line, message = UNSEEN[name]
+    with pytest.raises(ProgramError, match=message):
+        read(tmp_path, CALLER + CUT + line + "C15 X4.7 F60\nC20 X4.6 F60\nM30\n", "generic")
+
+
+def test_a_tool_before_the_cut_and_its_end_behind_are_no_harm(tmp_path):
+    text = (
+        "T0101 M6\nG43 H1\nG28 X0 Z0\n"
+        + CALLER
+        + CUT
+        + "T0101\n"
+        + CUT.replace("C", "C1")
+        + "G94 G49\nG28 U0 W0\nT0100\nM30\n"
+    )
+    assert read(tmp_path, text, "generic").time.size == 5

@@ -77,6 +77,19 @@ SHIFT_G = frozenset({50, 52})
 SET_G = 92
 """The tool stays where it is, and its place gets the coordinates stated."""
 UNSET_G = frozenset({92.1, 92.2})
+GROUPS: tuple[set[float], ...] = (
+    {0, 1, 2, 3},
+    {4, 28, 30, 50, 52, 53, 92, 92.1, 92.2},
+    {17, 18, 19},
+    {20, 21},
+    {43, 49},
+    {54, 55, 56, 57, 58, 59},
+    {61, 63, 64},
+    {70, 71},
+    {90, 91},
+    {93, 94, 95},
+)
+"""G codes of which a block has one at most."""
 
 # No pattern may try a run of letters twice (possessive repeats, which give nothing back): 60,000 blanks would hang.
 COMMENT = re.compile(r"\([^()]*+(?:\([^()]*+\)\s*+)?+\)|;.*$")
@@ -333,6 +346,8 @@ class _Reader:
         self.begun: set[str] = set()  # axes whose coordinates begin where G92 set them
         self.lost: set[str] = set()  # axes that moved to where the part's coordinates are not known
         self.work_offset = 54.0
+        self.tool = self.length = 0.0  # T and H in force
+        self.unseen = ""  # what has moved the tool unseen since it cut
         self.scratch: Floats = np.empty((self.height, 1 << 12))  # for blocks that nobody asked for
         self.macros = Macros(lambda what: self._error(what, "write it as a number"))
         self.loops: dict[int, str] = {}  # condition by label
@@ -432,9 +447,22 @@ class _Reader:
             if ours:
                 raise self._error("is the last one, a whole file ends with M30 or M99", WHOLE)
             self._doubt_end(path, [label for label in self.loops if label not in loops])
+        else:
+            self._require_ends(path, [label for label in self.loops if label not in loops])
         self.over, self.coded = False, True
         self.whole[LINES] = outer
         self.stack.pop()
+
+    def _require_ends(self, path: Path, loops: list[int]) -> None:
+        """Raise unless each loop within which a file ends has its END further on."""
+        if not loops:
+            return
+        rest = path.read_bytes().upper().rpartition(b"WHILE")[2].decode("latin-1")
+        ends = {int(end[1]) for line in rest.splitlines() if (end := END.fullmatch(COMMENT.sub(" ", line).strip()))}
+        for label in loops:
+            if label not in ends:
+                raise self._error(f"ends the file within loop {label}, which has no END", "give each WHILE its END")
+            del self.loops[label]
 
     def _doubt_end(self, path: Path, loops: list[int]) -> None:
         """Note where a file without an end looks cut short: within a line, or within its loops."""
@@ -671,11 +699,17 @@ class _Reader:
         if assign := ASSIGN.fullmatch(bare):
             self.macros.variables[int(assign[1])] = self.macros.value(assign[2])
         elif loop := WHILE.fullmatch(bare):
+            if int(loop[2]) in self.loops:
+                raise self._error(f"begins loop {loop[2]} within itself", "give each loop a number of its own")
             self.loops[int(loop[2])] = loop[1]
             if not self.macros.holds(loop[1]):
                 raise self._error("begins a loop that never runs", "give a program that cuts once")
         elif end := END.fullmatch(bare):
-            if self.macros.holds(self.loops.pop(int(end[1]), "0 GT 1")):
+            label = next(reversed(self.loops), None)
+            if label != int(end[1]):
+                within = "no loop is open" if label is None else f"the last one begun is {label}"
+                raise self._error(f"ends loop {end[1]}, {within}", "give each WHILE its END")
+            if self.macros.holds(self.loops.pop(label)):
                 raise self._error("repeats a loop, the limit is to run it once", "give a program of one pass")
         elif OTHER.match(bare):
             raise self._error(f"is a statement that Turnwright does not follow ({bare[:30]})", "give plain blocks")
@@ -687,6 +721,7 @@ class _Reader:
         if part == 1 or name != self.named:
             self._close()
             self.named = name
+            self.unseen = ""
 
     def _beside(self, name: str) -> Path | None:
         """Return a file of the program's own folder, if it is there."""
@@ -746,6 +781,10 @@ class _Reader:
         for letter, value in words:
             if letter == "M":
                 self._m(value, words)
+        for group in GROUPS:
+            if len(both := sorted(group & set(codes))) > 1:
+                raise self._error(f"has {' and '.join(f'G{code:g}' for code in both)}", "keep one of them in a block")
+        self._tooling(words, codes)
         for code in codes:
             self._g(code)
         values = {letter: value for letter, value in words if letter not in "GMN"}
@@ -760,6 +799,25 @@ class _Reader:
             raise self._error(f"calls sub-program {number:g} by number", "read that sub-program's own file")
         self.ended = self.ended or code in {2, 30}
         self.over = self.over or code == 99
+
+    def _tooling(self, words: list[tuple[str, float]], codes: list[float]) -> None:
+        """Follow what changes the tool or its length: where it then stands against the part is not known."""
+        changes = []
+        for letter, value in words:
+            if (letter == "T" and value != self.tool) or (letter == "M" and value == 6):
+                changes.append(f"{letter}{value:g}")
+        self.tool = next((value for letter, value in words if letter == "T"), self.tool)
+        number = next((value for letter, value in words if letter == "H"), self.length)
+        length = 0.0 if 49 in codes else number if number or 43 not in codes else -1.0
+        if length != self.length:
+            changes.append("G49" if 49 in codes else f"H{length:g}" if length > 0 else "G43")
+            self.length = length
+        if not changes:
+            return
+        if self.cuts:
+            self.unseen = f"line {int(self.whole[LINES])} changed the tool or its length ({', '.join(changes)})"
+        self._close()
+        self._lose("XYZ")
 
     def _g(self, code: float) -> None:
         """Follow one G code, as far as it matters to where the tool goes."""
@@ -808,6 +866,8 @@ class _Reader:
             self._lose(axes if axes and values.keys() <= HARMLESS else AXES)
             return
         if 4 in codes:
+            if axes.keys() - {"X"} or 1 in codes:
+                raise self._error("moves and dwells (G4)", "write the dwell in a block of its own")
             return  # a dwell, whose time some controllers call X
         others = [letter for letter, value in values.items() if letter not in HARMLESS and (value or letter == "E")]
         if others:
@@ -896,6 +956,14 @@ class _Reader:
         step = self.real[:4] - before
         if not self.whole[Y_SEEN]:
             step[2] = 0.0
+        unknown = [letter for letter in sorted(self.lost - {"C"}) if np.isnan(step[AXES.index(letter)])]
+        if self.whole[LINEAR] and abs(step[0]) > 0 and unknown:
+            ends = self.real[[AXES.index(letter) for letter in unknown]]
+            if self.whole[FEED_MODE] == 93 or np.isnan(ends).any():
+                raise self._error(
+                    f"turns C where it is not known where {', '.join(unknown)} stands, something moved it unseen",
+                    f"state {', '.join(unknown)} in a block before, without C",
+                )
         # Without a known start, or without turning C, a move positions the tool and does not cut.
         if self.whole[LINEAR] and step[0] != 0 and not np.isnan(step).any():
             self._cut(before, step)
@@ -922,6 +990,8 @@ class _Reader:
             length = float(np.linalg.norm(step[1:]))
             duration = 60 * (length or abs(float(step[0]))) / feed
         if self.cut is None:
+            if self.unseen:
+                raise self._error(f"cuts on after {self.unseen}", "give a program of one tool, or name its passes")
             after = self.real.copy()
             self.real[:4] = before
             self._open(timed=inverse)
