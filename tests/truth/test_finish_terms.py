@@ -6,6 +6,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
+from turnwright.errors import InputError
 from turnwright.job import finish
 
 NOSE, FEED, RPM = 0.5, 0.01, 60.0
@@ -132,3 +133,13 @@ def test_a_vibrating_motion_passes_through_its_sine_at_every_point_and_keeps_the
     assert np.diff(moved.time).max() <= 1 / (72 * 95) + 1e-12
     assert np.abs(np.interp(moved.time, flat.time, flat.axes["X"]) - moved.axes["X"]).max() < 1e-12
     assert np.isin(flat.time.round(9), moved.time.round(9)).all()
+
+
+def test_a_nose_that_no_two_passes_hold_in_a_valley_is_refused():
+    """Two centres half a feed beside the middle stand on an arc of radius 1/curvature - R, if that is so much."""
+    feed, nose = 0.0004, 0.004
+    most = 1 / (nose + feed / 2)
+    assert np.isfinite(cusp_height(feed, nose, curvature=most))
+    for curvature in (245.0, most * (1 + 1e-12)):
+        with pytest.raises(InputError, match="curvature is"):
+            cusp_height(feed, nose, curvature=curvature)

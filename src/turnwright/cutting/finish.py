@@ -167,7 +167,7 @@ def cusp_height(feed: float, nose_radius: float, minimum_chip: float = 0.0, *, c
     minimum_chip
         t_m. [mm]
     curvature
-        κ of the profile along the feed, positive where it is concave, below 1/R. [1/mm]
+        κ of the profile along the feed, positive where it is concave, up to 0.999/R and 1/(R + f/2). [1/mm]
 
     Raises
     ------
@@ -188,9 +188,16 @@ def cusp_height(feed: float, nose_radius: float, minimum_chip: float = 0.0, *, c
     """
     positive(feed, "feed", "mm per rev")
     positive(nose_radius, "nose_radius", "mm")
-    between(feed, "feed", 0.0, nose_radius, "mm per rev, the nose radius")
+    if feed > nose_radius:
+        raise InputError(f"feed is {feed:g} mm per rev, the limit is the nose radius, {nose_radius:g} mm: take less")
     # Where the nose fits the valley, and on a dome the circles of two passes still cross above it.
-    between(curvature, "curvature", -1 / feed, 0.999 / nose_radius, "per mm, almost 1/nose_radius")
+    # In a valley the centres of two passes stand on an arc of radius 1/curvature - R, which is half a feed or more.
+    most = min(0.999 / nose_radius, 1 / (nose_radius + feed / 2))
+    if not -1 / feed <= curvature <= most:
+        raise InputError(
+            f"curvature is {curvature:g} per mm, the limits are {-1 / feed:g} and {most:g} per mm, -1/feed and almost "
+            "1/(nose_radius + feed/2): take a smaller nose or feed"
+        )
     square = feed * feed
     # No longer than until the pass after the next: the strip is half a feed wide.
     thickest = square / (nose_radius + np.sqrt(nose_radius**2 - square))
@@ -199,7 +206,7 @@ def cusp_height(feed: float, nose_radius: float, minimum_chip: float = 0.0, *, c
     reach = (feed / 2 + beside) ** 2
     cusp = reach / (nose_radius + np.sqrt(nose_radius**2 - reach))
     fits = 1 - curvature * nose_radius
-    lift = curvature * square / 4 / (fits + np.sqrt(fits**2 - curvature**2 * square / 4))
+    lift = curvature * square / 4 / (fits + np.sqrt(max(0.0, fits**2 - curvature**2 * square / 4)))
     sag = curvature * beside**2 / (1 + np.sqrt(1 - (curvature * beside) ** 2))
     return float(cusp + lift - sag)
 
