@@ -49,8 +49,8 @@ class Gouge(NamedTuple):
 def find_gouge(job: Job, whole: Prediction, motion: Motion, rounding_limit_nm: float) -> Gouge | None:
     """Return the place that lies lowest below what the plan allows, ``None`` if there is none or it cannot be judged.
 
-    Judged is only a job whose tool and machine are as planned, that aims at the part itself and asks for no servos:
-    whatever else deviates cuts below the design by right.
+    Judged is only a job whose tool and machine are as planned, that aims at the part itself, asks for no servos and
+    writes no heights by time: whatever else deviates cuts below the design by right.
 
     The plan allows the decimals of the program and the stated chord. Without a chord it allows what straight lines
     between the points may leave: where a path jumps or has a kink, up to its second difference there.
@@ -67,7 +67,8 @@ def find_gouge(job: Job, whole: Prediction, motion: Motion, rounding_limit_nm: f
         What its decimals allow.
     """
     deviates = job.actual.tool.stated or job.actual.machine.stated or job.simulation.tracking
-    if deviates or job.part.added is not None or job.strategy.along != "z":
+    by_time = job.program.fast_tool == "time"  # heights of its own between the points, which no chord bounds
+    if deviates or by_time or job.part.added is not None or job.strategy.along != "z":
         return None
     flat = SLACK + rounding_limit_nm * 1e-6
     chord: float | None = job.strategy.chosen(job.passes[-1]).get("chord")

@@ -45,7 +45,9 @@ MOST_POINTS = 5_000_000
 SLOWEST = 60.0
 """Longest revolution of a plunge whose pass is less than one. [s]"""
 SLOWEST_PVT = 4.0
-"""The same where the pass states velocities, whose blocks last 4 s at most. [s]"""
+"""The same where the pass states velocities, and the longest block there. [s]"""
+SHORTEST_PVT = 2e-6
+"""Shortest block of a plunge there. [s]"""
 WIDEST = 0.9 * math.pi
 """Widest step of C in a plunge. [rad]"""
 
@@ -195,7 +197,9 @@ def _from_rest_to_rest(motion: Motion, angle: Floats, turns: int) -> tuple[Float
     last = turn == turns - 1
     clock[last] = begun[-1] + to_speed - np.interp(TURN - place[last], passed, time)
     pace[last] = np.interp(TURN - place[last], passed, speed)
-    return clock, pace
+    # Between the points of the pass a block may come out shorter or longer than a controller takes.
+    blocks = np.clip(np.diff(clock), SHORTEST_PVT, SLOWEST_PVT)
+    return np.concatenate([[0.0], np.cumsum(blocks)]), pace
 
 
 def first_turn(motion: Motion) -> tuple[Floats, Floats, dict[str, Floats], float]:
