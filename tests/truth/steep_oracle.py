@@ -163,7 +163,7 @@ def oracle(case, tool, angle, radius, rim, sense=1):
 def placed(case, tool, random, count, scattered):
     """Some tips of a path over a case, scattered in azimuth or sharing it: angle, radius, and heights as found."""
     if scattered:
-        angle = np.sort(random.uniform(0, 40, count))
+        angle = np.sort(random.uniform(0, 2 * np.pi, count))
         radius = np.where(random.random(count) < 0.3, 0.3, 1.3) * random.random(count)
         spiral = tw.Spiral(angle=angle, radius=radius)
     else:
