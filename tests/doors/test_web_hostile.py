@@ -294,7 +294,7 @@ BAD_FILES = {
     "a table cut short": ("heights", "a.csv", TABLE[:-4], 422),
     "a head alone": ("heights", "a.csv", TABLE[:13], 422),
     "not numbers": ("heights", "a.csv", TABLE.replace(b"0", b"=HYPERLINK(1)"), 422),
-    "not a number": ("heights", "a.csv", TABLE.replace(b"0,0,0,0,0,0\n", b"nan,0,0,0,0,0\n"), 422),
+    "a column nowhere": ("heights", "a.csv", TABLE.replace(b",0,1,2", b",0,nan,2"), 422),
     "not text": ("heights", "a.csv", b"\xff\xfe\x00\x01" * 50, 422),
     "a certificate cut short": ("waviness", "a.csv", b"sweep [deg],deviation [nm]\n-30,1\n0,2\n30,", 422),
     "a certificate without units": ("waviness", "a.csv", b"sweep,deviation\n-30,1\n0,2\n", 422),

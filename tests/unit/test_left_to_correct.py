@@ -16,7 +16,7 @@ def height(x, y):
 
 
 def grid():
-    x, y = np.linspace(-5, 5, 61), np.linspace(5, -5, 47)  # rows from the top, as an instrument writes them
+    x, y = np.linspace(-5, 5, 61), np.linspace(-5, 5, 47)
     return tw.HeightMap(x=x, y=y, z=height(*np.meshgrid(x, y)))
 
 
