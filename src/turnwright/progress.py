@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TypeAlias
@@ -15,6 +17,122 @@ from turnwright.errors import LimitError
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with (done, total); raising in it, as Ctrl-C does, stops the work cleanly."""
+
+StageProgress: TypeAlias = Callable[[str, int, int], None]
+"""Called with (stage, done, total); raising in it, as Ctrl-C does, stops the run cleanly."""
+
+USUAL_S, USUAL_SHARE = 2.0, 0.05
+"""Work, and share of it at most, after which the time it took says as much of the rest as the estimates do. [s]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """A stage of a whole run, before it is carried out.
+
+    Parameters
+    ----------
+    stage
+        What the stage is called when it tells its progress.
+    work
+        Time that it takes on a usual computer, estimated. [s]
+    """
+
+    stage: str
+    work: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overall:
+    """How far a whole run is.
+
+    Parameters
+    ----------
+    stage
+        What is carried out.
+    step, steps
+        Its number, counted from 1, and how many there are.
+    fraction
+        Of the work that is done; it never falls, and is 1 when all is done.
+    left_s
+        Time until then, estimated. [s]
+    """
+
+    stage: str
+    step: int
+    steps: int
+    fraction: float
+    left_s: float
+
+
+class OverallProgress:
+    """Makes the progress of a whole run out of that of its stages: it is a `StageProgress`.
+
+    A stage that is not among the steps adds nothing. Steps that do not happen count as done when a later one begins.
+
+    Parameters
+    ----------
+    steps
+        What the run will do, in order.
+    listener
+        Called with every change.
+    clock
+        Seconds since any time.
+
+    Examples
+    --------
+    >>> seen = []
+    >>> both = [Step(stage="place", work=3.0), Step(stage="simulate", work=1.0)]
+    >>> whole = OverallProgress(both, lambda one: seen.append(f"{one.step} of {one.steps}: {one.fraction:.0%}"))
+    >>> whole("place", 1, 3)
+    >>> whole("simulate", 0, 8)
+    >>> whole.finish()
+    >>> seen
+    ['1 of 2: 25%', '2 of 2: 75%', '2 of 2: 100%']
+    """
+
+    def __init__(
+        self, steps: Sequence[Step], listener: Callable[[Overall], None], *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._steps, self._listener, self._clock = tuple(steps), listener, clock
+        self._work = sum(one.work for one in self._steps)
+        self._usual = min(USUAL_S, USUAL_SHARE * self._work)
+        self._start = clock()
+        self._at, self._done, self._share, self._fraction = 0, 0.0, 0.0, 0.0
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Take the progress of a stage."""
+        self._go_to(stage, begins=done == 0)
+        if self._at < len(self._steps) and self._steps[self._at].stage == stage:
+            self._share = max(self._share, min(done / total, 1.0) if total > 0 else 0.0)
+            self._fraction = max(self._fraction, self._finished() / self._work if self._work else 0.0)
+        self._tell(stage)
+
+    def finish(self) -> None:
+        """Say that all is done."""
+        self._at, self._done, self._share, self._fraction = len(self._steps), self._work, 0.0, 1.0
+        self._tell(self._steps[-1].stage if self._steps else "")
+
+    def _finished(self) -> float:
+        return self._done + self._share * self._steps[self._at].work
+
+    def _go_to(self, stage: str, *, begins: bool) -> None:
+        """Go on to the next step of this name; a stage that begins again when it is done is another one."""
+        again = begins and self._share >= 1
+        if self._at < len(self._steps) and self._steps[self._at].stage == stage and not again:
+            return
+        ahead = range(self._at + again, len(self._steps))
+        following = next((n for n in ahead if self._steps[n].stage == stage), None)
+        if following is not None:
+            self._done += sum(one.work for one in self._steps[self._at : following])
+            self._at, self._share = following, 0.0
+
+    def _tell(self, stage: str) -> None:
+        finished = self._finished() if self._at < len(self._steps) else self._done
+        # What it took so far, and the estimates as far as that is little.
+        pace = (self._clock() - self._start + self._usual) / (finished + self._usual) if self._work else 0.0
+        left = pace * self._work * (1 - self._fraction)
+        number = min(self._at + 1, len(self._steps))
+        self._listener(Overall(stage=stage, step=number, steps=len(self._steps), fraction=self._fraction, left_s=left))
 
 
 THREADS = "TURNWRIGHT_THREADS"

@@ -20,6 +20,7 @@ from turnwright.archive import read_maps
 from turnwright.cli import main
 from turnwright.errors import InputError
 from turnwright.job import Job
+from turnwright.progress import Step
 
 WAVES = {"family": "sine grid", "amplitude": ["2 um", "2 um"], "period": ["1 mm", "1 mm"]}
 
@@ -320,10 +321,10 @@ def test_a_folder_that_cannot_be_is_refused_first(kind, done, tmp_path, monkeypa
 
 def test_bars_are_drawn_on_a_terminal(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with _shared.progress_of(Stop()) as progress:
+    with _shared.progress_of(Stop(), [Step(stage="place", work=1.0), Step(stage="drive", work=1.0)]) as progress:
         progress("place", 0, 10)
         progress("place", 10, 10)
-    assert "place" in capsys.readouterr().err
+    assert "done" in capsys.readouterr().err
 
 
 def test_block_delete_is_stated_for_a_backplot(done, tmp_path, capsys):

@@ -190,7 +190,10 @@ def test_a_run_tells_its_progress(dish):
     told = dish[2]
     stages = [data["stage"] for kind, data in told if kind == "progress"]
     assert len(set(stages)) >= 2
-    assert all(0 <= data["done"] <= data["total"] for kind, data in told if kind == "progress")
+    fractions = [data["fraction"] for kind, data in told if kind == "progress"]
+    assert fractions == sorted(fractions)
+    assert all(0 <= one <= 1 for one in fractions)
+    assert all(1 <= data["step"] <= data["steps"] and data["left_s"] >= 0 for kind, data in told if kind == "progress")
 
 
 def test_lines_of_the_program_lie_where_the_motion_is(client, dish):

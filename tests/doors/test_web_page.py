@@ -456,7 +456,7 @@ def test_a_long_run_tells_its_progress_outlives_a_reload_and_is_cancelled(bench,
         text = plain(told.inner_text())
         if (not shown or text != shown[-1]) and text.endswith("%"):
             shown.append(text)
-        shares = [(one.rpartition(",")[0], figures(one)[-1]) for one in shown]
+        shares = [(one.rpartition(":")[0], figures(one)[-1]) for one in shown]
         return any(a[0] == b[0] and a[1] < b[1] for a, b in itertools.pairwise(shares))
 
     wait(risen, what="progress within a stage")
@@ -464,7 +464,8 @@ def test_a_long_run_tells_its_progress_outlives_a_reload_and_is_cancelled(bench,
     lines = (folder / "served" / "runs" / name / "progress.jsonl").read_text(encoding="utf-8").splitlines()
     wrote = [json.loads(line) for line in lines]
     assert set(shown) <= {
-        f"{each['stage']}, {math.floor(100 * each['done'] / each['total'] + 0.5)} %" for each in wrote
+        f"step {each['step']} of {each['steps']}, {each['stage']}: {math.floor(100 * each['fraction'])} %"
+        for each in wrote
     }
     page.reload()
     page.get_by_role("tab", name="Runs").click()

@@ -162,7 +162,7 @@ def _by_command(case: Case, folder: Path, listener: Listener) -> int:
     from turnwright._commands import _cutting, _materials
 
     @contextlib.contextmanager
-    def progress_of(_stop: object) -> Any:
+    def progress_of(_stop: object, _steps: object) -> Any:
         yield listener
 
     _cutting.progress_of = _materials.progress_of = progress_of

@@ -8,7 +8,7 @@ import pytest
 
 from turnwright.errors import LimitError
 from turnwright.part import Part
-from turnwright.progress import require_memory, run_chunks
+from turnwright.progress import OverallProgress, Step, require_memory, run_chunks
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import Plane
 from turnwright.tool import Tool
@@ -79,3 +79,51 @@ def test_the_limit_of_a_process_counts_as_memory():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert float(done.stdout) == pytest.approx(1.0, abs=0.05)
+
+
+def overall(*works, clock=None):
+    seen = []
+    steps = [Step(stage=stage, work=work) for stage, work in works]
+    ticks = iter(range(10**6))
+    return OverallProgress(steps, seen.append, clock=clock or (lambda: next(ticks))), seen
+
+
+def test_a_fraction_is_the_work_that_is_done_and_never_falls():
+    """Oracle: shares of 1, 2, 1 and 4 s, by hand."""
+    whole, seen = overall(("plan", 1.0), ("place", 2.0), ("plan", 1.0), ("place", 4.0))
+    for told in (
+        ("plan", 0, 1), ("plan", 1, 1), ("plan", 1, 1), ("place", 0, 1), ("place", 1, 2), ("place", 1, 4),
+        ("place", 1, 1), ("plan", 0, 1), ("plan", 1, 1), ("place", 0, 1), ("place", 3, 4),
+    ):  # fmt: skip
+        whole(*told)
+    whole.finish()
+    assert [one.fraction * 8 for one in seen] == [0, 1, 1, 1, 2, 2, 3, 3, 4, 4, 7, 8]
+    assert [one.step for one in seen] == [1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 4, 4]
+
+
+def test_a_step_that_does_not_happen_counts_as_done_and_an_unknown_stage_as_nothing():
+    whole, seen = overall(("plan", 1.0), ("chips", 1.0), ("write", 2.0))
+    for told in (("plan", 1, 1), ("dust", 1, 2), ("write", 0, 0)):
+        whole(*told)
+    assert [(one.stage, one.step, one.fraction) for one in seen] == [
+        ("plan", 1, 0.25), ("dust", 1, 0.25), ("write", 3, 0.5),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("pace", [0.2, 1.0, 30.0])
+def test_the_time_left_is_that_of_the_pace_so_far(pace):
+    """Oracle: a computer that takes so many times the estimate, half-way through 100 s of work."""
+    now = [0.0]
+    whole, seen = overall(("place", 100.0), clock=lambda: now[0])
+    whole("place", 0, 1)
+    assert seen[-1].left_s == 100.0  # the estimate, as nothing is known yet
+    now[0] = 50 * pace
+    whole("place", 1, 2)
+    assert seen[-1].left_s == pytest.approx(50 * pace, rel=0.2)
+
+
+def test_a_run_of_no_steps_ends_at_1():
+    whole, seen = overall()
+    whole("anything", 1, 2)
+    whole.finish()
+    assert [(one.fraction, one.left_s) for one in seen] == [(0.0, 0.0), (1.0, 0.0)]

@@ -14,17 +14,22 @@ from turnwright._commands._shared import MISSED, Door, new_folder, progress_of
 from turnwright._stop import Stop
 from turnwright._whole import write_whole
 from turnwright.errors import InputError
+from turnwright.progress import Step
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from turnwright.execution import Store
-    from turnwright.job import Job, Result, StageProgress
+    from turnwright.job import Job, Result
+    from turnwright.progress import StageProgress
 
 __all__ = ["run_batch", "run_into"]
 
 DEFECT = "(a defect, please report it)"
 """How the reason of a job ends that met a defect, see `turnwright.execution.conduct`."""
+
+JOB_S = 30.0
+"""That a job of a batch takes, usually. [s]"""
 
 DONE = "case.json"
 """Says which job, and which program, a folder of a batch was made by, and in one line with what outcome."""
@@ -66,10 +71,11 @@ def run_batch(jobs: Sequence[Path], out: Path, door: Door, *, force: bool, worke
     shared = {"out": str(out.absolute()), "force": force}
     made = [folder for folder in (out.absolute(), *out.absolute().parents) if not folder.exists()]
     side_by_side = min(fitting() if workers is None else workers, len(jobs))
+    steps = [Step(stage="jobs", work=JOB_S * len(jobs) / side_by_side)]
     out.mkdir(parents=True, exist_ok=True)
     door.partly = f"what is finished stays in {out}: give the same command to go on"
     try:
-        with progress_of(door.stop) as progress, local(side_by_side, threads=share_of(side_by_side)) as pool:
+        with progress_of(door.stop, steps) as progress, local(side_by_side, threads=share_of(side_by_side)) as pool:
             rows = conduct(
                 _run_case, cases, shared=shared, executor=pool,
                 progress=lambda done, total: progress("jobs", done, total),

@@ -26,10 +26,14 @@ from turnwright.errors import InputError, JobError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from turnwright.job import Job, Prediction, StageProgress
+    from turnwright.job import Job, Prediction
     from turnwright.path import Motion
+    from turnwright.progress import StageProgress
 
 __all__: list[str] = []
+
+BYTES_PER_S = 5e7
+"""Of a program that is read."""
 
 
 @app.command()
@@ -57,10 +61,11 @@ def run(
         run_batch(jobs, out, door, force=force, workers=workers)
         return
     with new_folder(out, door, force=force) as folder:
-        from turnwright.job import Job  # noqa: PLC0415 - costly
+        from turnwright.job import Job, steps_of_run  # noqa: PLC0415 - costly
 
-        with progress_of(door.stop) as progress:
-            result = run_into(folder, Job.load(jobs[0]), progress)
+        recipe = Job.load(jobs[0])
+        with progress_of(door.stop, steps_of_run(recipe)) as progress:
+            result = run_into(folder, recipe, progress)
     for cut in result.passes:
         door.say(
             f"{cut.name}: {cut.points} points, {cut.limits.cycle_time_s / 60:.1f} min at {cut.spindle_rpm:.4g} rpm, "
@@ -83,10 +88,10 @@ def run(
 def check(context: typer.Context, job: JobFile) -> None:
     """Read a job and say whether the tool reaches the part, and how long the program will be."""
     door: Door = context.obj
-    from turnwright.job import Job, preview, unjudged  # noqa: PLC0415
+    from turnwright.job import Job, preview, steps_of_preview, unjudged  # noqa: PLC0415
 
     recipe = Job.load(job)
-    with progress_of(door.stop) as progress:
+    with progress_of(door.stop, steps_of_preview(recipe)) as progress:
         plan = preview(recipe, progress=progress)
     for sentence in (*plan.remarks, *plan.shape.sentences):
         door.say(sentence)
@@ -112,12 +117,12 @@ def plan(
     """Choose feed, points and spindle speed so that the part keeps its tolerances, and prove it."""
     door: Door = context.obj
     from turnwright._whole import write_whole  # noqa: PLC0415
-    from turnwright.job import Job, edited, plan  # noqa: PLC0415
+    from turnwright.job import Job, edited, plan, steps_of_plan  # noqa: PLC0415
 
     require_new(out)
     recipe = Job.load(job)
     text = job.read_bytes().decode("utf-8")
-    with progress_of(door.stop) as progress:
+    with progress_of(door.stop, steps_of_plan(recipe)) as progress:
         chosen = plan(recipe, progress=progress)
     write_whole(out, edited(text, recipe, chosen.job, folder=job.absolute().parent, into=out.absolute().parent))
     for one in chosen.tried if len(chosen.tried) > 1 else ():
@@ -147,10 +152,11 @@ def compare(
     """Plan the finishing pass by every strategy that the machine can do, and put what each leaves side by side."""
     door: Door = context.obj
     with new_folder(out, door, force=force) as folder:
-        from turnwright.job import Job, compare  # noqa: PLC0415
+        from turnwright.job import Job, compare, steps_of_comparison  # noqa: PLC0415
 
-        with progress_of(door.stop) as progress:
-            found = compare(Job.load(job), progress=progress)
+        recipe = Job.load(job)
+        with progress_of(door.stop, steps_of_comparison(recipe)) as progress:
+            found = compare(recipe, progress=progress)
             progress("report", 0, 1)
             from turnwright.archive import write_comparison as write_table  # noqa: PLC0415
             from turnwright.report import write_comparison  # noqa: PLC0415
@@ -189,13 +195,16 @@ def backplot(
 ) -> None:
     """Predict the surface that a program leaves, anybody's."""
     door: Door = context.obj
-    from turnwright.job import Job, judge, predict  # noqa: PLC0415
+    from turnwright.job import Job, judge, predict, steps_of_prediction  # noqa: PLC0415
     from turnwright.motion import check_limits  # noqa: PLC0415
+    from turnwright.progress import Step  # noqa: PLC0415
 
     with ExitStack() as stack:
         folder = None if out is None else stack.enter_context(new_folder(out, door, force=force))
         recipe = Job.load(job)
-        with progress_of(door.stop) as progress:
+        read = Step(stage="read program", work=program.stat().st_size / BYTES_PER_S if program.is_file() else 0.0)
+        steps = (read, *steps_of_prediction(recipe, tracking=track or None))
+        with progress_of(door.stop, steps) as progress:
             motion = _read(program, recipe, cut, progress, block_delete=block_delete)
             limits = check_limits(motion, recipe.machine.machine)
             predictions = predict(recipe, motion, tracking=track or None, progress=progress)

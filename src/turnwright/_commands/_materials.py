@@ -10,6 +10,7 @@ import typer
 from turnwright._commands._shared import Door, app, progress_of, require_new
 from turnwright._whole import whole_file, write_whole
 from turnwright.errors import InputError
+from turnwright.progress import Step
 
 if TYPE_CHECKING:
     from turnwright.cutting import Experiment
@@ -86,7 +87,7 @@ def fit(context: typer.Context, data: Data, out: Out, picture: Picture = None) -
 
     from turnwright.cutting.experiment import learn_from_file  # noqa: PLC0415
 
-    with progress_of(door.stop) as progress:
+    with progress_of(door.stop, [Step(stage="learn", work=5.0)]) as progress:
         progress("learn", 0, 1)
         found = learn_from_file(data)
         text = tomli_w.dumps(found.table())

@@ -20,14 +20,19 @@ from turnwright._commands._shared import (
     warn,
 )
 from turnwright.errors import InputError
+from turnwright.progress import Step
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from turnwright.diagnosis import Diagnosis
-    from turnwright.job import Measured, StageProgress
+    from turnwright.job import Measured
+    from turnwright.progress import StageProgress
 
 __all__: list[str] = []
+
+HEIGHT_BYTES = 8
+"""Of a height in a file, usually."""
 
 Maps = Annotated[
     list[Path],
@@ -64,7 +69,7 @@ def artefact(
     from turnwright.units import parse  # noqa: PLC0415
 
     require_new(out)
-    with progress_of(door.stop) as progress:
+    with progress_of(door.stop, [Step(stage="speed of the part", work=3.0)]) as progress:
         made = artefact(
             Job.load(job),
             kind,  # type: ignore[arg-type] # any other is refused in words
@@ -83,7 +88,12 @@ def measure(
 ) -> None:
     """Register a measured map to its part and say how far the part is off."""
     door: Door = context.obj
-    with new_folder(out, door, force=force) as folder, progress_of(door.stop) as progress:
+    from turnwright.job import steps_of_measurement  # noqa: PLC0415
+
+    with (
+        new_folder(out, door, force=force) as folder,
+        progress_of(door.stop, steps_of_measurement(_heights([file]))) as progress,
+    ):
         measured = _measured([file], [job], progress, unit)[0]
         progress("report", 0, 1)
         from turnwright.archive import write_measured as write_numbers  # noqa: PLC0415
@@ -105,7 +115,12 @@ def diagnose(
 ) -> None:
     """Say why measured parts are off: tool, machine or mount, each with its uncertainty."""
     door: Door = context.obj
-    with new_folder(out, door, force=force) as folder, progress_of(door.stop) as progress:
+    from turnwright.job import steps_of_diagnosis  # noqa: PLC0415
+
+    with (
+        new_folder(out, door, force=force) as folder,
+        progress_of(door.stop, steps_of_diagnosis(_heights(files))) as progress,
+    ):
         from turnwright.job import explain  # noqa: PLC0415
 
         measured = _measured(files, job, progress, unit)
@@ -137,7 +152,12 @@ def correct(
 ) -> None:
     """Write the job that takes what was found into account, and predict what it leaves."""
     door: Door = context.obj
-    with new_folder(out, door, force=force) as folder, progress_of(door.stop) as progress:
+    from turnwright.job import steps_of_correction  # noqa: PLC0415
+
+    with (
+        new_folder(out, door, force=force) as folder,
+        progress_of(door.stop, steps_of_correction(_heights(files))) as progress,
+    ):
         from turnwright.job import Job, correct, explain  # noqa: PLC0415
 
         measured = _measured(files, job, progress, unit)
@@ -162,6 +182,11 @@ def correct(
     door.say(f"job: {out / 'job.toml'}")
     door.say(f"report: {out / 'report.html'}")
     end_by(door, better.verdicts)
+
+
+def _heights(files: Sequence[Path]) -> list[float]:
+    """Return about how many heights maps have."""
+    return [file.stat().st_size / HEIGHT_BYTES if file.is_file() else 0.0 for file in files]
 
 
 def _measured(files: Sequence[Path], jobs: Sequence[Path], progress: StageProgress, unit: str | None) -> list[Measured]:

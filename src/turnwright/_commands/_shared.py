@@ -9,7 +9,9 @@ import shutil
 import socket
 import sys
 import tempfile
+import time
 from contextlib import contextmanager, suppress
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +20,7 @@ import typer
 from turnwright import __version__
 from turnwright._stop import Stop
 from turnwright.errors import InputError, shortened
+from turnwright.progress import OverallProgress
 
 try:
     import fcntl
@@ -27,7 +30,8 @@ except ImportError:  # Windows: there what a killed process left stays
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from turnwright.job import StageProgress, Verdict
+    from turnwright.job import Verdict
+    from turnwright.progress import Overall, StageProgress, Step
 
 __all__ = [
     "MISSED",
@@ -143,8 +147,8 @@ def require_new(file: Path) -> None:
 
 
 @contextmanager
-def progress_of(stop: Stop) -> Iterator[StageProgress]:
-    """Yield what is told of each stage: bars with the time left on a terminal, a quiet line per stage elsewhere."""
+def progress_of(stop: Stop, steps: Sequence[Step]) -> Iterator[StageProgress]:
+    """Yield what is told of each stage: one bar for the whole run on a terminal, a quiet line per stage elsewhere."""
     if not sys.stderr.isatty():
         told: set[str] = set()
 
@@ -157,19 +161,30 @@ def progress_of(stop: Stop) -> Iterator[StageProgress]:
         yield line
         return
     from rich.console import Console  # noqa: PLC0415
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: PLC0415
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn  # noqa: PLC0415
 
-    columns = (TextColumn("{task.description:24}"), BarColumn(), TimeRemainingColumn(elapsed_when_finished=True))
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[time]}"))
+    start = time.monotonic()
     with Progress(*columns, console=Console(stderr=True)) as bars:
-        tasks = {}
+        task = bars.add_task("begins", total=1.0, time="")
+
+        def draw(at: Overall) -> None:
+            bars.update(
+                task,
+                completed=at.fraction,
+                description=f"step {at.step} of {at.steps}, {at.stage}",
+                time=f"{timedelta(seconds=round(at.left_s))} left",
+            )
+
+        whole = OverallProgress(steps, draw)
 
         def bar(stage: str, done: int, total: int) -> None:
             stop.check()
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)
+            whole(stage, done, total)
 
         yield bar
+        whole.finish()
+        bars.update(task, description="done", time=f"in {timedelta(seconds=round(time.monotonic() - start))}")
 
 
 @contextmanager

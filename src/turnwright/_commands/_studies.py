@@ -11,6 +11,7 @@ import typer
 
 from turnwright._commands._shared import Door, Folder, Force, JobFile, app, new_folder, progress_of
 from turnwright.errors import InputError
+from turnwright.progress import Step
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from turnwright.studies import Column, Study
 
 __all__ = ["Cluster", "KeptAt", "Workers", "kept_cases", "over"]
+
+STEPS = (Step(stage="cases", work=100.0), Step(stage="report", work=3.0))
 
 Workers = Annotated[
     int | None,
@@ -76,7 +79,7 @@ def study(
     with (
         new_folder(out, door, force=force) as folder,
         kept_cases(out, store, door) as kept,
-        progress_of(door.stop) as progress,
+        progress_of(door.stop, STEPS) as progress,
         over(cluster) as executor,
     ):
         found = carry_out(

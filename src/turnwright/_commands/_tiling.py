@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -13,8 +14,10 @@ import typer
 from turnwright._commands._shared import Door, JobFile, app, progress_of, warn
 from turnwright._whole import part_of, write_whole
 from turnwright.errors import InputError
+from turnwright.progress import Step
 
 if TYPE_CHECKING:
+    from turnwright.job import Job
     from turnwright.tiling import TiledMap
 
 __all__: list[str] = []
@@ -53,7 +56,7 @@ def tile(
     key = case_key({"job": recipe.model_dump(mode="json"), "pixel": step, "tile": size})
     _require_same(out, key)
     with ExitStack() as stack:
-        progress = stack.enter_context(progress_of(door.stop))
+        progress = stack.enter_context(progress_of(door.stop, _steps(recipe, step)))
         workers = None
         if cluster is not None:
             from turnwright.execution import cluster as workers_of  # noqa: PLC0415 - of an extra
@@ -85,6 +88,16 @@ def tile(
         warn([f"the job removes {asked!r} before its roughness, a map in tiles takes a plane at most: a plane it was"])
     warn([*_doubts(made, result.passes[-1].feed), *result.warnings])
     door.say(f"report: {out / 'report.html'}")
+
+
+def _steps(job: Job, pixel: float) -> tuple[Step, ...]:
+    """Return what a map of a job takes: the program is planned and read again, then come the tiles."""
+    from turnwright.job import steps_of_run  # noqa: PLC0415 - costly
+
+    heights = math.pi * (job.part.part.radius / pixel) ** 2
+    stages = {"tiles": 2e-6, "roughness of the part": 2e-7, "spectrum": 5e-7}
+    *before, report = steps_of_run(job)
+    return (*before, *(Step(stage=stage, work=work * heights) for stage, work in stages.items()), report)
 
 
 def _require_own(out: Path) -> None:

@@ -9,11 +9,15 @@ import typer
 
 from turnwright._commands._shared import MISSED, Door, Folder, Force, JobFile, app, new_folder, progress_of
 from turnwright._commands._studies import Cluster, KeptAt, Workers, kept_cases, over
+from turnwright.progress import Step
 
 if TYPE_CHECKING:
     from turnwright.studies import ToleranceStudy
 
 __all__: list[str] = []
+
+PLAN_S, CASE_S, SENSITIVITY_S, REPORT_S = 10.0, 0.5, 3.0, 5.0
+"""Time that a plan, a case and the rest take, usually. [s]"""
 
 
 @app.command()
@@ -49,7 +53,7 @@ def tolerance(
     with (
         new_folder(out, door, force=force) as folder,
         kept_cases(out, store, door) as kept,
-        progress_of(door.stop) as progress,
+        progress_of(door.stop, _steps(cases, confirm=confirm)) as progress,
         over(cluster) as executor,
     ):
         found = carry_out(
@@ -69,6 +73,14 @@ def tolerance(
     if last.probability.value < 1:
         door.say("done and written, but not all parts keep all tolerances")
         raise typer.Exit(MISSED)
+
+
+def _steps(cases: int, *, confirm: bool) -> list[Step]:
+    """Return what a study of tolerances does."""
+    stages = {"plan": PLAN_S, "cases": CASE_S * cases, "sensitivity": SENSITIVITY_S}
+    if confirm:
+        stages["confirm"] = CASE_S * cases
+    return [Step(stage=stage, work=work) for stage, work in (stages | {"report": REPORT_S}).items()]
 
 
 def _say(door: Door, found: ToleranceStudy) -> None:

@@ -7,6 +7,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from turnwright.job._agenda import (
+        steps_of_comparison,
+        steps_of_correction,
+        steps_of_diagnosis,
+        steps_of_measurement,
+        steps_of_plan,
+        steps_of_prediction,
+        steps_of_preview,
+        steps_of_run,
+    )
     from turnwright.job._artefacts import Artefact, artefact
     from turnwright.job._compare import Candidate, Comparison, compare
     from turnwright.job._correct import Correction, correct
@@ -14,7 +24,6 @@ if TYPE_CHECKING:
     from turnwright.job._plan import Plan, Trial, plan
     from turnwright.job._result import Pass, Prediction, Preview, Result
     from turnwright.job._run import (
-        StageProgress,
         finishing_motion,
         predict,
         predicted_motion,
@@ -31,13 +40,23 @@ if TYPE_CHECKING:
     from turnwright.job._verdict import Verdict, judge, judge_form, missed, unjudged
 
 _HOMES = {
+    "_agenda": (
+        "steps_of_comparison",
+        "steps_of_correction",
+        "steps_of_diagnosis",
+        "steps_of_measurement",
+        "steps_of_plan",
+        "steps_of_prediction",
+        "steps_of_preview",
+        "steps_of_run",
+    ),
     "_artefacts": ("Artefact", "artefact"),
     "_compare": ("Candidate", "Comparison", "compare"),
     "_correct": ("Correction", "correct"),
     "_measure": ("Measured", "explain", "measure", "read_measurement"),
     "_plan": ("Plan", "Trial", "plan"),
     "_result": ("Pass", "Prediction", "Preview", "Result"),
-    "_run": ("StageProgress", "finishing_motion", "predict", "predicted_motion", "preview", "program_shares", "run"),
+    "_run": ("finishing_motion", "predict", "predicted_motion", "preview", "program_shares", "run"),
     "_schema": ("Job", "faults"),
     "_shape": ("PartShape", "part_shape"),
     "_shares": ("Shares", "shares"),
@@ -63,7 +82,6 @@ __all__ = [
     "Preview",
     "Result",
     "Shares",
-    "StageProgress",
     "Stages",
     "Trial",
     "Verdict",
@@ -88,6 +106,14 @@ __all__ = [
     "read_measurement",
     "run",
     "shares",
+    "steps_of_comparison",
+    "steps_of_correction",
+    "steps_of_diagnosis",
+    "steps_of_measurement",
+    "steps_of_plan",
+    "steps_of_prediction",
+    "steps_of_preview",
+    "steps_of_run",
     "unjudged",
 ]
 

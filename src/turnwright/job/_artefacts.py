@@ -16,7 +16,7 @@ from turnwright.motion import check_limits, drive
 from turnwright.units import write
 
 if TYPE_CHECKING:
-    from turnwright.job._run import StageProgress
+    from turnwright.progress import StageProgress
 
 __all__ = ["Artefact", "artefact"]
 

@@ -29,15 +29,14 @@ from turnwright.strategy import (
 )
 
 if TYPE_CHECKING:
-    from turnwright.job._run import StageProgress
     from turnwright.job._schema import Job
     from turnwright.machine import Machine
     from turnwright.part import Part
     from turnwright.path import Motion
-    from turnwright.progress import Progress
+    from turnwright.progress import Progress, StageProgress
     from turnwright.tool import Tool
 
-__all__ = ["Candidate", "Comparison", "compare"]
+__all__ = ["Candidate", "Comparison", "compare", "strategies_of"]
 
 TURN = 2 * math.pi
 
@@ -242,6 +241,12 @@ def _ways(
             return QuasiEllipticalToolServo(feed=feed, points_per_rev=turns, short="skip", shortest=shortest, **shared)
 
         yield "quasi-elliptical", elliptical
+
+
+def strategies_of(job: Job) -> list[str]:
+    """Return the names of the strategies that a job is compared by."""
+    # None of them is set up, so that neither feed nor heights count.
+    return [name for name, _ in _ways(job, job.servo(job.passes[-1]), 1.0, 1.0, 1.0)]
 
 
 def _tried(name: str, way: Callable[[], Strategy], job: Job, told: StageProgress) -> Candidate:

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats, Ints
     from turnwright.diagnosis import Diagnosis
-    from turnwright.job._run import StageProgress
     from turnwright.machine import Machine
     from turnwright.part import Part
+    from turnwright.progress import StageProgress
     from turnwright.tool import Tool
 
 __all__ = ["Correction", "correct"]

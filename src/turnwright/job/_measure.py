@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from turnwright._arrays import Floats, Ints
-    from turnwright.job._run import StageProgress
     from turnwright.job._schema import Job
     from turnwright.part import Part
+    from turnwright.progress import StageProgress
 
 __all__ = ["Measured", "cutoff_of", "explain", "measure", "read_measurement", "same_part"]
 
@@ -168,14 +168,14 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     # What a fiducial fixes is not fitted away beforehand.
     known = {name for one in asked.fixed for name in OF_POSE[one]}
     free = tuple(name for name in asked.free if name not in known)
-    told("register", 0, 2)
+    told("register", 0, 1)
     heights, start = _with_reference(_turned(heights, job), job)
     pieces = part.surface.in_pieces
     first = register(
         heights.thinned(FIRST), part, free=free, loss="huber" if pieces else "tukey", start=start,
         reach=asked.reach, clocking=asked.clocking if "rotation" in free else 0.0,
     )  # fmt: skip
-    told("register", 1, 2)
+    told("register", 1, 1)
     told("clean", 0, 1)
     spikes = 0
     if asked.spikes != "none":
@@ -188,11 +188,12 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     if asked.trim:
         heights = trim_edge(heights, asked.trim)
     told("clean", 1, 1)
+    told("register all points", 0, 1)
     registration = register(
         heights, part, free=free, loss="huber" if pieces else "linear", start=first.pose, reach=0.0, clocking=0.0
     )
     registration = replace(registration, candidates=first.candidates, start=first.start)
-    told("register", 2, 2)
+    told("register all points", 1, 1)
     told("judge", 0, 1)
     placed, error = _on_part(heights, registration)
     inside = keep_disc(error, part.radius)

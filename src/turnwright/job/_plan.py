@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from turnwright.contact import place
 from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
@@ -34,11 +35,14 @@ from turnwright.units import write
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from turnwright.job._run import StageProgress
     from turnwright.path import Motion, Path, Spiral
+    from turnwright.progress import StageProgress
     from turnwright.strategy import Strategy
 
-__all__ = ["Plan", "Trial", "plan"]
+__all__ = ["Plan", "Trial", "plan", "stage_of"]
+
+Share: TypeAlias = Callable[[float], None]
+"""Called with the share of some work that is done."""
 
 TURN = 2 * math.pi
 NM = 1e6
@@ -78,6 +82,15 @@ MOST_POINTS = 10_000_000
 
 WIDEST = "15 deg"
 """Largest step of points at even distances, which near the axis say nothing of the angle."""
+
+AGAIN = 0.15
+"""Share of the plans that miss what is judged and aim lower, about."""
+
+CUSPS = 0.1
+"""Share of the work that the largest feed takes, about."""
+
+FINE = 1000
+"""Parts of the work that progress is told in."""
 
 FEW = 6
 """Points to a feature of the surface that a search for fewer begins with."""
@@ -191,6 +204,11 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     return replace(min(alike, key=lambda one: one.limits.points), tried=tuple(tried))
 
 
+def stage_of(interpolation: str) -> str:
+    """Return what the stage of a plan is called that tries an interpolation."""
+    return f"points, speed and proof, {interpolation}"
+
+
 def _asking(job: Job, interpolation: str) -> Job:
     """Return the job with its controller asked for another interpolation."""
     table = tomllib.loads(job.to_toml())
@@ -200,10 +218,18 @@ def _asking(job: Job, interpolation: str) -> Job:
 
 def _planned(job: Job, form: float, sq: float, told: StageProgress) -> Plan:
     """Return the quickest plan that keeps the tolerances [mm], with the interpolation that the job has."""
+    stage = stage_of(job.machine.machine.controller.interpolation)
+
+    def tell(share: float) -> None:
+        told(stage, round(share * FINE), FINE)
+
     aim = {"form_pv": form, "sq": sq}
-    for _ in range(AIMS):
-        found = _aimed(job, aim["form_pv"], aim["sq"], told)
+    tell(0.0)
+    for number in range(AIMS):
+        span = 1 - AGAIN**number, 1 - AGAIN ** (number + 1)
+        found = _aimed(job, aim["form_pv"], aim["sq"], _between(tell, *span))
         if not missed(found.verdicts):
+            tell(1.0)
             return found
         # What is judged in a patch may be rougher than the rings that the feed is chosen by.
         for name in aim:
@@ -217,12 +243,15 @@ def _planned(job: Job, form: float, sq: float, told: StageProgress) -> Plan:
     )
 
 
-def _aimed(job: Job, form: float, sq: float, told: StageProgress) -> Plan:
+def _between(tell: Share, first: float, last: float) -> Share:
+    """Return who is told the progress of a part of some work, from one share of it to another."""
+    return lambda share: tell(first + (last - first) * share)
+
+
+def _aimed(job: Job, form: float, sq: float, tell: Share) -> Plan:
     """Return the quickest plan of those that aim at a form error and a finish [mm]; it may miss the tolerances."""
-    stage = f"points, speed and proof, {job.machine.machine.controller.interpolation}"
-    told("cusps", 0, 1)
     across, cusp = _across(job, form, sq)
-    told("cusps", 1, 1)
+    tell(CUSPS)
     # Points and servos err to both sides.
     left = (ROOM * form - cusp - DECIMALS) / 2
     if left <= 0:
@@ -234,8 +263,9 @@ def _aimed(job: Job, form: float, sq: float, told: StageProgress) -> Plan:
     kept: Plan | None = None
     within, beyond = 0.0, math.inf  # shares that keep the tolerances, and that do not
     for number in range(PROOFS):
-        told(stage, number, PROOFS)
-        proved = search.proved(left)
+        # Half of the plans that are proved are followed by another.
+        span = (1 - (1 - CUSPS) * 0.5**one for one in (number, number + 1))
+        proved = search.proved(left, _between(tell, *span))
         if missed(proved.verdicts):
             if kept is None:
                 return proved
@@ -249,7 +279,6 @@ def _aimed(job: Job, form: float, sq: float, told: StageProgress) -> Plan:
         if more < 1 / NEAR or beyond < within / NEAR:
             break
         left = min(within * more, math.sqrt(within * beyond))
-    told(stage, PROOFS, PROOFS)
     assert kept is not None  # noqa: S101 - the loop keeps a plan or returns the first
     return kept
 
@@ -281,13 +310,15 @@ class _Search:
         self.evenly &= not job.strategy.moves_fast_tool
         self.spacings: list[tuple[float, float]] = []  # (chord or arc length, what the points really add) [mm]
 
-    def proved(self, left: float) -> Plan:
+    def proved(self, left: float, tell: Share) -> Plan:
         """Return the quickest plan whose points and servos share what is left [mm], proved by its own program."""
         best: tuple[_Points, Motion, float] | None = None
+        tell(0.0)
         splits = SPLITS if self.answers else (1.0,)
         for share in sorted({min(split * left, self.roughest) for split in splits}, reverse=True):
             points = self._points(share)
             motion, rest = points.top, left - share
+            tell(0.3)
             if self.answers:
                 self.servos = self.servos or Servos(
                     self.part, self.tool, self.machine, feed=points.spiral.feed, corrected=self.corrected
@@ -297,6 +328,7 @@ class _Search:
                 break
             best = points, motion, rest
         assert best is not None  # noqa: S101 - there is at least one split
+        tell(0.5)
         points, meant, rest = best
         speed: float | SpeedProfile | None = None
         if self.answers or not self.varies:
@@ -311,11 +343,14 @@ class _Search:
             if found is not None and found[1].time[-1] < meant.time[-1]:
                 speed, meant = found
         motion = meant if self.servos is None else self.servos.commanded(meant)
+        tell(0.6)
         filled = points.filled
         with TemporaryDirectory(prefix="turnwright-") as folder:
             again = read_back(filled, written(filled, {"finish": motion}, File(folder)).files[0], "finish")
+        tell(0.7)
         final, aimed = _filled(filled, self.across, points.ways, speed), meant if self.corrected else None
         predictions = predict(final, again, meant=aimed)
+        tell(0.9)
         return Plan(
             job=final,
             shares=shares(

@@ -6,12 +6,12 @@ import math
 import sys
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,7 +44,7 @@ from turnwright.tracking import precorrect
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping
     from os import PathLike
 
     from turnwright._arrays import Floats
@@ -54,11 +54,10 @@ if TYPE_CHECKING:
     from turnwright.job._schema import Job, PassTable
     from turnwright.machine import Machine
     from turnwright.path import Motion, Path
-    from turnwright.progress import Progress
+    from turnwright.progress import Progress, StageProgress
 
 __all__ = [
     "WHOLE",
-    "StageProgress",
     "Watch",
     "depths_of",
     "planned",
@@ -69,9 +68,6 @@ __all__ = [
     "run",
     "written",
 ]
-
-StageProgress: TypeAlias = Callable[[str, int, int], None]
-"""Called with (stage, done, total); raising in it, as Ctrl-C does, stops the run cleanly."""
 
 PICTURE = 20_000
 """Points that a picture of a path needs."""

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Bools, Floats
     from turnwright.execution import Row
-    from turnwright.job import StageProgress
+    from turnwright.progress import StageProgress
 
 __all__ = ["Outcome", "Sensitivity", "Tightening", "ToleranceStudy", "tolerance"]
 

@@ -213,12 +213,13 @@ class Id(Model):
 
 
 class Progress(Model):
-    """How far a run is."""
+    """How far a whole run is."""
 
     stage: str
-    done: int
-    total: int
-    left_s: float | None = Field(description="Until this stage is done, guessed from how long it took so far.")
+    step: int = Field(description="Number of the stage, counted from 1.")
+    steps: int
+    fraction: float = Field(description="Of the work that is done; it never falls.")
+    left_s: float = Field(description="Until all is done, estimated.")
 
 
 class RunLine(Model):

@@ -174,7 +174,9 @@ async def remove(id: RunId, request: Request) -> Response:  # noqa: A002
 @router.get(
     "/{id}/events",
     response_class=StreamingResponse,
-    responses=told_as_events("Events progress {stage, done, total, left_s} and state {state, sentence} until the end."),
+    responses=told_as_events(
+        "Events progress {stage, step, steps, fraction, left_s} and state {state, sentence} until the end."
+    ),
 )
 async def events(id: RunId, request: Request) -> StreamingResponse:  # noqa: A002
     """Tell what happens to a run, beginning with its present state."""

@@ -20,42 +20,55 @@ from typing import TYPE_CHECKING, Any
 
 from turnwright._stop import Stop
 from turnwright.errors import InputError, TurnwrightError, shortened
+from turnwright.progress import OverallProgress, Step
 from turnwright.web._references import BUNDLE, CORRECTION, job_in, located, text_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from turnwright.job import Job, Measured
+    from turnwright.progress import Overall
 
 __all__ = ["main"]
+
+READ = Step(stage="read the file", work=1.0)
+INDEX = Step(stage="index of the program", work=1.0)
+
+HEIGHT_BYTES = 8
+"""Of a height in a file, usually."""
 
 EVERY_S = 0.2
 GRACE_S = 2.0
 
 
 class _Teller:
-    """Writes progress, not more often than anybody looks."""
+    """Writes the progress of the whole run, not more often than anybody looks."""
 
     def __init__(self, file: Path, stop: Stop) -> None:
         self.file, self.stop = file, stop
-        self.last, self.stage, self.since = 0.0, "", 0.0
+        self.last, self.stage = 0.0, ""
+        self.whole = OverallProgress((), self._write)
+
+    def expect(self, steps: Sequence[Step]) -> None:
+        """Say what the run will do, before the first of it."""
+        self.whole = OverallProgress(steps, self._write)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Say how far a stage is."""
         self.stop.check()
+        self.whole(stage, done, total)
+
+    def _write(self, at: Overall) -> None:
         now = time.monotonic()
-        new = stage != self.stage
-        if new:
-            self.stage, self.since = stage, now
-        if not new and now - self.last < EVERY_S:
+        if at.stage == self.stage and now - self.last < EVERY_S:
             return
-        self.last = now
-        left = (now - self.since) * (total - done) / done if 0 < done < total else None
+        self.last, self.stage = now, at.stage
         line = {
-            "stage": stage,
-            "done": int(done),
-            "total": int(total),
-            "left_s": None if left is None else round(left, 1),
+            "stage": at.stage,
+            "step": at.step,
+            "steps": at.steps,
+            "fraction": round(at.fraction, 4),
+            "left_s": round(at.left_s, 1),
         }
         with self.file.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
@@ -136,7 +149,11 @@ def _pack(run: Path, server: Path, out: Path) -> None:
 
 def _run(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> str:
     """As ``turnwright run``."""
-    said = _cut(_job(run, server), out, tell)
+    from turnwright.job import steps_of_run  # noqa: PLC0415
+
+    job = _job(run, server)
+    tell.expect((*steps_of_run(job), INDEX))
+    said = _cut(job, out, tell)
     _pack(run, server, out)
     return said
 
@@ -150,7 +167,7 @@ def _cut(job: Job, out: Path, tell: _Teller) -> str:
     tell("report", 0, 1)
     archive.write_archive(result, out)
     report.write_report(result, out)
-    tell("index of the program", 0, 1)
+    tell(INDEX.stage, 0, 1)
     index(out, job.machine.machine)
     minutes = sum(one.limits.cycle_time_s for one in result.passes) / 60
     points = sum(one.points for one in result.passes)
@@ -163,9 +180,11 @@ def _cut(job: Job, out: Path, tell: _Teller) -> str:
 def _compare(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> str:
     """As ``turnwright compare``."""
     from turnwright import archive, report  # noqa: PLC0415
-    from turnwright.job import compare  # noqa: PLC0415
+    from turnwright.job import compare, steps_of_comparison  # noqa: PLC0415
 
-    found = compare(_job(run, server), progress=tell)
+    job = _job(run, server)
+    tell.expect(steps_of_comparison(job))
+    found = compare(job, progress=tell)
     tell("report", 0, 1)
     archive.write_comparison(found, out)
     report.write_comparison(found, out)
@@ -180,7 +199,8 @@ def _measured(run: Path, server: Path, tell: _Teller, told: dict[str, Any]) -> M
 
     recipe, file = _job(run, server), run / told["file"]
     seconds, most = float(sys.argv[4]), int(sys.argv[5])
-    tell("read the file", 0, 1)
+    tell.expect((READ, *_steps(recipe, file, told["kind"])))
+    tell(READ.stage, 0, 1)
     with _deadline(seconds, f"the file is not read after {seconds:g} s, the limit: it is damaged, or too large"):
         limit_memory(most)
         try:
@@ -188,8 +208,19 @@ def _measured(run: Path, server: Path, tell: _Teller, told: dict[str, Any]) -> M
         except InputError as error:
             called = told["called"] or file.name
             raise InputError(str(error).replace(str(file), file.name).replace(file.name, called)) from None
-    tell("read the file", 1, 1)
+    tell(READ.stage, 1, 1)
     return measure(recipe, heights, progress=tell)
+
+
+def _steps(job: Job, file: Path, kind: str) -> tuple[Step, ...]:
+    """Return what follows when a measured file of a kind of run is read; a corrected job is much like the job."""
+    from turnwright.job import steps_of_correction, steps_of_diagnosis, steps_of_run  # noqa: PLC0415
+
+    heights = [file.stat().st_size / HEIGHT_BYTES]
+    if kind == "measure":
+        return steps_of_diagnosis(heights)
+    *before, report = steps_of_correction(heights)
+    return (*before, Step(stage="report of the correction", work=report.work), *steps_of_run(job), INDEX)
 
 
 @contextmanager

@@ -90,7 +90,7 @@ export async function postPacked(path, body, { signal } = {}) {
   return unpack(await (await answer(address(path), asked(body, signal, "POST"))).arrayBuffer());
 }
 
-/** Hear the events of a run: call.progress({stage, done, total, left_s}), call.state({state, sentence}); return how to stop. */
+/** Hear the events of a run: call.progress({stage, step, steps, fraction, left_s}), call.state({state, sentence}); return how to stop. */
 export function events(id, call) {
   const source = new EventSource(address(`/runs/${id}/events`));
   const hear = (name) => source.addEventListener(name, (event) => call[name]?.(JSON.parse(event.data)));

@@ -178,7 +178,7 @@ function Run({ run, chosen }) {
   const [sure, ask] = useState(false);
   const going = GOING.has(run.state);
   const { progress } = run;
-  const share = progress?.total ? progress.done / progress.total : 0;
+  const share = progress?.fraction ?? 0;
   return html`<li class=${chosen ? "run chosen" : "run"} data-state=${run.state}>
     <button type="button" class="line" aria-pressed=${chosen ? "true" : "false"} onClick=${() => look(run.id)}>
       <${Mark} ok=${run.state === "done" ? true : run.state === "failed" ? false : null} />
@@ -188,8 +188,8 @@ function Run({ run, chosen }) {
       ? html`<span class="sure"><button type="button" class="button bad" onClick=${() => drop(run)}>Delete</button><button type="button" class="button" onClick=${() => ask(false)}>Keep</button></span>`
       : html`<${Tool} icon=${going ? "stop" : "bin"} name=${going ? `Cancel ${run.name}` : `Delete ${run.name}`} onClick=${() => (going ? drop(run) : ask(true))} />`}
     ${going && html`<div class="progress"><${Bar} share=${share} kind="going" />
-      <span role="status">${run.state === "queued" ? "behind the runs before it" : progress ? `${progress.stage}, ${Math.round(share * 100)} %` : "begins"}</span>
-      <span class="gap"></span>${Number.isFinite(progress?.left_s) && html`<span class="number">${duration(progress.left_s)} more</span>`}</div>`}
+      <span role="status">${run.state === "queued" ? "behind the runs before it" : progress ? `step ${progress.step} of ${progress.steps}, ${progress.stage}: ${Math.floor(share * 100)} %` : "begins"}</span>
+      <span class="gap"></span>${progress?.steps > 0 && html`<span class="number">${duration(progress.left_s)} more</span>`}</div>`}
     ${run.state === "failed" && run.sentence && html`<p class="wrong">${run.sentence}</p>`}
   </li>`;
 }

@@ -29,7 +29,7 @@
    place         where the tool stands on the finishing spiral, 0 at the first point .. 1 at the last   scene.js, program.js
    cursor        [x, y] on the part that is pointed at, in any view | null                scene.js, mapview.js, program.js
    --            the runs
-   runs          [{id, name, kind, state, created, started, ended, sentence, progress?}]; progress {stage, done, total, left_s}   runs.js
+   runs          [{id, name, kind, state, created, started, ended, sentence, progress?}]; progress {stage, step, steps, fraction, left_s}   runs.js
    run           id of the run looked at | null                                           runs.js
    result        result.json of that run | null                                           runs.js
   made          data of the job that it carried out | null                               runs.js
