@@ -1,5 +1,6 @@
 """The commands of a measured part. Oracles: the errors that were injected, plain readers of what is written."""
 
+import difflib
 import json
 import re
 from dataclasses import replace
@@ -157,6 +158,67 @@ def test_artefacts_correct_the_job_of_the_part(shop, tmp_path, capsys):
     assert main(["artefact", str(shop / "job.toml"), "--kind", "cube", "--out", str(tmp_path / "cube.toml")]) == 2
     assert '"tilted flat" or "concave sphere"' in capsys.readouterr().err
     assert not (tmp_path / "cube.toml").exists()
+
+
+BY_HAND = """\
+# Dish 12, drawing 4711
+[tool]   # certificate 88
+nose_radius = "500 um"
+included = "60 deg" # of the shop's drawer
+clearance = "0.15 rad"
+
+[machine]
+name = "generic"
+
+[part]
+name = "dish"
+radius = "0.2 cm"
+surface = { family = "sphere", radius = "2 cm" } # concave
+
+[strategy]
+# as we always do it
+kind = "slow tool servo"
+feed = "20000 nm/rev"
+points_per_rev = 360
+spindle_speed = "60 rpm"
+
+[simulation]
+whole_part = { radii = 41, angles = 24 }
+"""
+
+
+def lines_lost(text):
+    told = list(difflib.ndiff(BY_HAND.splitlines(), text.splitlines()))
+    return [line[2:] for line in told if line[0] == "-"], [line[2:] for line in told if line[0] == "+"]
+
+
+def test_a_correction_keeps_what_a_person_wrote(shop, tmp_path):
+    """Oracle: the lines of the file, by difflib; what is known of the tool is new, all else stays."""
+    job = tmp_path / "job.toml"
+    job.write_text(BY_HAND, encoding="utf-8")
+    out = tmp_path / "better"
+    assert main(["correct", str(shop / "dish.x3p"), "--job", str(job), "--out", str(out)]) == 0
+    lost, new = lines_lost((out / "job.toml").read_text(encoding="utf-8"))
+    assert lost == []
+    assert any(line.startswith("offset = ") for line in new)
+    moved = out.rename(tmp_path / "moved")  # files beside the job are named so that the folder can move
+    assert Job.load(moved / "job.toml").tool.tool.offset[0] == pytest.approx(OFFSET, abs=1e-4)
+    again = tmp_path / "again"
+    command = ["correct", str(shop / "dish.x3p"), "--job", str(job), "--of", str(job), "--out", str(again)]
+    assert main(command) == 0
+    assert lines_lost((again / "job.toml").read_text(encoding="utf-8"))[0] == []
+
+
+def test_a_test_part_keeps_what_a_person_wrote(tmp_path):
+    """Oracle: the lines of the file, by difflib; the part is another, all else stays."""
+    job, out = tmp_path / "job.toml", tmp_path / "flat.toml"
+    job.write_text(BY_HAND, encoding="utf-8")
+    assert main(["artefact", str(job), "--kind", "tilted flat", "--out", str(out)]) == 0
+    lost, _ = lines_lost(out.read_text(encoding="utf-8"))
+    assert {line.partition(" = ")[0] for line in lost} <= {"name", "surface", "whole_part", "[simulation]", ""}
+    assert 'radius = "0.2 cm"' in out.read_text(encoding="utf-8")
+    assert Job.load(out).part.surface.family == "plane"
+    assert Job.load(out).tool == Job.load(job).tool
 
 
 def told_once(capsys):

@@ -19,6 +19,7 @@ from turnwright._commands._shared import (
     require_new,
     warn,
 )
+from turnwright._whole import write_whole
 from turnwright.errors import InputError
 from turnwright.progress import Step
 
@@ -65,19 +66,21 @@ def artefact(
 ) -> None:
     """Write the job of an artefact that is cut as the part will be, to find out tool and machine beforehand."""
     door: Door = context.obj
-    from turnwright.job import Job, artefact  # noqa: PLC0415
+    from turnwright.job import Job, artefact, edited  # noqa: PLC0415
     from turnwright.units import parse  # noqa: PLC0415
 
     require_new(out)
+    recipe = Job.load(job)
+    text = job.read_bytes().decode()
     with progress_of(door.stop, [Step(stage="speed of the part", work=3.0)]) as progress:
         made = artefact(
-            Job.load(job),
+            recipe,
             kind,  # type: ignore[arg-type] # any other is refused in words
             radius=None if radius is None else parse(radius, "mm"),
             slope=None if slope is None else parse(slope, "rad"),
             progress=progress,
         )
-    made.dump(out)
+    write_whole(out, edited(text, recipe, made, folder=job.absolute().parent, into=out.absolute().parent))
     door.say(f"{made.part.part.name}: radius {made.part.radius:g} mm, {made.strategy.spindle_speed:.4g} rpm")
     door.say(f"job: {out}")
 
@@ -163,9 +166,9 @@ def correct(
         measured = _measured(files, job, progress, unit)
         found = explain(measured, progress=progress)
         if of is None:
-            better = correct(measured[0].job, found, measured, out=folder, progress=progress)
+            better = correct(measured[0].job, found, measured, out=folder, source=job[0], progress=progress)
         else:
-            better = correct(Job.load(of), found, out=folder, progress=progress)
+            better = correct(Job.load(of), found, out=folder, source=of, progress=progress)
         progress("report", 0, 1)
         from turnwright.archive import write_correction as write_numbers  # noqa: PLC0415
         from turnwright.report import write_correction  # noqa: PLC0415

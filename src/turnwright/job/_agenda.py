@@ -101,7 +101,7 @@ def steps_of_prediction(job: Job, *, tracking: bool | None = None) -> tuple[Step
             steps.append(Step(stage=f"simulate {name} with servos", work=work))
         steps.append(Step(stage="roughness", work=0.1 + heights / MILLION))
         if name == "whole part":
-            steps.append(Step(stage="highest and lowest place", work=1.0 + EXTREMES_S * points))
+            steps.append(Step(stage="highest and lowest place", work=1.5 + EXTREMES_S * points))
             if job.tolerances.sq is not None and not job.simulation.patches:
                 steps.append(Step(stage="roughest ring", work=0.5))
     return tuple(steps)

@@ -9,7 +9,6 @@ from pathlib import Path as File
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tomli_w
 from numpy.typing import NDArray
 
 from turnwright._whole import write_whole
@@ -20,6 +19,7 @@ from turnwright.job._finish import finished
 from turnwright.job._measure import Measured, cutoff_of, same_part
 from turnwright.job._schema import Job
 from turnwright.job._shares import pv_nm_of, rms_nm_of
+from turnwright.job._text import edited
 from turnwright.job._verdict import Verdict, judge_form
 from turnwright.part import correction_of
 from turnwright.tool import WavinessTable
@@ -94,6 +94,7 @@ def correct(
     measured: Measured | Sequence[Measured] | None = None,
     *,
     out: str | PathLike[str],
+    source: str | PathLike[str] | None = None,
     progress: StageProgress | None = None,
 ) -> Correction:
     """Write the job that takes what was found into account, and predict what it leaves.
@@ -113,6 +114,8 @@ def correct(
         have cut it counts with it. Without it only tool and machine are corrected.
     out
         Folder for ``job.toml`` and the files that it names; it is made if there is none.
+    source
+        The file that the job was read from: its text is kept but for what changes. Without it all is written anew.
     progress
         Called with (stage, done, total).
 
@@ -123,6 +126,7 @@ def correct(
     """
     told = progress or (lambda _stage, _done, _total: None)
     _check(job, found)
+    text, beside = ("", File()) if source is None else (File(source).read_bytes().decode(), File(source).parent)
     out = File(out).resolve()  # the job names its files beside itself, wherever it is read from
     out.mkdir(parents=True, exist_ok=True)
     part = job.part.part
@@ -139,7 +143,7 @@ def correct(
     told("correct the part", 1, 1)
     better = Job.read(table, folder=out)
     file = out / "job.toml"
-    write_whole(file, tomli_w.dumps(_beside(table, out)))
+    write_whole(file, edited(text, job, better, folder=beside, into=out))
     told("simulate", 0, 1)
     x, y = _places(job.part.part, left)
     simulated = _simulated(better, x, y)
@@ -261,17 +265,6 @@ def _put_correction(table: dict[str, Any], job: Job, part: Part, left: HeightMap
     write_map(HeightMap(x=new.x, y=new.y, z=new.z, name="correction"), file)
     table["correction"] = str(file)
     return smooth.cutoff
-
-
-def _beside(table: dict[str, Any], out: File) -> dict[str, Any]:
-    """Return the table with the files that stand beside it under their own names, so that the folder can move."""
-    if isinstance(table, dict):
-        return {key: _beside(value, out) for key, value in table.items()}
-    if isinstance(table, list):
-        return [_beside(value, out) for value in table]
-    if isinstance(table, str) and table.startswith(f"{out}/"):
-        return File(table).name
-    return table
 
 
 def _places(part: Part, left: HeightMap | None) -> tuple[Floats, Floats]:

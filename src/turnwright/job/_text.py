@@ -79,25 +79,37 @@ def edited(before: str, old: Job, new: Job, *, folder: Path, into: Path) -> str:
     Parameters
     ----------
     before
-        The text of the file.
+        The text of the file; if empty, all is written anew.
     old, new
         The job that it describes, and that after the change.
     folder
         Of the file, where the files that it names are looked for.
     into
         Folder that the new text is for. Names of files stay as they are in the same folder, and become whole paths in
-        another.
+        another; a file of the new job that lies there has its name alone, so that the folder can move.
     """
     table = tomllib.loads(before.removeprefix(MARK))
-    if folder.resolve() != into.resolve():
+    into = into.resolve()
+    if folder.resolve() != into:
         table = _with_whole_paths(table, folder)
-    was, now = (tomllib.loads(one.to_toml()) for one in (old, new))
-    for quantities in (_in_its_unit, _as_it_is):
+    was, now = (_beside(tomllib.loads(one.to_toml()), into) for one in (old, new))
+    for quantities in (_in_its_unit, _as_it_is) if table else ():
         text = written(_carried(table, was, now, quantities), before)
         with suppress(TurnwrightError, tomllib.TOMLDecodeError):
             if Job.read(tomllib.loads(text), folder=into) == new:
                 return MARK * before.startswith(MARK) + text
-    return new.to_toml()
+    return tomli_w.dumps(now)
+
+
+def _beside(value: Any, folder: Path) -> Any:
+    """Return data with the files that lie in a folder by their names alone."""
+    if isinstance(value, dict):
+        return {key: _beside(one, folder) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_beside(one, folder) for one in value]
+    if isinstance(value, str) and Path(value).parent == folder:
+        return Path(value).name
+    return value
 
 
 def _with_whole_paths(value: Any, folder: Path) -> Any:
