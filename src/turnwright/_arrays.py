@@ -11,8 +11,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from turnwright._validate import require_finite
 from turnwright.errors import InputError
-from turnwright.units import LEAST, MOST
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
@@ -43,9 +43,8 @@ def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool =
         raise InputError(f"{name} holds something that is not a number: give plain numbers") from error
     if ndim is not None and np.ndim(values) != ndim:
         raise InputError(f"{name} has {np.ndim(values)} dimensions where {ndim} are needed: reshape it")
-    if finite and not np.isfinite(array).all():
-        bad = int(np.count_nonzero(~np.isfinite(array)))
-        raise InputError(f"{name} holds {bad} values that are not finite, the limit is 0: remove or replace them")
+    if finite:
+        require_finite(array, name)
     view = array.view()
     view.flags.writeable = False
     return view
@@ -103,23 +102,3 @@ def freeze(owner: object, names: Sequence[str], optional: Sequence[str] = (), *,
     for name in given:
         object.__setattr__(owner, name, frozen(getattr(owner, name), f"{name}{of}"))
     same_length([(name, getattr(owner, name)) for name in given])
-
-
-def positive(value: float, name: str, unit: str) -> float:
-    """Return ``value`` if it is a number above zero, of a size that is none by a slip."""
-    if isinstance(value, int) and value.bit_length() > 1000:
-        raise InputError(f"{name} is beyond the range of numbers, about 1e308 {unit}: give a smaller value")
-    if not np.isfinite(value) or value <= 0:
-        raise InputError(f"{name} is {value:g} {unit}, it must be finite and above 0 {unit}: give a positive value")
-    if not LEAST <= value <= MOST:
-        raise InputError(
-            f"{name} is {value:g} {unit}, the limits are {LEAST:g} to {MOST:g} {unit}: check its exponent and its unit"
-        )
-    return float(value)
-
-
-def between(value: float, name: str, low: float, high: float, unit: str) -> float:
-    """Return ``value`` if it lies in the closed interval [low, high]."""
-    if not low <= value <= high:
-        raise InputError(f"{name} is {value:g} {unit}, the limits are {low:g} to {high:g} {unit}: give a value between")
-    return float(value)

@@ -28,7 +28,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, between, frozen, positive
+from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._validate import check_angle, positive
 from turnwright.errors import InputError
 from turnwright.tool import Tool, WavinessTable
 
@@ -214,7 +215,7 @@ def fit_edge(
     if toward_x not in (-1, 1):
         raise InputError(f"toward_x is {toward_x!r}, it must be 1 or -1: say whether u grows toward the machine's +X")
     positive(cutoff, "cutoff", "mm")
-    between(np.rad2deg(tilt), "tilt", -45, 45, "deg")
+    check_angle(tilt, "tilt", -np.pi / 4, np.pi / 4)
 
     # Along +X, and outward: the way the edge points, whichever of the two ways lets an arc fit better.
     found = {sign: _fit_shape(toward_x * along, sign * across) for sign in (1.0, -1.0)}

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, only_read
+from turnwright._validate import check_azimuths
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
@@ -343,6 +344,7 @@ def generate_polar(
         If a grid axis does not ascend, a radius is negative, or ``out`` has another shape.
     """
     radius, angle = _ascending(radius, "radius"), _ascending(angle, "angle")
+    check_azimuths(angle, "angle")
     if radius[0] < 0:
         raise InputError(f"radius begins at {radius[0]:g} mm, the limit is 0 mm: use the azimuth for the other side")
     shape = (angle.size, radius.size)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen, positive
-from turnwright._given import whole
+from turnwright._arrays import Floats, frozen
+from turnwright._validate import check_azimuths, check_numbers, positive, whole
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ class HeightMap:
     metadata: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        check_numbers(self, nan=("z",))
         given = [name for name in ("x", "y", "radius", "angle") if getattr(self, name) is not None]
         if given not in (["x", "y"], ["radius", "angle"]):
             raise InputError(
@@ -63,6 +64,8 @@ class HeightMap:
             )
         for name in given:
             object.__setattr__(self, name, frozen(getattr(self, name), name))
+        if self.angle is not None:
+            check_azimuths(self.angle, "angle")
         scattered = np.ndim(self.z) == 1 and given == ["x", "y"]
         object.__setattr__(self, "z", frozen(self.z, "z", ndim=1 if scattered else 2, finite=False))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))

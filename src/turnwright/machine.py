@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright import units
-from turnwright._arrays import Floats, between, frozen, positive
-from turnwright._given import whole as whole_number
+from turnwright._arrays import Floats, frozen
 from turnwright._toml import read_toml
+from turnwright._validate import between, check_angle, check_numbers, positive
+from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.response import FrequencyResponse, Response, SecondOrder, TransferFunction
 
@@ -79,6 +80,7 @@ class Axis:
     dead_time: float | None = None
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name, power in (("speed", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
             limit = getattr(self, name)
             if limit is not None:
@@ -141,6 +143,7 @@ class Controller:
     other_interpolations: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         others = self.other_interpolations
         if not isinstance(others, Mapping) or not all(isinstance(dialect, str) for dialect in others.values()):
             raise InputError(
@@ -188,14 +191,14 @@ class Convention:
     clocking: float = 0.0
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("x_side", "c_sense", "z_sign"):
             sign = getattr(self, name)
-            if isinstance(sign, bool) or not isinstance(sign, int) or sign not in (-1, 1):
+            if sign not in (-1, 1):
                 raise InputError(
                     f"{name} of the convention is {sign!r}, it must be the whole number 1 or -1: give the sign"
                 )
-        if not np.isfinite(self.clocking):
-            raise InputError(f"clocking of the convention is {self.clocking}, it must be finite: give an angle")
+        check_angle(self.clocking, "clocking of the convention")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -252,6 +255,7 @@ class Machine:
     sources: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
         missing = sorted({"C", "X", "Z"} - set(self.axes))
@@ -259,7 +263,7 @@ class Machine:
             raise InputError(f"machine {self.name!r} lacks axis {', '.join(missing)}: give at least C, X and Z")
         object.__setattr__(self, "spindle_rpm", positive(self.spindle_rpm, "spindle_rpm", "rev/min"))
         object.__setattr__(self, "block_rate_hz", positive(self.block_rate_hz, "block_rate_hz", "blocks/s"))
-        between(self.squareness, "squareness", -STEEPEST, STEEPEST, "rad")
+        check_angle(self.squareness, "squareness", -STEEPEST, STEEPEST)
         if self.straightness is not None:
             if len(self.straightness) != 2:
                 raise InputError(

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright import units
-from turnwright._arrays import Floats, between, frozen, positive
-from turnwright._given import whole as whole_number
+from turnwright._arrays import Floats, frozen
 from turnwright._toml import read_toml
+from turnwright._validate import between, check_angle, check_numbers, positive
+from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -64,10 +65,10 @@ class Lobes:
     maximum: float = 0.0
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "count", whole_number(self.count, "lobes count", 1, MOST_LOBES))
         between(self.amplitude, "lobes amplitude", 0.0, 0.99, "of the mean")
-        if not np.isfinite(self.maximum):
-            raise InputError(f"lobes maximum is {self.maximum}, it must be finite: give an angle")
+        check_angle(self.maximum, "lobes maximum")
 
     def factor(self, angle: ArrayLike) -> Floats:
         """Return the factor to the mean at some azimuths of the part. Any shape [1]."""
@@ -92,9 +93,17 @@ def _curve(curve: tuple[ArrayLike, ArrayLike], name: str) -> Curve:
     return at, factor
 
 
+def _by_rake(curve: Curve, name: str) -> Curve:
+    """Return a curve of factors over the rake. [rad]."""
+    found = _curve(curve, name)
+    for end in found[0][[0, -1]]:
+        check_angle(end, f"a position of {name}", -STEEPEST, STEEPEST)
+    return found
+
+
 def _uncertainty(value: float | None, name: str, unit: str) -> None:
-    if value is not None and not (np.isfinite(value) and value >= 0):
-        raise InputError(f"the uncertainty of {name} is {value:g} {unit}, it must be finite and at least 0: correct it")
+    if value is not None and value < 0:
+        raise InputError(f"the uncertainty of {name} is {value:g} {unit}, it must be at least 0: correct it")
 
 
 def _around(rake: Curve | None, lobes: Lobes | None, at_rake: ArrayLike, at_angle: ArrayLike) -> Floats:
@@ -151,6 +160,7 @@ class CuttingCoefficient:
     stated: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "value", positive(self.value, "a cutting coefficient", "N/mm^2"))
         _uncertainty(self.uncertainty, "a cutting coefficient", "N/mm^2")
         between(self.exponent, "the exponent of a cutting coefficient", -2.0, 2.0, "(a power)")
@@ -158,13 +168,13 @@ class CuttingCoefficient:
             positive(self.reference_thickness, "reference_thickness", "mm")
         elif self.exponent:
             raise InputError("a cutting coefficient has an exponent and no reference_thickness: give it in mm")
-        for name in ("thickness", "rake"):
+        for name, read in (("thickness", _curve), ("rake", _by_rake)):
             curve = getattr(self, name)
             if curve is not None:
-                object.__setattr__(self, name, _curve(curve, f"the {name} of a cutting coefficient"))
+                object.__setattr__(self, name, read(curve, f"the {name} of a cutting coefficient"))
         if self.thickness is not None and not self.thickness[0][0] > 0:
             raise InputError("the thickness of a cutting coefficient begins at 0 mm or below: begin above 0 mm")
-        if self.stated is not None and not 0 <= self.stated[0] < self.stated[1] < np.inf:
+        if self.stated is not None and not 0 <= self.stated[0] < self.stated[1]:
             low, high = self.stated
             raise InputError(
                 f"a cutting coefficient is stated for chips of {low:g} to {high:g} mm, it must be from the thinnest, "
@@ -224,10 +234,11 @@ class CriticalThickness:
     lobes: Lobes | None = None
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "value", positive(self.value, "a critical thickness", "mm"))
         _uncertainty(self.uncertainty, "a critical thickness", "mm")
         if self.rake is not None:
-            object.__setattr__(self, "rake", _curve(self.rake, "the rake of a critical thickness"))
+            object.__setattr__(self, "rake", _by_rake(self.rake, "the rake of a critical thickness"))
 
     @property
     def doubt(self) -> float:
@@ -300,6 +311,7 @@ class Material:
     notes: str = ""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
         if not self.name:
             raise InputError("a material has no name: give it one")

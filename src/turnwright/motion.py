@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from turnwright._arrays import frozen, only_read, same_length
+from turnwright._validate import check_numbers
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, ROTARY, Axis
 from turnwright.path import STRAIGHT, TURNED, Motion, Path, block_points
@@ -123,6 +124,7 @@ class SpeedProfile:
     spindle_rpm: Floats
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("radius", "spindle_rpm"):
             object.__setattr__(self, name, frozen(getattr(self, name), name))
         same_length([("radius", self.radius), ("spindle_rpm", self.spindle_rpm)])

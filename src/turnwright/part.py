@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import positive
+from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.surface import Surface
 
@@ -47,6 +47,7 @@ class Blank:
     radius: float
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         positive(self.radius, "blank radius", "mm")
 
     @property
@@ -94,16 +95,15 @@ class Part:
     blank: Blank | None = None
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         positive(self.radius, "part radius", "mm")
         if self.blank is not None and self.blank.reach < self.radius:
             raise InputError(
                 f"the blank reaches {self.blank.reach:g} mm from the axis, the limit is the clear radius "
                 f"{self.radius:g} mm or more: give the radius of the blank"
             )
-        if not 0 <= self.stock < np.inf:
-            raise InputError(
-                f"stock is {self.stock:g} mm, it must be finite and cannot be below 0 mm: give the thickness to remove"
-            )
+        if self.stock < 0:
+            raise InputError(f"stock is {self.stock:g} mm, it cannot be below 0 mm: give the thickness to remove")
         self.surface.require_disc(self.radius, "the clear radius")
 
     def corrected(self, error: HeightMap, *, cutoff: float, beyond: float) -> Part:

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from turnwright._arrays import Floats, Ints, freeze, frozen, rounding, same_length
+from turnwright._validate import check_cumulative, check_numbers
 from turnwright.errors import InputError
 from turnwright.machine import FAST, ROTARY, Machine
 
@@ -29,6 +30,7 @@ def _sense(angle: Floats, what: str) -> int:
     """Return +1 or -1, the direction in which the spindle angle runs."""
     if angle.size < 2:
         raise InputError(f"{what} has {angle.size} points, it needs at least 2: take a smaller feed or more points")
+    check_cumulative(angle, f"the angle of {what}")
     before, after = angle[:-1], angle[1:]
     if (after > before).all():
         return 1
@@ -69,6 +71,7 @@ class Spiral:
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         freeze(self, ("angle", "radius"), ("y", "radius_rate", "y_rate", "lift"))
         object.__setattr__(self, "sense", _sense(self.angle, "a spiral"))
         step = float(np.median(np.abs(np.diff(self.angle))))
@@ -128,6 +131,7 @@ class Path:
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
         freeze(self, names, ("y", "radius_rate", "y_rate", "z_rate", "lift"))
         object.__setattr__(self, "sense", _sense(self.angle, "a path"))
@@ -165,6 +169,7 @@ class Motion:
     sense: int = field(init=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "time", frozen(self.time, "time"))
         missing = {"C", "X", "Z"} - set(self.axes)
         if missing:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Floats, between
-from turnwright.errors import InputError
+from turnwright._arrays import Floats
+from turnwright._validate import check_angle, check_numbers, finite_tuple
 
 __all__ = ["Pose"]
 
@@ -32,7 +32,7 @@ class Pose:
     Raises
     ------
     InputError
-        If a number is missing or not finite, or the rotation is beyond a turn, as one in degrees is.
+        If a number is missing or not finite, or an angle is beyond a turn, as one in degrees is.
 
     >>> quarter = Pose(shift=(1, 0, 0), rotation=np.pi / 2)
     >>> [float(round(one, 12)) for one in quarter.apply(2, 0, 5)]
@@ -46,14 +46,12 @@ class Pose:
     tilt: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name, size in (("shift", 3), ("tilt", 2)):
-            values = getattr(self, name)
-            if np.shape(values) != (size,) or not np.isfinite(values).all():
-                raise InputError(f"{name} is {values}, it must be {size} finite numbers: complete it")
-            object.__setattr__(self, name, tuple(float(value) for value in values))
-        if not np.isfinite(self.rotation):
-            raise InputError(f"rotation is {self.rotation}, it must be finite: give an angle in rad")
-        object.__setattr__(self, "rotation", between(self.rotation, "rotation", -2 * np.pi, 2 * np.pi, "rad"))
+            object.__setattr__(self, name, finite_tuple(getattr(self, name), name, size))
+        object.__setattr__(self, "rotation", check_angle(self.rotation, "rotation"))
+        for lean in self.tilt:
+            check_angle(lean, "tilt")
 
     @classmethod
     def of(cls, matrix: ArrayLike, shift: ArrayLike) -> Pose:

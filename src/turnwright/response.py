@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from turnwright._arrays import between, frozen, positive
+from turnwright._arrays import frozen
+from turnwright._validate import between, check_numbers, positive
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -88,6 +89,7 @@ class SecondOrder:
     acceleration_feedforward: float = 0.0
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         positive(self.frequency_hz, "frequency_hz", "Hz")
         positive(self.damping, "damping", "")
         for name in ("velocity_feedforward", "acceleration_feedforward"):
@@ -139,6 +141,7 @@ class TransferFunction:
     denominator: Floats
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("numerator", "denominator"):
             values = np.trim_zeros(frozen(getattr(self, name), name), "f")
             object.__setattr__(self, name, frozen(values, name))
@@ -208,6 +211,7 @@ class FrequencyResponse:
     phase: Floats
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("frequency_hz", "magnitude", "phase"):
             object.__setattr__(self, name, frozen(getattr(self, name), name))
         f = self.frequency_hz

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats, between, frozen, positive
+from turnwright._arrays import Bools, Floats, frozen
+from turnwright._validate import between, check_angle, check_numbers, finite_tuple, positive
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ HALF_CIRCLE = np.pi / 2 - 1e-3
 """Half of the included angle of a nose whose maker states none: the arc ends just before its wall is vertical. [rad]"""
 STEEP = np.deg2rad(80)
 """From this sweep on waviness may end the arc, where it makes the wall vertical earlier. [rad]"""
+STEEPEST = np.deg2rad(80)
+"""Largest rake and clearance. [rad]"""
 NARROW = 1e-3
 """A certificate that covers less is none. [rad]"""
 PIECES = 8192
@@ -47,6 +50,7 @@ class WavinessTable:
     deviation: Floats
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "sweep", frozen(self.sweep, "waviness sweep"))
         object.__setattr__(self, "deviation", frozen(self.deviation, "waviness deviation"))
         if self.sweep.shape != self.deviation.shape or self.sweep.size < 4:
@@ -54,6 +58,8 @@ class WavinessTable:
                 f"a waviness table has {self.sweep.size} sweeps and {self.deviation.size} deviations, "
                 "it needs at least 4 of each and as many of one as of the other: complete it"
             )
+        for end in self.sweep[[0, -1]]:
+            check_angle(end, "a sweep of a waviness table", -np.pi, np.pi)
         if not (np.diff(self.sweep) > 0).all():
             raise InputError("the sweeps of a waviness table do not ascend: sort them and drop repeated ones")
         if np.ptp(self.sweep) < NARROW:
@@ -147,17 +153,15 @@ class Tool:
     edge_length: float | None = None
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         positive(self.nose_radius, "nose_radius", "mm")
         if self.edge_length is not None:
             positive(self.edge_length, "edge_length", "mm")
-        if self.included is not None and not 0 < self.included <= np.pi:
-            raise InputError(
-                f"included is {np.rad2deg(self.included):g} deg, the limits are above 0 and up to 180 deg: "
-                "give the included angle of the arc"
-            )
-        between(np.rad2deg(self.rake), "rake", -80, 80, "deg")
+        if self.included is not None and check_angle(self.included, "included", 0.0, np.pi) == 0:
+            raise InputError("included is 0 rad, it must be above 0 rad: give the included angle of the arc")
+        check_angle(self.rake, "rake", -STEEPEST, STEEPEST)
         if self.clearance is not None:
-            between(np.rad2deg(self.clearance), "clearance", 0, 80, "deg")
+            check_angle(self.clearance, "clearance", 0.0, STEEPEST)
         if self.nose_radius + self.radius_error <= 0:
             raise InputError(
                 f"radius_error is {self.radius_error:g} mm on a nose_radius of {self.nose_radius:g} mm, nothing is "
@@ -165,14 +169,9 @@ class Tool:
             )
         most = 0.1 * self.nose_radius
         between(self.radius_error, "radius_error", -most, most, "mm (a tenth of the nose_radius)")
-        if len(self.offset) != 3 or not np.isfinite(self.offset).all():
-            raise InputError(f"offset is {self.offset}, it must be three finite lengths (dx, dy, dz): complete it")
-        object.__setattr__(self, "offset", tuple(float(value) for value in self.offset))
+        object.__setattr__(self, "offset", finite_tuple(self.offset, "offset (dx, dy, dz)", 3))
         if not isinstance(self.waviness, WavinessTable):
-            coefficients = tuple(float(value) for value in self.waviness)
-            if not np.isfinite(coefficients).all():
-                raise InputError(f"waviness is {coefficients}, every coefficient must be finite: correct it")
-            object.__setattr__(self, "waviness", coefficients)
+            object.__setattr__(self, "waviness", tuple(float(value) for value in self.waviness))
         low, high = self.arc
         deviation = self.deviation(np.linspace(low, high, 721))
         if np.abs(deviation).max() > 0.2 * self.nose_radius:

@@ -17,7 +17,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from turnwright._arrays import Floats, frozen, only_read, positive, rounding, same_length
+from turnwright._arrays import Floats, frozen, only_read, rounding, same_length
+from turnwright._validate import positive
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, INTERPOLATIONS, ROTARY, Axis, Machine
 from turnwright.path import Motion

@@ -190,13 +190,13 @@ def test_convexity_is_seen():
     ("wrong", "words"),
     [
         ({"nose_radius": 0.0}, "nose_radius is 0 mm"),
-        ({"nose_radius": float("nan")}, "nose_radius is nan mm"),
-        ({"nose_radius": 0.5, "included": 4.0}, "included is 229.183 deg"),
-        ({"nose_radius": 0.5, "rake": 2.0}, "rake is 114.592 deg"),
-        ({"nose_radius": 0.5, "clearance": -0.1}, "clearance is -5.72958 deg"),
+        ({"nose_radius": float("nan")}, "nose_radius is nan"),
+        ({"nose_radius": 0.5, "included": 4.0}, "included is 4 rad .229.183 deg.*180 deg"),
+        ({"nose_radius": 0.5, "rake": 2.0}, "rake is 2 rad .114.592 deg.*80 deg"),
+        ({"nose_radius": 0.5, "clearance": -0.1}, "clearance is -0.1 rad .-5.72958 deg"),
         ({"nose_radius": 0.5, "radius_error": -0.6}, "nothing is left of the nose"),
-        ({"nose_radius": 0.5, "offset": (0.0, 1.0)}, "three finite lengths"),
-        ({"nose_radius": 0.5, "waviness": (float("inf"),)}, "every coefficient must be finite"),
+        ({"nose_radius": 0.5, "offset": (0.0, 1.0)}, "3 finite numbers"),
+        ({"nose_radius": 0.5, "waviness": (float("inf"),)}, "waviness holds inf, it must be finite"),
         ({"nose_radius": 0.5, "waviness": (1.0,)}, "check its unit"),
         (
             {"nose_radius": 0.5, "included": 2.6, "waviness": (0.0, 0.0, -0.04)},
@@ -215,7 +215,7 @@ def test_a_wrong_tool_cannot_exist(wrong, words):
         ([0, 1, 2], [0, 0, 0], "at least 4"),
         ([0, 1, 2, 3], [0, 0, 0], "as many"),
         ([0, 2, 1, 3], [0, 0, 0, 0], "do not ascend"),
-        ([0, 1, 2, 3], [0, 0, 0, np.nan], "not finite"),
+        ([0, 1, 2, 3], [0, 0, 0, np.nan], "deviation holds nan, it must be finite"),
         ([0, 1e-4, 2e-4, 3e-4], [0, 0, 0, 0], "covers 0.0003 rad, the limit is 0.001 rad"),
     ],
 )

@@ -18,7 +18,10 @@ def motion(part, tool):
         (lambda: tw.RoundChip(nose_radius=1.0, feed=0.002, depth=2.0), "reduce it below the radius"),
         (lambda: tw.RoundChip(nose_radius=1.0, feed=0.5, depth=0.01), "turns meet below the stock up to"),
         (lambda: tw.RoundChip(nose_radius=-1.0, feed=0.5, depth=0.01), "give a positive value"),
-        (lambda: tw.OrthogonalChip(thickness=1e-4, width=0.1, inclination=np.pi / 2), "the limits are -85 to 85 deg"),
+        (
+            lambda: tw.OrthogonalChip(thickness=1e-4, width=0.1, inclination=np.pi / 2),
+            "the limits are -1.484 to 1.484 rad (-85 to 85 deg)",
+        ),
         (lambda: tw.SlotMill(radius=1.0, feed_per_tooth=2.0, depth=0.1), "reduce it below that"),
         (lambda: tw.SlotMill(radius=1.0, feed_per_tooth=0.1, depth=0.1, teeth=0), "at least 1"),
         (lambda: tw.SlotMill(radius=1.0, feed_per_tooth=0.1, depth=0.1, entry=2.0, exit=1.0), "entry be before exit"),

@@ -58,7 +58,9 @@ def test_a_cutoff_longer_than_the_arc():
         fit_edge(*ARC, toward_x=1, cutoff=0.5)
 
 
-@pytest.mark.parametrize(("key", "value", "told"), [("cutoff", 0.0, "cutoff is 0 mm"), ("tilt", 1.0, "tilt is 57")])
+@pytest.mark.parametrize(
+    ("key", "value", "told"), [("cutoff", 0.0, "cutoff is 0 mm"), ("tilt", 1.0, "tilt is 1 rad .57.29")]
+)
 def test_numbers_out_of_range(key, value, told):
     with pytest.raises(InputError, match=told):
         fit_edge(*ARC, **{"toward_x": 1, "cutoff": 0.01, key: value})

@@ -25,9 +25,9 @@ REFUSED = {
     "no heights": (lambda: tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))).thinned(0), "is 0, it must be a whole number"),
     "rotation in degrees": (lambda: FLAT.placed(rotation=90), "rotation is 90 rad"),
     "rotation of a pose in degrees": (lambda: tw.Pose(rotation=90), "rotation is 90 rad"),
-    "tilt in degrees": (lambda: FLAT.placed(tilt=(1, 0)), "tilt is 1 rad.*limit is 0.7854 rad"),
+    "tilt in degrees": (lambda: FLAT.placed(tilt=(1, 0)), "tilt is 1 rad.*to 0.7854 rad"),
     "spiral in degrees": (
-        lambda: tw.Spiral(angle=np.arange(0, 3600, 5.0), radius=np.linspace(1, 0, 720)), "angles are in rad",
+        lambda: tw.Spiral(angle=np.arange(0, 3600, 5.0), radius=np.linspace(1, 0, 720)), "angles in rad",
     ),
     "phase in degrees": (
         lambda: tw.SineGrid(amplitude=(1e-3, 1e-3), period=(1.0, 1.0), phase=(90, 0)), "phase .* is 90 rad",
@@ -49,3 +49,71 @@ def test_numbers_at_their_limits_are_taken():
     assert tw.Spiral(angle=np.arange(10) * np.pi, radius=np.linspace(1, 0, 10)).sense == 1
     assert tw.SineGrid(amplitude=(1e-3, 1e-3), period=(1.0, 1.0), phase=(turn, -turn)).phase == (turn, -turn)
     assert tw.Tool(nose_radius=0.5, radius_error=-0.05).actual_radius == 0.45
+
+
+DEGREES = {
+    "whole steps": np.arange(0, 3600, 5.0),
+    "fine steps": -np.arange(0, 360 * 20 + 0.1, 0.3),
+    "a turn that is open": np.arange(360.0),
+    "steps that fit by one point less": np.linspace(0, 360 * 40, 40 * 720),
+    "uneven steps": 360 * 30 * np.linspace(0, 1, 9001) ** 2,
+}
+
+
+@pytest.mark.parametrize("angle", DEGREES.values(), ids=DEGREES)
+def test_turns_in_degrees_are_refused(angle):
+    radius, machine = np.linspace(5, 0, angle.size), tw.Machine.load("generic")
+    with pytest.raises(tw.InputError, match="in rad"):
+        tw.Spiral(angle=angle, radius=radius)
+    if angle[0] <= angle[-1]:
+        with pytest.raises(tw.InputError, match="in rad"):
+            tw.Motion(time=1 + np.arange(angle.size), axes={"C": angle, "X": radius, "Z": radius}, machine=machine)
+    turned = np.deg2rad(angle)
+    assert tw.Spiral(angle=turned, radius=radius).turns == pytest.approx(abs(angle[-1] - angle[0]) / 360)
+
+
+@pytest.mark.parametrize("per_turn", [8, 36, 90, 360, 720, 1000, 1257])
+def test_spirals_of_any_plan_are_no_degrees(per_turn):
+    rng = np.random.default_rng(per_turn)
+    for turns in (1, 57, 57.3, 360, 1000):
+        even = 2 * np.pi * np.arange(int(turns * per_turn) + 1) / per_turn
+        for angle in (even, even + 100.0, -even, np.sort(rng.uniform(0, even[-1], 4000))):
+            if np.median(np.abs(np.diff(angle))) <= np.pi:
+                tw.Spiral(angle=angle, radius=np.linspace(5, 0, angle.size))
+
+
+BEYOND = {
+    "rotation": lambda it: FLAT.placed(rotation=it),
+    "tilt": lambda it: FLAT.placed(tilt=(0, it)),
+    "tilt of what is placed": lambda it: tw.Placed(surface=FLAT, tilt=(it, 0)),
+    "tilt of a pose": lambda it: tw.Pose(tilt=(it, 0)),
+    "phase of a grid": lambda it: tw.SineGrid(amplitude=(1e-3, 1e-3), period=(1.0, 1.0), phase=(0, it)),
+    "azimuth": lambda it: tw.OffAxis(parent=tw.Conic(radius=10, conic=-1), distance=1.0, azimuth=it),
+    "included": lambda it: tw.Tool(nose_radius=0.5, included=it),
+    "rake": lambda it: tw.Tool(nose_radius=0.5, rake=-it),
+    "clearance": lambda it: tw.Tool(nose_radius=0.5, clearance=it),
+    "sweep of a certificate": lambda it: tw.WavinessTable(sweep=it * np.linspace(-1, 1, 9), deviation=np.zeros(9)),
+    "squareness": lambda it: tw.Machine(
+        name="t", axes=dict.fromkeys("CXZ", tw.Axis()), spindle_rpm=1.0, block_rate_hz=1.0, squareness=it
+    ),
+    "clocking": lambda it: tw.Convention(clocking=it),
+    "lobes": lambda it: tw.Lobes(count=3, amplitude=0.1, maximum=it),
+    "rake of a coefficient": lambda it: tw.CuttingCoefficient(value=1.0, rake=((0.0, it), (1.0, 1.1))),
+    "rake of a thickness": lambda it: tw.CriticalThickness(value=1e-4, rake=((-it, 0.0), (1.0, 1.1))),
+    "inclination": lambda it: tw.OrthogonalChip(thickness=1e-3, width=1.0, inclination=it),
+    "exit of a tooth": lambda it: tw.SlotMill(radius=1.0, feed_per_tooth=0.01, depth=0.1, exit=it),
+    "phase of a vibration": lambda it: tw.Vibration(amplitude=1e-6, frequency_hz=10.0, phase=it),
+    "friction angle": lambda it: tw.MinimumChip.of_edge(1e-5, it),
+    "angles of a polar map": lambda it: tw.HeightMap(radius=X + 1, angle=it * (X + 1), z=np.zeros((5, 5))),
+    "angle of a line": lambda it: tw.metrology.line_profile(
+        tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))), (0, 0), angle=it
+    ),
+}
+
+
+@pytest.mark.parametrize("make", BEYOND.values(), ids=BEYOND)
+@pytest.mark.parametrize("degrees", [7.0, 10.0, 60.0, 90.0])
+def test_angles_in_degrees_are_refused(make, degrees):
+    with pytest.raises(tw.InputError, match="in rad"):
+        make(degrees)
+    assert make(np.deg2rad(min(degrees, 5.0))) is not None

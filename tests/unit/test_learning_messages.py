@@ -136,10 +136,10 @@ WRONG = {
     "nothing measured": (lambda: ri80([[np.nan]], 1.0), "none of 1 places has an intensity"),
     "an endless intensity": (lambda: ri80([[np.inf, 1.0]], 1.0), "1 places have an infinite intensity"),
     "no amplitude": (lambda: Vibration(amplitude=0, frequency_hz=1), "amplitude of a vibration is 0 mm"),
-    "no phase": (lambda: Vibration(amplitude=1, frequency_hz=1, phase=np.nan), "phase of a vibration is nan"),
+    "no phase": (lambda: Vibration(amplitude=1, frequency_hz=1, phase=np.nan), "phase is nan"),
     "no chip": (lambda: MinimumChip(thickness=0), "the minimum chip thickness is 0 mm"),
     "recovery": (lambda: MinimumChip(thickness=1, recovery=2), "recovery is 2"),
-    "friction": (lambda: MinimumChip.of_edge(1e-5, np.pi / 2), "friction_angle is 90 deg"),
+    "friction": (lambda: MinimumChip.of_edge(1e-5, np.pi / 2), "friction_angle is 1.5708 rad (90 deg)"),
     "a thick minimum chip": (lambda: cusp_height(0.01, 0.5, 2e-4), "minimum_chip is 0.0002 mm, the limits are 0 to 0.0001"),
     "velocities": (
         lambda: vibrated(motion(velocity=STILL), Vibration(amplitude=1e-5, frequency_hz=1)), "states velocities"

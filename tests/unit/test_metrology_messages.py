@@ -31,8 +31,8 @@ def test_a_map_with_fewer_points_than_terms_is_refused():
 
 
 def test_infinite_heights_are_refused():
-    with pytest.raises(InputError, match="holds 1 infinite heights"):
-        roughness(plain([[0, 1], [np.inf, 2]]), form="none")
+    with pytest.raises(InputError, match="z holds 1 infinite values"):
+        plain([[0, 1], [np.inf, 2]])
 
 
 def test_axes_that_do_not_ascend_are_refused():

@@ -25,7 +25,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, between, only_read, positive
+from turnwright._arrays import Bools, Floats, Ints, only_read
+from turnwright._validate import check_angle, check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.progress import run_chunks
 
@@ -87,9 +88,10 @@ class OrthogonalChip:
     inclination: float = 0.0
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         positive(self.thickness, "the thickness of a chip", "mm")
         positive(self.width, "the width of a chip", "mm")
-        between(np.rad2deg(self.inclination), "the inclination of the edge", -85, 85, "deg")
+        check_angle(self.inclination, "the inclination of the edge", -np.deg2rad(85), np.deg2rad(85))
 
     @property
     def area(self) -> float:
@@ -132,6 +134,7 @@ class RoundChip:
     depth: float
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("nose_radius", "feed", "depth"):
             positive(getattr(self, name), name, "mm")
         if self.depth >= self.nose_radius:

@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from turnwright._arrays import Bools, Floats, between, frozen, positive
+from turnwright._arrays import Bools, Floats, frozen
+from turnwright._validate import between, check_numbers, positive
 from turnwright.cutting.signals import ForceRecord
 from turnwright.errors import InputError
 
@@ -86,6 +87,7 @@ class TapTest:
     rate_hz: float
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "hammer", frozen(self.hammer, "the hammer's force"))
         object.__setattr__(self, "response", frozen(self.response, "the response to a tap", ndim=2))
         object.__setattr__(self, "rate_hz", positive(self.rate_hz, "rate_hz of a tap test", "Hz"))
@@ -140,6 +142,7 @@ class Dynamometer:
     coherence: Floats | None = None
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         frequency = frozen(self.frequency_hz, "frequency_hz")
         object.__setattr__(self, "frequency_hz", frequency)
         response = np.ascontiguousarray(self.response, dtype=np.complex128)

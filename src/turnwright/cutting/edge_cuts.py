@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from turnwright._arrays import Floats, Ints, freeze, frozen, positive, same_length
+from turnwright._arrays import Floats, Ints, freeze, frozen, same_length
+from turnwright._validate import check_numbers, positive
 from turnwright.cutting.forces import FlyCut, SlotMill
 from turnwright.cutting.learning import freeze_cuts, stretches
 from turnwright.cutting.signals import ForceRecord
@@ -74,6 +75,7 @@ class NoseCuts:
     record: Floats | None = None
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         if not self.components:
             raise InputError(
                 "the cuts have 0 components of the force, at least 1 is needed: give axial, feed or cutting"
@@ -137,6 +139,7 @@ class InterruptedCuts:
     passband: Passband | None = None
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "force", frozen(self.force, "the forces of the cuts", ndim=2))
         freeze(self, ("begin", "end"), of=" of the cuts")
         same_length([("force", self.force), ("begin", self.begin)])

@@ -25,7 +25,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, between, frozen, positive
+from turnwright._arrays import Floats, frozen
+from turnwright._validate import between, check_angle, check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.progress import Progress, run_chunks
@@ -76,10 +77,10 @@ class Vibration:
     phase: float = 0.0
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         positive(self.amplitude, "the amplitude of a vibration", "mm")
         positive(self.frequency_hz, "the frequency of a vibration", "Hz")
-        if not np.isfinite(self.phase):
-            raise InputError(f"the phase of a vibration is {self.phase}, it must be finite: give an angle")
+        check_angle(self.phase, "the phase of a vibration")
 
     def at(self, time: ArrayLike) -> Floats:
         """Return how far the tool is lifted at some times. Any shape [s] to [mm]."""
@@ -109,6 +110,7 @@ class MinimumChip:
     recovery: float = 1.0
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         positive(self.thickness, "the minimum chip thickness", "mm")
         between(self.recovery, "recovery", 0.0, 1.0, "of the thickness")
 
@@ -140,7 +142,7 @@ class MinimumChip:
         14.645
         """
         positive(edge_radius, "edge_radius", "mm")
-        between(np.rad2deg(friction_angle), "friction_angle", 0, 85, "deg")
+        check_angle(friction_angle, "friction_angle", 0.0, np.deg2rad(85))
         return cls(thickness=float(edge_radius * (1 - np.cos(np.pi / 4 - friction_angle / 2))), recovery=recovery)
 
 

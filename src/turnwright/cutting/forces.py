@@ -24,8 +24,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, between, frozen, positive
-from turnwright._given import whole as whole_number
+from turnwright._arrays import Floats, frozen
+from turnwright._validate import between, check_angle, check_numbers, positive
+from turnwright._validate import whole as whole_number
 from turnwright.cutting.chip import OrthogonalChip, RoundChip
 from turnwright.errors import InputError
 
@@ -208,6 +209,7 @@ class ForceHistory:
     speed: float
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("time", "angle", "x", "y", "z", "thickness", "torque"):
             object.__setattr__(self, name, frozen(getattr(self, name), name))
 
@@ -280,6 +282,7 @@ class SlotMill:
     exit: float = np.pi
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("radius", "feed_per_tooth", "depth"):
             positive(getattr(self, name), name, "mm")
         between(self.corner_radius, "corner_radius", 0.0, self.radius, "mm")
@@ -288,10 +291,12 @@ class SlotMill:
                 f"feed_per_tooth is {self.feed_per_tooth:g} mm on a radius of {self.radius:g} mm: reduce it below that"
             )
         object.__setattr__(self, "teeth", whole_number(self.teeth, "teeth", 1))
-        if not 0 <= self.entry < self.exit <= np.pi + 1e-12:
+        for name in ("entry", "exit"):
+            check_angle(getattr(self, name), name, 0.0, np.pi + 1e-12)
+        if not self.entry < self.exit:
             raise InputError(
-                f"a tooth cuts from {np.rad2deg(self.entry):g} to {np.rad2deg(self.exit):g} deg, the limits are 0 to "
-                "180 deg: let entry be before exit"
+                f"a tooth cuts from {np.rad2deg(self.entry):g} to {np.rad2deg(self.exit):g} deg: let entry be before "
+                "exit"
             )
 
     def thickness(self, angle: Floats | float) -> Floats:
@@ -389,6 +394,7 @@ class FlyCut:
     depth: float
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("swing", "nose_radius", "feed", "step", "depth"):
             positive(getattr(self, name), name, "mm")
         _ = RoundChip(nose_radius=self.nose_radius, feed=self.step, depth=self.depth)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats, between, frozen, positive
+from turnwright._arrays import Bools, Floats, frozen
+from turnwright._validate import between, positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 

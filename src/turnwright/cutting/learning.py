@@ -27,8 +27,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, between, freeze, frozen, positive, same_length
-from turnwright._given import whole as whole_number
+from turnwright._arrays import Bools, Floats, Ints, freeze, frozen, same_length
+from turnwright._validate import between, check_numbers, positive
+from turnwright._validate import whole as whole_number
 from turnwright.cutting._saturation import saturated
 from turnwright.cutting._slope_change import SlopeChange, slope_change
 from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
@@ -141,6 +142,7 @@ class Cuts:
     record: Floats | None = None
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         optional = ("area", "thrust_area", "time", "spread", "record")
         freeze_cuts(self, ("thickness", "width", "cutting", "thrust"), optional, COMPONENTS)
         if self.thickness.size and min(self.thickness.min(), self.width.min()) < 0:
@@ -192,6 +194,7 @@ class ForceFit:
     fitted: Floats
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "thickness", frozen(self.thickness, "thickness"))
         for name in ("measured", "fitted"):
             object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=2))

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from turnwright import _apart as _other
-from turnwright._arrays import Floats, positive, rows_of_numbers
+from turnwright._arrays import Floats, rows_of_numbers
+from turnwright._validate import positive
 from turnwright.cutting._saturation import require_unsaturated
 from turnwright.cutting.signals import ForceRecord
 from turnwright.errors import InputError

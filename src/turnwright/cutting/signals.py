@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, between, frozen, positive
+from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._validate import between, check_numbers, positive
 from turnwright.cutting._saturation import require_unsaturated, saturated
 from turnwright.errors import InputError
 from turnwright.units import MOST
@@ -84,6 +85,7 @@ class ForceRecord:
     name: str = ""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "channels", tuple(self.channels))
         label = f"the force record {self.name!r}" if self.name else "a force record"
         object.__setattr__(self, "force", frozen(self.force, label, ndim=2))

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Floats, positive
+from turnwright._arrays import Floats
+from turnwright._validate import check_numbers, positive
 from turnwright.diagnosis._model import Cutting, Deviations, Powers, Splines
 from turnwright.errors import InputError
 
@@ -90,6 +91,7 @@ class Cause:
     unit: str = "mm"
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         if not self.name or self.name in CAUSES:
             raise InputError(f"a cause of one's own is called {self.name!r}: give it a name that no cause has yet")
         positive(self.typical, f"typical of the cause {self.name!r}", self.unit)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, frozen, positive
+from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._validate import positive
 from turnwright.diagnosis._causes import CAUSES, DEFAULT, Cause, Column, Columns
 from turnwright.diagnosis._findings import Diagnosis, Finding, Said, around, judge
 from turnwright.diagnosis._fit import (

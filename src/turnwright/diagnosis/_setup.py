@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, positive
+from turnwright._arrays import Bools, Floats
+from turnwright._validate import positive
 from turnwright.diagnosis._findings import Diagnosis, shown
 from turnwright.errors import InputError
 

@@ -16,7 +16,7 @@ from os import environ
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from turnwright import _given as given
+from turnwright import _validate as validate
 from turnwright._toml import read_toml
 from turnwright.errors import InputError, Stopped, StudyError, TurnwrightError
 from turnwright.execution._executors import (
@@ -171,7 +171,7 @@ def conduct(
         If the work cannot go on: the store takes nothing more, or the executor is broken. What is finished stays.
     """
     _require_kinds(work, cases, shared, executor, store)
-    given.listener(progress)
+    validate.listener(progress)
     if executor is None:
         workers = min(fitting(), max(1, len(cases)))
         with local(workers, threads=share_of(workers)) as pool:
@@ -201,11 +201,11 @@ def _require_kinds(work: object, cases: object, shared: object, executor: object
         if not isinstance(one.key, str) or not isinstance(one.data, Mapping):
             raise InputError(f"a case has the key {one.key!r}, it must be a text, and its data a mapping: use case_key")
     if shared is not None:
-        given.thing(shared, Mapping, "what the cases share")
+        validate.thing(shared, Mapping, "what the cases share")
     if executor is not None:
-        given.thing(executor, Executor, "the executor")
+        validate.thing(executor, Executor, "the executor")
     if store is not None:
-        given.thing(store, Store, "the store")
+        validate.thing(store, Store, "the store")
 
 
 class _Conductor:

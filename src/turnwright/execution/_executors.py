@@ -25,7 +25,7 @@ from multiprocessing.context import SpawnProcess
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import urlsplit
 
-from turnwright import _given as given
+from turnwright import _validate as validate
 from turnwright.errors import InputError, StudyError
 from turnwright.progress import THREADS, cores, free_memory_gb
 
@@ -322,11 +322,11 @@ def local(
         If a number is not positive.
     """
     if workers is not None:
-        workers = given.whole(workers, "the number of workers", 1, MOST_WORKERS)
-    if memory_gb is not None and not given.number(memory_gb, "the memory of a worker") > 0:
+        workers = validate.whole(workers, "the number of workers", 1, MOST_WORKERS)
+    if memory_gb is not None and not validate.number(memory_gb, "the memory of a worker") > 0:
         raise InputError(f"a worker cannot do with {memory_gb} GB of memory: use more than 0")
     if threads is not None:
-        threads = given.whole(threads, "the number of threads", 1, MOST_WORKERS)
+        threads = validate.whole(threads, "the number of threads", 1, MOST_WORKERS)
     if workers is None:
         workers = fitting(memory_gb)
         threads = threads or share_of(workers)

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Self
 from uuid import uuid4
 
-from turnwright import _given as given
+from turnwright import _validate as validate
 from turnwright.errors import InputError, StudyError
 
 if TYPE_CHECKING:
@@ -49,7 +49,8 @@ class Store:
     place: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "place", given.path(self.place, "the store"))
+        validate.check_numbers(self)
+        object.__setattr__(self, "place", validate.path(self.place, "the store"))
 
     @classmethod
     def open(cls, place: str | os.PathLike[str]) -> Self:
@@ -67,7 +68,7 @@ class Store:
         StudyError
             If the place cannot be made.
         """
-        text = given.path(place, "the store")
+        text = validate.path(place, "the store")
         store = cls(place=text.rstrip("/") if "://" in text else str(Path(text).expanduser().absolute()))
         if not store._remote:
             try:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from turnwright._arrays import Bools, Floats, Ints, positive
+from turnwright._arrays import Bools, Floats, Ints
+from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology._grid import measure

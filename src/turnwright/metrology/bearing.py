@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, between, frozen
+from turnwright._arrays import Floats, frozen
+from turnwright._validate import between
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure, valid_points
 from turnwright.metrology.form import Form, remove_form

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, positive
+from turnwright._arrays import Bools, Floats, Ints
+from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure, valid_points
 from turnwright.progress import run_chunks

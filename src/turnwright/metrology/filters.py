@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, positive
+from turnwright._arrays import Bools, Floats
+from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure, valid_points
 from turnwright.metrology._regression import WIDTHS, regress
@@ -282,6 +283,7 @@ class Nesting:
     along: Along | None = None
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         _order(self.kind, self.order, self.along)
         for name, index in (("S", self.s_filter), ("L", self.l_filter)):
             if index is not None:

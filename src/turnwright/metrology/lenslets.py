@@ -23,7 +23,8 @@ from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, between
+from turnwright._arrays import Bools, Floats
+from turnwright._validate import between
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology._grid import valid_points

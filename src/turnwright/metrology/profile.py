@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from turnwright._arrays import Floats, frozen, positive, same_length
+from turnwright._arrays import Floats, frozen, same_length
+from turnwright._validate import check_angle, check_numbers, finite_tuple, positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import Grid, measure
 
@@ -48,6 +49,7 @@ class Profile:
     name: str = ""
 
     def __post_init__(self) -> None:
+        check_numbers(self, nan=("z",))
         for name in ("distance", "z", "x", "y"):
             object.__setattr__(self, name, frozen(getattr(self, name), name, finite=name != "z"))
         same_length((name, getattr(self, name)) for name in ("distance", "z", "x", "y"))
@@ -140,8 +142,9 @@ def line_profile(
             "or the angle of a line from border to border"
         )
     for name, point in (("start", start), ("end", (0.0, 0.0) if end is None else end)):
-        if np.shape(point) != (2,) or not np.isfinite(point).all():
-            raise InputError(f"the {name} of a line is {point}, it must be two finite numbers: give (x, y)")
+        finite_tuple(point, f"the {name} of a line", 2)
+    if angle is not None:
+        check_angle(angle, "the angle of a line")
     grid = measure(heights)
     nodes = NODES[method]
     if min(heights.z.shape) < nodes:

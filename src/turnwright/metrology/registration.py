@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats, Ints, between, positive
+from turnwright._arrays import Bools, Floats, Ints
+from turnwright._validate import between, check_angle, positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import valid_points
 from turnwright.metrology._pose_search import search
@@ -388,7 +389,7 @@ def register(
     """
     task = _task(heights, part, free, terms, distance, loss, start, within, mask, noise_nm, form_error)
     between(reach, "reach of the search", 0, np.inf, "mm")
-    between(clocking, "clocking of the search", 0, np.pi * (1 + 1e-9), "rad")
+    check_angle(clocking, "clocking of the search", 0.0, np.pi * (1 + 1e-9))
     if weak not in ("hold", "fit", "raise"):
         raise InputError(f'weak is {weak!r}, it can be "hold", "fit" or "raise": choose one of them')
     few, some = (task.problem.only(_sample(task.problem.points.shape[1], count)) for count in (FEW, SOME))

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen, positive
+from turnwright._arrays import Floats, frozen
+from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import Grid, mean, measure, valid_points
 

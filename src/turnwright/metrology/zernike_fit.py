@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen, positive
+from turnwright._arrays import Floats, frozen
+from turnwright._validate import finite_tuple, positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import valid_points
 from turnwright.metrology._least_squares import Cloud, Sums, solve, sums_over
@@ -231,9 +232,8 @@ def _aperture(
     if centre is None:
         found, centre = _smallest_circle(*cloud.ends)
     else:
-        if np.shape(centre) != (2,) or not np.isfinite(centre).all():
-            raise InputError(f"the centre of the aperture is {centre}, it must be two finite numbers: give (x, y)")
-        centre = float(centre[0]), float(centre[1])
+        at = finite_tuple(centre, "the centre of the aperture", 2)
+        centre = at[0], at[1]
         x, y = cloud.ends
         found = float(np.hypot(x - centre[0], y - centre[1]).max())
     return positive(found if radius is None else radius, "the radius of the aperture", "mm"), centre

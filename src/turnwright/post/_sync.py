@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from turnwright._arrays import positive, rows_of_numbers
+from turnwright._arrays import rows_of_numbers
+from turnwright._validate import positive
 from turnwright.errors import ProgramError
 from turnwright.path import Motion
 from turnwright.post._approach import PLUNGE_FEED

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from turnwright._arrays import positive
+from turnwright._validate import check_numbers, positive
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
 from turnwright.strategy._strategy import Strategy
@@ -191,6 +191,7 @@ class AdaptiveToolServo(Strategy):
     sense: int = 1
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name, unit in (("scallop", "mm"), ("chord", "mm"), ("spindle_rpm", "rev/min")):
             value = getattr(self, name)
             if value is not None or name != "spindle_rpm":

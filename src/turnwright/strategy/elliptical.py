@@ -38,7 +38,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypedDict
 
 import numpy as np
 
-from turnwright._arrays import frozen, positive
+from turnwright._arrays import frozen
+from turnwright._validate import check_numbers, positive
 from turnwright.dilation import follow, touch
 from turnwright.errors import InputError, LimitError
 from turnwright.path import Spiral
@@ -145,6 +146,7 @@ class Valleys:
     stroke: float
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("angle", "azimuth", "radius", "jump", "left"):
             object.__setattr__(self, name, frozen(getattr(self, name), name))
         self.stood.flags.writeable = False
@@ -208,6 +210,7 @@ class QuasiEllipticalToolServo(Strategy):
     lead_in: float | None = None
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         self._base()
         if self.short not in ("merge", "skip", "slow"):
             raise InputError(f'short is {self.short!r}, it must be "merge", "skip" or "slow": choose one')

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 from turnwright.strategy._strategy import Strategy
 
@@ -56,6 +57,7 @@ class FastToolServo(Strategy):
     spindle_rpm: float | None = field(init=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "spindle_rpm", speed_of(self.plan))
 
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:

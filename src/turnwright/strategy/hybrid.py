@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import rounding
-from turnwright._given import whole as whole_number
+from turnwright._validate import check_numbers
+from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.machine import Axis
 from turnwright.strategy._split import smoothest
@@ -78,6 +79,7 @@ class HybridToolServo(Strategy):
     spindle_rpm: float | None = field(init=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         object.__setattr__(self, "spindle_rpm", speed_of(self.plan))
         ways = [name for name in ("base", "tool", "fast") if getattr(self, name) is not None]
         if ways not in (["base", "tool"], ["fast"]):

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import positive
-from turnwright._given import whole as whole_number
+from turnwright._validate import check_numbers, positive
+from turnwright._validate import whole as whole_number
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
 from turnwright.progress import require_memory
@@ -145,6 +145,7 @@ class SlowToolServo(Strategy):
     overrun: float = 0.0
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         positive(self.feed, "feed", "mm/rev")
         for name, unit in (("spindle_rpm", "rev/min"), ("arc_length", "mm"), ("max_step", "rad"), ("chord", "mm")):
             value = getattr(self, name)
@@ -173,7 +174,7 @@ class SlowToolServo(Strategy):
 
     def _check_ends(self) -> None:
         """Raise if the spiral would begin within the rim, or end far from the axis."""
-        if self.lead_in is not None and not (np.isfinite(self.lead_in) and self.lead_in >= 0):
+        if self.lead_in is not None and self.lead_in < 0:
             raise InputError(
                 f"lead_in is {self.lead_in:g} mm, it cannot be below 0 mm: start at or beyond the clear radius"
             )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,9 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from turnwright import _given as given
-from turnwright._arrays import positive
+from turnwright import _validate as validate
 from turnwright._toml import read_toml
+from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.surface.zernike import zernike_order
 from turnwright.units import parse, write
@@ -121,15 +120,16 @@ class Spread:
     source: str
 
     def __post_init__(self) -> None:
-        given.thing(self.source, str, "the source of a distribution")
+        check_numbers(self)
+        validate.thing(self.source, str, "the source of a distribution")
         if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise InputError(f"the distribution {self.kind!r} is not one of {', '.join(KINDS)}: choose one of them")
         known = KINDS[self.kind]
-        given.thing(self.numbers, Sequence, f"what states the {self.kind}")
-        numbers = tuple(given.number(one, f"a number of the {self.kind}") for one in self.numbers)
-        if len(numbers) != len(known.numbers) or not np.isfinite(numbers).all():
+        validate.thing(self.numbers, Sequence, f"what states the {self.kind}")
+        numbers = tuple(validate.number(one, f"a number of the {self.kind}") for one in self.numbers)
+        if len(numbers) != len(known.numbers):
             raise InputError(
-                f"{self.kind} has {len(numbers)} numbers, it needs {len(known.numbers)} finite ones "
+                f"{self.kind} has {len(numbers)} numbers, it needs {len(known.numbers)} "
                 f"({', '.join(known.numbers)}): complete or correct them"
             )
         object.__setattr__(self, "numbers", numbers)
@@ -143,7 +143,7 @@ class Spread:
     @classmethod
     def read(cls, text: object, unit: str, *, source: str) -> Spread:
         """Return the distribution that a text states, such as ``normal(0, 2) um``, in some unit."""
-        given.thing(unit, str, "the unit of a distribution")
+        validate.thing(unit, str, "the unit of a distribution")
         match = _TEXT.fullmatch(text) if isinstance(text, str) else None
         if match is None:
             example = "" if unit == "1" else " um" if unit == "mm" else f" {unit}"
@@ -206,7 +206,7 @@ def _scipy(kind: str, numbers: tuple[float, ...]) -> Any:
 
 def unit_of(name: str) -> str:
     """Return the unit of an error by its name."""
-    given.thing(name, str, "the name of an error")
+    validate.thing(name, str, "the name of an error")
     if name in NAMES:
         return NAMES[name]
     for pattern, unit in NUMBERED:
@@ -268,7 +268,8 @@ class ErrorBudget:
     _units: Mapping[str, str] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        given.thing(self.errors, Mapping, "the errors of a budget")
+        check_numbers(self)
+        validate.thing(self.errors, Mapping, "the errors of a budget")
         if not self.errors:
             raise InputError("a budget has 0 errors, it needs at least 1: say what cannot be set exactly")
         units = {name: unit_of(name) for name in self.errors}
@@ -283,12 +284,11 @@ class ErrorBudget:
         kinds = {name[9] for name in self.errors if name.startswith("waviness")}
         if len(kinds) > 1:
             raise InputError("the waviness is stated by P and by c, one of both can be right: leave the other out")
-        noise = given.number(self.noise, "the noise")
-        if not (math.isfinite(noise) and noise >= 0):
+        if self.noise < 0:
             raise InputError(f"the noise is {self.noise:g} mm, it must be at least 0 mm: give its standard deviation")
         if self.settling is not None:
-            positive(given.number(self.settling, "settling"), "settling", "s")
-        given.thing(self.name, str, "the name of a budget")
+            positive(self.settling, "settling", "s")
+        validate.thing(self.name, str, "the name of a budget")
         if isinstance(self.artefacts, str):  # which as a tuple would be one of letters
             raise InputError(f"artefacts is {self.artefacts!r}, it must be a list of names: write it so")
         stated = self.artefacts if isinstance(self.artefacts, list | tuple) else (self.artefacts,)
@@ -305,7 +305,7 @@ class ErrorBudget:
     @classmethod
     def read(cls, table: Mapping[str, Any]) -> ErrorBudget:
         """Return the budget that a mapping describes, with quantities as text, as a TOML file reads."""
-        given.thing(table, Mapping, "a budget")
+        validate.thing(table, Mapping, "a budget")
         known = {"name", "noise", "settling", "artefacts", "errors"}
         for key in table:
             if key not in known:
@@ -345,7 +345,7 @@ class ErrorBudget:
         InputError
             If the file cannot be read, is not TOML, or describes no budget.
         """
-        path = Path(given.path(path, "the budget file"))
+        path = Path(validate.path(path, "the budget file"))
         try:
             data = path.read_bytes()
         except OSError as error:
@@ -392,7 +392,7 @@ class ErrorBudget:
 
     def inputs(self, *, correction: bool) -> dict[str, Spread]:
         """Return all that is drawn for a case: with a correction, what the artefacts have of their own too."""
-        given.thing(correction, bool, "whether there is a correction")
+        validate.thing(correction, bool, "whether there is a correction")
         part = {name: spread for name, spread in self.errors.items() if group_of(name) != "instrument"}
         if not correction:
             return part
@@ -404,7 +404,7 @@ class ErrorBudget:
 
         The draws of the part are the same with and without a correction.
         """
-        count, seed = given.whole(count, "the number of draws", 1, MOST_DRAWS), given.whole(seed, "the seed", 0)
+        count, seed = validate.whole(count, "the number of draws", 1, MOST_DRAWS), validate.whole(seed, "the seed", 0)
         drawn = {}
         for name, spread in self.inputs(correction=correction).items():
             entropy = [seed, *name.encode()]
@@ -413,5 +413,5 @@ class ErrorBudget:
 
     def largest(self, *names: str) -> float:
         """Return the sum of what errors may be at most, as far as it is foreseen; of those that begin so."""
-        begins = tuple(given.thing(name, str, "what an error begins with") for name in names)
+        begins = tuple(validate.thing(name, str, "what an error begins with") for name in names)
         return sum(spread.largest for name, spread in self.errors.items() if name.startswith(begins))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, TypeAlias, ove
 import numpy as np
 from numpy.typing import NDArray
 
-from turnwright import _given as given
+from turnwright import _validate as validate
 from turnwright._arrays import Bools, Floats, frozen
 from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, StudyError
@@ -130,6 +130,7 @@ class Study:
     seconds: Floats = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
+        validate.check_numbers(self, nan=("seconds",))
         for one in (*self.fields, *self.measures):
             one.values.flags.writeable = False
         object.__setattr__(self, "seconds", frozen(self.seconds, "seconds", finite=False))
@@ -193,8 +194,8 @@ class Study:
         largest
             Whether more is better.
         """
-        count = given.whole(count, "the number of cases", 0)
-        given.thing(largest, bool, "whether more is better")
+        count = validate.whole(count, "the number of cases", 0)
+        validate.thing(largest, bool, "whether more is better")
         values = self.column(measure).values
         if values.dtype.kind not in "fi":
             raise InputError(f"{measure} is no number, so no case is best: name another measure")
@@ -225,12 +226,12 @@ class Study:
         if not isinstance(over, tuple | list) or len(over) != 2:
             raise InputError(f"a map is over {over!r}, it must be over 2 fields: name them")
         if at is not None:
-            given.thing(at, Mapping, "where the other fields stand")
+            validate.thing(at, Mapping, "where the other fields stand")
         kept = np.ones(len(self), dtype=np.bool_)
         for name, value in (at or {}).items():
             column = self.column(name).values
             if column.dtype.kind == "f":
-                kept &= np.isclose(column, given.number(value, name), rtol=1e-12, atol=0)
+                kept &= np.isclose(column, validate.number(value, name), rtol=1e-12, atol=0)
             else:
                 kept &= np.array([one == value for one in column.tolist()], dtype=np.bool_)
         rows, row = np.unique(self.column(over[0]).values[kept], return_inverse=True)
@@ -276,7 +277,7 @@ class Study:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.headings)
         writer.writerows([_cell(one) for one in row] for row in self._rows())
-        write_whole(Path(given.path(path, "the table")), text.getvalue())
+        write_whole(Path(validate.path(path, "the table")), text.getvalue())
 
     def to_parquet(self, path: str | PathLike[str]) -> None:
         """Write the table as Parquet, with the job in its metadata; needs pyarrow, extra `parquet`.
@@ -303,11 +304,11 @@ class Study:
         table = table.replace_schema_metadata({"turnwright.job": self.job.to_toml(), "turnwright.design": self.design})
         sink = io.BytesIO()
         parquet.write_table(table, sink)
-        write_whole(Path(given.path(path, "the table")), sink.getvalue())
+        write_whole(Path(validate.path(path, "the table")), sink.getvalue())
 
     def save(self, folder: str | PathLike[str]) -> None:
         """Write the study into a folder: ``study.csv``, ``study.json`` and ``job.toml``, which `load` reads again."""
-        folder = Path(given.path(folder, "the folder of a study"))
+        folder = Path(validate.path(folder, "the folder of a study"))
         folder.mkdir(parents=True, exist_ok=True)
         said = {
             "form": FORM,
@@ -329,7 +330,7 @@ class Study:
         StudyError
             If the folder holds none.
         """
-        folder = Path(given.path(folder, "the folder of a study"))
+        folder = Path(validate.path(folder, "the folder of a study"))
         try:
             said = json.loads((folder / "study.json").read_text(encoding="utf-8"))
             if said["form"] != FORM:
@@ -467,14 +468,14 @@ def study(
     >>> found[2]["strategy.feed"], found[2]["reason"]
     (20.0, '')
     """
-    given.thing(job, Job, "the job")
+    validate.thing(job, Job, "the job")
     if vary is not None:
-        given.thing(vary, Mapping, "what is varied")
+        validate.thing(vary, Mapping, "what is varied")
     if executor is not None:
-        given.thing(executor, Executor, "the executor")
+        validate.thing(executor, Executor, "the executor")
     if workers is not None:
-        workers = given.whole(workers, "the number of workers", 1)
-    given.listener(progress)
+        workers = validate.whole(workers, "the number of workers", 1)
+    validate.listener(progress)
     fields, rows = design_cases(
         job,
         [read_varied(job, name, given) for name, given in (vary or {}).items()],

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from turnwright import _given as given
+from turnwright import _validate as validate
 from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.execution import Case, Store, case_key, conduct, local, require_reach
@@ -196,7 +196,7 @@ class ToleranceStudy:
         writer.writerow([*heads, *(f"{name.replace('_nm', '')} [nm]" for name in self.columns)])
         for row in zip(*(one.tolist() for one in (*self.draws.values(), *self.columns.values())), strict=True):
             writer.writerow([repr(one) for one in row])
-        write_whole(Path(given.path(path, "the table")), text.getvalue())
+        write_whole(Path(validate.path(path, "the table")), text.getvalue())
 
 
 def tolerance(
@@ -254,16 +254,16 @@ def tolerance(
     StudyError
         If the cases cannot go on, or hardly any can be carried out.
     """
-    given.thing(job, Job, "the job")
-    given.listener(progress)
+    validate.thing(job, Job, "the job")
+    validate.listener(progress)
     told = progress or (lambda _stage, _done, _total: None)
-    given.thing(correction, bool, "whether there is a correction")
-    given.thing(confirm, bool, "whether the advice is confirmed")
+    validate.thing(correction, bool, "whether there is a correction")
+    validate.thing(confirm, bool, "whether the advice is confirmed")
     limits = _limits(job)
-    count, seed = given.whole(count, "the number of cases", 0, MOST_DRAWS), given.whole(seed, "the seed", 0)
+    count, seed = validate.whole(count, "the number of cases", 0, MOST_DRAWS), validate.whole(seed, "the seed", 0)
     if count < FEWEST:
         raise InputError(f"the study has {count} cases, it needs at least {FEWEST}: give a larger count")
-    budget = ErrorBudget.typical() if budget is None else given.thing(budget, ErrorBudget, "the budget")
+    budget = ErrorBudget.typical() if budget is None else validate.thing(budget, ErrorBudget, "the budget")
     _check_axes(job, budget)
     with ExitStack() as stack:
         if store is None:

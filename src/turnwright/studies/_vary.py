@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from turnwright import _given
+from turnwright import _validate as validate
 from turnwright.errors import InputError, UnitError
 from turnwright.studies._fields import Field, Token, changed, data_of, field_of
 from turnwright.units import convert, parse
@@ -159,7 +159,7 @@ def _read_list(field: Field, given: list[Any]) -> Varied:
             raise InputError(f"{field.name} cannot be {one!r}: give numbers, or texts with a unit")
     whole = field.kind == "whole"
     return Varied(
-        field=field, unit=_own(field), values=tuple(one if whole else _given.number(one, field.name) for one in plain)
+        field=field, unit=_own(field), values=tuple(one if whole else validate.number(one, field.name) for one in plain)
     )
 
 
@@ -378,8 +378,8 @@ def _drawn(fields: tuple[Varied, ...], design: str, count: int | None, seed: int
         raise InputError(
             f"the design {design!r} has no number of cases, it needs from 1 to {MOST_CASES:_}: state how many cases"
         )
-    count = _given.whole(count, f"the number of cases of the design {design!r}", 1, MOST_CASES)
-    shares = _shares(design, len(fields), count, None if seed is None else _given.whole(seed, "the seed", 0))
+    count = validate.whole(count, f"the number of cases of the design {design!r}", 1, MOST_CASES)
+    shares = _shares(design, len(fields), count, None if seed is None else validate.whole(seed, "the seed", 0))
     return list(zip(*(one.at(shares[:, number]) for number, one in enumerate(fields)), strict=True))
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from turnwright._given import whole as whole_number
+from turnwright._validate import finite
+from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.surface._surface import Surface
 from turnwright.units import LEAST, MOST
@@ -23,7 +24,6 @@ __all__ = [
     "Terms",
     "changing_length",
     "curvature",
-    "finite",
     "read_terms",
     "summed",
     "whole",
@@ -69,13 +69,6 @@ def read_terms(terms: Terms[Any], what: str, key: Callable[[object], K]) -> tupl
             raise InputError(f"{what} has the term {item[0]!r} twice, once is the limit: add the two coefficients")
         found[place] = finite(item[1], f"the coefficient of term {item[0]!r} of {what}")
     return tuple(sorted(found.items()))
-
-
-def finite(value: object, what: str) -> float:
-    """Return ``value`` if it is a finite number."""
-    if isinstance(value, bool) or not isinstance(value, Real) or not np.isfinite(float(value)):
-        raise InputError(f"{what} is {value!r}, it must be a finite number: correct it")
-    return float(value)
 
 
 def curvature(radius: float, what: str) -> float:

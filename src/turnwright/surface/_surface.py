@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints
-from turnwright.errors import DomainError, InputError
+from turnwright._validate import IN_RAD, check_angle
+from turnwright.errors import DomainError
 
 if TYPE_CHECKING:
     from turnwright.surface.compound import Placed, Sum
@@ -195,9 +196,6 @@ class Surface(ABC):
         from turnwright.surface.compound import Placed  # noqa: PLC0415
 
         for lean in np.atleast_1d(tilt):
-            if abs(lean) > np.pi / 4:
-                raise InputError(
-                    f"tilt is {lean:g} rad, the limit is {np.pi / 4:.4g} rad, an eighth of a turn: give it in radians; "
-                    "for a piece far from the axis of its parent use OffAxis"
-                )
+            remedy = f"{IN_RAD}; for a piece far from the axis of its parent use OffAxis"
+            check_angle(lean, "tilt", -np.pi / 4, np.pi / 4, remedy)
         return Placed(surface=self, shift=shift, rotation=rotation, tilt=tilt)

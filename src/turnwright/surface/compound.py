@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 from turnwright.pose import Pose
 from turnwright.surface._surface import Surface
@@ -44,6 +45,7 @@ class Sum(Surface):
     terms: tuple[Surface, ...]
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         flat: list[Surface] = []
         for term in self.terms:
             if not isinstance(term, Surface):
@@ -152,6 +154,7 @@ class Placed(Surface):
     tilt: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         if not isinstance(self.surface, Surface):
             raise InputError(f"what is placed is {self.surface!r}, which is not a surface: give a Surface")
         pose = self.pose

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from turnwright._arrays import Floats, frozen
+from turnwright._validate import check_numbers, finite
 from turnwright.errors import InputError
 from turnwright.surface._analytic import (
     MAX_DEGREE,
@@ -14,7 +15,6 @@ from turnwright.surface._analytic import (
     Terms,
     changing_length,
     curvature,
-    finite,
     read_terms,
     summed,
     whole,
@@ -42,6 +42,7 @@ class Plane(Surface):
     slope: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         if np.shape(self.slope) != (2,):
             raise InputError(f"the slope of a plane is {self.slope!r}, it must be two numbers: give (sx, sy)")
         object.__setattr__(self, "slope", tuple(finite(value, "the slope of a plane") for value in self.slope))
@@ -75,6 +76,7 @@ class Sphere(OnConic):
     radius: float
 
     def __post_init__(self) -> None:
+        check_numbers(self, inf=("radius",))
         curvature(self.radius, "the radius of a sphere")
 
     @property
@@ -110,8 +112,8 @@ class Conic(OnConic):
     conic: float
 
     def __post_init__(self) -> None:
+        check_numbers(self, inf=("radius",))
         curvature(self.radius, "the radius of a conic")
-        finite(self.conic, "the conic constant")
 
     @property
     def base(self) -> tuple[float, float]:
@@ -168,8 +170,8 @@ class EvenAsphere(OnConic):
     _coefficients: Floats = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self, inf=("radius",))
         curvature(self.radius, "the radius of an even asphere")
-        finite(self.conic, "the conic constant")
         terms = read_terms(self.terms, "an even asphere", _even_power)
         object.__setattr__(self, "terms", terms)
         coefficients = np.zeros(1 + max((power for power, _ in terms), default=0) // 2)

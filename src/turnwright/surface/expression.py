@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, positive
+from turnwright._arrays import Bools, Floats, Ints
+from turnwright._validate import check_numbers, positive
 from turnwright.errors import DomainError, InputError
 from turnwright.surface._surface import Surface
 
@@ -162,6 +163,7 @@ class Expression(Surface):
     _axis: _Axis | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self, inf=("feature_size",) if isinstance(self.feature_size, _Estimate) else ())
         constants = {name: _constant(name, value) for name, value in self.constants.items()}
         object.__setattr__(self, "constants", constants)
         object.__setattr__(self, "_steps", _read(self.formula, {**NUMBERS, **constants}))

@@ -8,14 +8,14 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.polynomial import legendre
 
-from turnwright._arrays import Floats, positive
+from turnwright._arrays import Floats
+from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.surface._analytic import (
     MAX_DEGREE,
     OnConic,
     Terms,
     curvature,
-    finite,
     read_terms,
     summed,
     whole,
@@ -144,8 +144,8 @@ class Forbes(OnConic):
     _degree: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self, inf=("radius",))
         curvature(self.radius, "the radius of a Forbes surface")
-        finite(self.conic, "the conic constant")
         positive(self.norm_radius, "the norm_radius of a Forbes surface", "mm")
         if self.kind not in {"qbfs", "qcon", "q2d"}:
             raise InputError(f"the kind of a Forbes surface is {self.kind!r}, known are qbfs, qcon and q2d: choose one")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, frozen, only_read
+from turnwright._validate import check_numbers
 from turnwright.errors import DomainError, InputError
 from turnwright.surface._surface import Surface
 from turnwright.units import say_length
@@ -78,6 +79,7 @@ class Gridded(Surface):
     _whole: Bools | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self, nan=("z",))
         from scipy.interpolate import CubicSpline, make_interp_spline  # noqa: PLC0415 - scipy is costly to import
 
         for name in ("x", "y"):

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, frozen, positive
-from turnwright._given import whole
+from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._validate import check_numbers, finite_tuple, positive, whole
 from turnwright.errors import InputError
 from turnwright.surface._surface import Surface
 
@@ -86,6 +86,7 @@ class LensArray(Surface):
     _bins: _Bins = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         from scipy.spatial import cKDTree  # noqa: PLC0415 - scipy is costly to import
 
         centres = frozen(self.centres, "centres of a lens array", ndim=2)
@@ -165,8 +166,9 @@ class LensArray(Surface):
             Unless it is either rows and columns, or within; if no lens fits.
         """
         positive(pitch, "pitch of a lens array", "mm")
+        at = finite_tuple(offset, "offset of a lens array", 2)
         if within is not None and rows is None and columns is None:
-            centres = _whole((pitch, 0), (0, pitch), offset, within, aperture)
+            centres = _whole((pitch, 0), (0, pitch), at, within, aperture)
         elif within is None and rows is not None and columns is not None:
             rows, columns = whole(rows, "rows of a lens array", 1), whole(columns, "columns of a lens array", 1)
             if rows * columns > MOST_LENSES:
@@ -175,7 +177,7 @@ class LensArray(Surface):
                     "correct the counts"
                 )
             across, along = np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2
-            centres = _lattice(across, along, (pitch, 0), (0, pitch), offset)
+            centres = _lattice(across, along, (pitch, 0), (0, pitch), at)
         else:
             raise InputError(
                 f"a square array has rows {rows}, columns {columns} and within {within}, it takes rows and columns, or "
@@ -212,18 +214,19 @@ class LensArray(Surface):
             Unless it is either rings or within; if no lens fits.
         """
         positive(pitch, "pitch of a lens array", "mm")
+        at = finite_tuple(offset, "offset of a lens array", 2)
         if (rings is None) == (within is None):
             raise InputError(
                 f"a hexagonal array has rings {rings} and within {within}, it takes one of them: leave out the other"
             )
         slanted = ((pitch, 0), (pitch / 2, pitch * np.sqrt(0.75)))
         if within is not None:
-            centres = _whole(*slanted, offset, within, aperture)
+            centres = _whole(*slanted, at, within, aperture)
         else:
             rings = whole(rings, "rings of a lens array", 0, 500)
             i = np.arange(-rings, rings + 1)
             first, second = (part.ravel() for part in np.meshgrid(i, i))
-            centres = _lattice(i, i, *slanted, offset)[np.abs(first + second) <= rings]
+            centres = _lattice(i, i, *slanted, at)[np.abs(first + second) <= rings]
         return cls(centres=centres, lenslet=lenslet, aperture=aperture, surround=surround)
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
@@ -331,22 +334,20 @@ def _bin(centres: Floats, tree: cKDTree) -> _Bins:
     )
 
 
-def _lattice(i: ArrayLike, j: ArrayLike, a: ArrayLike, b: ArrayLike, offset: tuple[float, float]) -> Floats:
+def _lattice(i: ArrayLike, j: ArrayLike, a: ArrayLike, b: ArrayLike, offset: tuple[float, ...]) -> Floats:
     """Return the points offset + i a + j b, i running fastest. (n, 2)."""
-    if np.shape(offset) != (2,) or not np.isfinite(offset).all():
-        raise InputError(f"offset of a lens array is {offset}, it must be 2 finite numbers: give x and y")
     first, second = (part.reshape(-1, 1) for part in np.meshgrid(i, j))
     return np.asarray(first * np.asarray(a) + second * np.asarray(b) + np.asarray(offset), dtype=np.float64)
 
 
 def _whole(
-    a: tuple[float, float], b: tuple[float, float], offset: tuple[float, float], within: float, aperture: float | None
+    a: tuple[float, float], b: tuple[float, float], offset: tuple[float, ...], within: float, aperture: float | None
 ) -> Floats:
     """Return the lattice points offset + i a + j b, a along x, whose lens is wholly in the circle. (n, 2)."""
     positive(within, "within, the radius that lenses must fit in,", "mm")
     row = b[1]
     # A slanted lattice vector takes up to half as many columns more than rows.
-    reach = int(min(1.5 * (within + np.hypot(*offset)) / row, 1e9)) + 1
+    reach = int(min(1.5 * (within + np.hypot(offset[0], offset[1])) / row, 1e9)) + 1
     if reach**2 > MOST_LENSES:
         raise InputError(
             f"within is {within:g} mm at {row:g} mm from row to row, that is more than {MOST_LENSES} lenses: "

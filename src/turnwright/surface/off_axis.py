@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
+from turnwright._validate import check_angle, check_numbers
 from turnwright.errors import DomainError, InputError
 from turnwright.pose import Pose
-from turnwright.surface._analytic import finite
 from turnwright.surface._surface import Surface
 from turnwright.surface.compound import Placed
 
@@ -65,17 +65,14 @@ class OffAxis(Surface):
     _moved: Placed = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         if not isinstance(self.parent, Surface):
             raise InputError(f"the parent of an off-axis part is {self.parent!r}, it must be a surface: give a Surface")
-        distance = finite(self.distance, "the distance of an off-axis part")
-        azimuth = finite(self.azimuth, "the azimuth of an off-axis part")
+        distance = float(self.distance)
+        azimuth = check_angle(self.azimuth, "the azimuth of an off-axis part")
         if distance < 0:
             raise InputError(
                 f"the distance of an off-axis part is {distance:g} mm, it must be 0 mm or more: turn azimuth"
-            )
-        if abs(azimuth) > 2 * np.pi:
-            raise InputError(
-                f"the azimuth of an off-axis part is {azimuth:g} rad, the limit is one turn, 2 pi: give it in radians"
             )
         try:
             fx, fy = (float(part) for part in self.parent.gradient(*self._at))

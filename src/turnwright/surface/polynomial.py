@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from turnwright._arrays import Floats, Ints, frozen
+from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 from turnwright.surface._analytic import (
     MAX_DEGREE,
     Terms,
     changing_length,
-    finite,
     read_terms,
     summed,
     whole_pair,
@@ -58,6 +58,7 @@ class XYPolynomial(Surface):
     _sizes: Ints = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         terms = read_terms(self.terms, "a polynomial", _powers)
         object.__setattr__(self, "terms", terms)
         sizes = np.zeros(1 + max((i for (i, _), _ in terms), default=0), dtype=np.int64)
@@ -126,6 +127,7 @@ class RadialPolynomial(Surface):
     _slopes: Floats = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("radial", "slope"):
             values = getattr(self, name)
             if np.ndim(values) != 1 or 2 * len(values) + 1 > MAX_DEGREE:
@@ -133,9 +135,7 @@ class RadialPolynomial(Surface):
                     f"{name} of a radial polynomial is {values!r}, it must be a list of at most {MAX_DEGREE // 2 - 1} "
                     "coefficients, that of r^2 first: correct it"
                 )
-            checked = tuple(finite(value, f"a coefficient of {name}") for value in values)
-            object.__setattr__(self, name, checked)
-        finite(self.tilt, "the tilt of a radial polynomial")
+            object.__setattr__(self, name, tuple(float(value) for value in values))
         even = np.array([0.0, *(value / 2 for value in self.radial)])
         # Each row holds 2 (k + 1) times the next coefficient of the row above, see the kernel.
         slopes = np.zeros((3, len(self.slope) + 1))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, frozen
+from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 from turnwright.surface._surface import Surface
 from turnwright.surface.gridded import Gridded
@@ -76,6 +77,7 @@ class Scattered(Surface):
     _hull: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         from scipy.spatial import ConvexHull, KDTree, QhullError  # noqa: PLC0415 - scipy is costly to import
 
         for name in "xyz":

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from turnwright._arrays import Floats, between, positive
-from turnwright.errors import InputError
+from turnwright._arrays import Floats
+from turnwright._validate import check_angle, check_numbers, finite_tuple, positive
 from turnwright.surface._surface import Surface
 
 __all__ = ["SineGrid"]
@@ -47,17 +47,13 @@ class SineGrid(Surface):
     phase: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("amplitude", "period", "phase"):
-            values = getattr(self, name)
-            if np.shape(values) != (2,) or not np.isfinite(values).all():
-                raise InputError(
-                    f"{name} of a sine grid is {values}, it must be 2 finite numbers: give one for x and y"
-                )
-            object.__setattr__(self, name, tuple(float(value) for value in values))
+            object.__setattr__(self, name, finite_tuple(getattr(self, name), f"{name} of a sine grid", 2))
         for value, axis in zip(self.period, "xy", strict=True):
             positive(value, f"period of a sine grid along {axis}", "mm")
         for value, axis in zip(self.phase, "xy", strict=True):
-            between(value, f"phase of a sine grid along {axis}", -2 * np.pi, 2 * np.pi, "rad")
+            check_angle(value, f"phase of a sine grid along {axis}")
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives. See `Surface.evaluate`."""

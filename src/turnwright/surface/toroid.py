@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright.surface._analytic import curvature, finite, summed
+from turnwright._validate import check_numbers
+from turnwright.surface._analytic import curvature, summed
 from turnwright.surface._surface import Surface
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ class Toroid(Surface):
     radius_y: float
 
     def __post_init__(self) -> None:
+        check_numbers(self, inf=("radius_x", "radius_y"))
         curvature(self.radius_x, "radius_x of a toroid")
         curvature(self.radius_y, "radius_y of a toroid")
 
@@ -106,10 +108,9 @@ class Biconic(Surface):
     conic_y: float
 
     def __post_init__(self) -> None:
+        check_numbers(self, inf=("radius_x", "radius_y"))
         curvature(self.radius_x, "radius_x of a biconic")
         curvature(self.radius_y, "radius_y of a biconic")
-        finite(self.conic_x, "conic_x")
-        finite(self.conic_y, "conic_y")
 
     @property
     def _squared(self) -> tuple[float, float]:

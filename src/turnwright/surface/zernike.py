@@ -8,7 +8,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Floats, positive
+from turnwright._arrays import Floats
+from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.surface._analytic import MAX_DEGREE, Terms, read_terms, summed, whole
 from turnwright.surface._disc import DiscSum, disc_sum
@@ -109,6 +110,7 @@ class Zernike(Surface):
     _degree: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         positive(self.radius, "the radius of a Zernike surface", "mm")
         terms = read_terms(self.terms, "a Zernike surface", lambda key: whole(key, "the index of a Zernike term"))
         object.__setattr__(self, "terms", terms)

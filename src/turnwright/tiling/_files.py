@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from turnwright import _given as given
+from turnwright import _validate as validate
 from turnwright._arrays import Bools, Floats
 from turnwright.errors import InputError, StudyError
 from turnwright.tiling._layout import Layout
@@ -177,7 +177,7 @@ def _another(place: str) -> InputError:
 
 def named_place(store: str | os.PathLike[str]) -> str:
     """Return the whole path of a folder, or a URL as it is."""
-    place = given.path(store, "the store").removeprefix("file://")
+    place = validate.path(store, "the store").removeprefix("file://")
     return place if "://" in place else str(Path(place).expanduser().absolute())
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from turnwright import _given as given
+from turnwright import _validate as validate
 from turnwright._arrays import Floats, only_read
 from turnwright.errors import InputError, StudyError
 from turnwright.generation import Prepared, Tiles
@@ -188,13 +188,13 @@ def generate_tiled(
     """
     from turnwright.execution import require_reach  # noqa: PLC0415 - what needs processes
 
-    given.thing(motion, Motion, "the motion")
-    given.thing(tool, Tool, "the tool")
+    validate.thing(motion, Motion, "the motion")
+    validate.thing(tool, Tool, "the tool")
     if machine is not None:
-        given.thing(machine, Machine, "the machine")
+        validate.thing(machine, Machine, "the machine")
     if executor is not None:
-        given.thing(executor, Executor, "the executor")
-    given.listener(progress)
+        validate.thing(executor, Executor, "the executor")
+    validate.listener(progress)
     if minus is not None and not callable(getattr(minus, "sag", None)):
         raise InputError(f"what is subtracted is a {type(minus).__name__}, it must be a surface: give one")
     place = named_place(store)

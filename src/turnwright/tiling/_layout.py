@@ -9,8 +9,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from turnwright import _given as given
-from turnwright._arrays import Bools, Floats, positive
+from turnwright import _validate as validate
+from turnwright._arrays import Bools, Floats
+from turnwright._validate import positive
 from turnwright.errors import InputError
 
 __all__ = ["DEFAULT", "INNER", "Layout", "Tile", "require_tile", "tile_sides"]
@@ -83,7 +84,7 @@ class Layout:
                 f"the pixel is {both!r}, it must be one number, or one along x and one along y: give these"
             )
         steps = [
-            positive(given.number(one, f"the pixel along {name}"), f"the pixel along {name}", "mm")
+            positive(validate.number(one, f"the pixel along {name}"), f"the pixel along {name}", "mm")
             for one, name in zip(both, "xy", strict=True)
         ]
         if (x is None) != (y is None) or (x is None and radius is None):
@@ -91,7 +92,7 @@ class Layout:
                 "the extent of the map is not stated: give a radius for a disc, or x and y as (first, last) in mm"
             )
         if radius is not None:
-            radius = positive(given.number(radius, "the radius of the map"), "the radius of the map", "mm")
+            radius = positive(validate.number(radius, "the radius of the map"), "the radius of the map", "mm")
         origin, counts = [], []
         for step, name, span in zip(steps, "xy", (x, y), strict=True):
             if span is None:
@@ -100,7 +101,7 @@ class Layout:
                 origin.append(-half * step)
                 counts.append(2 * half + 1)
             else:
-                low, high = given.span(span, f"the extent of the map along {name}")
+                low, high = validate.span(span, f"the extent of the map along {name}")
                 origin.append(low)
                 counts.append(math.floor((high - low) / step + 1e-9) + 1)
         if min(counts) < 2:
@@ -190,7 +191,7 @@ class Layout:
 
 def require_tile(asked: object) -> None:
     """Raise unless a tile can be about so many pixels wide."""
-    given.whole(asked, "the width of a tile in pixels", FEWEST, MOST)
+    validate.whole(asked, "the width of a tile in pixels", FEWEST, MOST)
 
 
 def tile_sides(asked: int, sides: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from turnwright import _given as given
+from turnwright import _validate as validate
 from turnwright._arrays import Floats
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
@@ -110,7 +110,7 @@ class TiledMap:
         InputError
             If there is no such level.
         """
-        level = given.whole(level, "the level", 0, self.levels - 1)
+        level = validate.whole(level, "the level", 0, self.levels - 1)
         rows, columns = self.files.layout.level_shape(level)
         return self._read(level, slice(0, rows), slice(0, columns))
 
@@ -129,8 +129,8 @@ class TiledMap:
         InputError
             If the window does not ascend, or holds nothing of the map.
         """
-        x, y = given.span(x, "the window along x"), given.span(y, "the window along y")
-        pixels = given.whole(pixels, "the width of a window in pixels", 1)
+        x, y = validate.span(x, "the window along x"), validate.span(y, "the window along y")
+        pixels = validate.whole(pixels, "the width of a window in pixels", 1)
         found: tuple[slice, slice] | None = None
         for level in reversed(range(self.levels)):
             spans = [_within(axis, span) for axis, span in zip(self.files.layout.axes(level), (x, y), strict=True)]
@@ -172,7 +172,7 @@ class TiledMap:
         -------
         [Chan1983]_ merges sums about different means. Oracle: `roughness` in one piece.
         """
-        given.listener(progress)
+        validate.listener(progress)
         return tiled_roughness(self.files, form, progress)
 
     def area_psd(
@@ -207,7 +207,7 @@ class TiledMap:
         -------
         [Welch1967]_. Oracle: SciPy's periodogram of each segment, averaged.
         """
-        given.listener(progress)
+        validate.listener(progress)
         return tiled_area_psd(self.files, segment, form, window, progress)
 
     def line_psd(
@@ -233,7 +233,7 @@ class TiledMap:
         InputError
             If no segment is whole, or a choice is unknown.
         """
-        given.listener(progress)
+        validate.listener(progress)
         return tiled_line_psd(self.files, along, segment, form, window, progress)
 
     def _read(self, level: int, rows: slice, columns: slice) -> HeightMap:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
-from turnwright import _given as given
+from turnwright import _validate as validate
 from turnwright._arrays import Floats, frozen
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
@@ -103,4 +103,4 @@ def _mean(
 def _segment(layout: Layout, segment: int | None) -> int:
     if segment is None:
         return max(FEWEST, min(SEGMENT, 1 << int(math.log2(min(layout.shape) / 4))))
-    return given.whole(segment, "the width of a segment in pixels", FEWEST, min(layout.shape))
+    return validate.whole(segment, "the width of a segment in pixels", FEWEST, min(layout.shape))

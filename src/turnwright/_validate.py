@@ -1,0 +1,253 @@
+"""The rules for what a caller gives: numbers, angles, counts, spans, paths, objects of Turnwright and callbacks.
+
+Every dataclass that a user states calls `check_numbers` first, so that the rest of it may rely on its numbers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import numbers
+import os
+import re
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turnwright.errors import InputError, shown
+from turnwright.units import LEAST, MOST
+
+__all__ = [
+    "between",
+    "check_angle",
+    "check_azimuths",
+    "check_cumulative",
+    "check_numbers",
+    "finite",
+    "finite_tuple",
+    "listener",
+    "number",
+    "path",
+    "positive",
+    "require_finite",
+    "span",
+    "thing",
+    "whole",
+]
+
+T = TypeVar("T")
+
+WHOLE = re.compile(r"(int|Ints|tuple\[int, \.\.\.\])( \| None)?")
+"""The types of fields that hold whole numbers."""
+
+PLAIN = re.compile(r"(int|float)( \| None)?")
+"""The types of fields that hold one number."""
+
+LONGEST = 64
+"""Entries of a list that are looked at one by one; a longer one is made an array first."""
+
+
+def check_numbers(one: Any, *, inf: Collection[str] = (), nan: Collection[str] = ()) -> None:
+    """Raise unless every number in the fields of a dataclass is finite, and whole where its type is that.
+
+    Looks into arrays, tuples, lists and mappings; the keys of a mapping must be whole or no numbers at all. Fields that
+    the class works out itself are left to it.
+
+    Parameters
+    ----------
+    one
+        A dataclass with its fields as the caller gave them.
+    inf, nan
+        Names of the fields that may hold infinity, and not a number.
+
+    Raises
+    ------
+    InputError
+        With the field and the number.
+    """
+    for field in dataclasses.fields(one):
+        if field.init:
+            kind, value = str(field.type), getattr(one, field.name)
+            if PLAIN.fullmatch(kind) and not (value is None and (field.default is None or "None" in kind)):
+                number(value, field.name)
+            rule = _Rule(whole=bool(WHOLE.fullmatch(kind)), inf=field.name in inf, nan=field.name in nan)
+            rule.check(value, field.name)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Rule:
+    """What the numbers of a field must be."""
+
+    whole: bool
+    inf: bool = False
+    nan: bool = False
+
+    def check(self, value: object, name: str, verb: str = "is") -> None:
+        if isinstance(value, numbers.Real) and not isinstance(value, bool):
+            self._check_number(value, f"{name} {verb}")
+        elif isinstance(value, np.ndarray):
+            self._check_array(value, name)
+        elif isinstance(value, Mapping):
+            for key, held in value.items():
+                _Rule(whole=True).check(key, f"a key of {name}")
+                self.check(held, f"{name}[{key!r}]")
+        elif isinstance(value, tuple | list) and len(value) <= LONGEST:
+            for held in value:
+                self.check(held, name, "holds")
+        elif isinstance(value, tuple | list):
+            with suppress(TypeError, ValueError, OverflowError):  # where it is no table of numbers its class says so
+                self._check_array(np.asarray(value, dtype=np.float64), name)
+
+    def _check_number(self, value: numbers.Real, what: str) -> None:
+        plain = number(value, what)
+        if self.whole and not isinstance(value, numbers.Integral):
+            raise InputError(f"{what} {shown(value)}, it must be a whole number: give one")
+        if not math.isfinite(plain) and not (self.nan if math.isnan(plain) else self.inf):
+            raise InputError(f"{what} {plain:g}, it must be finite{' or inf' * self.inf}: correct it")
+
+    def _check_array(self, values: NDArray[Any], name: str) -> None:
+        if values.dtype.kind not in "fciu":
+            return
+        if self.whole and values.dtype.kind not in "iu":
+            raise InputError(f"{name} holds numbers of the type {values.dtype}, they must be whole: give integers")
+        if not self.nan:
+            require_finite(values, name)
+        elif count := int(np.count_nonzero(np.isinf(values))):
+            raise InputError(f"{name} holds {count} infinite values, the limit is 0: mark what is missing with nan")
+
+
+def require_finite(values: NDArray[Any], name: str) -> None:
+    """Raise unless all of an array is finite."""
+    if count := int(np.count_nonzero(~np.isfinite(values))):
+        raise InputError(f"{name} holds {count} values that are not finite, the limit is 0: remove or replace them")
+
+
+def finite(value: object, name: str) -> float:
+    """Return a number as one of Python, which is finite."""
+    plain = number(value, name)
+    if not math.isfinite(plain):
+        raise InputError(f"{name} is {plain:g}, it must be a finite number: correct it")
+    return plain
+
+
+def finite_tuple(values: Sequence[float], name: str, size: int) -> tuple[float, ...]:
+    """Return so many finite numbers as a tuple."""
+    if np.shape(values) != (size,):
+        raise InputError(f"{name} is {shown(values)}, it must be {size} finite numbers: complete it")
+    return tuple(finite(value, name) for value in values)
+
+
+def positive(value: float, name: str, unit: str) -> float:
+    """Return ``value`` if it is a number above zero, of a size that is none by a slip."""
+    plain = number(value, name)
+    if not math.isfinite(plain) or plain <= 0:
+        raise InputError(f"{name} is {plain:g} {unit}, it must be finite and above 0 {unit}: give a positive value")
+    if not LEAST <= plain <= MOST:
+        raise InputError(
+            f"{name} is {plain:g} {unit}, the limits are {LEAST:g} to {MOST:g} {unit}: check its exponent and its unit"
+        )
+    return plain
+
+
+def between(value: float, name: str, low: float, high: float, unit: str) -> float:
+    """Return ``value`` if it lies in the closed interval [low, high]."""
+    if not low <= value <= high:
+        raise InputError(f"{name} is {value:g} {unit}, the limits are {low:g} to {high:g} {unit}: give a value between")
+    return float(value)
+
+
+IN_RAD = "a plain number is in rad"
+"""The remedy for an angle that is beyond its limits."""
+
+
+def check_angle(
+    value: float, name: str, low: float = -2 * math.pi, high: float = 2 * math.pi, remedy: str = IN_RAD
+) -> float:
+    """Return an angle of at most one turn either way, or within its own limits. [rad]."""
+    plain = finite(value, name)
+    if not low <= plain <= high:
+        limits = f"{low:.4g} to {high:.4g} rad ({math.degrees(low):.4g} to {math.degrees(high):.4g} deg)"
+        raise InputError(f"{name} is {plain:g} rad ({math.degrees(plain):.6g} deg), the limits are {limits}: {remedy}")
+    return plain
+
+
+def check_azimuths(values: NDArray[np.float64], name: str) -> None:
+    """Raise if azimuths reach over more than a turn. (n,) [rad]."""
+    span = float(np.ptp(values)) if values.size else 0.0
+    if span > 2 * math.pi * (1 + 1e-9):
+        raise InputError(f"{name} reaches over {span:.4g} rad, the limit is one turn, 6.283 rad: {IN_RAD}")
+
+
+def check_cumulative(angle: NDArray[np.float64], name: str) -> None:
+    """Raise if angles of many turns, in order, are counted in degrees. (n,) [rad].
+
+    Even steps of a whole part of 360, or a whole number of times 360 from end to end, are no chance.
+    """
+    span = abs(float(angle[-1] - angle[0]))
+    step = span / (angle.size - 1)
+    if span + step < 360 * (1 - 1e-9):
+        return
+    steps = np.abs(np.diff(angle))
+    counts = [span / 360, 360 / step] if np.ptp(steps) < 1e-6 * step else [span / 360]
+    if any(abs(count - round(count)) <= 1e-12 * count for count in counts):
+        raise InputError(
+            f"{name} runs over {span:.10g} rad in steps of {step:.6g} rad, which are degrees, 360 to a turn: {IN_RAD}, "
+            "multiply by pi/180"
+        )
+
+
+def number(value: object, name: str) -> float:
+    """Return a number as one of Python, which may be infinite or nan."""
+    if isinstance(value, numbers.Real) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError:
+            raise InputError(f"{name} is beyond the range of numbers, about 1e308: give a smaller value") from None
+    raise InputError(f"{name} is {shown(value)}, it must be a number: give one")
+
+
+def whole(value: object, name: str, low: int, high: int | None = None) -> int:
+    """Return a whole number within its limits."""
+    if isinstance(value, numbers.Integral) and not isinstance(value, bool):
+        found = int(value)
+        if found >= low and (high is None or found <= high):
+            return found
+    limit = f"at least {low}" if high is None else f"{low} to {high}"
+    raise InputError(f"{name} is {shown(value)}, it must be a whole number, {limit}: give one")
+
+
+def span(value: object, name: str) -> tuple[float, float]:
+    """Return two finite numbers that ascend."""
+    if not isinstance(value, Sequence) or isinstance(value, str | bytes) or len(value) != 2:
+        raise InputError(f"{name} is {shown(value)}, it must be first and last: give two numbers")
+    low, high = (number(one, name) for one in value)
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise InputError(f"{name} is {low:g} to {high:g}, it must ascend: let both be finite, the smaller first")
+    return low, high
+
+
+def path(value: object, name: str) -> str:
+    """Return the text of a path or a URL."""
+    found = os.fspath(value) if isinstance(value, str | os.PathLike) else None
+    if not isinstance(found, str) or not found or "\0" in found:
+        raise InputError(f"{name} is {shown(value)}, it must be a path: give one")
+    return found
+
+
+def thing(value: T, kind: type[Any], name: str) -> T:
+    """Return a value that must be of some kind."""
+    if isinstance(value, kind):
+        return value
+    raise InputError(f"{name} is {shown(value)}, it must be a {kind.__name__}: give one")
+
+
+def listener(progress: object) -> None:
+    """Raise unless what is to be told of the progress can be called, or is None."""
+    if progress is not None and not callable(progress):
+        raise InputError(
+            f"the progress is told to a {type(progress).__name__}, it must be a function of how many are done and all: "
+            "give one, or none"
+        )
