@@ -27,7 +27,7 @@ REFUSED = {
     "rotation of a pose in degrees": (lambda: tw.Pose(rotation=90), "rotation is 90 rad"),
     "tilt in degrees": (lambda: FLAT.placed(tilt=(1, 0)), "tilt is 1 rad.*to 0.7854 rad"),
     "spiral in degrees": (
-        lambda: tw.Spiral(angle=np.arange(0, 3600, 5.0), radius=np.linspace(1, 0, 720)), "angles in rad",
+        lambda: tw.Spiral(angle=np.arange(0, 3600, 5.0), radius=np.linspace(1, 0, 720)), "in rad",
     ),
     "phase in degrees": (
         lambda: tw.SineGrid(amplitude=(1e-3, 1e-3), period=(1.0, 1.0), phase=(90, 0)), "phase .* is 90 rad",
