@@ -1,6 +1,7 @@
 """What stands in the file, against an independent reading of it with regular expressions and decimals."""
 
 import re
+from dataclasses import replace
 from decimal import Decimal
 from itertools import product
 
@@ -107,6 +108,27 @@ def test_tool_comes_and_goes_above_the_part(tmp_path, z_sign):
     assert before.index(f"Z{z_sign * heights[0]:.6f}") < before.index("G1 X") < before.index("G0 C")
     last = re.findall(r"^G1 Z(-?[\d.]+)", after.split("G94\n")[1], re.MULTILINE)
     assert z_sign * float(last[0]) == pytest.approx(heights[0], abs=1e-6)
+
+
+@pytest.mark.parametrize("dialect", ["generic", "pmac", "nanotech"])
+def test_the_header_says_where_c_must_stand_after_a_stop(tmp_path, dialect):
+    """Oracle: the C words of the approaches themselves; the second pass begins turns beyond the first."""
+    lathe = machine(dialect)
+    if dialect == "pmac":  # which asks for cubics
+        lathe = replace(lathe, controller=replace(lathe.controller, interpolation="hermite"))
+    one = motion(lathe)
+    files = write_nc({"rough": one, "finish": one}, lathe, tmp_path / "part.nc").files
+    head = [row.strip("; ") for row in files[0].read_text().splitlines() if row.strip("; ").startswith("(")]
+    stop = " ".join(row for row in head if row.startswith("( AFTER A STOP"))
+    assert "RETRACT IN Z FIRST" in stop
+    assert ("SET C" in stop) == (dialect != "nanotech")
+    if dialect == "nanotech":  # which turns C the short way
+        return
+    told = [re.search(r"^\( APPROACH \w+: BEGINS AT (C-?[\d.]+) \)$", row) for row in head]
+    told = [found[1] for found in told if found]
+    rapids = re.findall(r"(?:G0|RAPID|rapid)\s*(C-?[\d.]+)", files[0].read_text(), re.IGNORECASE)
+    assert told == rapids
+    assert abs(float(told[1][1:]) - float(told[0][1:])) > 360
 
 
 @pytest.mark.parametrize(("sense", "words_of_it"), [(1, "CLOCKWISE, AS M04"), (-1, "COUNTER-CLOCKWISE, AS M03")])

@@ -1,7 +1,7 @@
 """Programs on disk: write them, read them back, read other people's."""
 
 from turnwright.post._approach import GAP, PLUNGE_FEED, Approach, approach_to, entry_words, first_turn
-from turnwright.post._header import ProgramHeader, ProgramInfo, ProgramPass, ProgramWarning, inspect_nc
+from turnwright.post._header import ProgramHeader, ProgramInfo, ProgramPass, ProgramWarning, after_stop, inspect_nc
 from turnwright.post._reader import read_nc
 from turnwright.post._registry import dialect_of
 from turnwright.post._sync import FastToolFiles, read_fast_tool, write_fast_tool
@@ -19,6 +19,7 @@ __all__ = [
     "ProgramInfo",
     "ProgramPass",
     "ProgramWarning",
+    "after_stop",
     "approach_to",
     "dialect_of",
     "entry_words",

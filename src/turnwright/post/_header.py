@@ -155,15 +155,28 @@ def _feed_line(dialect: Dialect) -> str:
     return f"( FEED: UNDER G93, F IS {said}{kept}; WITH {dialect.feed_decimals} DECIMALS AT MOST )"
 
 
+def after_stop(dialect: Dialect) -> tuple[str, ...]:
+    """Return what to do at the lathe after a program was stopped, as sentences."""
+    again = "Retract in Z first, then begin the pass again with its approach"
+    if dialect.wrapped:
+        return (again,)
+    before = "Before that, set C by whole turns to within 360 deg of where that approach begins, else it unwinds"
+    return again, before
+
+
 def lines(
     header: ProgramHeader,
     machine: Machine,
     dialect: Dialect,
     passes: Sequence[ProgramPass],
     approaches: Sequence[Approach],
+    begins: Sequence[str],
     links_s: float,
 ) -> list[str]:
-    """Return the header as comment lines; its length does not depend on the hashes."""
+    """Return the header as comment lines; its length does not depend on the hashes.
+
+    ``begins`` has the words of C at which the approaches begin.
+    """
     convention = machine.convention
     written = [SIGNATURE, f"( SOFTWARE: {software()} )"]
     for key in ("design", "tool", "notes"):
@@ -179,14 +192,20 @@ def lines(
         f"( X: {'GROWS' if convention.x_side > 0 else 'FALLS'} AWAY FROM THE AXIS ON THE SIDE WHERE THE TOOL CUTS )",
         f"( Z: {'GROWS' if convention.z_sign > 0 else 'FALLS'} OUT OF THE PART, TOWARD THE TOOL )",
         f"( C: {'GROWS' if convention.c_sense > 0 else 'FALLS'} WITH THE AZIMUTH OF THE PART UNDER THE TOOL, "
-        + ("WRITTEN FROM 0 TO 360, SHORT WAY )" if dialect.wrapped else "CUMULATIVE )"),
+        + (
+            "WRITTEN FROM 0 TO 360, SHORT WAY )"
+            if dialect.wrapped
+            else "CUMULATIVE FROM PASS TO PASS; FROM C BELOW IS LESS WHOLE TURNS )"
+        ),
         f"( MARK: C = {np.rad2deg(convention.clocking) + 0.0:.5f} WHERE THE +X MARK OF THE PART IS UNDER THE TOOL )",
         counted,
         "( SPINDLE: C AXIS, NO M03 OR M04; M03 IS CLOCKWISE SEEN FROM BEHIND THE SPINDLE )",
         "( BEFORE THE START: SELECT WORK OFFSET AND TOOL )",
     ]
-    for one, approach in zip(passes, approaches, strict=True):
+    for one, approach, begin in zip(passes, approaches, begins, strict=True):
         written.append(f"( ENTRY {one.name}: {entry_words(approach).upper()} )")
+        if not dialect.wrapped:
+            written.append(f"( APPROACH {one.name}: BEGINS AT {begin} )")
         written.append(
             f"( TURNS {one.name}: C {'GROWS' if one.sense * convention.c_sense > 0 else 'FALLS'}, SEEN FROM THE TOOL "
             f"THE PART TURNS {'CLOCKWISE, AS M04' if one.sense > 0 else 'COUNTER-CLOCKWISE, AS M03'} )"
@@ -198,7 +217,7 @@ def lines(
     written += [
         f"( MINUTES: {sum(one.minutes for one in passes):.3f} )",
         f"( LINKS: {links_s / 60:.3f} MINUTES FOR APPROACH, PLUNGE AND RETRACT )",
-        "( AFTER A STOP: RETRACT IN Z FIRST, THEN BEGIN THE PASS AGAIN WITH ITS APPROACH )",
+        *(f"( AFTER A STOP: {one.upper()} )" for one in after_stop(dialect)),
     ]
     return written
 

@@ -398,12 +398,14 @@ class _Job:
         self.links_s = 0.0
         self.told: list[ProgramPass] = []
         self.approaches: dict[str, Approach] = {}
+        self.begins: list[str] = []
 
     def write(self, passes: list[_Pass]) -> list[str]:
         """Write all files into the folder; return the names of the sub-programs in the order of their calls."""
         self.total = sum(one.motion.time.size for one in passes)
         self.told = [self._tell(one, NO_HASH) for one in passes]
         self.approaches = {one.name: one.approach for one in passes}
+        self.begins = [one.word("C", one.approach.start["C"]) for one in passes]
         self.links_s = link_seconds([(one.approach, one.motion) for one in passes], self.machine)
         main = [*self.dialect.setup]
         blocks = self.total + sum(plunge.time.size for one in passes if (plunge := one.approach.plunge) is not None)
@@ -440,7 +442,7 @@ class _Job:
 
     def _head(self) -> list[str]:
         approaches = list(self.approaches.values())
-        return lines(self.header, self.machine, self.dialect, self.told, approaches, self.links_s)
+        return lines(self.header, self.machine, self.dialect, self.told, approaches, self.begins, self.links_s)
 
     def summary(self, written: list[str]) -> ProgramFiles:
         """Return what was written, under the final names."""

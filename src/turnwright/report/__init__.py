@@ -11,6 +11,7 @@ import numpy as np
 
 from turnwright.job import judge, part_shape
 from turnwright.path import Motion
+from turnwright.post import after_stop, dialect_of
 from turnwright.report._comparison import write_comparison
 from turnwright.report._measured import write_correction, write_diagnosis, write_measured
 from turnwright.report._page import Page, page_file, set_page
@@ -250,6 +251,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             _Row("Size", f"{result.program.bytes / 1e6:.3g} MB"),
             _Row("Cutting time", _duration(result.program.minutes * 60)),
             _Row("Approaches, plunges and retracts", _duration(result.program.links_minutes * 60)),
+            _Row("After a stop", ". ".join(after_stop(dialect_of(result.machine))) + "."),
             _Row("SHA-256", result.program.hash),
             _Row(
                 "Back-plot of the file against the path in memory",
