@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from turnwright.metrology import line_profile
 from turnwright.motion import SpeedProfile
 
 FLAT = tw.Plane()
@@ -105,9 +106,7 @@ BEYOND = {
     "phase of a vibration": lambda it: tw.Vibration(amplitude=1e-6, frequency_hz=10.0, phase=it),
     "friction angle": lambda it: tw.MinimumChip.of_edge(1e-5, it),
     "angles of a polar map": lambda it: tw.HeightMap(radius=X + 1, angle=it * (X + 1), z=np.zeros((5, 5))),
-    "angle of a line": lambda it: tw.metrology.line_profile(
-        tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))), (0, 0), angle=it
-    ),
+    "angle of a line": lambda it: line_profile(tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))), (0, 0), angle=it),
 }
 
 

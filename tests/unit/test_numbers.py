@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from turnwright.metrology import Nesting
+from turnwright.strategy import Valleys
 
 PLANE, AXIS, X = tw.Plane(), tw.Axis(), np.linspace(0, 1, 5)
 LOBES = tw.Lobes(count=3, amplitude=0.1, maximum=0.2)
@@ -87,9 +89,9 @@ EXAMPLES = [
     tw.FastToolServo(plan=SLOW), tw.HybridToolServo(plan=SLOW, fast=FAST, blocks_per_rev=50),
     tw.QuasiEllipticalToolServo(**SWING, short="slow", y_acceleration=100.0, points_per_rev=100),
     tw.QuasiEllipticalToolServo(**SWING, short="merge", shortest=0.01, arc_length=0.1, max_step=0.1),
-    tw.strategy.Valleys(angle=X, azimuth=X, radius=X, jump=X, left=X, stood=np.zeros(5, dtype=bool), stroke=0.1),
+    Valleys(angle=X, azimuth=X, radius=X, jump=X, left=X, stood=np.zeros(5, dtype=bool), stroke=0.1),
     tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))), tw.HeightMap(radius=X, angle=X, z=np.zeros((5, 5))),
-    tw.Profile(distance=X, z=X, x=X, y=X), tw.metrology.Nesting(s_filter=0.1, form="plane", l_filter=0.5, order=2),
+    tw.Profile(distance=X, z=X, x=X, y=X), Nesting(s_filter=0.1, form="plane", l_filter=0.5, order=2),
     tw.CriticalThickness(value=1e-4, uncertainty=1e-5, rake=CURVE, lobes=LOBES),
     tw.CuttingCoefficient(
         value=1e3, uncertainty=10.0, exponent=0.1, reference_thickness=1e-4, thickness=((1e-4, 1e-3), (1.0, 0.9)),
