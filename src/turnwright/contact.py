@@ -78,10 +78,10 @@ def place(
     Returns
     -------
     Path
-        Commanded tip positions, contact points and the clearance of the whole edge. Along "z" also the derivative of
-        the height by the angle, if the spiral states those of its radius (and height above centre): in a valley that
-        of the side touched, and on the lip of a step or on the rim, where the surface has no slope, by the heights a
-        hair to either side.
+        Commanded tip positions, contact points and the clearance of the whole edge. If the spiral states the
+        derivatives of its radius (and height above centre) by the angle, those of the tip's radius and height too.
+        Along "z" that of the height is in a valley the one of the side touched, and on the lip of a step or on the
+        rim, where the surface has no slope, by the heights a hair to either side; along the normal the tip jumps there.
 
     Raises
     ------
@@ -217,10 +217,28 @@ def _along_normal(spiral: Spiral, part: Part, tool: Tool, progress: Progress | N
     radius, z = contact - u, surface_z - e
     rim = part.radius
     at = touch(part.surface, tool, angle=angle, radius=radius, y=aside, sense=sense, rim=rim, progress=progress)
+    radius_rate, z_rate = _normal_rates(spiral, part, tool, sweep, x, y)
     return Path(
         angle=angle, radius=radius, z=z, sweep=sweep, contact_x=x, contact_y=y, contact_z=surface_z,
-        clearance=z - at.z, y=spiral.y, y_rate=spiral.y_rate, lift=spiral.lift,
+        clearance=z - at.z, y=spiral.y, y_rate=spiral.y_rate, radius_rate=radius_rate, z_rate=z_rate, lift=spiral.lift,
     )  # fmt: skip
+
+
+def _normal_rates(
+    spiral: Spiral, part: Part, tool: Tool, sweep: Floats, x: Floats, y: Floats
+) -> tuple[Floats, Floats] | tuple[None, None]:
+    """Return the derivatives of the tip's radius and height by the angle, if the spiral states its own."""
+    if spiral.radius_rate is None or (spiral.y is not None and spiral.y_rate is None):
+        return None, None
+    from turnwright._kernels import contact as kernel  # noqa: PLC0415 - numba is costly to import
+
+    upward = np.zeros(x.size) if spiral.y_rate is None else spiral.y_rate
+    radius_rate, z_rate = np.empty((2, x.size))
+    slopes = part.surface.evaluate(x, y, 2)[1:]
+    kernel.normal_rates(
+        *tool.table(spiral.sense), spiral.angle, x, y, sweep, *slopes, spiral.radius_rate, upward, radius_rate, z_rate
+    )
+    return radius_rate, z_rate
 
 
 def _tangent(

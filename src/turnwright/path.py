@@ -108,11 +108,11 @@ class Path:
     clearance
         Least height of the whole edge above the surface: 0 in contact, negative where the tool gouges; of a path along
         z as seen at places spread over the edge and the path. (n,) [mm]
-    y, radius_rate, y_rate, lift
+    y, y_rate, lift
         As in the `Spiral` that was placed. The height z is that in contact; a strategy whose spiral has a lift adds it
         in its axes.
-    z_rate
-        Derivative of z by the angle, where the spiral states its own. (n,) [mm/rad]
+    radius_rate, z_rate
+        Derivatives of radius and z by the angle, where the spiral states its own. Each (n,) [mm/rad]
     """
 
     angle: Floats

@@ -11,7 +11,7 @@ from turnwright.dilation import tip_height
 from turnwright.part import Part
 from turnwright.path import Spiral
 from turnwright.strategy import SlowToolServo
-from turnwright.surface import LensArray, Plane, Sphere
+from turnwright.surface import Biconic, LensArray, Plane, SineGrid, Sphere
 from turnwright.tool import Tool
 
 NOSE = Tool(nose_radius=0.5, included=np.deg2rad(120), clearance=np.deg2rad(20))
@@ -121,3 +121,54 @@ def test_nothing_is_said_where_the_spiral_says_nothing():
     part = Part(surface=Plane(), radius=1.0)
     spiral = Spiral(angle=np.linspace(0, 9, 50), radius=np.linspace(1, 0, 50))
     assert place(spiral, part, NOSE).z_rate is None
+
+
+ALONG_NORMAL = {
+    "sphere off the axis": Sphere(radius=-30.0).placed(shift=(1.3, -0.7, 0.0)),
+    "waves on a torus": Biconic(radius_x=40.0, radius_y=-60.0, conic_x=0.3, conic_y=-1.0)
+    + SineGrid(amplitude=(0.004, 0.003), period=(2.0, 2.7), phase=(0.4, 1.0)),
+}
+
+
+@pytest.mark.parametrize("climb", [None, 0.02])
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("surface", ALONG_NORMAL.values(), ids=ALONG_NORMAL)
+@pytest.mark.parametrize("tool", [NOSE, Tool(
+    nose_radius=0.5, included=np.deg2rad(120), rake=np.deg2rad(-15), clearance=np.deg2rad(20),
+    waviness=(0.0, 3e-4, 0.0, -2e-4), offset=(0.01, 0.02, 0.003),
+)])  # fmt: skip
+def test_rates_along_the_normal_are_those_of_the_tips(surface, tool, sense, climb):
+    """Against sixth-order differences of radius and height of tips that are placed a little before and behind."""
+    part = Part(surface=surface, radius=4.0)
+    step = 2e-4
+    spiral = spiral_of(sense, radius=3.9, size=60)
+    turned = spiral.angle[:, None] + sense * step * np.arange(-3, 4)
+    outward = spiral.radius_rate[0]
+
+    def at(angle):
+        radius = spiral.radius[0] + outward * (angle - spiral.angle[0])
+        y = None if climb is None else 0.3 + climb * (angle - spiral.angle[0])
+        return replace(
+            spiral, angle=angle, radius=radius, radius_rate=np.full(angle.size, outward), y=y,
+            y_rate=None if y is None else np.full(angle.size, climb),
+        )  # fmt: skip
+
+    path = place(at(spiral.angle), part, tool, along="normal")
+    near = place(at(turned.ravel()), part, tool, along="normal")
+    weights = np.array([-1, 9, -45, 0, 45, -9, 1]) / 60 / (sense * step)
+    for rate, placed in ((path.radius_rate, near.radius), (path.z_rate, near.z)):
+        np.testing.assert_allclose(rate, placed.reshape(turned.shape) @ weights, atol=1e-10)
+    if climb is not None:
+        unstated = place(replace(at(spiral.angle), y_rate=None), part, tool, along="normal")
+        assert unstated.radius_rate is None
+        assert unstated.z_rate is None
+
+
+def test_a_nose_that_rolls_on_a_sphere_along_the_normal():
+    """A sphere on the axis: the centre of the nose runs on a circle around the centre of the sphere, a closed form."""
+    big, nose = -30.0, NOSE.nose_radius
+    spiral = spiral_of()
+    path = place(spiral, Part(surface=Sphere(radius=big), radius=4.0), NOSE, along="normal")
+    assert path.radius_rate == pytest.approx(spiral.radius_rate * (1 - nose / big), rel=1e-12)
+    slope = spiral.radius / np.sqrt(big**2 - spiral.radius**2) * np.sign(big)
+    np.testing.assert_allclose(path.z_rate, slope * spiral.radius_rate * (1 - nose / big), atol=1e-14)

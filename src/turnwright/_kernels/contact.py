@@ -41,6 +41,35 @@ def rates(
 
 
 @jit
+def normal_rates(
+    row, breaks, coefficients, angle, x, y, sweep, fx, fy, fxx, fxy, fyy, outward, upward, radius_rate, z_rate
+):
+    """Fill the derivatives by the angle of a tip whose edge lies in the tangent plane at a contact that moves.
+
+    The contact moves ``outward`` along the rake plane; ``upward`` is how the height of the tip above centre changes.
+    The sweep follows so that the edge stays in the tangent plane; the tip follows the contact and the sweep.
+    """
+    for i in range(angle.size):
+        sine, cosine = sincos(angle[i])
+        _, _, du, dw, ddu, ddw = edge(row, breaks, coefficients, sweep[i])
+        # How the contact moves with the angle at a fixed sweep, and with the sweep, as a leaning edge moves it aside.
+        turned_x = outward[i] * cosine - upward[i] * sine - y[i]
+        turned_y = outward[i] * sine + upward[i] * cosine + x[i]
+        swept_x, swept_y = -row[4] * dw * sine, row[4] * dw * cosine
+        along, across = fx[i] * cosine + fy[i] * sine, fy[i] * cosine - fx[i] * sine
+        bent_x, bent_y = fxx[i] * turned_x + fxy[i] * turned_y, fxy[i] * turned_x + fyy[i] * turned_y
+        along_turned = bent_x * cosine + bent_y * sine + across
+        across_turned = bent_y * cosine - bent_x * sine - along
+        bent_x, bent_y = fxx[i] * swept_x + fxy[i] * swept_y, fxy[i] * swept_x + fyy[i] * swept_y
+        along_swept = bent_x * cosine + bent_y * sine
+        across_swept = bent_y * cosine - bent_x * sine
+        rolls = (row[3] - across * row[4]) * ddw - along * ddu - row[4] * dw * across_swept - du * along_swept
+        rate = (row[4] * dw * across_turned + du * along_turned) / rolls
+        radius_rate[i] = outward[i] - du * rate
+        z_rate[i] = fx[i] * (turned_x + swept_x * rate) + fy[i] * (turned_y + swept_y * rate) - row[3] * dw * rate
+
+
+@jit
 def places(row, breaks, coefficients, angle, radius, aside, first, step, below, above, x, y, e):
     """Fill ``x``, ``y`` with where the edge stands over the part at one place each, and ``e`` with its height there.
 
