@@ -447,6 +447,51 @@ def test_files_travel_with_a_job_to_the_command_line(client, folder, tmp_path):
     assert ours == (tmp_path / "out" / "part.nc").read_bytes()
 
 
+def grid_sag():
+    """The same paraboloid as Zemax writes it: rows from the top down, unit 0 is mm."""
+    x = np.linspace(-2, 2, 41)
+    rows = [f"{SAG / 2 * (a**2 + b**2):.12f} 0 0 0 0" for b in x[::-1] for a in x]
+    return ("41 41 0.1 0.1 0 0 0\n" + "\n".join(rows) + "\n").encode()
+
+
+def list_of_points():
+    """The same as a list that states the units of its columns, with decimal commas."""
+    x = np.linspace(-2, 2, 41)
+    rows = [f"{a};{b};{SAG / 2 * 1e3 * (a**2 + b**2):.9f}".replace(".", ",") for b in x for a in x]
+    return ("x [mm];y [mm];z [um]\n" + "\n".join(rows) + "\n").encode()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "keys"),
+    [
+        ("lens.dat", grid_sag(), {}),
+        ("list.txt", list_of_points(), {}),
+        ("table.csv", table(), {"units": "mm", "sag_units": "um"}),
+        ("half.csv", b"x [mm],y [mm],z\n" + b"".join(
+            b"%.3f,%.3f,%.9f\n" % (a, b, SAG / 2 * 1e3 * (a * a + b * b))
+            for b in np.linspace(-2, 2, 41) for a in np.linspace(-2, 2, 41)
+        ), {"sag_units": "um"}),
+    ],
+)  # fmt: skip
+def test_a_table_with_units_of_its_own_is_brought_too(client, name, content, keys):
+    """Oracle: the paraboloid that all of them hold, 1 mm out and so 5 um up."""
+    answer = client.post("/api/files", params={"kind": "heights", "name": name}, content=content)
+    assert answer.status_code == 201, answer.text
+    job = changed(("part.surface", {"family": "gridded", "file": answer.json()["reference"], **keys}))
+    told = client.post("/api/job/check", json={"data": job}).json()
+    assert told["errors"] == []
+    assert told["preview"]["shape"]["Heights"].endswith("PV 5 um")
+
+
+def test_a_check_names_the_tolerances_that_it_does_not_judge(client):
+    job = changed(("tolerances", {"form_pv": "100 nm", "sq": "8 nm"}))
+    told = client.post("/api/job/check", json={"data": job}).json()["preview"]["unjudged"]
+    assert [("form error PV" in one, "Sq" in one, "not judged" in one) for one in told] == [
+        (True, False, True), (False, True, True),
+    ]  # fmt: skip
+    assert client.post("/api/job/check", json={"data": changed()}).json()["preview"]["unjudged"] == []
+
+
 def test_an_archive_of_a_job_is_opened_again(client):
     """Oracles: the archive that the page itself saves, the bytes that were brought, and the remarks in its text."""
     told = {

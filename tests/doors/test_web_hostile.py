@@ -314,6 +314,8 @@ BAD_FILES = {
     "a correction that is cut short": ("correction", "a.npz", b"PK\x03\x04", 422),
     "a correction of objects": ("correction", "a.npz", None, 422),
     "a correction without end": ("correction", "a.npz", None, 422),
+    "heights of objects": ("heights", "a.npz", None, 422),
+    "heights without end": ("heights", "a.npz", None, 422),
     "another kind of file": ("machine", "a.csv", TABLE, 422),
     "no kind": ("shell", "a.csv", TABLE, 422),
     "no ending": ("heights", "../../.ssh/authorized_keys", b"ssh-rsa", 422),

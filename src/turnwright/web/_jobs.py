@@ -118,28 +118,43 @@ def look_into(file: str, kind: str) -> None:
         If it is none of its kind.
     """
     path = Path(file)
-    try:
-        if kind == "machine":
-            _require_whole(read_toml(path.read_bytes(), "the machine file"))
-            Machine.load(path)
-        elif kind == "material":
-            Material.load(path)
-        elif kind == "correction":
-            _ = PartTable.model_validate({**SMALL["part"], "correction": file}).added
+    found = []
+    for more in UNITS if kind == "heights" else ({},):
+        try:
+            _read_as(path, kind, more)
+        except ValidationError as error:
+            found.append("; ".join(sentences(error, PartTable if kind == "correction" else READERS[kind][0], {})))
+        except TurnwrightError as error:
+            found.append(str(error))
         else:
-            table, stated = READERS[kind]
-            table.model_validate({**stated, f"{kind}_file" if kind in ("waviness", "straightness") else "file": file})
-    except ValidationError as error:
-        told = "; ".join(sentences(error, PartTable if kind == "correction" else READERS[kind][0], {}))
-    except TurnwrightError as error:
-        told = str(error)
-    else:
-        return
+            return
+    # Whether the job is to state units is told when it names the file.
+    told = next((one for one in found if "unit" not in one), found[0])
     raise InputError(told.replace(file, "the file").replace(path.name, "the file"))
 
 
+def _read_as(path: Path, kind: str, more: Mapping[str, str]) -> None:
+    """Read a file of a kind, in a table of a job that states more."""
+    if kind == "machine":
+        _require_whole(read_toml(path.read_bytes(), "the machine file"))
+        Machine.load(path)
+    elif kind == "material":
+        Material.load(path)
+    elif kind == "correction":
+        _ = PartTable.model_validate({**SMALL["part"], "correction": str(path)}).added
+    else:
+        table, stated = READERS[kind]
+        name = f"{kind}_file" if kind in ("waviness", "straightness") else "file"
+        table.model_validate({**stated, **more, name: str(path)})
+
+
+UNITS: tuple[dict[str, str], ...] = (
+    {"units": "mm", "sag_units": "mm"}, {}, {"sag_units": "mm"}, {"units": "mm"},
+)  # fmt: skip
+"""What a job may have to state of a table of heights: what the file states itself it must not."""
+
 READERS: dict[str, tuple[type[Table], dict[str, str]]] = {
-    "heights": (GriddedTable, {"family": "gridded", "units": "mm", "sag_units": "mm"}),
+    "heights": (GriddedTable, {"family": "gridded"}),
     "waviness": (ToolDeviations, {}),
     "straightness": (MachineTable, {"name": "generic"}),
 }
@@ -236,7 +251,7 @@ def write(data: dict[str, Any], folder: str, before: str = "") -> dict[str, Any]
 def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
     """Say whether the tool reaches the part, how long the program will be, and what becomes of the material."""
     from turnwright.access import check_access  # noqa: PLC0415
-    from turnwright.job import preview  # noqa: PLC0415
+    from turnwright.job import preview, unjudged  # noqa: PLC0415
 
     found: dict[str, Any] = {"errors": [], "access": None, "preview": None, "chips": {}, "warnings": []}
     job, found["errors"] = read(data, folder)
@@ -257,6 +272,7 @@ def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
             "refused": plan.refused,
             "shape": plan.shape.facts,
             "remarks": plan.remarks,
+            "unjudged": [one.sentence for one in unjudged(job, "check predicts no surface, Run does")],
         }
     )
     found["chips"] = dict(plan.chips)

@@ -27,7 +27,7 @@ LONGEST_H = 48
 """How long a run may take. [h]"""
 
 FILE_ENDINGS = {
-    "heights": (".csv", ".txt"),
+    "heights": (".csv", ".dat", ".npz", ".sdf", ".txt", ".x3p", ".xyz"),
     "waviness": (".csv", ".txt"),
     "straightness": (".csv", ".txt"),
     "correction": (".npz",),

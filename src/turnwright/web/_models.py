@@ -182,6 +182,7 @@ class Preview(Model):
     refused: list[str] = Field(description="Why a run would refuse the job.")
     shape: dict[str, str] = Field(description="What the surface looks like over the clear aperture, by quantity.")
     remarks: list[str] = Field(description="What was worked out for the surface and the job does not state.")
+    unjudged: list[str] = Field(description="Stated tolerances, which only a run judges.")
 
 
 class Check(Model):
