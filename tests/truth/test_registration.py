@@ -273,3 +273,15 @@ def test_a_map_on_a_grid_keeps_its_grid_and_what_was_left_out():
     assert found.count == counted.sum()
     np.testing.assert_array_equal(np.isfinite(found.residual.z), counted)
     assert np.nanmax(np.abs(found.residual.z)) < 1e-10
+
+
+def test_a_step_that_tilts_a_sphere_around_is_not_tried():
+    """Oracle: the astigmatism that was put in; a sphere hardly tells tilt from decentre, so first steps can be wild."""
+    axis = np.linspace(-7, 7, 71)
+    x, y = np.meshgrid(axis, axis)
+    inside = np.hypot(x, y) < 5.9
+    added = 1e-4 * (x**2 - y**2) / 36
+    z = np.where(inside, 60 - np.sqrt(60**2 - x**2 - y**2) + added, np.nan)
+    found = register(HeightMap(x=axis, y=axis, z=np.round(z, 9)), Part(surface=Sphere(radius=60.0), radius=6.0))
+    left = found.error.z[inside] - added[inside]
+    assert np.sqrt(np.mean((left - left.mean()) ** 2)) < 2e-6

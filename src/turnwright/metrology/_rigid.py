@@ -36,6 +36,9 @@ SETTLED = 1e-3
 """A step this far below the standard error of a mean height is the last."""
 
 MAX_STEPS = 60
+STEEPEST = 1.5
+"""Tilt beyond which no map shows the front of a part. [rad]"""
+
 LEAST_SHARE = 0.5
 """A step that leaves fewer of the points on the part than this share of what the last one had is not taken."""
 
@@ -280,7 +283,8 @@ def _march(
         trial = state.copy()
         trial[chosen] -= step * unit
         moved = float(np.abs(step).max(initial=0.0))
-        there = _sums(problem, trial, scale) if moved < 1e3 and abs(trial[4]) < 1.5 else None
+        leans = float(np.abs(trial[4:6]).max())
+        there = _sums(problem, trial, scale) if moved < 1e3 and leans < STEEPEST else None
         better = (
             there is not None
             and there.used >= max(LEAST_SHARE * here.used, chosen.size + 1)
