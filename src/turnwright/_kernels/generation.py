@@ -792,6 +792,21 @@ def gather(c, sense, starts, rings, useful, upright, low, high, middle, side, sh
 
 
 @jit
+def choose(work, count, chosen):
+    """Choose the passes that can be lowest: work[0] high, give or take work[2], FAR where that is unknown."""
+    ceiling = FAR
+    for k in range(count):
+        if work[2, k] < FAR:
+            ceiling = min(ceiling, work[0, k] + work[2, k])
+    found = 0
+    for k in range(count):
+        if work[2, k] == FAR or work[0, k] - work[2, k] <= ceiling:
+            chosen[found] = k
+            found += 1
+    return found
+
+
+@jit
 def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count, side, shift, hint, work, chosen):
     """Choose the passes of an upright edge that can be lowest within (hr, ha) of the place (rc, ac); return how many.
 
@@ -813,7 +828,6 @@ def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count,
         g = row[3] * slope(profile, table, work[1, best])
         steer_r = g if side[best] == 0 else -g
         steer_a = ((z[i + 1] - z[i]) - g * (x[i + 1] - x[i])) / step
-    ceiling = FAR
     for k in range(count):
         t, u = ac + shift[k], work[1, k]
         if t + ha < begin - ROUNDING or t - ha > end + ROUNDING:
@@ -837,13 +851,7 @@ def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count,
         dev_r = max(abs(sign * g1 - steer_r), abs(sign * g2 - steer_r)) + row[3] * bend
         dev_a = max(abs(rise - steer_a), abs(fall - steer_a)) + (max(abs(g1), abs(g2)) + row[3] * bend) * drift
         work[2, k] = hr * dev_r + ha * dev_a + 1e-13
-        ceiling = min(ceiling, work[0, k] + work[2, k])
-    found = 0
-    for k in range(count):
-        if work[2, k] == FAR or work[0, k] - work[2, k] <= ceiling:
-            chosen[found] = k
-            found += 1
-    return found
+    return choose(work, count, chosen)
 
 
 @jit
@@ -961,19 +969,12 @@ def shorten_aside(
             work[2, k] = 0.0
             if h < lowest:
                 lowest, best = h, k
-    ceiling = FAR
     for k in range(count):
         if best >= 0 and work[0, k] < FAR and work[2, k] < FAR:
             dev_r = max(bounds[k, 1] - bounds[best, 0], bounds[best, 1] - bounds[k, 0])
             dev_a = max(bounds[k, 3] - bounds[best, 2], bounds[best, 3] - bounds[k, 2])
             work[2, k] = hr * dev_r + ha * dev_a + 1e-13
-            ceiling = min(ceiling, work[0, k] + work[2, k])
-    found = 0
-    for k in range(count):
-        if work[2, k] == FAR or work[0, k] - work[2, k] <= ceiling:
-            chosen[found] = k
-            found += 1
-    return found
+    return choose(work, count, chosen)
 
 
 @jit
