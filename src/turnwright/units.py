@@ -234,16 +234,18 @@ def write(value: float, unit: str) -> str:
     return min(texts, key=len) if texts else f"{value!r} {unit}"
 
 
-def say_length(length: float) -> str:
+def say_length(length: float, digits: int = 3) -> str:
     """Return a length in mm as people read it: to three digits, in the unit that leaves the fewest zeros.
 
     >>> say_length(7500.0), say_length(0.00099999), say_length(2e-4), say_length(0.0)
     ('7.5 m', '1 um', '200 nm', '0 nm')
+    >>> say_length(0.123456, digits=4)
+    '123.5 um'
     """
-    rounded = abs(float(f"{length:.3g}"))
+    rounded = float(f"{length:.{digits}g}")
     sizes = (("m", 1e-3), ("mm", 1.0), ("um", 1e3), ("nm", 1e6))
-    name, factor = next((one for one in sizes if rounded * one[1] >= 1 - 1e-9), sizes[-1])
-    return f"{float(f'{length:.3g}') * factor:.3g} {name}"
+    name, factor = next((one for one in sizes if abs(rounded) * one[1] >= 1 - 1e-9), sizes[-1])
+    return f"{rounded * factor:.{digits}g} {name}"
 
 
 class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]

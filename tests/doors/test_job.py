@@ -247,3 +247,14 @@ def test_a_run_without_a_folder_names_no_files_that_are_gone():
     assert result.program.files == ()
     assert result.program.lines > 0
     assert len(result.program.hash) == 64
+
+
+def test_a_run_makes_the_folder_that_it_is_given(tmp_path, monkeypatch):
+    """A relative folder, two deep; a job that is refused makes none."""
+    monkeypatch.chdir(tmp_path)
+    result = run(Job.read(changed()), out="new/folder")
+    assert [str(file) for file in result.program.files] == ["new/folder/part.nc"]
+    assert (tmp_path / "new" / "folder" / "part.nc").is_file()
+    with pytest.raises(GougeError):
+        run(Job.read(changed(("tool.nose_radius", "60 mm"))), out="other/folder")
+    assert not (tmp_path / "other").exists()

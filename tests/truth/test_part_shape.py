@@ -44,3 +44,11 @@ def test_a_plane_is_flat():
     assert found.steepest == pytest.approx(np.arctan(0.01), rel=1e-12)
     assert found.departure_pv < 1e-12
     assert found.facts["Least radius of curvature"] == "none, it is flat"
+
+
+def test_the_vertex_of_an_off_axis_part_is_at_0_nm():
+    """Oracle: it is moved there; what rounding leaves of it is no height."""
+    surface = tw.OffAxis(parent=tw.Conic(radius=200.0, conic=-1.0), distance=40.0)
+    shape = part_shape(tw.Part(surface=surface, radius=8.0))
+    assert float(surface.sag(0.0, 0.0)) != 0
+    assert shape.facts["Heights"].startswith("0 nm to ")

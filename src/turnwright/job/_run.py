@@ -111,8 +111,9 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     progress
         Called with (stage, done, total).
     out
-        Folder that the program files are written to; if not given, they are written, read back and thrown away, and
-        the result names none.
+        Folder for the files of the program, which is made if there is none; what else the command line leaves,
+        ``turnwright.archive`` and ``turnwright.report`` write. If not given, the program is written, read back and
+        thrown away, and the result names none.
 
     Raises
     ------
@@ -163,6 +164,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     with watch.stage("approach"):
         entries = entries_of(job, motions)
     with watch.stage("write program") as tell:
+        File(out).mkdir(parents=True, exist_ok=True)
         program = written(job, motions, File(out), tell, entries)
     motions.clear()
     with watch.stage("read program") as tell:

@@ -25,7 +25,7 @@ FLAT = 1e-12
 """Curvature below which a place counts as flat. [1/mm]"""
 
 ROUNDING = 1e-9
-"""Departure below which a surface is its best-fit sphere, but for rounding. [mm]"""
+"""Height, or departure from the best-fit sphere, that is rounding. [mm]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +59,7 @@ class PartShape:
     @property
     def facts(self) -> dict[str, str]:
         """Each quantity by its name, with its unit."""
-        x, y = self.steepest_at
+        x, y = (round(one, 6) + 0.0 for one in self.steepest_at)
         sphere = "plane"
         if math.isfinite(self.sphere_radius):
             sphere = f"R {say_length(abs(self.sphere_radius))} {'concave' if self.sphere_radius > 0 else 'convex'}"
@@ -121,10 +121,11 @@ def part_shape(part: Part) -> PartShape:
     except InputError:  # such as two levels of a step, which are no sphere at all
         fit = best_fit(heights, "plane")
     sphere, departs = fit.parameters.get("radius", math.inf), fit.pv_nm * 1e-6 > ROUNDING
+    lowest, highest = float(np.nanmin(z)), float(np.nanmax(z))
     least, most = (float(bends.min()), float(bends.max())) if bends.size else (0.0, 0.0)
     return PartShape(
-        lowest=float(np.nanmin(z)),
-        highest=float(np.nanmax(z)),
+        lowest=lowest if abs(lowest) > ROUNDING else 0.0,
+        highest=highest if abs(highest) > ROUNDING else 0.0,
         steepest=float(np.arctan(slope.flat[worst])),
         steepest_at=(float(x.flat[worst]), float(y.flat[worst])),
         sphere_radius=sphere if abs(sphere) < 1.0 / FLAT else math.inf,

@@ -18,6 +18,7 @@ from turnwright.report._page import Page, page_file, set_page
 from turnwright.report._study import write_study
 from turnwright.report._tiled import write_tiled
 from turnwright.report._tolerance import write_tolerance
+from turnwright.units import say_length
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -365,12 +366,13 @@ def _approach_facts(entry: Entry) -> tuple[str, ...]:
     )
 
 
-def _length(length: float) -> str:
-    """Return a length in the unit that suits it."""
-    size = abs(length)
-    if size == 0 or size >= 0.1:
-        return f"{length:.4g} mm"
-    return f"{length * 1e3:.4g} µm" if size >= 1e-4 else f"{length * NM:.4g} nm"
+def _length(length: float, digits: int = 4) -> str:
+    """Return a length in the unit that suits it, as the pictures spell it."""
+    return _as_printed(say_length(length, digits))
+
+
+def _as_printed(text: str) -> str:
+    return text.replace(" um", " µm")
 
 
 def _duration(seconds: float) -> str:
@@ -392,7 +394,7 @@ def _chip_table(result: Result) -> _Chips | None:
         margin, limit, feed = "–", "–", "any"
         if chips.margin is not None and chips.critical is not None:
             band = "" if chips.margin_uncertainty is None else f" ± {100 * chips.margin_uncertainty:.3g}"
-            margin, limit = f"{100 * chips.margin:.0f}{band} %", _chip_length(chips.critical)
+            margin, limit = f"{100 * chips.margin:.0f}{band} %", _length(chips.critical, 3)
         if chips.largest_feed is not None:
             feed = f"{chips.largest_feed * 1e3:.3g} µm/rev"
         ductile = chips.verdict == "ductile"
@@ -404,11 +406,11 @@ def _chip_table(result: Result) -> _Chips | None:
                 verdict if chips.ok == ductile else f"{verdict}, {unlike}",
                 "no" if not chips.ok else "yes" if ductile else "soft",
                 (
-                    _chip_length(chips.thickest), limit, margin, _chip_length(chips.typical), feed,
-                    "–" if chips.fracture is None else "none" if not chips.fracture else _chip_length(chips.fracture),
-                    _chip_length(cut.allowance) if cut.allowance else "none",
+                    _length(chips.thickest, 3), limit, margin, _length(chips.typical, 3), feed,
+                    "–" if chips.fracture is None else "none" if not chips.fracture else _length(chips.fracture, 3),
+                    _length(cut.allowance, 3) if cut.allowance else "none",
                     force,
-                    _chip_length(chips.entering) if chips.entering else "–",
+                    _length(chips.entering, 3) if chips.entering else "–",
                 ),
             )
         )  # fmt: skip
@@ -419,11 +421,6 @@ def _chip_table(result: Result) -> _Chips | None:
     cautions = (known.caution(cut.chips.typical) for cut in result.passes if known and cut.chips)
     note = f"The surface leaves the tool an effective rake of {low:.3g}° to {high:.3g}°."
     return _Chips(rows, " ".join([note, *(f"{one.capitalize()}." for one in dict.fromkeys(cautions) if one)]))
-
-
-def _chip_length(length: float) -> str:
-    """Return a thickness to three digits, in the unit of the pictures."""
-    return f"{length * NM:.3g} nm" if length < 1e-3 else f"{length * 1e3:.3g} µm"
 
 
 def _number(value: float) -> str:
@@ -496,7 +493,8 @@ def _facts(part: Part, tool: Tool, actual: Tool, machine: Machine, real: Machine
     sheet += [_Row("Clear radius", f"{part.radius:.6g} mm"), _Row("Stock", _length(part.stock))]
     sheet += [_Row("Blank", f"disc, radius {part.blank.radius:.6g} mm" if part.blank else "not stated")]
     sheet += [_Row("Material", part.material or "not stated")]
-    sheet += [_Row(name, value) for name, value in part_shape(part).facts.items()]
+    sheet += [_Row(name, _as_printed(value)) for name, value in part_shape(part).facts.items()]
+    sheet += [_Row("Worked out", remark) for remark in part.surface.remarks]
     if part.material_note:
         sheet.append(_Row("Material note", part.material_note))
     return {"Part": sheet, f"Tool {tool.name}".strip(): shown, "Machine": lathe}
