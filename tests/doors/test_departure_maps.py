@@ -6,8 +6,8 @@ from job_files import changed, written
 
 import turnwright as tw
 from turnwright.cli import main
-from turnwright.errors import JobError
-from turnwright.job import Job, measure
+from turnwright.errors import JobError, MapError
+from turnwright.job import Job, measure, read_measurement
 
 DISH = tw.Sphere(radius=20.0)
 TREFOIL = tw.Zernike(terms={10: 2e-4}, radius=2.0, indexing="fringe")
@@ -79,3 +79,21 @@ def test_the_unit_of_a_file_without_one_is_stated_by_key_or_option(tmp_path, cap
     assert capsys.readouterr().out.splitlines()[0] == by_option
     rms = float(by_option.partition("rms ")[2].partition(" nm")[0])
     assert rms == pytest.approx(1e6 * np.sqrt(np.mean(TREFOIL.sag(X[ON], Y[ON]) ** 2)), rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("head", "keys", "key"),
+    [
+        ("x,y,z", {}, "units = 'mm'"),
+        ("x [mm],y [mm],z", {}, "sag_units = 'mm'"),
+        ("x,y,z", {"units": "mm"}, "sag_units"),
+    ],
+)
+def test_a_missing_unit_is_asked_for_by_its_key(tmp_path, head, keys, key):
+    file = tmp_path / "bare.csv"
+    rows = [f"{x:.3f},{y:.3f},0.001" for x, y in zip(X[ON], Y[ON], strict=True)]
+    file.write_text("\n".join([head, *rows]))
+    with pytest.raises(MapError) as refused:
+        read_measurement(Job.read(changed(*asked(**keys))), file)
+    assert f"{key}" in str(refused.value)
+    assert "[measurement]" in str(refused.value)

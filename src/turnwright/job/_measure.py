@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.diagnosis import DEFAULT, FREE, Diagnosis, diagnose
-from turnwright.errors import InputError
+from turnwright.errors import InputError, MapError
 from turnwright.files import read_map
 from turnwright.heightmap import HeightMap
 from turnwright.job._advice import open_questions
 from turnwright.job._finish import finished
+from turnwright.job._prescriptions import with_keys
 from turnwright.job._shares import pv_nm_of, rms_nm_of
 from turnwright.job._verdict import Verdict, judge_form
 from turnwright.metrology import (
@@ -137,9 +138,17 @@ def read_measurement(job: Job, file: str | PathLike[str], *, unit: str | None = 
         See `turnwright.read_map`.
     unit
         Of the heights, in place of the job's.
+
+    Raises
+    ------
+    MapError
+        See `turnwright.read_map`; of a unit that neither file nor job states, with the key of the job that does.
     """
     asked = job.measurement
-    return read_map(file, unit=unit or asked.sag_units, lateral_unit=asked.units or "")
+    try:
+        return read_map(file, unit=unit or asked.sag_units, lateral_unit=asked.units or "")
+    except MapError as error:
+        raise MapError(with_keys(str(error), "[measurement]")) from error
 
 
 def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = None) -> Measured:

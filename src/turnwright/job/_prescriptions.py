@@ -443,6 +443,12 @@ class GriddedTable(Family):
         )
 
 
+def with_keys(told: str, where: str) -> str:
+    """Return a message on a missing unit with the keys of a job that state it, and where they stand."""
+    told = re.sub("unit='mm', or as a column '([xy]) ", rf"units = 'mm' in {where}, or as a column '\1 ", told)
+    return told.replace("unit='mm', or", f"sag_units = 'mm' in {where}, or")
+
+
 @lru_cache(maxsize=4)
 def _tabulated(
     file: File,
@@ -456,9 +462,7 @@ def _tabulated(
     try:
         found = read_map(file, unit=sag_units, lateral_unit=units or "", pixel_size=pixel_size)
     except MapError as error:
-        told = str(error).replace(str(file), file.name)
-        told = re.sub("unit='mm', or as a column '([xy]) ", r"units = 'mm' in the job, or as a column '\1 ", told)
-        raise JobError(told.replace("unit='mm', or", "sag_units = 'mm' in the job, or")) from error
+        raise JobError(with_keys(str(error).replace(str(file), file.name), "the job")) from error
     if not found.calibrated:
         raise JobError(f"{file.name} counts pixels and does not say how large they are: state pixel_size")
     z = -found.z if inverted else found.z
