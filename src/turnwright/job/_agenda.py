@@ -26,17 +26,17 @@ __all__ = [
 
 MILLION = 1e6
 
-ACCESS_S, APPROACH_S, REPORT_S = 1.0, 0.5, 3.0
-PLAN_S, DRIVE_S, LIMITS_S, CHIPS_S, WRITE_S, READ_S = 0.25, 0.6, 0.12, 0.3, 0.35, 0.35
+ACCESS_S, APPROACH_S, REPORT_S = 0.6, 0.3, 2.0
+PLAN_S, DRIVE_S, LIMITS_S, CHIPS_S, WRITE_S, READ_S = 0.12, 0.3, 0.06, 0.15, 0.18, 0.18
 """For a million points of a pass. [s]"""
 
-PLACE_S, PLACE_PIECES_S = 0.5, 4.0
+PLACE_S, PLACE_PIECES_S = 0.25, 2.0
 """For a million points on a smooth surface, and on one in pieces. [s]"""
 
-SERVOS_S, EXTREMES_S = 1.0, 0.8
+SERVOS_S, EXTREMES_S = 0.5, 0.4
 """For a million points of the finishing pass. [s]"""
 
-HEIGHTS_S, MEASURED_S, DIAGNOSED_S = 2.0, 3.0, 20.0
+HEIGHTS_S, MEASURED_S, DIAGNOSED_S = 1.0, 1.5, 10.0
 """For a million heights, predicted, registered and explained. [s]"""
 
 PROOFS = 2.5
