@@ -52,7 +52,7 @@ function Plan() {
     <${Card} title="Access"><ul class="findings">${access.findings.map((finding) => html`<${Finding} key=${finding.name} finding=${finding} />`)}</ul></${Card}>
     ${Object.keys(preview?.points ?? {}).length > 0 && html`<${Length} preview=${preview} />`}
     ${Object.keys(preview?.shape ?? {}).length > 0 && html`<${Card} title="Part">
-      <dl class="pairs">${Object.entries(preview.shape).map(([name, text]) => html`<dt>${name}</dt><dd>${text}</dd>`)}</dl>
+      <dl class="facts">${Object.entries(preview.shape).map(([name, text]) => html`<dt>${name}</dt><dd>${text.replaceAll(" um", " µm")}</dd>`)}</dl>
       ${preview.remarks.map((sentence) => html`<p class="quiet">${sentence}</p>`)}</${Card}>`}
     ${preview?.unjudged.length > 0 && html`<${Card} title="Tolerances"><ul class="sentences">${preview.unjudged.map((sentence) => html`<li>${sentence}</li>`)}</ul></${Card}>`}
     ${Object.keys(chips).length > 0 && html`<${Card} title="Chips"><ul class="sentences">${Object.entries(chips).map(([name, sentence]) => html`<li><strong>${name}</strong> ${String(sentence)}</li>`)}</ul></${Card}>`}
