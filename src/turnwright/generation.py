@@ -206,6 +206,13 @@ class Prepared:
         """Return how many points of a grid with such steps [mm] go in one tile, along rows and columns."""
         return _tile_side(self.cut, steps[0]), _tile_side(self.cut, steps[1])
 
+    def edge(self, u: Floats) -> tuple[Floats, Floats]:
+        """Return height and slope of the edge, in its own plane, at places ``u`` from its tip. Each (n,)."""
+        from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
+
+        w, slope = kernel.sampled(self.cut.profile, self.cut.table, u)
+        return w, slope
+
     def fill(self, x: Floats, y: Floats, tiles: Tiles, span: tuple[int, int], out: Floats) -> None:
         """Fill ``out`` at the points (x, y) of the groups of ``span``, on this thread. Each (n,) [mm]."""
         from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import

@@ -1,10 +1,11 @@
 """The stated PV of random jobs against grids: no grid may show more, and one refined around its own extremes is met.
 
-The oracle is the simulator on grids of its own choice, which share no code with the search: a grid over the whole part,
-one over the innermost and one over the outermost turns, each refined around its highest and its lowest height until
-these move by less than 0.1 %.
+The oracle is the simulator on grids of its own choice, which share no code with the search: grids over the whole part,
+over the innermost and the outermost turns, and one that crowds toward the axis, or toward the edge of what a tool off
+centre leaves uncut there. Each is refined around its highest and its lowest heights until these move by less than
+0.1 %.
 
-    python tests/proof/proof_verdict.py [jobs] [seed]
+    python tests/proof/proof_verdict.py [jobs] [seed] [first]
 """
 
 from __future__ import annotations
@@ -74,20 +75,42 @@ def random_job(rng: np.random.Generator, *, largest: float = 2.0) -> dict:
     return table
 
 
+def error_of(motion, job, radius, angle, sign):
+    """Return ``sign`` times the error on a polar grid, -inf where nothing is cut."""
+    made = tw.generate_polar(motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine)
+    return np.nan_to_num(sign * made.minus(job.part.part.surface).z, nan=-np.inf)
+
+
 def refined(motion, job, radius, angle, sign):
-    """Return the highest (of ``sign`` times the error) of a grid, refined around it until it moves by under 0.1 %."""
-    part, best = job.part.part, -np.inf
-    while True:
-        made = tw.generate_polar(motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine)
-        error = sign * made.minus(part.surface).z
-        i, j = np.unravel_index(np.nanargmax(error), error.shape)
-        before, best = best, max(best, float(error[i, j]))
-        if best - before <= 1e-3 * abs(best) or best < 1e-10:
-            return best
-        wide = max(np.diff(radius).max() if radius.size > 1 else 0.0, 1e-9)
-        turned = np.diff(angle).max() if angle.size > 1 else 1e-9
-        radius = np.unique(np.clip(radius[j] + 2 * wide * np.linspace(-1, 1, 81), 0, part.radius))
-        angle = angle[i] + 2 * turned * np.linspace(-1, 1, 41)
+    """Return the highest (of ``sign`` times the error) of a grid, refined around its eight highest places.
+
+    These are of different parts of the grid; each is refined until it moves by less than 0.1 %.
+    """
+    error = error_of(motion, job, radius, angle, sign)
+    tops = []
+    for rows in np.array_split(np.arange(angle.size), 6):
+        for columns in np.array_split(np.arange(radius.size), 6):
+            some = error[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            i, j = np.unravel_index(some.argmax(), some.shape)
+            tops.append((some[i, j], rows[0] + i, columns[0] + j))
+    tops.sort(reverse=True)
+    return max(float(closer(motion, job, radius, angle, sign, *top)) for top in tops[:8])
+
+
+def closer(motion, job, radius, angle, sign, top, i, j):
+    """Return the highest around one place of a grid."""
+    before = -np.inf
+    while np.isfinite(top) and top - before > 1e-3 * abs(top) and abs(top) > 1e-10:
+        before, turned = top, 2 * np.diff(angle).max()
+        low, high = radius[max(j - 2, 0)], radius[min(j + 2, radius.size - 1)]
+        if high - low < 1e-12:
+            break
+        radius = np.linspace(low, high, 81)
+        angle = angle[i] + turned * np.linspace(-1, 1, 41)
+        error = error_of(motion, job, radius, angle, sign)
+        i, j = np.unravel_index(error.argmax(), error.shape)
+        top = max(top, error[i, j])
+    return top
 
 
 def judged(table: dict, rng: np.random.Generator) -> dict[str, float]:
@@ -105,10 +128,11 @@ def judged(table: dict, rng: np.random.Generator) -> dict[str, float]:
     seconds = {"map": times["simulate whole part"], "search": times["highest and lowest place"]}
     part, feed, low, high = job.part.part, motion.feed, [], []
     near = min(3 * feed, part.radius)
+    core = abs(job.actual_tool.offset[1])
     grids = [
         (np.linspace(0, part.radius, int(rng.integers(300, 4000))), np.sort(rng.uniform(0, TURN, 90))),
-        (np.linspace(0, part.radius, 401), np.linspace(0, TURN, 360, endpoint=False)),
-        (np.linspace(0, 0.002, 201), np.linspace(0, TURN, 90, endpoint=False)),
+        (np.linspace(0, part.radius, 801), np.linspace(0, TURN, 720, endpoint=False)),
+        (np.hypot(core, np.geomspace(1e-8, near, 121)), np.linspace(0, TURN, 90, endpoint=False)),
         (np.linspace(0, near, 181), np.linspace(0, TURN, 180, endpoint=False)),
         (np.linspace(part.radius - near, part.radius, 91), np.linspace(0, TURN, 360, endpoint=False)),
     ]
@@ -120,11 +144,11 @@ def judged(table: dict, rng: np.random.Generator) -> dict[str, float]:
     return {"stated": prediction.pv_nm, "refined": (max(high) + max(low)) * NM, "beyond": beyond * NM, **seconds}
 
 
-def main(jobs: int = 30, seed: int = 0) -> int:
-    """Judge random jobs and print a table; return 1 if one fails."""
+def main(jobs: int = 30, seed: int = 0, first: int = 0) -> int:
+    """Judge random jobs from the number ``first`` on and print a table; return 1 if one fails."""
     failed = 0
     print(f"{'job':>4} {'surface':12} {'stated':>10} {'refined':>10} {'beyond':>10} {'map':>6} {'search':>6}  [nm, s]")
-    for number in range(jobs):
+    for number in range(first, first + jobs):
         rng = np.random.default_rng([seed, number])
         table = random_job(rng)
         start = time.perf_counter()
@@ -135,13 +159,13 @@ def main(jobs: int = 30, seed: int = 0) -> int:
             continue
         bad = found["beyond"] > 1e-6 or found["stated"] > 1.01 * found["refined"] + 1e-3
         failed += bad
-        family = table["part"]["surface"]["family"]
+        family = table["part"]["surface"]["family"] + (" *" if "simulation" in table else "")
         print(
             f"{number:4} {family:12} {found['stated']:10.4f} {found['refined']:10.4f} {found['beyond']:10.2e} "
             f"{found['map']:6.2f} {found['search']:6.2f}{'  FAILS' if bad else ''} {time.perf_counter() - start:.1f}",
             flush=True,
         )
-    print(f"{failed} of {jobs} jobs fail")
+    print(f"{failed} of {jobs} jobs fail; those marked * with the answer of the servos")
     return int(failed > 0)
 
 

@@ -53,6 +53,24 @@ def test_the_frequency_does_not_depend_on_what_is_slower(astigmatism):
     assert limits(w, turned, residual=2e-5).frequency_hz["W"] == pytest.approx(11)
 
 
+def test_lenses_need_the_same_bandwidth_on_an_astigmatic_base():
+    """0.1 mm of astigmatism moves the places where the nose touches, so a little differs; alone it is slow."""
+    machine = tw.Machine.load("nanoform-fts-70")
+    tool = tw.Tool(nose_radius=0.5, clearance=np.deg2rad(12), included=np.deg2rad(100))
+    lenses = tw.LensArray.square(lenslet=tw.Sphere(radius=20.0), pitch=1.0, within=3.0)
+    base = tw.Zernike(terms={5: 0.1}, radius=2.0, indexing="fringe")
+    servo = tw.FastToolServo(plan=tw.SlowToolServo(feed=0.05, spindle_rpm=60, points_per_rev=2400))
+
+    def bandwidth(surface):
+        part = tw.Part(surface=surface, radius=2.0)
+        motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)
+        return tw.check_limits(motion, machine).frequency_hz["W"]
+
+    alone = bandwidth(lenses)
+    assert bandwidth(lenses + base) == pytest.approx(alone, rel=0.05)
+    assert bandwidth(base) < alone / 20
+
+
 @pytest.mark.parametrize("residual", [5e-6, 1e-5, 5e-5])
 def test_what_remains_above_the_frequency_is_the_residual(residual):
     """Kinks of a triangle wave: its sines are 8 / (pi n)^2, their powers above n add up; oracle: that sum."""

@@ -45,6 +45,26 @@ def test_the_cusp_on_the_axis_counts_as_closed_form_has_it():
     assert any("form error PV is 5" in one for one in result.warnings)
 
 
+def test_the_worst_of_many_scattered_points_is_found():
+    """A flat: the lowest is the lowest point; the highest no less than any crossing of circles at a point's azimuth."""
+    random = np.random.default_rng(3)
+    feed, nose, turns, per_turn = 0.01, 0.5, 60, 47
+    turned = np.arange(turns * per_turn + 1) * (2 * np.pi / per_turn)
+    z = 4e-6 * random.standard_normal(turned.size)
+    x = feed * (turns - turned / (2 * np.pi))
+    machine, tool = tw.Machine.load("generic"), tw.Tool(nose_radius=nose, included=np.deg2rad(60), clearance=0.2)
+    motion = tw.Motion(time=turned, axes={"C": turned, "X": x, "Z": z}, machine=machine)
+    part = tw.Part(surface=tw.Plane(), radius=0.5)
+    found = find_extremes(motion, tool, part)
+    assert found.lowest.error == pytest.approx(z[x <= part.radius].min(), abs=1e-12)
+    up = z[:-per_turn] - z[per_turn:]
+    at = (x[:-per_turn] + x[per_turn:]) / 2 + up * np.sqrt(nose**2 / (feed**2 + up**2) - 0.25)
+    there = (at > 0) & (at <= part.radius)
+    at, angle = at[there], turned[:-per_turn][there]
+    heights = tw.generate_points(motion, tool, x=at * np.cos(angle), y=at * np.sin(angle))
+    assert found.highest.error >= heights.max() - 1e-12
+
+
 @pytest.mark.parametrize("number", [1, 3, 8])
 def test_no_grid_shows_more_than_the_stated_pv(number):
     rng = np.random.default_rng([1, number])

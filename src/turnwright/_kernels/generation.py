@@ -517,6 +517,9 @@ def core_height(
     turns, lines = bounds.shape[1], c.size - 1
     off, lean = abs(row[6]) + most_y, abs(row[4])
     dip = max(gap - height(profile, table, 0.0), 0.0)  # the most that the edge is below the tip
+    size = r + profile[0] + abs(row[5]) + abs(row[6]) + most_y + max(abs(bounds[1, 0]), abs(bounds[0, turns - 1]))
+    if row[4] * row[6] >= 0.0 and r + 64.0 * EPSILON * size < abs(row[6]) - lean * dip - most_y:
+        return FAR  # the edge is always further aside of the axis
     pieces, line = np.empty((64, 2)), np.empty(6)
     lowest = FAR
     for which in range(2):

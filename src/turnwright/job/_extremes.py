@@ -3,7 +3,9 @@ r"""The highest and the lowest place of what a motion leaves, over the whole cle
 A grid meets the top of a cusp by chance, and the cusp on the axis, which an Archimedean spiral leaves highest, never.
 So the part is scanned across all passes, at azimuths that no program repeats, and more closely about the axis and along
 the rim; from the best places of each zone the search climbs from pass to pass and from point to point of the program,
-and closes in on the crossing of the edges.
+and closes in on the crossing of the edges. What decimals and servos scatter has no slope to climb: there the points of
+the program are tried themselves. The surface leaps where the motion ends, and passes end one after the other at the
+edge of what a tool off centre leaves uncut; both are followed along their own lines.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from turnwright.generation import Prepared, Tiles, generate_polar
 from turnwright.progress import run_chunks
 
 if TYPE_CHECKING:
-    from turnwright._arrays import Floats
+    from turnwright._arrays import Bools, Floats
     from turnwright.heightmap import HeightMap
     from turnwright.machine import Machine
     from turnwright.part import Part
@@ -53,6 +55,9 @@ ZONES = (6, 8)
 BEST = 24
 """Best places of all that are followed too."""
 
+STAGES = 6
+"""Steps of progress: four scans and two searches."""
+
 CLIMBERS, FINALISTS = 10, 4
 """Places that the search climbs from, and closes in on."""
 
@@ -66,13 +71,34 @@ AROUND = 5
 """Azimuths of a look at one place, from point to point of the program."""
 
 COARSE, FINE = 4, 9
-"""Looks along a radius: a cusp to less than 0.1 % of its height, and to the rounding of its place."""
+"""Looks along a radius: a cusp to less than 0.1 % of its height, and to 1e-8 of it."""
 
 TINY = 1e-9
 """Least distance from the axis of a place beside it, in feeds."""
 
-CLOSER = 11
-"""Looks around the axis, of eight steps each, two steps of one the width of the next."""
+PER_LINE, MOST_POINTS = 4, 500_000
+"""Places of the program to a line of it, and places of the program at most."""
+
+TRIED, POLISHED = 2000, 500
+"""Crossings at points of the program that are tried, and places closest to the design that are looked at closely."""
+
+CLOSER, STEPS = 16, 9
+"""Looks around the axis and their azimuths; each look is a third as wide as the one before it."""
+
+HALVINGS = 50
+"""How often the distance from the axis is halved within which no pass cuts."""
+
+LEAST_ALONG = 1e-8
+"""How close a look comes to the edge of what no pass cuts, along the pass. [mm]"""
+
+ROUNDINGS = 64
+"""How many roundings of its place a look keeps away from where all passes end."""
+
+BESIDE_END = 1e-9
+"""How far beside the place where a motion begins or ends a look is. [mm]"""
+
+ALONG_END = 100
+"""Places of such a look on either side of the axis."""
 
 
 class Extreme(NamedTuple):
@@ -134,9 +160,8 @@ def find_extremes(
         ``None`` where no pass covers any place.
     """
     search = _Search(motion, tool, part, machine)
-    stages = 5
     told = progress or (lambda _done, _total: None)
-    told(0, stages)
+    told(0, STAGES)
     scans = search.scans(told)
     if known is not None:
         x, y = known.points()
@@ -147,7 +172,7 @@ def find_extremes(
         if place is None:
             return None
         found.append(place)
-        told(stages - 1 + number, stages)
+        told(STAGES - 1 + number, STAGES)
     return Extremes(highest=found[0], lowest=found[1])
 
 
@@ -169,6 +194,13 @@ class _Search:
         turned = np.abs(np.diff(motion.axes["C"]))
         self.step = min(float(np.median(turned[turned > 0])) if turned.any() else TURN, TURN / FEWEST_ANGLES)
         self.upright = self.ready.cut.upright and self.ready.cut.convex
+        self.edge: _Places | None = None
+        _, _, _, _, lean, _, aside, _ = self.ready.cut.row
+        self.uncut = 0.0
+        if lean == 0 and aside != 0 and self.ready.most_y == 0:
+            # All passes end at one distance from the axis, and there rounding decides which of them reach a place.
+            size = self.ready.cut.row[0] + part.radius + float(np.abs(self.ready.cut.bounds[:2]).max())
+            self.uncut = abs(float(aside)) + ROUNDINGS * np.finfo(float).eps * size
 
     def at(self, radius: Floats, angle: Floats) -> Floats:
         """Return the error at places, those of a row near each other; nan where no pass is. (n, m) [mm]."""
@@ -178,7 +210,7 @@ class _Search:
         tiles = Tiles(np.arange(x.size), np.arange(rows + 1) * columns, np.arange(rows + 1))
         z = np.empty(x.size)
         run_chunks(lambda start, stop: self.ready.fill(x, y, tiles, (start, stop), z), rows, max(1, min(64, rows // 8)))
-        z[z >= 1e299] = np.nan
+        z[(z >= 1e299) | (radius.ravel() < self.uncut)] = np.nan
         there = ~np.isnan(z)
         z[there] -= self.part.surface.sag(x[there], y[there])
         return z.reshape(rows, columns)
@@ -201,7 +233,10 @@ class _Search:
             )
         ):
             found.append(self._scan(radius, count))
-            told(1 + number, 5)
+            told(1 + number, STAGES)
+        if np.isnan(found[0].error[:, 0]).any():
+            self.edge = self.around_core(self._azimuths(FEWEST_ANGLES))
+            found.append(self.edge)
         return found
 
     def _bands(self, most: int) -> Floats:
@@ -216,17 +251,133 @@ class _Search:
         return np.unique((starts[:, None] + np.arange(width) * feed / PER_FEED).ravel())
 
     def _scan(self, radius: Floats, count: int) -> _Places:
-        # No program has its points at such azimuths, so that places between its points are met as well.
-        each = np.arange(count)
-        angle = (each + each * GOLDEN % 1) * (TURN / count)
+        angle = self._azimuths(count)
         made = generate_polar(self.motion, self.tool, radius=radius, angle=angle, machine=self.machine)
         error = made.minus(self.part.surface).z
         shape = error.shape
         return _Places(np.broadcast_to(radius, shape), np.broadcast_to(angle[:, None], shape), error)
 
+    def _azimuths(self, count: int) -> Floats:
+        # No program has its points at such azimuths, so that places between its points are met as well.
+        each = np.arange(count)
+        return (each + each * GOLDEN % 1) * (TURN / count)
+
+    def core(self, angle: Floats) -> Floats:
+        """Return how far from the axis the part is cut first at azimuths. (n,) [mm]."""
+
+        def uncut(radius: Floats) -> Bools:
+            return np.isnan(self.at(radius[:, None], angle[:, None])[:, 0])
+
+        if self.uncut:
+            return np.full(angle.size, self.uncut)
+        low, high = np.zeros(angle.size), np.full(angle.size, self.feed)
+        while (within := uncut(high)).any() and high.max() < self.part.radius:
+            low, high = np.where(within, high, low), np.where(within, np.minimum(2 * high, self.part.radius), high)
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            within = uncut(middle)
+            low, high = np.where(within, middle, low), np.where(within, high, middle)
+        return high
+
+    def around_core(self, angle: Floats) -> _Places:
+        """Return the error along the edge of what no pass cuts about the axis, and ever more sparsely beyond it."""
+        # A pass leaves the edge of the core at right angles to the radius.
+        along = np.geomspace(LEAST_ALONG, self.feed, 3 * PER_FEED)
+        radius = np.hypot(self.core(angle)[:, None], along)
+        angle = np.broadcast_to(angle[:, None], radius.shape)
+        return _Places(radius, angle, self.at(radius, angle))
+
+    def of_program(self, sign: float) -> tuple[Floats, Floats, Floats]:
+        """Return the best of the places that the points of the program leave: bends of a crest or a valley. Each (n,).
+
+        Decimals of a program, and servos, scatter them, so that no scan and no climb finds the best one. A valley is as
+        deep as the motion comes close to the design; a crest is where two passes cross, unless a third is lower there.
+        """
+        size = self.ready.cut.c.size
+        step = 1 / PER_LINE if size * PER_LINE <= MOST_POINTS else math.ceil(size / MOST_POINTS)
+        line = np.arange(0, size - 1, step)
+        radius, angle = self._valleys(line, step) if sign < 0 else self._crests(line)
+        value = sign * self.at(radius[:, None], angle[:, None])[:, 0]
+        there = ~np.isnan(value)
+        return self._best(radius[there], angle[there], value[there], BEST)
+
+    def _tip(self, line: Floats) -> tuple[Floats, ...]:
+        """Return C, X, Y and Z of the tip at whole and broken numbers of points of the program."""
+        cut = self.ready.cut
+        _, _, _, _, _, dx, dy, dz = cut.row
+        each = np.arange(cut.c.size)
+        y = np.interp(line, each, cut.y) if cut.y.size else np.zeros(line.shape)
+        c, x, z = (np.interp(line, each, one) for one in (cut.c, cut.x, cut.z))
+        return c, x + dx, y + dy, z + dz
+
+    def _gap(self, line: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return radius, azimuth and error where the edge is ``u`` from its tip; infinite beyond the part."""
+        c, x, y, z = self._tip(line)
+        w = self.ready.edge(u.ravel())[0].reshape(u.shape)
+        along, across = x + u, y + self.ready.cut.row[4] * w
+        radius, angle = np.hypot(along, across), c + np.arctan2(across, along)
+        error = z + self.ready.cut.row[3] * w
+        inside = radius <= self.part.radius
+        r, a = radius[inside], angle[inside]
+        error[inside] -= self.part.surface.sag(r * np.cos(a), r * np.sin(a))
+        error[~inside] = np.inf
+        return radius, angle, error
+
+    def _valleys(self, line: Floats, step: float) -> tuple[Floats, Floats]:
+        """Return where the motion comes closest to the design. Each (n,)."""
+        c, nose, u, before = self._tip(line)[0], self.ready.cut.row[0], np.zeros(line.size), np.zeros(line.size)
+        for _ in range(3):
+            radius, angle, _ = self._gap(line, u)
+            radius = np.minimum(radius, self.part.radius)
+            zx, zy = self.part.surface.gradient(radius * np.cos(angle), radius * np.sin(angle))
+            slope = (zx * np.cos(c) + zy * np.sin(c)) / self.ready.cut.row[3]
+            before, u = u, nose * slope / np.sqrt(1 + slope**2)
+        first = np.argsort(self._gap(line, u)[2])[:POLISHED]
+        # Over an edge of the design the slope leaps, and with it the place on the edge.
+        wide = np.abs(u - before)[first] + self.feed / PER_FEED
+        line, u, each = line[first], u[first], np.arange(first.size)
+        share = np.linspace(-1, 1, STEPS)
+        for _ in range(PER_FEED):
+            lines = np.clip(line[:, None, None] + step * share[:, None], 0, self.ready.cut.c.size - 1)
+            places = u[:, None, None] + wide[:, None, None] * share
+            lines, places = (one.reshape(each.size, -1) for one in np.broadcast_arrays(lines, places))
+            top = self._gap(lines, places)[2].argmin(axis=1)
+            line, u, step, wide = lines[each, top], places[each, top], step / 2, wide / 2
+        radius, angle, error = self._gap(line, u)
+        return radius[np.isfinite(error)], angle[np.isfinite(error)]
+
+    def _crests(self, line: Floats) -> tuple[Floats, Floats]:
+        """Return where passes over one azimuth cross highest. Each (n,)."""
+        cut = self.ready.cut
+        along, each = cut.sense * cut.c, np.arange(cut.c.size)
+        found = []
+        for other in (-TURN, TURN):
+            there = cut.sense * self._tip(line)[0] + other
+            inside = (there >= along[0]) & (there <= along[-1])
+            found.append(self._crossing(line[inside], np.interp(there[inside], along, each)))
+        radius, angle, error = (np.concatenate(one) for one in zip(*found, strict=True))
+        first = np.argsort(-error)[:TRIED]
+        return radius[first], angle[first]
+
+    def _crossing(self, line: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return where two passes over one azimuth cross, and the error there. Each (n,)."""
+        nose, cosine = self.ready.cut.row[[0, 3]]
+        (_, x, _, z), (_, x_next, _, z_next) = self._tip(line), self._tip(other)
+        apart, low, high = x_next - x, np.minimum(x, x_next), np.maximum(x, x_next)
+        at = (x + x_next) / 2 + nose * (z_next - z) / np.where(apart == 0, np.inf, apart)
+        for _ in range(4):
+            at = np.clip(at, 3 * low - 2 * high, 3 * high - 2 * low)
+            (w, slope), (w_next, slope_next) = self.ready.edge(at - x), self.ready.edge(at - x_next)
+            rate = cosine * (slope - slope_next)
+            at = at - (z - z_next + cosine * (w - w_next)) / np.where(rate == 0, np.inf, rate)
+        radius, angle, error = self._gap(line, at - x)
+        inside = np.isfinite(error)
+        return radius[inside], angle[inside], error[inside]
+
     def followed(self, scans: list[_Places], sign: float) -> Extreme | None:
         """Return the highest place, or with a negative ``sign`` the lowest."""
         starts = [self._starts(one, sign) for one in scans]
+        starts.append(self.of_program(sign))
         radius, angle, best = (np.concatenate(one) for one in zip(*starts, strict=True))
         if best.size == 0:
             return None
@@ -235,10 +386,11 @@ class _Search:
         order = np.unique(np.stack([radius, angle]), axis=1, return_index=True)[1]
         radius, angle, best = self._looked(radius[order], angle[order], sign)
         climbers, finalists = (CLIMBERS, FINALISTS) if self.upright else (CLIMBERS_ASIDE, FINALISTS_ASIDE)
-        radius, angle, best = self._climbed(*_best(radius, angle, best, climbers), sign)
-        radius, angle, best = self._closed_in(*_best(radius, angle, best, finalists), sign)
+        radius, angle, best = self._climbed(*self._best(radius, angle, best, climbers), sign)
+        radius, angle, best = self._closed_in(*self._best(radius, angle, best, finalists), sign)
         top = int(np.argmax(best))
-        value, r, a = max(known, (float(best[top]), float(radius[top]), float(angle[top])))
+        highest = (float(best[top]), float(radius[top]), float(angle[top]))
+        value, r, a = max(known, highest, self._on_core(sign), *self._beside_ends(sign))
         return Extreme(r * math.cos(a), r * math.sin(a), sign * value)
 
     def _starts(self, scan: _Places, sign: float) -> tuple[Floats, Floats, Floats]:
@@ -266,22 +418,25 @@ class _Search:
         at = at[np.isfinite(flat[at])]
         return scan.radius.ravel()[at], scan.angle.ravel()[at], flat[at]
 
-    def _along(self, radius: Floats, angle: Floats, half: float, looks: int, sign: float) -> tuple[Floats, Floats]:
+    def _along(
+        self, radius: Floats, angle: Floats, half: Floats | float, looks: int, sign: float
+    ) -> tuple[Floats, Floats]:
         """Return where along each radius, within ``half`` of a place, the error is highest, and how high. (n,)."""
         # The axis itself, which has no azimuth and costs as much as a thousand places, is in the scans.
         least, rim = TINY * self.feed, self.part.radius
         share = np.linspace(-1, 1, INNER)
         best, value = radius, np.full(radius.size, -np.inf)
+        half = np.broadcast_to(half, radius.shape)[:, None]
         for _ in range(looks):
             at = np.clip(best[:, None] + half * share, least, rim)
             found = sign * self.at(at, np.broadcast_to(angle[:, None], at.shape))
             found = np.where(np.isnan(found), -np.inf, found)
             top = found.argmax(axis=1)
             each = np.arange(top.size)
-            better = found[each, top] >= value
+            better = found[each, top] > value
             best = np.where(better, at[each, top], best)
             value = np.where(better, found[each, top], value)
-            half *= 2 / (INNER - 1)
+            half = half * 2 / (INNER - 1)
         return best, value
 
     def _looked(self, radius: Floats, angle: Floats, sign: float) -> tuple[Floats, Floats, Floats]:
@@ -314,21 +469,71 @@ class _Search:
 
     def _closed_in(self, radius: Floats, angle: Floats, best: Floats, sign: float) -> tuple[Floats, Floats, Floats]:
         """Return the very tops next to places. Each (n,)."""
-        half = self.step
-        share = np.linspace(-1, 1, 9)
+        widest = 0.75 * self.feed
+        half, reach = np.full(radius.size, self.step), np.full(radius.size, widest)
+        share = np.linspace(-1, 1, STEPS)
         for _ in range(CLOSER):
-            angles = (angle[:, None] + half * share).ravel()
-            near, value = self._along(np.repeat(radius, share.size), angles, 0.75 * self.feed, FINE, sign)
-            shape = (radius.size, share.size)
-            top = value.reshape(shape).argmax(axis=1)
-            each = np.arange(radius.size) * share.size + top
-            better = value[each] > best
-            radius, angle = np.where(better, near[each], radius), np.where(better, angles[each], angle)
-            best = np.where(better, value[each], best)
-            half /= 2
+            angles = angle[:, None] + half[:, None] * share
+            # A narrower look needs fewer of the finer ones to end as fine.
+            looks = max(FINE - int(math.log(widest / reach.max(), (INNER - 1) / 2)), COARSE)
+            every = (np.repeat(radius, STEPS), angles.ravel(), np.repeat(reach, STEPS))
+            near, value = (one.reshape(angles.shape) for one in self._along(*every, looks, sign))
+            top = value.argmax(axis=1)
+            each = np.arange(radius.size)
+            better = value[each, top] > best
+            radius = np.where(better, near[each, top], radius)
+            angle = np.where(better, angles[each, top], angle)
+            best = np.where(better, value[each, top], best)
+            # As far as the top moves along the radius from azimuth to azimuth.
+            reach = np.clip(np.ptp(near, axis=1), reach / 3, widest)
+            half = half / 3
         return radius, angle, best
 
+    def _on_core(self, sign: float) -> tuple[float, float, float]:
+        """Return the highest about what no pass cuts around the axis: error, radius and azimuth.
 
-def _best(radius: Floats, angle: Floats, best: Floats, count: int) -> tuple[Floats, Floats, Floats]:
-    order = np.argsort(-best, kind="stable")[:count]
-    return radius[order], angle[order], best[order]
+        Passes end there one after the other, some of them within less than a look along a fixed radius resolves.
+        """
+        best = (-math.inf, 0.0, 0.0)
+        if self.edge is None:
+            return best
+        highest = np.where(np.isnan(self.edge.error), -math.inf, sign * self.edge.error).max(axis=1)
+        for start in np.argsort(-highest)[:FINALISTS_ASIDE]:
+            middle, half = float(self.edge.angle[start, 0]), TURN / FEWEST_ANGLES
+            for _ in range(CLOSER):
+                near = self.around_core(middle + half * np.linspace(-1, 1, STEPS))
+                error = np.where(np.isnan(near.error), -math.inf, sign * near.error)
+                i, j = np.unravel_index(error.argmax(), error.shape)
+                best = max(best, (float(error[i, j]), float(near.radius[i, j]), float(near.angle[i, j])))
+                middle, half = float(near.angle[i, 0]), half / 3
+        return best
+
+    def _beside_ends(self, sign: float) -> list[tuple[float, float, float]]:
+        """Return the highest next to the edge where a motion begins and ends at the axis: error, radius and azimuth.
+
+        There the surface leaps, and it is highest on one side of the leap.
+        """
+        cut, found = self.ready.cut, []
+        _, _, _, _, lean, dx, dy, _ = cut.row
+        outward = np.geomspace(LEAST_ALONG, min(BAND * self.feed, 0.999 * self.part.radius), ALONG_END)
+        for end in (0, -1):
+            y = dy + (cut.y[end] if cut.y.size else 0.0)
+            for beside in (-BESIDE_END, BESIDE_END):
+                along = np.concatenate([-outward[::-1], outward])
+                for _ in range(FINE + 1):
+                    w, _ = self.ready.edge(along - cut.x[end] - dx)
+                    across = y + lean * w + beside
+                    radius, angle = np.hypot(along, across), cut.c[end] + np.arctan2(across, along)
+                    error = sign * self.at(radius[:, None], angle[:, None])[:, 0]
+                    error = np.where(np.isnan(error) | (radius > self.part.radius), -np.inf, error)
+                    top = int(np.argmax(error))
+                    found.append((float(error[top]), float(radius[top]), float(angle[top])))
+                    along = np.linspace(along[max(top - 1, 0)], along[min(top + 1, along.size - 1)], INNER)
+        return found
+
+    def _best(self, radius: Floats, angle: Floats, best: Floats, count: int) -> tuple[Floats, Floats, Floats]:
+        """Return the best of places, one of those that lie together."""
+        order = np.argsort(-best, kind="stable")
+        cell = np.stack([radius[order] / (self.feed / 2), angle[order] % TURN / self.step]).round()
+        order = order[np.sort(np.unique(cell, axis=1, return_index=True)[1])[:count]]
+        return radius[order], angle[order], best[order]
