@@ -44,6 +44,21 @@ SHARP = 1e-6
 """A slope that jumps by less than this, or a height by less than this many mm, is rounding."""
 
 
+FIRST_PLACES = 3000
+"""Places at which the chip is compared with the edge, before the search narrows."""
+
+RING = 180
+"""Further places on the rim, and nearest to the axis."""
+
+GOLDEN = np.pi * (3 - np.sqrt(5))
+"""Angle by which the seeds of a sunflower follow each other: it leaves no gaps and no rows. [rad]"""
+
+ROUNDS = 8
+"""Times that the search narrows, to a third of its step each."""
+
+ON_FLANK = 120
+"""Points of a flank that are looked at, closer together where it begins."""
+
 LARGEST_NOSE = 20.0
 """A nose beyond this is hardly a diamond's. [mm]"""
 
@@ -253,61 +268,135 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
     )
 
 
-def check_depths(tool: Tool, access: Access, depths: Mapping[str, float]) -> tuple[AccessFinding, ...]:
+def check_depths(
+    part: Part, tool: Tool, depths: Mapping[str, float], *, inside_out: bool = False, sense: int = 1
+) -> tuple[AccessFinding, ...]:
     r"""Say of each pass whether its chip stays on the cutting edge.
 
-    At a place where the surface touches the nose at the sweep :math:`\varphi`, a layer of the thickness :math:`t` along
-    the normal meets the nose of radius R up to :math:`\varphi \pm \arccos(1 - t/R)`, which must lie on the arc. With
-    a cutting edge of the length L along each flank, which leaves the arc at the sweep :math:`\beta`, the limit is
+    A pass cuts with the side of its edge that leads: toward the axis, or outward where it is cut inside out. There the
+    edge stands the height :math:`g(u) = Z + e(u) - f(\rho + u)` above the finished surface, and cuts wherever that is
+    less than the depth d; beyond the end of the cutting edge it must not:
 
-    .. math:: t = R \, (1 - \cos(\beta \mp \varphi)) + L \sin(\beta \mp \varphi).
+    .. math:: d \le \min_{\rho, \theta} \min_{u\text{ beyond the edge}} g(u) .
+
+    On the other side the revolution before has cut already, up to the cusp.
 
     Parameters
     ----------
+    part
+        Its finished surface; beyond the clear radius it goes on at the slope of the rim where that rises outward, and
+        level where it falls.
     tool
-        Its arc, and the length of its flanks if it states one.
-    access
-        Says which sweeps touch the part, see `check_access`.
+        Its arc, and the length of its flanks that cuts if it states one.
     depths
         Thickness that each pass takes off at a time, along z, by name. [mm]
+    inside_out
+        Whether the passes go from the centre to the rim.
+    sense
+        +1 where the spindle angle under the tool grows, -1 where it falls.
 
     Returns
     -------
     tuple of AccessFinding
-        One for every pass that takes anything off; none is where a single place on the part is named.
+        One for every pass that takes anything off.
 
     >>> from turnwright.part import Part
     >>> from turnwright.surface import Plane
     >>> from turnwright.tool import Tool
     >>> tool = Tool(nose_radius=0.5, included=np.deg2rad(60), clearance=np.deg2rad(10))
-    >>> flat = check_access(Part(surface=Plane(slope=(0.0, 0.0)), radius=5.0), tool)
-    >>> [(one.ok, round(one.limit, 3)) for one in check_depths(tool, flat, {"rough": 0.05, "all at once": 0.5})]
+    >>> flat = Part(surface=Plane(slope=(0.0, 0.0)), radius=5.0)
+    >>> [(one.ok, round(one.limit, 3)) for one in check_depths(flat, tool, {"rough": 0.05, "all at once": 0.5})]
     [(True, 0.067), (False, 0.067)]
     """
-    radius, length = tool.actual_radius, tool.edge_length or 0.0
-    sweep = np.linspace(*access.sweep, 2001)
-    low, high = tool.arc
-    room = np.maximum(np.minimum(high - sweep, sweep - low), 0.0)
-    # Along z a layer is thicker than along the normal; at the smallest of these it first runs off the edge.
-    most = float(((radius * (1 - np.cos(room)) + length * np.sin(room)) / np.cos(sweep)).min())
+    taken = {name: depth for name, depth in depths.items() if depth > 0}
+    if not taken:
+        return ()
+    most, where = largest_depth(part, tool, side=1 if inside_out else -1, sense=sense)
     findings = []
-    for name, depth in depths.items():
-        if not depth > 0:
-            continue
+    for name, depth in taken.items():
         ok = depth <= most * (1 + 1e-9)
         words = f"pass {name} takes off {say_length(depth)} at a time, the edge cuts up to {say_length(most)} here"
         if not ok:
             words += (
-                f" (nose_radius {radius:.4g} mm, arc from {_deg(low)} to {_deg(high)}, contact from "
-                f"{_deg(access.sweep[0])} to {_deg(access.sweep[1])}): use a smaller depth, or a tool with a larger "
-                "nose_radius or included angle, or state the edge_length of its flanks"
+                f" (nose_radius {tool.actual_radius:.4g} mm, arc from {_deg(tool.arc[0])} to {_deg(tool.arc[1])}), "
+                f"least {_at(where)}: use a smaller depth, or a tool with a larger nose_radius or included angle, or "
+                "state the edge_length of its flanks"
             )
         findings.append(
             AccessFinding(
-                name="depth of cut", value=depth, limit=most, margin=most - depth, where=None, ok=ok, sentence=words
+                name="depth of cut", value=depth, limit=most, margin=most - depth, where=where, ok=ok, sentence=words
             )
         )
     return tuple(findings)
+
+
+def largest_depth(
+    part: Part, tool: Tool, *, side: int, sense: int = 1, nearest: float = 0.0
+) -> tuple[float, tuple[float, float]]:
+    """Return the thickest layer that one side of the edge cuts all over a part [mm], and where it is the thinnest.
+
+    ``side`` is +1 for the side away from the axis, -1 for that toward it; places nearer to the axis than ``nearest``
+    [mm] do not count.
+    """
+    count = np.arange(FIRST_PLACES)
+    square = nearest**2 + (part.radius**2 - nearest**2) * (count + 0.5) / FIRST_PLACES
+    ring = np.linspace(0, TURN, RING, endpoint=False)
+    radius = np.concatenate([np.sqrt(square), np.full(RING, part.radius), np.full(RING, nearest)])
+    angle = np.concatenate([count * GOLDEN, ring, ring])
+    room = _room_beyond(part, tool, side, sense, radius, angle)
+    step = part.radius / math.sqrt(FIRST_PLACES)
+    for _ in range(ROUNDS):
+        best = np.argsort(room, kind="stable")[:STARTS]
+        radius, angle, room = radius[best], angle[best], room[best]
+        aside = step * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+        out, turn = (one.ravel() for one in np.meshgrid(aside, aside))
+        near = np.clip(np.add.outer(radius, out), nearest, part.radius).ravel()
+        turned = angle[:, None] + turn / np.maximum(radius, step)[:, None]
+        radius, angle = np.append(radius, near), np.append(angle, turned.ravel())
+        room = np.append(room, _room_beyond(part, tool, side, sense, near, turned.ravel()))
+        step /= 3
+    worst = int(np.argmin(room))
+    return float(room[worst]), (
+        float(radius[worst] * np.cos(angle[worst])),
+        float(radius[worst] * np.sin(angle[worst])),
+    )
+
+
+def _room_beyond(part: Part, tool: Tool, side: int, sense: int, radius: Floats, angle: Floats) -> Floats:
+    """Return how high the edge stands above the finished surface beyond its cutting part, at the least. (n,) [mm]."""
+    from turnwright.dilation import touch  # noqa: PLC0415 - numba is costly to import
+
+    tip = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.radius).z
+    end = tool.arc[1] if side > 0 else tool.arc[0]
+    u, v, e = tool.edge(np.array([end, end + side]), sense)
+    begin = (tool.edge_length or 0.0) / math.hypot(u[1] - u[0], v[1] - v[0], e[1] - e[0])
+    # The flank is straight: as far as the other side of the axis, or across all of the part.
+    last = begin + 2 * part.radius / abs(u[1] - u[0])
+    along = begin + (last - begin) * np.linspace(0, 1, ON_FLANK) ** 2
+    out = radius[:, None] + u[0] + along * (u[1] - u[0])
+    aside = v[0] + along * (v[1] - v[0])
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    finished = _continued(part, out * cosine - aside * sine, out * sine + aside * cosine)
+    gap = tip[:, None] + e[0] + along * (e[1] - e[0]) - finished
+    # Half a turn before, the other side of the axis was cut as far as the edge reaches.
+    gap[out < abs(u[0] + begin * (u[1] - u[0])) - radius[:, None]] = np.inf
+    gap[np.isnan(gap)] = np.inf
+    return np.asarray(gap.min(axis=1))
+
+
+def _continued(part: Part, x: Floats, y: Floats) -> Floats:
+    """Return the finished surface; beyond the clear radius at the slope of the rim, level where it falls. [mm]."""
+    away = np.hypot(x, y)
+    beyond = away > part.radius
+    shrink = np.where(beyond, part.radius * (1 - 1e-12) / np.where(beyond, away, 1.0), 1.0)
+    flat_x, flat_y = np.ascontiguousarray((x * shrink).ravel()), np.ascontiguousarray((y * shrink).ravel())
+    with np.errstate(all="ignore"):
+        z = part.surface.evaluate(flat_x, flat_y, 0)[0].reshape(x.shape)
+        over = np.flatnonzero(beyond.ravel())
+        _, zx, zy = part.surface.evaluate(flat_x[over], flat_y[over], 1)
+    slope = (zx * flat_x[over] + zy * flat_y[over]) / part.radius
+    z.ravel()[over] += np.maximum(slope, 0.0) * (away.ravel()[over] - part.radius)
+    return z
 
 
 def odd_sizes(part: Part, tool: Tool) -> tuple[str, ...]:

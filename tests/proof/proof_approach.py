@@ -336,9 +336,7 @@ def run(cases, seed, figures):
             case, dialect = case_of(random, folder)
             try:
                 job = Job.read(case.table)
-                from turnwright.access import check_access
-
-                require_depths(job, check_access(job.part.aimed, job.tool.tool, sense=job.strategy.sense))
+                require_depths(job)
                 motions, stock, allowances = {}, job.part.part.stock, {}
                 for cut in job.passes:
                     _, _, motion, _ = planned(job, cut, Watch(None))

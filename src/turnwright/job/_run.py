@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from turnwright.access import check_access, check_depths, odd_sizes
+from turnwright.access import check_access, check_depths, largest_depth, odd_sizes
 from turnwright.contact import place
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.generation import generate, generate_polar
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from turnwright._arrays import Floats
-    from turnwright.access import Access
+    from turnwright.access import Access, AccessFinding
     from turnwright.cutting.chip import ChipMap
     from turnwright.heightmap import HeightMap
     from turnwright.job._schema import Job, PassTable
@@ -134,7 +134,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     with watch.stage("access") as tell:
         access = check_access(part, tool, sense=job.strategy.sense, progress=tell)
     warnings = _accepted_access(job, access) + list(odd_sizes(part, tool))
-    require_depths(job, access)
+    require_depths(job)
 
     motions: dict[str, Motion] = {}
     passes: list[Pass] = []
@@ -181,7 +181,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         warnings += _accepted(job, "gouge", GougeError(gouge.sentence))
     del again
 
-    warnings += _walls(job, access, passes, entries) + _assumed(job, passes) + _judged(job, predictions)
+    warnings += _walls(job, passes, entries) + _assumed(job, passes) + _judged(job, predictions)
     if rounding > limit:
         warnings.append(
             f"the program on disk leaves a surface {rounding:.3g} nm from that of the motion in memory, its decimals "
@@ -206,20 +206,31 @@ def depths_of(job: Job) -> dict[str, float]:
     return depths
 
 
-def require_depths(job: Job, access: Access) -> None:
+def judge_depths(job: Job) -> tuple[AccessFinding, ...]:
+    """Return whether the chip of each pass stays on the edge."""
+    plan = job.strategy
+    return check_depths(
+        job.part.aimed, job.tool.tool, depths_of(job), inside_out=plan.inside_out, sense=plan.sense
+    )  # fmt: skip
+
+
+def require_depths(job: Job) -> None:
     """Raise if a pass takes off more than the edge can cut; no job can accept that."""
-    for finding in check_depths(job.tool.tool, access, depths_of(job)):
+    for finding in judge_depths(job):
         if not finding.ok:
             raise GougeError(finding.sentence)
 
 
-def _walls(job: Job, access: Access, passes: list[Pass], entries: Mapping[str, Entry]) -> list[str]:
+def _walls(job: Job, passes: list[Pass], entries: Mapping[str, Entry]) -> list[str]:
     """Warn of passes that plunge beside a wall of the blank that is higher than the edge cuts."""
-    found = []
-    for one in passes:
+    plunging = [one for one in passes if entries[one.name].depth is not None]
+    if not plunging:
+        return []
+    found, part = [], job.part.aimed
+    limit, _ = largest_depth(part, job.tool.tool, side=1, sense=job.strategy.sense, nearest=part.radius)
+    for one in plunging:
         wall = job.part.part.stock - one.allowance
-        (limit, *_) = (finding.limit for finding in check_depths(job.tool.tool, access, {one.name: max(wall, 1e-9)}))
-        if entries[one.name].depth is not None and limit is not None and wall > limit * (1 + 1e-9):
+        if wall > limit * (1 + 1e-9):
             found.append(
                 f"pass {one.name} plunges beside a wall of {say_length(wall)} that the passes leave outside, the edge "
                 f"cuts up to {say_length(limit)}: state part.blank and a lead_in with which the passes begin beside it"
@@ -356,7 +367,8 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         if expected:
             chips[cut.name] = expected
         stock = cut.allowance
-    refused += tuple(one.sentence for one in check_depths(tool, access, depths_of(job)) if not one.ok)
+    if not refused:  # else the finished surface may be none that an edge can touch
+        refused = tuple(one.sentence for one in judge_depths(job) if not one.ok)
     return Preview(
         access=access, points=points, shortest_s=shortest, refused=refused, chips=chips,
         remarks=job.part.part.surface.remarks, warnings=odd_sizes(part, tool), shape=part_shape(job.part.part),

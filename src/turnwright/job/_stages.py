@@ -6,11 +6,11 @@ from functools import cached_property, lru_cache
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Any
 
-from turnwright.access import check_access, check_depths
+from turnwright.access import check_access
 from turnwright.errors import InputError
 from turnwright.job._cutting import chips_of
 from turnwright.job._result import Pass
-from turnwright.job._run import GOUGE, WHOLE, Watch, depths_of, planned, predict, repeated
+from turnwright.job._run import GOUGE, WHOLE, Watch, judge_depths, planned, predict, repeated
 from turnwright.job._window import can_be_parted, predict_parted
 from turnwright.motion import check_limits
 
@@ -206,8 +206,8 @@ class Stages:
         """
         accepted, found = self.job.accept, []
         found += [one.sentence for one in self.access.findings if not one.ok and one.name not in accepted]
-        depths = check_depths(self.job.tool.tool, self.access, depths_of(self.job))
-        found += [one.sentence for one in depths if not one.ok]
+        if not found:
+            found += [one.sentence for one in judge_depths(self.job) if not one.ok]
         if "_finishing" in self.__dict__ and "gouge" not in accepted:
             least = float(self.path.clearance.min())
             if least < -GOUGE:
