@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copyreg
+import dataclasses
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
@@ -48,6 +49,53 @@ def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool =
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+class Value:
+    """A dataclass whose instances are equal where what they state is, nan like nan, and that can be hashed.
+
+    What an instance works out from its fields itself is neither compared nor hashed.
+    """
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether two instances state the same."""
+        if self is other or type(self) is not type(other):
+            return self is other or NotImplemented
+        return all(_same(mine, theirs) for mine, theirs in zip(_stated(self), _stated(other), strict=True))
+
+    def __hash__(self) -> int:
+        """Return a number that equal instances share."""
+        return hash((type(self), *map(_key, _stated(self))))
+
+
+def _stated(one: Any) -> list[Any]:
+    if not dataclasses.is_dataclass(one):  # a surface of a user's own may be any class
+        return [id(one)]
+    return [getattr(one, field.name) for field in dataclasses.fields(one) if field.init]
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        numeric = np.asarray(one).dtype.kind in "fc" and np.asarray(other).dtype.kind in "fc"
+        return np.array_equal(one, other, equal_nan=numeric)
+    if isinstance(one, tuple | list) and isinstance(other, tuple | list):
+        return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(_same(value, other[key]) for key, value in one.items())
+    return bool(one == other)
+
+
+def _key(one: Any) -> Any:
+    """Return something that can be hashed, the same of all that `_same` holds for equal."""
+    if isinstance(one, np.ndarray):
+        return one.shape, (np.nan_to_num(one) + 0.0).tobytes()  # which makes 0 of -0 too
+    if isinstance(one, tuple | list):
+        return tuple(map(_key, one))
+    if isinstance(one, Mapping):
+        return frozenset((key, _key(value)) for key, value in one.items())
+    return one
 
 
 def rounding(values: Floats) -> float:

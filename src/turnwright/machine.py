@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright import units
-from turnwright._arrays import Floats, frozen
+from turnwright._arrays import Floats, Value, frozen
 from turnwright._toml import read_toml
 from turnwright._validate import between, check_angle, check_numbers, positive
 from turnwright._validate import whole as whole_number
@@ -116,8 +116,8 @@ class Axis:
         return np.where(frequency > (np.inf if self.bandwidth_hz is None else self.bandwidth_hz), 0.0, most)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Controller:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Controller(Value):
     """What a controller makes of the points of a program.
 
     Parameters
@@ -202,7 +202,7 @@ class Convention:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Machine:
+class Machine(Value):
     """A lathe with a C axis.
 
     Parameters

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright import units
-from turnwright._arrays import Floats, frozen
+from turnwright._arrays import Floats, Value, frozen
 from turnwright._toml import read_toml
 from turnwright._validate import between, check_angle, check_numbers, positive
 from turnwright._validate import whole as whole_number
@@ -114,7 +114,7 @@ def _around(rake: Curve | None, lobes: Lobes | None, at_rake: ArrayLike, at_angl
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CuttingCoefficient:
+class CuttingCoefficient(Value):
     r"""Force on the edge per area of the uncut chip.
 
     .. math:: K(t, \gamma, \psi) = K_0 \, (t / t_0)^{-m} \, f_t(t) \, f_\gamma(\gamma) \, f_\psi(\psi)
@@ -208,7 +208,7 @@ class CuttingCoefficient:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CriticalThickness:
+class CriticalThickness(Value):
     """Thickness of the uncut chip beyond which the material fractures.
 
     Parameters
@@ -257,7 +257,7 @@ class CriticalThickness:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Material:
+class Material(Value):
     """What is cut: the force it takes, and the chip it bears.
 
     Parameters

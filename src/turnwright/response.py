@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from turnwright._arrays import frozen
+from turnwright._arrays import Value, frozen
 from turnwright._validate import between, check_numbers, positive
 from turnwright.errors import InputError
 
@@ -118,7 +118,7 @@ class SecondOrder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TransferFunction:
+class TransferFunction(Value):
     """A stable ratio of polynomials in s.
 
     Parameters
@@ -185,7 +185,7 @@ class TransferFunction:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FrequencyResponse:
+class FrequencyResponse(Value):
     """A measured response: position over command at ascending frequencies.
 
     Logarithm of the magnitude and unwrapped phase run straight between the frequencies, from 1 and no phase at rest;

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats, frozen
+from turnwright._arrays import Bools, Floats, Value, frozen
 from turnwright._validate import between, check_angle, check_numbers, finite_tuple, positive
 from turnwright.errors import InputError
 
@@ -30,7 +30,7 @@ PIECES = 8192
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WavinessTable:
+class WavinessTable(Value):
     """A tool certificate: the measured deviation of the edge from its circle, joined by a cubic spline.
 
     Parameters
@@ -96,7 +96,7 @@ def _before(over: Bools) -> int:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tool:
+class Tool(Value):
     """A round-nosed diamond tool, with its deviations.
 
     The edge lies in the rake plane: an arc of ``nose_radius + radius_error`` plus waviness, inside the included angle,

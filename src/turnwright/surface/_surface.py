@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats, Ints
+from turnwright._arrays import Bools, Floats, Ints, Value
 from turnwright._validate import IN_RAD, check_angle
 from turnwright.errors import DomainError
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["Surface"]
 
 
-class Surface(ABC):
+class Surface(Value, ABC):
     """A finished surface z = f(x, y), material below it.
 
     A new family implements `evaluate`, and where they are not the default: `inside` and `domain` (where it is

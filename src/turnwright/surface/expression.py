@@ -117,7 +117,7 @@ class _Estimate(float):
     __slots__ = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Expression(Surface):
     """A surface z = formula in x, y, rho and phi.
 
@@ -176,10 +176,6 @@ class Expression(Surface):
         else:
             size = positive(self.feature_size, "feature_size of an expression", "mm")
         object.__setattr__(self, "feature_size", size)
-
-    def __hash__(self) -> int:
-        """Return a number that equal formulas with equal constants share."""
-        return hash((self.formula, frozenset(self.constants.items()), self.feature_size))
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives, nan outside the domain. See `Surface.evaluate`."""
