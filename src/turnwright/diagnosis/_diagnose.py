@@ -488,7 +488,11 @@ def _report(
 
 def _pose(sight: Sight) -> Pose:
     x, y, z, rotation, one, other = sight.pose[:6].tolist()
-    return Pose(shift=(x, y, z), rotation=float(np.fmod(rotation, 2 * np.pi)), tilt=(one, other))
+    return Pose(
+        shift=(x, y, z),
+        rotation=float(np.fmod(rotation, 2 * np.pi)),
+        tilt=(float(np.fmod(one, 2 * np.pi)), float(np.fmod(other, 2 * np.pi))),
+    )
 
 
 def _on(heights: HeightMap, mark: Floats, sight: Sight) -> HeightMap:
