@@ -206,3 +206,14 @@ def test_what_the_heights_do_not_tell_apart_is_refused():
     sphere = seen(Sphere(radius=20.0), missing=0.0)
     with pytest.raises(InputError, match=r"cannot tell .* apart .*: hold one of them fixed"):
         best_fit(sphere, "conic", free=("x", "y", "z", "tilt_x", "tilt_y", "radius"))
+
+
+@pytest.mark.parametrize("steepness", [6.325, 10.0, 100.0])
+def test_a_search_that_leaves_the_heights_is_refused(steepness):
+    from turnwright.errors import InputError
+
+    radius, angle = np.linspace(0.0, 1.0, 201), np.linspace(0.0, 2.0 * np.pi, 361)[:-1]
+    x, y = radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]
+    roof = HeightMap(radius=radius, angle=angle, z=np.hypot(steepness * x, y))
+    with pytest.raises(InputError, match=r"sphere|least squares"):
+        best_fit(roof, "sphere")

@@ -163,6 +163,11 @@ def sums_over(
         Whether the normal matrix is wanted; else it is zeros.
     left
         Set to what is left, where a point is used.
+
+    Raises
+    ------
+    InputError
+        If a sum is no finite number, as where a search leaves a form that the heights are far from.
     """
     from turnwright._kernels import least_squares  # noqa: PLC0415 - numba is costly to import
 
@@ -174,6 +179,7 @@ def sums_over(
     totals = np.zeros(3)
     even, lock = cloud.even, Lock()
 
+    @np.errstate(all="ignore")  # what is not finite is refused below
     def work(start: int, stop: int) -> None:
         x, y, z, weight = cloud.take(start, stop)
         if z.size == 0:
@@ -200,6 +206,11 @@ def sums_over(
 
     run_chunks(work, cloud.used.shape[0], cloud.chunk)
     normal, spread = (np.tril(one) + np.tril(one, -1).T for one in (normal[:k, :k], spread[:k, :k]))
+    if not all(np.isfinite(total).all() for total in (normal, spread, right[:k], totals)):
+        raise InputError(
+            "the heights are so far from the form that is fitted that the sums of least squares overflow, the limit is "
+            "1e308: fit another form, or remove outliers"
+        )
     return Sums(
         normal=normal,
         spread=normal * float(totals[0] / max(totals[2], 1)) if even else spread,
