@@ -109,6 +109,26 @@ def test_binary_garbage(tmp_path, seed):
         read_nc(path, machine())
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("\n", "\r", r"has a carriage return .*LF"),
+        ("C20", "C20\r", r"line 5 has a carriage return"),
+        ("(a)\n", "; a\r", r"line 1 has a carriage return"),
+        ("-0.2", "\u22120.2", r"line 5 cannot be read at 'Z\u22120.2'"),
+        ("-0.2", "\u20130.2", r"line 5 cannot be read at 'Z\u20130.2'"),
+    ],
+)
+def test_a_sign_that_looks_like_another_is_shown(tmp_path, old, new, sentence):
+    blocks = "(a)\nG90 G94 G21\nG1 C0 X1 Z0 F100\nC10 X0.9 Z-0.1\nC20 X0.8 Z-0.2\nM30\n"
+    path = tmp_path / "other.nc"
+    path.write_bytes(blocks.replace("\n", "\r\r\n").encode())  # as a transfer in text mode leaves them
+    assert read_nc(path, machine()).axes["X"].tolist() == [1.0, 0.9, 0.8]
+    path.write_bytes(blocks.replace(old, new, 1 if old != "\n" else -1).encode())
+    with pytest.raises(ProgramError, match=sentence):
+        read_nc(path, machine())
+
+
 @pytest.mark.parametrize("read", [read_nc, lambda path, _: inspect_nc(path)])
 def test_missing_file_and_folder(tmp_path, read):
     for path in (tmp_path / "gone.nc", tmp_path):

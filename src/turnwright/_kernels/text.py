@@ -355,7 +355,7 @@ def parse_blocks(data, at, end, whole, real, out, first):
             if b <= 32:
                 if b == 10:
                     break
-                if b == 32 or 9 <= b <= 13:
+                if b == 32 or 9 <= b <= 12 or (b == 13 and data[i + ONE] == 10):
                     i += ONE
                     continue
                 plain = False
@@ -383,6 +383,7 @@ def parse_blocks(data, at, end, whole, real, out, first):
                 if data[i] == 40:
                     continue
                 while data[i] != 10:
+                    plain = plain and (data[i] != 13 or data[i + ONE] == 10)
                     i += ONE
                 break
             elif b == 80 and fast and linear and mode == 93 and seen == 0:

@@ -10,6 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from string import ascii_lowercase, ascii_uppercase
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,6 +47,9 @@ __all__ = ["read_nc"]
 
 BUFFER = 1 << 20
 """Bytes of text taken at a time."""
+UPPER = str.maketrans(ascii_lowercase, ascii_uppercase)
+"""Letters of words; other signs stay, as a message shows them."""
+
 LONGEST = 1 << 16
 """Letters in the longest line."""
 HASHED = 1 << 14
@@ -617,11 +621,16 @@ class _Reader:
         """Follow one line of any kind."""
         if "\x00" in text:
             raise self._error("holds binary data", "give a program in plain text")
+        if "\r" in text.rstrip():  # a line end to some controllers, a blank to others
+            raise self._error(
+                "has a carriage return (CR) between its letters, a line ends with LF or CR LF",
+                "save the program with such line ends",
+            )
         text = self._undeleted(text)
         if name := _pass_name(text):
             self._marker(*name)
         calls: list[str] = []
-        block, *behind = PARTS.sub(lambda part: self._part(part, calls), text).strip().upper().split(CALLED)
+        block, *behind = PARTS.sub(lambda part: self._part(part, calls), text).strip().translate(UPPER).split(CALLED)
         if calls:
             self._call_from(block.strip(), calls, behind)
         else:
@@ -757,8 +766,9 @@ class _Reader:
                 continue
             match = TOKEN.match(bare, at)
             if match is None:
+                unread = bare[at : at + 20].encode("latin-1", "replace").decode("utf-8", "replace")
                 raise self._error(
-                    f"cannot be read at {bare[at : at + 20]!r}, a word is a letter and a fixed-point number",
+                    f"cannot be read at {unread!r}, a word is a letter and a fixed-point number",
                     "correct it",
                 )
             letter = match[1]
