@@ -238,6 +238,8 @@ def test_all_wrong_fields_are_told_at_once():
         (None, r"cannot be read \(No such file or directory\)"),
         (b"[part\n", r"is not TOML, .*line 1"),
         (b"\xff\xfe\x00", r"is not UTF-8 text"),
+        (b'[part]\nname = "a"\nname = "b"\n', r"is not TOML, a key is given twice \(at line 3, .*\)"),
+        (b"[part]\n[tool]\n[part]\n", r"is not TOML, a table is given twice \(at line 3, .*\)"),
         (b"a = " + b"1" * 5000, r"holds a whole number of thousands of digits: shorten it"),
         (b"a = " + b"[" * 5000, r"holds lists or tables within each other too deep to read: make them flat"),
         (b"", r"part is missing"),
@@ -382,3 +384,16 @@ def test_a_name_too_long_for_any_system_is_no_file(place, tmp_path, capsys):
     job = written(tmp_path, *changes, (place, "x" * 5000 + ".toml"))
     assert main(["check", str(job)]) == 2
     assert "does not exist beside the job file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("door", ["check", "run"])
+def test_an_arc_length_alone_is_refused_before_placing(place, door, capsys):
+    """Near the axis it turns C by more than half a turn; a smaller one does not."""
+    way = ("strategy", {"kind": "slow tool servo", "feed": "20 um/rev", "arc_length": "50 um"})
+    job = written(place, way)
+    assert main([door, str(job), *(["--out", str(place / "out")] if door == "run" else [])]) == 2
+    shown = capsys.readouterr().err
+    assert re.search(r"arc_length turns C by .* deg .*, the limit is below 180 deg: state max_step", shown)
+    assert "place" not in shown
+    way[1]["arc_length"] = "10 um"
+    assert main(["check", str(written(place, way))]) == 0

@@ -40,6 +40,7 @@ from turnwright.metrology import roughness
 from turnwright.motion import check_limits, drive
 from turnwright.path import Spiral
 from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_tool, read_nc, write_fast_tool, write_nc
+from turnwright.strategy import SlowToolServo
 from turnwright.tracking import precorrect
 from turnwright.units import say_length
 
@@ -53,8 +54,11 @@ if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
     from turnwright.job._schema import Job, PassTable
     from turnwright.machine import Machine
+    from turnwright.part import Part
     from turnwright.path import Motion, Path
     from turnwright.progress import Progress, StageProgress
+    from turnwright.strategy import Strategy
+    from turnwright.tool import Tool
 
 __all__ = [
     "WHOLE",
@@ -141,6 +145,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     chips: dict[str, ChipMap] = {}
     stock, before = part.stock, None
     for cut in job.passes:
+        _require_sense(cut, job.servo(cut), part, tool)
         feed, path, motion, meant = planned(job, cut, watch)
         warnings += _accepted_gouge(job, path)
         for name, depth, left, lifted in repeated(cut, motion, stock):
@@ -355,6 +360,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         with watch.stage("plan") as tell:
             # A job is checked while somebody types, so not all points are made that are counted.
             size, spiral = servo.extent(part, tool, progress=tell)
+            _require_sense(cut, servo, part, tool)
             place(_outermost(spiral), part, tool, along=job.strategy.along)  # raises where the surface has an end
         profile = job.strategy.profile(cut)
         speed = servo.spindle_rpm or machine.spindle_rpm if profile is None else float(profile.spindle_rpm.max())
@@ -597,6 +603,19 @@ def _asked(spiral: Spiral, machine: Machine) -> Spiral:
     if machine.controller.interpolation == "hermite":
         return spiral
     return replace(spiral, radius_rate=None, y_rate=None)
+
+
+def _require_sense(cut: PassTable, servo: Strategy, part: Part, tool: Tool) -> None:
+    """Raise where C turns by half a turn or more from point to point: no program tells which way."""
+    plan = getattr(servo, "plan", servo)
+    if not isinstance(plan, SlowToolServo) or plan.arc_length is None or plan.max_step is not None:
+        return
+    step = float(np.abs(np.diff(plan.spiral(part, tool).angle)).max(initial=0.0))
+    if step >= np.pi:
+        raise InputError(
+            f"arc_length turns C by {np.degrees(step):.4g} deg from point to point near the axis in the pass "
+            f'{cut.name}, the limit is below 180 deg: state max_step as well, such as max_step = "10 deg"'
+        )
 
 
 def _commanded(job: Job, motion: Motion, tell: Progress) -> tuple[Motion, Motion | None]:

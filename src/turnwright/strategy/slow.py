@@ -199,13 +199,15 @@ class SlowToolServo(Strategy):
         self._require_overlap(tool)
         if self.points_per_rev is not None:
             last = self._last(part, tool, self.points_per_rev)
+            if progress is not None:
+                progress(0, last + 1)
             spiral = self._some(_steps(last), last, self.points_per_rev, tool)
         else:
             end, start = self._ends(part, tool)
             if self.chord is not None:
                 turned = self._by_chord(part, tool, end, start, progress)
             else:
-                turned = self._by_arc(end, start)
+                turned = self._by_arc(end, start, progress)
             angle = turned if self.inside_out else turned[-1] - turned[::-1]
             radius = end + self.feed / TURN * (turned if self.inside_out else turned[::-1])
             spiral = Spiral(angle=self.sense * angle, radius=radius)
@@ -280,7 +282,7 @@ class SlowToolServo(Strategy):
             )
         return self.lead_in
 
-    def _by_arc(self, end: float, start: float) -> Floats:
+    def _by_arc(self, end: float, start: float, progress: Progress | None) -> Floats:
         """Return the angle turned from the inner end at constant arc, inside at constant angle. (n,) [rad]."""
         pitch = self.feed / TURN
         inner, outer = end / pitch, start / pitch
@@ -291,8 +293,11 @@ class SlowToolServo(Strategy):
             # Along the spiral r = pitch * psi an angle step is sqrt(1 + psi²) * step long, in units of the pitch.
             border = math.sqrt(max((arc / step) ** 2 - 1, 0.0))
             inside = _steps((min(border, outer) - inner) / step) * step
-        first = float(_arc(np.array([inner + inside[-1]]))[0])
-        outside = first + arc * _steps((float(_arc(np.array([outer]))[0]) - first) / arc)[1:]
+        first, last = _arc(np.array([inner + inside[-1], outer])).tolist()
+        steps = (last - first) / arc
+        if progress is not None:
+            progress(0, inside.size + _count(steps))
+        outside = first + arc * _steps(steps)[1:]
         return np.concatenate([inside, _invert_arc(outside) - inner])
 
     def _by_chord(self, part: Part, tool: Tool, end: float, start: float, progress: Progress | None) -> Floats:
