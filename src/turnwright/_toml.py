@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from typing import Any
 
@@ -12,6 +13,13 @@ LARGEST = 1 << 20
 
 MOST_BITS = 14_000
 """Of a whole number; Python writes out none of more than 4300 digits."""
+
+
+TWICE = (
+    (re.compile(r"Cannot overwrite a value (\(.*\))"), "a key is given twice"),
+    (re.compile(r"Cannot declare .* twice (\(.*\))"), "a table is given twice"),
+)
+"""What Python says of keys that are repeated, and what it means."""
 
 
 def read_toml(data: bytes, what: str) -> dict[str, Any]:
@@ -39,7 +47,8 @@ def read_toml(data: bytes, what: str) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise InputError(f"{what} is not UTF-8 text: save it as a plain text file") from error
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{what} is not TOML, {error}: correct that place") from error
+        reason = next((f"{said} {place[1]}" for sign, said in TWICE if (place := sign.search(str(error)))), str(error))
+        raise InputError(f"{what} is not TOML, {reason}: correct that place") from error
     except ValueError as error:
         raise _too_many_digits(what) from error
     except RecursionError as error:

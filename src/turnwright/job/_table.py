@@ -35,7 +35,7 @@ Number: TypeAlias = Annotated[float, Strict(), AllowInfNan(False), Ge(-1e100), L
 Count: TypeAlias = Annotated[int, Strict(), Ge(1), Le(10**9)]
 Text: TypeAlias = Annotated[str, Strict()]
 
-MOST_FAULTS = 50
+MOST_FAULTS = 30
 """Of what is wrong with a job, this many sentences are written: whoever reads them begins with the first."""
 
 
