@@ -3,8 +3,9 @@
 ``python tests/proof/fuzz.py --inputs 20000 --seed 1`` prints a table and ends with 1 where an input failed. That input
 is kept in a folder; ``python tests/proof/fuzz.py --again FOLDER`` gives it once more.
 
-An answer is a refusal, the end of the work, or progress that announces how much there is to do; then the work may go on
-for a while, and is stopped. Kernels are compiled, and libraries imported, before the first input.
+An answer is a refusal, the end of the work, or progress that announces how much there is to do, after the access to the
+surface has been checked; then the work may go on for a while, and is stopped. Kernels are compiled, and libraries
+imported, before the first input.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ if TYPE_CHECKING:
 ANSWER_S = 10.0
 """Processor time until an answer."""
 
-WORK_S = 3.0
+WORK_S = 2.0
 """Processor time that announced work is given before it is stopped."""
 
 DEADLINE_S = 40.0
@@ -92,9 +93,9 @@ class Listener:
         self.answered: float | None = None
         self.peak = 0
 
-    def __call__(self, _stage: str, _done: int, total: int) -> None:
+    def __call__(self, stage: str, _done: int, total: int) -> None:
         """Note when the work is announced, and end it when it has had its time."""
-        if total > 1 and self.answered is None:
+        if total > 1 and stage != "access" and self.answered is None:
             self.answered, self.peak = _spent() - self.start, _peak()
         if self.answered is not None and _spent() - self.start > self.answered + WORK_S:
             raise Announced
@@ -266,7 +267,7 @@ def give(case: Case, folder: Path) -> dict[str, Any]:
         found.append(f"{peak / 1e9:.2f} GB")
     if escape:
         found.append("it escapes as " + escape.strip().splitlines()[-1][:120])
-    return {"code": code, "answered": answered, "peak": peak, "faults": found, "text": text + escape}
+    return {"code": code, "answered": answered, "spent": spent, "peak": peak, "faults": found, "text": text + escape}
 
 
 # --- many inputs
@@ -327,7 +328,7 @@ def warm() -> None:
     makers()
     cases: list[Case] = []
     for surface in inputs.SURFACES:
-        job = inputs.merged(json.loads(json.dumps(inputs.SMALL)), {"part": {"surface": surface}})
+        job = inputs.with_surface(surface)
         cases.append(Case("check", {"job.toml": tomli_w.dumps(job).encode(), **inputs.TABLES}))
     for strategy, machine, program in inputs.STRATEGIES:
         for extra in inputs.EXTRAS[: None if strategy is inputs.STRATEGIES[0][0] else 1]:
@@ -353,6 +354,7 @@ def _work(counter: Any, most: int, seed: int, pipe: Any, kept: Path) -> None:
     """Take numbers from the counter until there are no more."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (pages + ROOM, pages + ROOM))
+    parent = os.getppid()
     trace = (kept / f".trace-{os.getpid()}").open("w")
     faulthandler.register(signal.SIGPROF, trace, chain=True)  # the traceback, then the end
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
@@ -360,7 +362,7 @@ def _work(counter: Any, most: int, seed: int, pipe: Any, kept: Path) -> None:
         with counter.get_lock():
             number = counter.value
             counter.value += 1
-        if number >= most:
+        if number >= most or os.getppid() != parent:
             return
         kind, case = case_of(number, seed)
         pipe.send((number, kind))
@@ -394,6 +396,11 @@ class Workers:
         self.counter = self.context.Value("l", numbers.start)
         self.started: dict[Any, tuple[Any, tuple[int, str] | None]] = {}
         self.results: list[tuple[str, dict[str, Any]]] = []
+        signal.signal(signal.SIGTERM, self._stop)
+
+    def _stop(self, *_signal: object) -> None:
+        """Begin no more inputs."""
+        self.counter.value = self.numbers.stop
 
     def start(self) -> None:
         """Start one more process."""
@@ -434,7 +441,7 @@ class Workers:
         fault = f"its process ends with {process.exitcode}"
         if process.exitcode in late:
             fault = f"no answer after {late[process.exitcode]}"
-        return {"code": 1, "answered": DEADLINE_S, "peak": 0, "faults": [fault], "text": text}
+        return {"code": 1, "answered": DEADLINE_S, "spent": DEADLINE_S, "peak": 0, "faults": [fault], "text": text}
 
     def _note(self, number: int, kind: str, answer: dict[str, Any]) -> None:
         self.results.append((kind, answer))
@@ -445,7 +452,7 @@ class Workers:
 
 
 def main(cases: int = 300, seed: int = 1, *, workers: int = 2, kept: Path | None = None, first: int = 0) -> int:
-    """Give so many inputs; return how many failed.
+    """Give so many inputs; return how many failed or were not given.
 
     Parameters
     ----------
@@ -471,12 +478,14 @@ def main(cases: int = 300, seed: int = 1, *, workers: int = 2, kept: Path | None
     for trace in kept.glob(".trace-*"):
         trace.unlink()
     _table(all_workers.results, time.monotonic() - begun, seed)
-    return sum(bool(answer["faults"]) for _, answer in all_workers.results)
+    unanswered = cases - len(all_workers.results)
+    return unanswered + sum(bool(answer["faults"]) for _, answer in all_workers.results)
 
 
 def _table(results: list[tuple[str, dict[str, Any]]], took: float, seed: int) -> None:
     print(
-        f"{'kind':10}{'inputs':>8}{'refused':>9}{'longest [s]':>13}{'peak [GB]':>11}{'longest line':>14}{'failed':>8}"
+        f"{'kind':10}{'inputs':>8}{'refused':>9}{'slowest [s]':>13}{'all [s]':>9}{'peak [GB]':>11}{'longest line':>14}"
+        f"{'failed':>8}"
     )
     for kind in (*WEIGHTS, "all"):
         answers = [answer for name, answer in results if kind in (name, "all")]
@@ -485,7 +494,8 @@ def _table(results: list[tuple[str, dict[str, Any]]], took: float, seed: int) ->
         peak = max((answer["peak"] for answer in answers), default=0) / 1e9
         line = max((len(one) for answer in answers for one in answer["text"].splitlines()), default=0)
         failed = sum(bool(answer["faults"]) for answer in answers)
-        print(f"{kind:10}{len(answers):8}{refused:9}{slowest:13.2f}{peak:11.2f}{line:14}{failed:8}")
+        spent = sum(answer["spent"] for answer in answers)
+        print(f"{kind:10}{len(answers):8}{refused:9}{slowest:13.2f}{spent:9.0f}{peak:11.2f}{line:14}{failed:8}")
     codes = Counter(answer["code"] for _, answer in results)
     print(f"seed {seed}; exit codes {dict(sorted(codes.items()))}; {took:.0f} s")
 

@@ -122,9 +122,14 @@ def merged(table: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
     return table
 
 
-def good_job(random: Random) -> dict[str, Any]:
+def with_surface(surface: Any) -> dict[str, Any]:
     job = copy.deepcopy(SMALL)
-    job["part"]["surface"] = copy.deepcopy(random.choice(SURFACES))
+    job["part"]["surface"] = copy.deepcopy(surface)
+    return job
+
+
+def good_job(random: Random) -> dict[str, Any]:
+    job = with_surface(random.choice(SURFACES))
     strategy, machine, program = random.choice(STRATEGIES) if random.random() < 0.4 else STRATEGIES[0]
     job["strategy"] = copy.deepcopy(strategy)
     job["machine"] = {"name": machine}
@@ -191,6 +196,35 @@ def value(old: object, random: Random) -> Any:
         return random.choice(WORDS)
     return random.choice(([], {}, [1, 2], ["1 mm"] * random.choice((1, 3, 2000)), {"a": 1}, True, [[]], "flat", "1 mm",
                           copy.deepcopy(random.choice(SURFACES))))  # fmt: skip
+
+
+def in_kind(old: object, random: Random) -> Any:
+    """Return a value that the schema lets pass: of the same kind and unit, from near to absurd; None where there is none."""
+    quantity = re.fullmatch(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(\D.*)", old) if isinstance(old, str) else None
+    factor = 10 ** random.choice((random.uniform(-1, 1), random.uniform(-3, 3), random.uniform(-12, 12)))
+    sign = random.choice((1, 1, 1, 1, -1))
+    if quantity:
+        return f"{float(quantity[1]) * factor * sign:.9g} {quantity[2]}"
+    if isinstance(old, bool):
+        return not old
+    if isinstance(old, int):
+        return round(min(abs(old) * factor, 1e15)) * sign
+    if isinstance(old, float):
+        return old * factor * sign if random.random() < 0.9 else number(random)
+    return None
+
+
+def mutate_values(job: Any, random: Random) -> Any:
+    """Change some numbers of a job within its schema."""
+    for _ in range(random.choice((1, 1, 2, 3, 5))):
+        *above, last = random.choice(list(leaves(job)))
+        table = job
+        for key in above:
+            table = table[key]
+        new = in_kind(table[last], random)
+        if new is not None:
+            table[last] = new
+    return job
 
 
 def leaves(tree: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -327,9 +361,11 @@ def wild_formula(random: Random) -> str:
 
 def job_case(random: Random) -> Case:
     how = random.random()
-    if how < 0.75:
+    if how < 0.45:
+        data = tomli_w.dumps(mutate_values(good_job(random), random)).encode()
+    elif how < 0.75:
         data = tomli_w.dumps(_writable(mutate_tree(good_job(random), random))).encode("utf-8", "replace")
-    elif how < 0.9:
+    elif how < 0.85:
         data = mutate_bytes(tomli_w.dumps(good_job(random)).encode(), random)
     else:
         data = tomli_w.dumps(_writable(mutate_tree(tomllib.loads(random.choice(EXAMPLES)), random))).encode(
@@ -447,7 +483,7 @@ def file_case(good: dict[str, bytes], fitted: dict[str, bytes]) -> Callable[[Ran
             return Case("map", {name: mutate_bytes(good[name], random, tuple(good.values()))}, {"map": name})
         if how < 0.7:
             name = random.choice(list(machines))
-            job = merged(copy.deepcopy(SMALL), {"part": {"surface": random.choice(SURFACES)}})
+            job = with_surface(random.choice(SURFACES))
             job["machine"] = {"file": "machine.toml"}
             return Case(
                 "check",
@@ -470,7 +506,7 @@ def file_case(good: dict[str, bytes], fitted: dict[str, bytes]) -> Callable[[Ran
         tables = dict(TABLES)
         name = random.choice(list(tables))
         tables[name] = mutate_bytes(tables[name], random, tuple(TABLES.values()))
-        job = merged(copy.deepcopy(SMALL), {"part": {"surface": random.choice(SURFACES)}})
+        job = with_surface(random.choice(SURFACES))
         if name == "sag.csv":
             job["part"]["surface"] = {"family": "gridded", "file": "sag.csv", "units": "mm", "sag_units": "um"}
         elif name == "pmac.toml":
@@ -508,7 +544,8 @@ def upload_case(good: dict[str, bytes]) -> Callable[[Random], Case]:
             source = tomli_w.dumps(good_job(random)) if random.random() < 0.7 else random.choice(EXAMPLES)
             return request("POST", "/api/job/parse", _json({"toml": text(source, random)}))
         if how < 0.8:
-            data = mutate_tree(good_job(random), random)
+            mutate = mutate_values if random.random() < 0.4 else mutate_tree
+            data = mutate(good_job(random), random)
             door = random.choice(("check", "check", "write", "bundle"))
             body = _json(
                 {"data": data, **({"toml": text(tomli_w.dumps(good_job(random)), random)} if door != "check" else {})}
