@@ -387,5 +387,5 @@ def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Pr
     if radius[0] == 0:
         # The axis is one point, whichever azimuth it is approached along.
         z[:, 0] = kernel.axis_height(
-            cut.x, cut.z, cut.starts, cut.bounds, cut.row[5], cut.row[7], cut.profile, cut.table
+            cut.x, cut.z, cut.starts, cut.bounds, cut.row[5], cut.row[7], cut.profile, cut.table, cut.gap
         )

@@ -382,3 +382,34 @@ def test_a_tool_that_stands_still_over_the_part_equals_every_pass_in_closed_form
         expected = (z + 0.1 - np.sqrt(0.01 - u**2, where=reach, out=np.full(u.size, -1.0)))[reach].min()
         assert got[k] == pytest.approx(expected, abs=2e-11)
     assert most >= 3 or share < 1 / 9  # passes over one point within half a radian
+
+
+def test_the_axis_under_a_wavy_edge_is_left_by_the_least_of_all_passes():
+    """Oracle: every block in 100 steps under a dense edge, whose waves make it sink back on the way out."""
+    rng, worst = np.random.default_rng(3), 0.0
+    sweep = np.linspace(-0.7, 0.7, 57)
+    tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(80), clearance=np.deg2rad(10))
+    part = tw.Part(surface=tw.Plane(slope=(0.0, 0.0)), radius=0.3)
+    servo = tw.SlowToolServo(feed=0.02, spindle_rpm=60, points_per_rev=36)
+    motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, tw.Machine.load("generic"))
+    x, z = (
+        (a[:-1, None] + np.linspace(0, 1, 101) * np.diff(a)[:, None]).ravel()
+        for a in (motion.axes["X"], motion.axes["Z"])
+    )
+    for _ in range(12):
+        waves = 3e-4 * np.cumsum(rng.normal(size=57)) / 8
+        waves -= np.interp(0, sweep, waves)
+        off = float(rng.uniform(-0.05, 0.05))
+        real = replace(tool, waviness=tw.WavinessTable(sweep=sweep, deviation=waves), offset=(off, 0.0, 0.0))
+        at = np.linspace(-0.69, 0.69, 100_001)
+        out = 0.5 + real.deviation(at)
+        u, w = out * np.sin(at), 0.5 - out * np.cos(at)
+        order = np.argsort(u)
+        near = np.abs(x + off) < 0.3
+        oracle = (z[near] + np.interp(-(x[near] + off), u[order], w[order])).min()
+        made = [
+            tw.generate_points(motion, real, x=np.zeros(1), y=np.zeros(1))[0],
+            tw.generate_polar(motion, real, radius=np.array([0.0, 0.1]), angle=np.linspace(0, 6, 20)).z[0, 0],
+        ]
+        worst = max(worst, *(abs(one - oracle) for one in made))
+    assert worst < 1e-9

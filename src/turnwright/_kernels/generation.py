@@ -589,7 +589,7 @@ def core_height(
 
 
 @jit
-def axis_height(x, z, starts, bounds, dx, dz, profile, table):
+def axis_height(x, z, starts, bounds, dx, dz, profile, table, gap):
     """Return the height on the axis itself, which an upright tool passes at every moment: the least of them all.
 
     Turns whose bounds stand above what is found already are passed over; the one with the least comes first.
@@ -597,10 +597,7 @@ def axis_height(x, z, starts, bounds, dx, dz, profile, table):
     turns = starts.size - 1
     floor = np.empty(turns)
     for m in range(turns):
-        low, high = bounds[0, m], bounds[1, m]
-        floor[m] = bounds[2, m] + dz
-        if low * high > 0.0:
-            floor[m] += min(height(profile, table, -low), height(profile, table, -high))
+        floor[m] = bounds[2, m] + dz + least_between(profile, table, gap, -bounds[1, m], -bounds[0, m])
     best = 0
     for m in range(1, turns):
         best = m if floor[m] < floor[best] else best
@@ -613,9 +610,7 @@ def axis_height(x, z, starts, bounds, dx, dz, profile, table):
         for i in range(max(starts[m] - 1, 0), min(starts[m + 1] + 1, x.size - 1)):
             first, last = -(x[i] + dx), -(x[i + 1] + dx)
             bottom = min(z[i], z[i + 1]) + dz
-            if first * last > 0.0:
-                bottom += min(height(profile, table, first), height(profile, table, last))
-            if bottom > lowest:
+            if bottom + least_between(profile, table, gap, min(first, last), max(first, last)) > lowest:
                 continue
             # Between two points the height of the edge over the axis is convex in time: narrow down on its least.
             a, b = 0.0, 1.0
@@ -1034,7 +1029,7 @@ def tiles(
             for j in range(count):
                 i = origin + j
                 if r[j] == 0.0 and upright:
-                    out[i] = axis_height(x, z, starts, bounds, row[5], row[7], profile, table)
+                    out[i] = axis_height(x, z, starts, bounds, row[5], row[7], profile, table, gap)
                     continue
                 ring, _ = rings_between(rings, r[j], r[j])
                 if core[ring] and not upright:
