@@ -162,6 +162,9 @@ def between(value: float, name: str, low: float, high: float, unit: str) -> floa
 IN_RAD = "a plain number is in rad"
 """The remedy for an angle that is beyond its limits."""
 
+COARSE_STEP = 0.5
+"""Step of a spiral from which a whole part of 360 is taken for degrees: in radians, 12 points a turn. [rad]"""
+
 
 def check_angle(
     value: float, name: str, low: float = -2 * math.pi, high: float = 2 * math.pi, remedy: str = IN_RAD
@@ -184,14 +187,15 @@ def check_azimuths(values: NDArray[np.float64], name: str) -> None:
 def check_cumulative(angle: NDArray[np.float64], name: str) -> None:
     """Raise if angles of many turns, in order, are counted in degrees. (n,) [rad].
 
-    Even steps of a whole part of 360, or a whole number of times 360 from end to end, are no chance.
+    Coarse even steps of a whole part of 360, or a whole number of times 360 from end to end, are no chance.
     """
     span = abs(float(angle[-1] - angle[0]))
     step = span / (angle.size - 1)
     if span + step < 360 * (1 - 1e-9):
         return
     steps = np.abs(np.diff(angle))
-    counts = [span / 360, 360 / step] if np.ptp(steps) < 1e-6 * step else [span / 360]
+    even = step >= COARSE_STEP and np.ptp(steps) < 1e-6 * step
+    counts = [span / 360, 360 / step] if even else [span / 360]
     if any(abs(count - round(count)) <= 1e-12 * count for count in counts):
         raise InputError(
             f"{name} runs over {span:.10g} rad in steps of {step:.6g} rad, which are degrees, 360 to a turn: {IN_RAD}, "

@@ -73,6 +73,12 @@ def test_turns_in_degrees_are_refused(angle):
     assert tw.Spiral(angle=turned, radius=radius).turns == pytest.approx(abs(angle[-1] - angle[0]) / 360)
 
 
+@pytest.mark.parametrize("step", [0.05, 0.1, 0.12, 0.3, 0.45])
+def test_spirals_in_round_steps_of_a_radian_are_taken(step):
+    angle = np.arange(0, 4000.0, step)
+    assert tw.Spiral(angle=angle, radius=np.linspace(5, 0, angle.size)) is not None
+
+
 @pytest.mark.parametrize("per_turn", [8, 36, 90, 360, 720, 1000, 1257])
 def test_spirals_of_any_plan_are_no_degrees(per_turn):
     rng = np.random.default_rng(per_turn)
