@@ -156,6 +156,16 @@ def test_a_feed_stays_within_its_mode(tmp_path):
     assert cut.time == pytest.approx([0, 0.5, 1.0, 1.25])
 
 
+def test_a_speed_is_stated_again_after_times(tmp_path):
+    """LinuxCNC, convert_feed_mode: G94 sets the feed to 0; RS-274/NGC goes on at the speed of the last block."""
+    text = "G94 G1 F200 X0.4 C0 Z0\nG93 F0.5\nC4\nC8\nG94\nC12 X0.3\nM30\n"
+    with pytest.raises(ProgramError, match=r"line 6 cuts without a feed under G94.*: give an F after G94"):
+        read(tmp_path, text)
+    stated = read(tmp_path, text.replace("G94\n", "G94 F12\n"))
+    assert stated.time == pytest.approx([0, 0.5, 1.0, 1.5])
+    assert read(tmp_path, text.replace("C12 X0.3", "Z5")).time.size == 3
+
+
 def test_f_and_pvt_are_different_numbers(tmp_path):
     """Turbo PMAC: F is units per second of LINEAR moves, PVT the milliseconds of its own."""
     straight = read(tmp_path, "ABS\nLINEAR\nF2\nC0 X2 Z1\nC10 X1\nC20 X0\nM30\n", "pmac")
@@ -176,6 +186,11 @@ LOOP = "#1 = 0\nWHILE [#1 LT 1] DO 1\n" + WHOLE + "#1 = 1\n"
     [
         (WHOLE + "C3 X0.8 Z1.2", "without M30 .*line 7 .*line end"),
         (LOOP, "without M30 .*loop 1 "),
+        (WHOLE, "without M30 or M02: it may be cut short"),
+        (WHOLE + "  (the end)", "without M30 or M02: it may"),
+        (WHOLE + "\n\n \t", "without M30"),
+        ("%\n" + WHOLE, "without M30"),
+        (LOOP + "END 1\n", "without M30"),
         (LOOP + "C3 X0.8 Z1.", "without M30"),
         (LOOP.replace("1\n", "1\r\n") + "C3", "without M30"),
     ],
@@ -188,16 +203,15 @@ def test_a_program_that_ends_too_early_is_reported(tmp_path, text, message):
 @pytest.mark.parametrize(
     "text",
     [
-        WHOLE,
         WHOLE + "M30",
         WHOLE + "M02",
         WHOLE + "M2 ",
-        WHOLE + "  (the end)",
+        WHOLE + "M30\n  (the end, X0 Z0)\n; C1\nEND 1\n\n",
+        WHOLE + "M99\n%\n",
         "%\n" + WHOLE + "%",
         "%\nO1\n" + WHOLE + "%\n",
-        LOOP + "END 1\n",
+        LOOP + "END 1\nM30\n",
         LOOP + "M30\nEND 1",
-        WHOLE + "\n\n \t",
     ],
 )
 def test_a_program_that_may_be_whole_is_read_in_silence(tmp_path, text):
@@ -208,6 +222,16 @@ def test_a_sub_program_cut_off_is_reported(tmp_path):
     (tmp_path / "sub.nc").write_text(WHOLE + "C3 X0")
     with pytest.warns(ProgramWarning, match=r"sub\.nc ends"):
         read(tmp_path, "M98(sub.nc)\nM30\n")
+
+
+@pytest.mark.parametrize("end", ["M30", "M02", "M99"])
+@pytest.mark.parametrize("blocks", [1, 200_000])
+def test_blocks_behind_the_end_are_counted(tmp_path, end, blocks):
+    """The count is that of the blocks written; 200,000 of them fill several of the pieces that are read at a time."""
+    rest = "".join(f"C{k % 360} X0.5\r\n" for k in range(blocks))
+    for mark in ("", "\ufeff"):
+        with pytest.warns(ProgramWarning, match=f"behind the {end} in line 7: {blocks} blocks there .* left out"):
+            read(tmp_path, f"{mark}{WHOLE}{end}\n(more X1)\n\n{rest}M30\n%\nC1")
 
 
 def test_what_stands_behind_the_last_percent_sign_is_not_read(tmp_path):

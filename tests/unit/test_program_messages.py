@@ -62,8 +62,8 @@ DAMAGED = {
     "shifted": (START + "G52 Z-0.01\n", "line 5 shifts the origin"),
     "another axis": (START + "C2 B5\n", "line 5 has the word B, the axes are C, X, Y and Z"),
     "standstill": (START + "C2\nC2\nC3\n", "line 6 stands still in mid-cut"),
-    "back": (START + "C2\nC1.5\nC3\n", "block 3 of cut 1 turns C back"),
-    "half a turn": (START + "C181\n", "block 2 of cut 1 turns C back, by nothing or by half a turn"),
+    "back": (START + "C2\nC1.5\nC3\nM30\n", "block 3 of cut 1 turns C back"),
+    "half a turn": (START + "C181\nM30\n", "block 2 of cut 1 turns C back, by nothing or by half a turn"),
     "no feed": ("X1 Z1\nC0\nC1\n", "line 3 cuts without a feed"),
     "feed of zero": (START + "F0\nC2\n", "line 6 cuts with a feed of 0"),
     "missing sub-program": ("M98(gone.nc)\n", "line 1 calls gone.nc, which is not beside it"),
@@ -142,7 +142,7 @@ def test_a_pass_that_is_not_there(tmp_path):
     write_nc({"rough": motion(), "finish": motion()}, machine(), path)
     with pytest.raises(ProgramError, match="no pass 'Finish', it has rough, finish"):
         read_nc(path, machine(), name="Finish")
-    path.write_text(START + "C2\nC3\nG94 Z5\nC0\nZ1\nG93\nC1\nC2\n")
+    path.write_text(START + "C2\nC3\nG94 Z5 F100\nC0\nZ1\nG93 F0.01\nC1\nC2\nM30\n")
     assert read_nc(path, machine(), name="cut 1").time.size == 4
     assert read_nc(path, machine(), name="cut 2").time.size == 3
     with pytest.raises(ProgramError, match="no pass 'cut 3', it has cut 1, cut 2"):

@@ -104,6 +104,8 @@ REPEAT = re.compile(r"(?:L\s*+0*+([1-9]\d{0,2}))?+")
 """How often a call is made."""
 PASS = re.compile(r"\(\s*+PASS:([^()\r\n]++)\)", re.IGNORECASE)
 PART = re.compile(r"PART (\d{1,9}) OF \d{1,9}", re.IGNORECASE)
+MOVES = re.compile(r"(?<![A-Z#])[CXYZ]\s*+[-+.\d#\[]", re.IGNORECASE)
+"""A word that moves an axis."""
 DELETED = re.compile(r"\s*+(?:N\s*+\d++\s*+)?/[1-9]?", re.IGNORECASE)
 """What begins a block that the operator's block-delete switch leaves out."""
 TOKEN = re.compile(r"([A-Z])\s*(?:([+-]?(?:\d+\.?\d*|\.\d+))|(\[|[+-]?#))", re.IGNORECASE)
@@ -133,7 +135,9 @@ def read_nc(
     Turnwright's header is checked against it.
 
     Where a program sets coordinates (G92), the motion stays in those that it began with; at the start, where no place
-    is known yet, it begins with those that are set. F holds within its mode: under G93 that of G94 is none.
+    is known yet, it begins with those that are set. F holds within its mode: under G93 that of G94 is none, and under
+    G94 after G93 it must be stated again, since controllers differ in what is in force there. The time of dwells (G4)
+    is not counted.
 
     Parameters
     ----------
@@ -159,13 +163,15 @@ def read_nc(
     -----
     ProgramWarning
         If several stretches of cutting without names exist and none was asked for: the others are left out.
-        If the numbers are not those whose hash the header states: the program was edited. If the program has no end
-        (M30, M02) and breaks off within a line or a loop: it may be cut short.
+        If the numbers are not those whose hash the header states: the program was edited. If a file has no end (M30 or
+        M02, M99 in a sub-program, or a second percent sign): it may be cut short. If axes move in blocks behind the
+        M30, M02 or M99 of a file: they are left out.
 
     Sources
     -------
     Kramer, Proctor, Messina: The NIST RS274NGC Interpreter, Version 3, NISTIR 6556 (2000): 3.5.18 for G92, 3.5.19 for
-    feeds, 3.3.1 and 2.2.3 for the end of a program and for block delete.
+    feeds, 3.3.1 and 2.2.3 for the end of a program and for block delete. LinuxCNC, `convert_feed_mode`: G94 ends the F
+    in force.
     """
     path = Path(path)
     dialect = dialect_of(machine)
@@ -345,7 +351,8 @@ class _Reader:
         self.height = 9 if dialect.velocities else 5
         self.speeds: dict[str, float] = {}  # of the block that is being read
         self.real: Floats = np.full(5, np.nan)
-        self.time_feed = self.speed_feed = np.nan  # the F in force under G93 and under G94 while the other is
+        self.time_feed = np.nan  # the F in force under G93 while G94 is
+        self.speed_feed = np.nan  # the speed of straight moves beside curves with times of their own [mm/min]
         self.shift: Floats = np.zeros(4)  # what G92 has set: the part's coordinates less the program's
         self.begun: set[str] = set()  # axes whose coordinates begin where G92 set them
         self.lost: set[str] = set()  # axes that moved to where the part's coordinates are not known
@@ -363,6 +370,7 @@ class _Reader:
         self.unnamed: list[int] = []  # blocks of each cut that has no name
         self.done = self.total = 0
         self.over = self.ended = False
+        self.end = ""  # the code that ended the file that is read
         self.stack: list[Path] = []
         self.calls: dict[Path, int] = {}
         self.coded = False  # whether the file that is read has had a block yet
@@ -427,9 +435,9 @@ class _Reader:
         outer, self.whole[LINES] = self.whole[LINES], 0
         before, loops, self.coded = self.real.copy(), set(self.loops), False
         with path.open("rb") as file:
-            ours = (
-                file.read(64).removeprefix(BOM).lstrip(b"; ").startswith((SIGNATURE.encode(), SUB_SIGNATURE.encode()))
-            )
+            head = file.read(64)
+        ours = head.removeprefix(BOM).lstrip(b"; ").startswith((SIGNATURE.encode(), SUB_SIGNATURE.encode()))
+        begin = len(BOM) if head.startswith(BOM) else 0  # of the piece, in the file
         for text_bytes, data, end in self._buffers(path):
             at = 0
             while at < end and not (self.over or self.ended):
@@ -446,7 +454,9 @@ class _Reader:
                     at = stop
             self._report(min(self.done, self.total))
             if self.over or self.ended:
+                self._doubt_rest(path, begin + at)
                 break
+            begin += end
         if not (self.over or self.ended):
             if ours:
                 raise self._error("is the last one, a whole file ends with M30 or M99", WHOLE)
@@ -469,20 +479,36 @@ class _Reader:
             del self.loops[label]
 
     def _doubt_end(self, path: Path, loops: list[int]) -> None:
-        """Note where a file without an end looks cut short: within a line, or within its loops."""
+        """Note that a file has no end, and where it breaks off within a line, or within its loops."""
         with path.open("rb") as file:
             file.seek(-min(path.stat().st_size, LONGEST), 2)
             last = file.read().rpartition(b"\n")[2].decode("latin-1")
-        signs = []
+        signs = ["M30 or M02" if len(self.stack) == 1 else "M99"]
         if COMMENT.sub(" ", last).strip():
             signs.append(f"line {int(self.whole[LINES])} has no line end")
         signs += [f"loop {label} has no END" for label in loops[-1:]]
-        end = "M30 or M02" if len(self.stack) == 1 else "M99"
-        doubt = (
-            f"{path} ends without {end}, and {' and '.join(signs)}: it may be cut short, compare it with the file "
-            "that was written"
+        self._doubt(
+            f"{path} ends without {' and '.join([', and '.join(signs[:2]), *signs[2:]])}: it may be cut short, compare "
+            "it with the file that was written"
         )
-        if signs and doubt not in self.doubts:
+
+    def _doubt_rest(self, path: Path, behind: int) -> None:
+        """Note how many blocks that move axes stand behind the end of a file."""
+        blocks = 0
+        with path.open("rb") as file:
+            file.seek(behind)
+            while line := file.readline(LONGEST).decode("latin-1"):
+                if line.startswith("%"):
+                    break
+                blocks += MOVES.search(COMMENT.sub(" ", line)) is not None
+        if blocks and self.end:
+            self._doubt(
+                f"{path} goes on behind the {self.end} in line {int(self.whole[LINES])}: {blocks} blocks there that "
+                f"move axes are left out; if they belong to the program, remove the {self.end}"
+            )
+
+    def _doubt(self, doubt: str) -> None:
+        if doubt not in self.doubts:
             self.doubts.append(doubt)
 
     def _buffers(self, path: Path) -> Iterator[tuple[bytearray, NDArray[np.uint8], int]]:
@@ -688,7 +714,7 @@ class _Reader:
 
     def _tape_mark(self, bare: str) -> str:
         """Return what stands behind a percent sign: the first one begins a file, the second one ends it."""
-        self.over = self.coded
+        self.over, self.end = self.coded, ""
         self.coded = True
         return "" if self.over else bare.lstrip("%").strip()
 
@@ -809,6 +835,8 @@ class _Reader:
             raise self._error(f"calls sub-program {number:g} by number", "read that sub-program's own file")
         self.ended = self.ended or code in {2, 30}
         self.over = self.over or code == 99
+        if code in {2, 30, 99}:
+            self.end = f"M{code:02g}"
 
     def _tooling(self, words: list[tuple[str, float]], codes: list[float]) -> None:
         """Follow what changes the tool or its length: where it then stands against the part is not known."""
@@ -854,17 +882,15 @@ class _Reader:
     def _change_mode(self, mode: int) -> None:
         """Change what F means, and with it the F in force: a number of the other unit is none.
 
-        A time stays in force until an F is stated as a speed; a speed does while there are times.
+        A time stays in force until an F is stated as a speed.
         """
         if mode == self.whole[FEED_MODE]:
             return
         feed = float(self.real[FEED])
         if mode == 94:
             self.real[FEED], self.time_feed = np.nan, feed
-        elif np.isnan(feed):  # no speed was stated
-            self.real[FEED] = self.time_feed
         else:
-            self.real[FEED], self.speed_feed = np.nan, feed
+            self.real[FEED] = self.time_feed if np.isnan(feed) else np.nan
         self.whole[FEED_MODE] = mode
 
     def _block(self, codes: list[float], values: dict[str, float]) -> None:
@@ -988,8 +1014,6 @@ class _Reader:
 
         inverse = self.whole[FEED_MODE] == 93
         feed = float(self.real[FEED])
-        if np.isnan(feed) and not inverse:
-            feed = self.speed_feed
         if not feed > 0:
             mode = ("PVT" if inverse else "LINEAR") if self.dialect.velocities else f"G{93 if inverse else 94}"
             stated = "without a feed" if np.isnan(feed) else f"with a feed of {feed:g}"
