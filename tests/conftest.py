@@ -2,7 +2,12 @@
 
 import signal
 
+import hypothesis
 import pytest
+
+# A busy machine takes its time, which says nothing of the code.
+hypothesis.settings.register_profile("turnwright", deadline=None)
+hypothesis.settings.load_profile("turnwright")
 
 
 @pytest.fixture

@@ -475,7 +475,7 @@ MAPS = st.builds(
     st.text(max_size=10),
     st.dictionaries(st.text(max_size=5), st.text(max_size=10), max_size=3),
 )
-LAW = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+LAW = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @LAW

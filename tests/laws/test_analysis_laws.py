@@ -10,7 +10,7 @@ from turnwright.metrology import area_psd, bearing, best_fit, fit_zernike, line_
 from turnwright.surface import Sphere
 
 SEEDS = st.integers(0, 2**31)
-SETTINGS = settings(max_examples=15, deadline=None)
+SETTINGS = settings(max_examples=15)
 
 
 def holed(seed, *, missing=0.2, shape=(24, 27)):

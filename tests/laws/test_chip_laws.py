@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import turnwright as tw
 
 MACHINE = tw.Machine.load("generic")
-SETTINGS = settings(max_examples=8, deadline=None)
+SETTINGS = settings(max_examples=8)
 
 
 def chips(surface, *, scale=1.0, feed=0.02, stock=0.004, material=None, sense=1, inside_out=False):

@@ -18,7 +18,7 @@ from turnwright.tool import Tool
 
 MACHINE = Machine.load("generic")
 RADIUS, FEED, POINTS = 0.5, 0.02, 48
-quick = settings(deadline=None, max_examples=25)
+quick = settings(max_examples=25)
 
 
 def unit(low, high):

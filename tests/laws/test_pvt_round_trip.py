@@ -61,7 +61,7 @@ def assert_same(read, written):
     assert (np.abs(read.time - elapsed) <= rounding + 1e-9 * elapsed + 8 * np.spacing(written.time)).all()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.data())
 def test_round_trip(tmp_path_factory, data):
     machine = data.draw(machines())
@@ -76,7 +76,7 @@ def test_round_trip(tmp_path_factory, data):
     assert inspect_nc(path).passes[0].hash == done.passes[0].hash
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(st.data())
 def test_every_pass_comes_back_under_its_name(tmp_path_factory, data):
     machine = data.draw(machines())

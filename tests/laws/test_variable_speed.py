@@ -30,7 +30,7 @@ def lathe(*, acceleration=None, c_acceleration=None, jerk=None, varied=True, rat
     )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     acceleration=st.sampled_from([None, 5.0, 50.0, 1000.0]),
     c_acceleration=st.sampled_from([None, 1.0, 50.0]),

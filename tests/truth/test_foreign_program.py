@@ -54,7 +54,7 @@ def test_g92_is_cancelled(tmp_path, code):
     assert cut.axes["X"] == pytest.approx([1, 1, 0.9])
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32), dialect=st.sampled_from(["nanotech", "generic"]))
 def test_a_program_that_sets_coordinates_moves_as_one_that_does_not(tmp_path_factory, seed, dialect):
     """The same places, written with and without random G92 before, within and after the cut."""
