@@ -15,7 +15,13 @@ from turnwright.errors import DomainError
 if TYPE_CHECKING:
     from turnwright.surface.compound import Placed, Sum
 
-__all__ = ["Surface"]
+__all__ = ["COSTLIEST", "Surface"]
+
+COSTLIEST = 6000
+"""Additions that a surface may cost at a point; a microsecond takes about 400 of them, with their derivatives."""
+
+PLAIN_COST = 20
+"""Additions that a surface in closed form costs at a point."""
 
 
 class Surface(Value, ABC):
@@ -71,6 +77,11 @@ class Surface(Value, ABC):
     def feature_size(self) -> float:
         """Length over which the curvature changes noticeably; the step of a search must be well below it. [mm]."""
         return float("inf")
+
+    @property
+    def cost(self) -> int:
+        """Height and derivatives at a point in additions, to about a factor of 2; `COSTLIEST` is the limit."""
+        return PLAIN_COST
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 from turnwright.pose import Pose
-from turnwright.surface._surface import Surface
+from turnwright.surface._surface import COSTLIEST, Surface
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats, Ints
@@ -22,6 +22,9 @@ NEWTON_STEPS = 60
 
 OPEN = 1e-11
 """A gap at which a tilted surface counts as met, far below any step that matters. [mm]."""
+
+STEPS_COST = 10
+"""Times that the surface is evaluated for a point of a tilted one."""
 
 WALK = (np.arange(16) + 0.5) / 16
 """Where a tilted surface is looked at between the middle of the part and a point, as a fraction of the way."""
@@ -53,6 +56,12 @@ class Sum(Surface):
             flat.extend(term.terms if isinstance(term, Sum) else (term,))
         if not flat:
             raise InputError("a sum has 0 terms, it needs at least 1: give the surfaces to add")
+        cost = sum(term.cost for term in flat)
+        if cost > COSTLIEST:
+            raise InputError(
+                f"a sum of {len(flat)} surfaces costs {cost} additions at each point, the limit is {COSTLIEST}: give "
+                "fewer terms, or their heights as a table"
+            )
         object.__setattr__(self, "terms", tuple(flat))
 
     def require_disc(self, radius: float, what: str) -> None:
@@ -104,6 +113,11 @@ class Sum(Surface):
     def feature_size(self) -> float:
         """The finest of the terms. [mm]."""
         return min(term.feature_size for term in self.terms)
+
+    @property
+    def cost(self) -> int:
+        """Of all terms. See `Surface.cost`."""
+        return sum(term.cost for term in self.terms)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,6 +230,11 @@ class Placed(Surface):
     def remarks(self) -> tuple[str, ...]:
         """Those of the surface that is moved. See `Surface.remarks`."""
         return self.surface.remarks
+
+    @property
+    def cost(self) -> int:
+        """The point of a tilted surface is sought in a few steps. See `Surface.cost`."""
+        return (STEPS_COST if any(self.tilt) else 1) * self.surface.cost
 
     @property
     def feature_size(self) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import DomainError, InputError
-from turnwright.surface._surface import Surface
+from turnwright.surface._surface import COSTLIEST, Surface
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -31,9 +31,6 @@ MOST = 2000
 
 DEEPEST = 50
 """Brackets a formula may have inside one another."""
-
-COSTLIEST = 8000
-"""Additions that a formula may cost at a point; a microsecond takes about 400 of them, with their derivatives."""
 
 NESTED = 20_000
 """Steps of the parts of a formula of which crests and poles are searched, one by one: so many take some seconds."""
@@ -192,6 +189,11 @@ class Expression(Surface):
         if self._axis is not None and self._axis.order < 0:
             finite &= (x != 0) | (y != 0)
         return finite
+
+    @property
+    def cost(self) -> int:
+        """That of its steps. See `Surface.cost`."""
+        return _cost(self._steps, _operands(self._steps))
 
     def poles(self, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats]:
         """Return poles near the points: zeros of whatever divides, found by Newton's method. See `Surface.poles`."""
@@ -447,14 +449,18 @@ def _read(formula: str, numbers: Mapping[str, float]) -> tuple[Step, ...]:
     return steps
 
 
-def _require_affordable(steps: tuple[Step, ...]) -> None:
-    """Raise if a formula costs too much at each point, or too much of it is searched for crests and poles."""
-    operands = _operands(steps)
-    cost = sum(
+def _cost(steps: tuple[Step, ...], operands: list[tuple[slice, ...]]) -> int:
+    """Return the additions that a formula costs at a point."""
+    return sum(
         VARYING_POWER if what == "**" and _varies(steps[spans[-1]]) else COSTS.get(str(what), 1) if spans else 0
         for (_, what), spans in zip(steps, operands, strict=True)
     )
-    if cost > COSTLIEST:
+
+
+def _require_affordable(steps: tuple[Step, ...]) -> None:
+    """Raise if a formula costs too much at each point, or too much of it is searched for crests and poles."""
+    operands = _operands(steps)
+    if (cost := _cost(steps, operands)) > COSTLIEST:
         raise InputError(
             f"a formula costs {cost} additions at each point, the limit is {COSTLIEST}: simplify it, or give its "
             "heights as a table"
