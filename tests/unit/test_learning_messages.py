@@ -70,6 +70,10 @@ WRONG = {
     "order that is no number": (lambda: low_pass(record(), 100.0, "4"), "order of a low-pass is '4'"),
     "one value": (lambda: correlation_time([1.0]), "1 values have no correlation"),
     "short average": (lambda: average_force(record(), 5, 9), "samples 5 to 9 are not a stretch of at least 8"),
+    "nothing but cut": (
+        lambda: engagements(record(), "a", shortest=0.015, lead=0.002),
+        "the tool is never in air",
+    ),
     "nothing cut": (lambda: engagements(record(), "a", shortest=0.05), "the tool is always in air"),
     "shortest": (lambda: engagements(record(), "a", shortest=0.001), "shortest is 0.001 s, that is 1 of 1000"),
     "air of another length": (lambda: remove_drift(record(), [True], degree=1), "air has the shape (1,)"),

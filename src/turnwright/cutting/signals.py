@@ -321,6 +321,7 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
         air = (np.arange(count) < sure) | (np.arange(count) >= count - sure)
     else:
         air = means < _envelope(means, basis) + 2 * CLEAR * noise
+    level = means  # where too little air is known to tell the drift
     for _ in range(50):
         if np.count_nonzero(air) < max(8, basis.shape[1] + 2):
             break
