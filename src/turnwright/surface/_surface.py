@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["COSTLIEST", "Surface"]
 
-COSTLIEST = 6000
+COSTLIEST = 4500
 """Additions that a surface may cost at a point; a microsecond takes about 400 of them, with their derivatives."""
 
 PLAIN_COST = 20
