@@ -13,8 +13,8 @@ from job_files import changed
 from scipy.interpolate import CubicHermiteSpline
 
 import turnwright as tw
-from turnwright.errors import InputError, JobError, LimitError
-from turnwright.job import Job, preview
+from turnwright.errors import GougeError, InputError, JobError, LimitError, ProgramError
+from turnwright.job import Job, _approach, preview
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "proof"))
 
@@ -37,7 +37,7 @@ def carried_out(folder, *changes):
 def test_random_programs_touch_nothing_at_rest(seed):
     figures = Figures()
     run(10, seed, figures)
-    assert failures(figures)[:5] == [] or failures(figures) == ["jobs plunge, and jobs begin beside the blank"]
+    assert failures(figures)[:6] == [] or failures(figures) == ["jobs plunge, and jobs begin beside the blank"]
     assert figures.plunges
 
 
@@ -60,6 +60,94 @@ def test_the_part_turns_before_the_tool_touches_it(tmp_path, stock, included, in
     minutes = [1 / float(one) for one in re.findall(r"F([\d.]+)", plunge)]
     assert (heights[0] - heights[-1]) / sum(minutes[1:]) <= 1.8 * (1 + 1e-4)
     assert result.entries["finish"].least_gap >= 0.1 - 1e-9
+
+
+COARSE = (
+    ("part.stock", "30 um"), ("strategy.feed", "50 um/rev"), ("tool.nose_radius", "0.3 mm"),
+    ("tool.included", "150 deg"), ("tool.clearance", "40 deg"), ("program", {"plunge_feed": "1.8 mm/min"}),
+)  # fmt: skip
+
+
+def plunge_of(text):
+    """Return X, Z, C in degrees and seconds of the blocks of a plunge."""
+    entry = text[text.index("( PASS: finish, ENTRY )") : text.index("\nG93\n")]
+    rows = re.findall(r"X(-?[\d.]+) Z(-?[\d.]+) C(-?[\d.]+) F([\d.]+)", entry)
+    x, z, c, rate = np.array(rows, dtype=float).T
+    return x, z, c, 60 / rate
+
+
+def contact(height, x, theta, rim, nose=0.3):
+    """Return the height of a round nose in contact by a dense maximum."""
+    rho = np.linspace(max(x - 0.28, -rim), min(x + 0.28, rim), 200_001)
+    z = height(rho * np.cos(theta), rho * np.sin(theta)) - nose + np.sqrt(nose**2 - (rho - x) ** 2)
+    return z.max()
+
+
+def test_a_plunge_stays_above_a_steep_freeform(tmp_path):
+    # 121.5 nm below it once, a block before the pass.
+    waves = {"family": "expression", "units": "mm", "formula": "0.02*sin(8*x)+0.02*cos(7*y)"}
+    changes = (("part.surface", waves), ("part.radius", "0.8 mm"), ("strategy.inside_out", True))
+    _, (text,) = carried_out(tmp_path, *COARSE, *changes)
+    x, z, c, seconds = (one[-73:] for one in plunge_of(text))
+    surface = [
+        contact(lambda x, y: 0.02 * np.sin(8 * x) + 0.02 * np.cos(7 * y), at, np.deg2rad(degrees), 0.8)
+        for at, degrees in zip(x, c, strict=True)
+    ]
+    above = z - surface
+    assert above.min() > -0.7e-6
+    assert above[-1] == pytest.approx(0, abs=0.7e-6)
+    assert (-np.diff(above) / seconds[1:]).max() <= 0.03 + 1e-6 / seconds.min()
+
+
+@pytest.mark.parametrize(("bend", "radius", "inside_out"), [(-1.2, 1.0, False), (3.0, 2.0, False), (0.8, 0.4, True)])
+def test_no_block_of_a_plunge_exceeds_its_feed(tmp_path, bend, radius, inside_out):
+    # At one radius of a sphere the centre of the nose stays at one height: 32.27 mm/min once for 1.8.
+    changes = (
+        ("part.surface", {"family": "sphere", "radius": f"{bend} mm"}), ("part.radius", f"{radius} mm"),
+        ("strategy.inside_out", inside_out),
+    )  # fmt: skip
+    _, (text,) = carried_out(tmp_path, *COARSE, *changes)
+    x, z, _, seconds = plunge_of(text)
+    assert np.ptp(x) == 0
+    assert (-np.diff(z) / seconds[1:]).max() * 60 <= 1.8 * (1 + 1e-3) + 60e-6 / seconds.min()
+    apart = bend - 0.3
+    assert z.min() >= apart - math.copysign(math.sqrt(apart**2 - x[0] ** 2), apart) - 0.7e-6
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+def test_a_motion_alone_plunges_without_a_step(tmp_path, inside_out):
+    part = tw.Part(surface=tw.Sphere(radius=-1.2), radius=1.0)
+    tool = tw.Tool(nose_radius=0.3, included=np.deg2rad(150), clearance=np.deg2rad(40))
+    servo = tw.SlowToolServo(feed=0.05, points_per_rev=36, spindle_rpm=500, inside_out=inside_out)
+    machine = tw.Machine.load("generic")
+    motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)
+    tw.write_nc(motion, machine, tmp_path / "part.nc", depth=0.025)
+    x, z, _, seconds = plunge_of((tmp_path / "part.nc").read_text())
+    assert (-np.diff(z) / seconds[1:]).max() * 60 <= 1.8 * 1.3
+    lowest = math.sqrt(1.5**2 - x[0] ** 2) - 1.5
+    assert z.min() >= lowest - 0.7e-6
+    exact = np.full(37, lowest)
+    tw.write_nc(motion, machine, tmp_path / "part.nc", depth=0.025, entry_heights=exact)
+    _, z, _, seconds = plunge_of((tmp_path / "part.nc").read_text())
+    assert (-np.diff(z) / seconds[1:]).max() * 60 <= 1.8 * (1 + 1e-3) + 60e-6 / seconds.min()
+    with pytest.raises(ProgramError, match="entry heights of shape"):
+        tw.write_nc(motion, machine, tmp_path / "part.nc", depth=0.025, entry_heights=exact[1:])
+
+
+def test_a_plunge_below_the_part_is_refused(tmp_path, monkeypatch):
+    """The proof does not rest on the contact that the heights of the plunge are from."""
+    exact = _approach.tip_height
+
+    def low_at_one_place(*args, **kwargs):
+        z = exact(*args, **kwargs).copy()
+        z[-6:-3] -= 0.01
+        return z
+
+    monkeypatch.setattr(_approach, "tip_height", low_at_one_place)
+    with pytest.raises(GougeError, match="in the plunge the edge comes"):
+        carried_out(tmp_path, *COARSE)
+    result, _ = carried_out(tmp_path, *COARSE, ("accept", ["gouge"]))
+    assert result.program.files
 
 
 def test_a_spiral_from_beside_the_blank_needs_no_plunge(tmp_path):

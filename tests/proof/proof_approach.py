@@ -20,17 +20,24 @@ ROUNDING = 2e-6
 # ---------------------------------------------------------------- surfaces, in closed form of their own
 def surfaces(random, radius):
     """Yield a table of a job and its height as a function of x and y."""
-    kind = random.choice(["plane", "sphere", "sine", "saddle"])
+    kind = random.choice(["plane", "sphere", "sine", "saddle", "steep sphere", "steep waves"])
     if kind == "plane":
         slope = random.uniform(-0.05, 0.05, 2)
         table = {"family": "plane", "slope": [float(one) for one in slope]}
         return table, lambda x, y: slope[0] * x + slope[1] * y
-    if kind == "sphere":
-        bend = float(random.choice([-1, 1]) * random.uniform(6, 60) * radius)
+    if kind == "steep waves":
+        a, b = (f"{one:.5f}" for one in random.uniform(0.005, 0.025, 2))
+        k, m = (int(one) for one in random.integers(5, 10, 2))
+        table = {"family": "expression", "units": "mm", "formula": f"{a}*sin({k}*x)+{b}*cos({m}*y)"}
+        a, b = float(a), float(b)
+        return table, lambda x, y: a * np.sin(k * x) + b * np.cos(m * y)
+    if kind in ("sphere", "steep sphere"):
+        steep = kind == "steep sphere"
+        bend = float(random.choice([-1, 1]) * random.uniform(1.15 if steep else 6, 3 if steep else 60) * radius)
         return {
             "family": "sphere",
             "radius": f"{bend!r} mm",
-        }, lambda x, y: (x * x + y * y) / (bend * (1 + np.sqrt(1 - (x * x + y * y) / bend**2)))
+        }, lambda x, y: (x * x + y * y) / (bend * (1 + np.sqrt(np.maximum(1 - (x * x + y * y) / bend**2, 0.0))))
     if kind == "sine":
         height, period = random.uniform(0.0005, 0.004, 2), random.uniform(0.8, 2.0, 2) * radius
         table = {
@@ -64,6 +71,18 @@ class Case:
         inside = np.clip(u, -far, far)
         return self.nose - np.sqrt(self.nose**2 - inside**2) + (np.abs(u) - np.abs(inside)) * math.tan(self.half)
 
+    def contact(self, x, theta, rim):
+        """Height of the tip in contact at one azimuth, the part going on to a rim: a dense maximum, refined."""
+        far = self.nose * math.sin(self.half)
+        low, high = max(x - far, -rim), min(x + far, rim)
+        for count in (2001, 201, 201):
+            rho = np.linspace(low, high, count)
+            c, s = np.cos(theta), np.sin(theta)
+            z = self.height(rho * c, rho * s) - self.edge(rho - x)
+            k = int(z.argmax())
+            low, high = rho[max(k - 1, 0)], rho[min(k + 1, count - 1)]
+        return float(z.max())
+
     def top(self, rho, theta):
         """Top of the blank at signed distances from the axis along one azimuth."""
         way = theta + np.where(rho < 0, math.pi, 0.0)
@@ -88,7 +107,7 @@ def case_of(random, folder):
     surface, height = surfaces(random, radius)
     nose = float(random.uniform(0.2, 1.5))
     included = float(random.uniform(90, 150))
-    feed = float(random.uniform(0.02, 0.06)) * min(1.0, nose)
+    feed = float(random.uniform(0.02, 0.06)) * (1.0 if random.random() < 0.4 else min(1.0, nose))
     stock = float(random.choice([0.0, random.uniform(0.001, 0.02), random.uniform(0.02, 0.2)]))
     blank = None if random.random() < 0.4 else radius * float(random.uniform(1.0, 1.3))
     dialect = str(random.choice(["generic", "nanotech", "pmac"]))
@@ -189,6 +208,7 @@ class Figures:
     rapid: int = 0
     least: float = np.inf  # gap of a move with C at rest or in rapid to the material [mm]
     fastest: float = 0.0  # plunge over the stated plunge feed
+    block: float = 0.0  # plunge of a block against the contact heights of a dense maximum, over the feed
     gouge: float = 0.0  # below what the pass leaves, within the clear radius [mm]
     unwound: float = 0.0  # longest rapid of C [turns]
     lateral: float = np.inf  # least height of lateral moves above the material [mm]
@@ -307,16 +327,20 @@ def close(case, entry, figures, name):
         figures.fastest = max(figures.fastest, float(((fall - ROUNDING) / span).max()) * 60 / case.plunge_feed)
     else:
         figures.fastest = max(figures.fastest, float((height[0] - height[-1]) / clock[-1]) * 60 / case.plunge_feed)
-    allowance = case.allowances[name]
-    rho = np.linspace(-case.radius, case.radius, 1201)
-    for theta, z, (_, _, end, _) in zip(angle[1:], height[1:], entry, strict=True):
-        if along[-1] - abs(theta - angle[0]) > TURN:
-            continue
-        under = rho[np.abs(rho - end["X"]) < 0.2 * case.nose]
-        way = theta + np.where(under < 0, math.pi, 0.0)
-        finished = case.height(np.abs(under) * np.cos(way), np.abs(under) * np.sin(way)) + allowance
-        above = z + case.edge(under - end["X"]) - finished
-        figures.gouge = max(figures.gouge, float(-above.min(initial=0.0)))
+    allowance, x = case.allowances[name], entry[0][2]["X"]
+    last = np.flatnonzero(np.abs(angle - angle[-1]) <= 1.2 * TURN)
+    # Between its points the tool follows straight lines, in the plunge as in the pass: looked at are the points.
+    for k in last:
+        inside = case.contact(x, angle[k], case.radius) + allowance
+        figures.gouge = max(figures.gouge, float(inside - height[k]))
+    # Where the edge hangs over the rim, the part goes on there if it has one tangent, or ends: either is allowed.
+    rims = (max(case.radius, abs(x)), max(case.radius, abs(x)) + case.nose)
+    excess = []
+    for rim in rims:
+        surface = np.array([case.contact(x, one, rim) for one in angle[last]])
+        fall = -np.diff(height[last]) + np.diff(surface) - ROUNDING
+        excess.append(float((fall / np.diff(clock[last])).max()) * 60 / case.plunge_feed)
+    figures.block = max(figures.block, min(excess))
 
 
 def run(cases, seed, figures):
@@ -362,7 +386,8 @@ def failures(figures):
         "no move with C at rest or in rapid comes near material": figures.least >= 0.01 - ROUNDING,
         "none laterally either": figures.lateral >= 1.0,
         "no plunge above the stated feed": figures.fastest <= 1 + 1e-6,
-        "no plunge below what its pass leaves": figures.gouge <= 5e-6,
+        "no block of a plunge above it either": figures.block <= 1 + 1e-6,
+        "no plunge below what its pass leaves": figures.gouge <= ROUNDING,
         "C turns less than once in rapid": figures.unwound <= 1.0,
         "jobs plunge, and jobs begin beside the blank": figures.plunges > 0 and figures.beside > 0,
     }
@@ -378,8 +403,8 @@ def main(cases=200, seed=1):
         f"{figures.beside} begin beside the blank\n"
         f"{figures.rest} moves with C at rest, {figures.rapid} rapid ones: least gap to material "
         f"{figures.least * 1e3:.4f} um, {figures.lateral:.3f} mm laterally\n"
-        f"fastest plunge {figures.fastest:.6f} of the stated feed; deepest below what the pass leaves "
-        f"{figures.gouge * 1e6:.3f} nm\nlongest rapid of C {figures.unwound:.3f} turns"
+        f"fastest plunge {figures.fastest:.6f} of the stated feed, {figures.block:.6f} in one block; deepest below "
+        f"what the pass leaves {figures.gouge * 1e6:.3f} nm\nlongest rapid of C {figures.unwound:.3f} turns"
     )
     bad = failures(figures)
     for one in bad:

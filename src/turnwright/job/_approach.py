@@ -9,6 +9,12 @@ On every step of a sampled radial line the highest material counts against the l
 answer errs to the safe side as long as no step hides a summit; azimuths are as dense as an eighth of the surface's
 feature size, up to 1440 of them. Outside the clear radius nothing is known of the blank: it is taken to go on at the
 slope of the rim where that rises outward, and level where it falls.
+
+A plunge stays at the radius where its pass begins. Its heights around the axis are exact: at every azimuth the edge is
+brought into contact with the part there, and all are shifted by as much as the first point of the pass stands off the
+contact, which the allowance does. As a proof apart from that search, the whole arc of the edge is compared with the
+finished surface at points of the last revolution. The heights of a fast tool between the radii of its table are its
+controller's: with one, the heights around the axis are extrapolated from the first revolutions of the pass.
 """
 
 from __future__ import annotations
@@ -19,9 +25,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright.errors import LimitError
+from turnwright.dilation import tip_height
+from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate_polar
+from turnwright.machine import FAST
 from turnwright.post import GAP, Approach, approach_to, first_turn
+from turnwright.units import say_length
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -45,6 +54,12 @@ STEPS = 3000
 ABOVE = 5.0
 """Height of the clear plane above the highest material. [mm]"""
 
+ROUNDING = 1e-6
+"""How far the edge may come below the finished surface in a plunge, if its pass does not begin lower. [mm]"""
+
+PROOF_POINTS, PROOF_STEPS = 360, 1200
+"""Points of the last revolution of a plunge where the edge is compared with the part, at most, and steps of its arc."""
+
 BESIDE = 0.01
 """Least distance along z at which a pass counts as beginning beside a blank that is wider by 0.1 mm. [mm]"""
 
@@ -66,6 +81,9 @@ class Entry:
         Least distance along Z between the tool and the material while C is at rest or in rapid. [mm]
     outward
         Whether the pass goes on away from the axis.
+    heights
+        Contact heights of the tip around the axis where the pass begins, for `turnwright.write_nc`; ``None`` with a
+        fast tool. (n,) [mm]
     radius, material, finished
         Radial cut at the azimuth of the first point, for a picture: distances from the axis, negative beyond it, the
         material before the pass and the finished surface, nan where there is none. Each (n,) [mm]
@@ -76,6 +94,7 @@ class Entry:
     depth: float | None
     least_gap: float
     outward: bool
+    heights: Floats | None
     radius: Floats
     material: Floats
     finished: Floats
@@ -88,6 +107,8 @@ def entries_of(job: Job, motions: Mapping[str, Motion]) -> dict[str, Entry]:
     ------
     LimitError
         If a pass can neither begin clear of the material nor plunge while C turns.
+    GougeError
+        If the edge comes below the finished surface in a plunge, unless the job accepts that.
     """
     found: dict[str, Entry] = {}
     before: Motion | None = None
@@ -140,6 +161,44 @@ def _edge(tool: Tool, sense: int, u: Floats) -> tuple[Floats, Floats]:
     return table[3] * w, table[4] * w
 
 
+def _contact_heights(part: Part, tool: Tool, motion: Motion, turned: Floats, axes: Mapping[str, Floats]) -> Floats:
+    """Bring the edge into contact with the part around the axis, at the radius where a pass begins. (n,) [mm]."""
+    # The innermost and the outermost tip of the pass: what holds at the rim for all its tips then holds here too.
+    ends = [int(motion.axes["X"].argmin()), int(motion.axes["X"].argmax())]
+    angle = np.append(motion.axes["C"][0] + motion.sense * turned, motion.axes["C"][ends])
+    radius = np.append(axes["X"], motion.axes["X"][ends])
+    y = np.append(axes["Y"], motion.axes["Y"][ends]) if "Y" in axes else None
+    z = tip_height(part.surface, tool, angle=angle, radius=radius, y=y, sense=motion.sense, rim=part.radius)[:-2]
+    return np.append(z[:-1], z[0])
+
+
+def _require_above(job: Job, name: str, plunge: Motion, start: float) -> None:
+    """Raise if the edge is below the finished surface in the last revolution of a plunge, and lower than its pass.
+
+    ``start`` is how far below contact the pass begins, where it does. [mm]
+    """
+    part, tool = job.part.aimed, job.tool.tool
+    turned = np.abs(plunge.axes["C"] - plunge.axes["C"][-1])
+    last = np.flatnonzero(turned <= TURN + 1e-9)
+    last = last[:: -(-last.size // PROOF_POINTS)]
+    u, v, e = tool.edge(np.linspace(*tool.arc, PROOF_STEPS + 1), plunge.sense)
+    along, across = plunge.axes["X"][last, None] + u, plunge.axes.get("Y", np.zeros(turned.size))[last, None] + v
+    c, s = np.cos(plunge.axes["C"][last, None]), np.sin(plunge.axes["C"][last, None])
+    x, y = along * c - across * s, along * s + across * c
+    with np.errstate(all="ignore"):
+        above = plunge.axes["Z"][last, None] + e - part.surface.evaluate(x, y, 0)[0]
+    known = np.isfinite(above) & (np.hypot(x, y) <= part.radius)
+    inside = part.surface.inside(x, y)
+    above = np.where(known if inside is None else known & inside, above, np.inf)
+    k = np.unravel_index(int(above.argmin()), above.shape)
+    if above[k] < -ROUNDING - start:
+        raise GougeError(
+            f"pass {name}: in the plunge the edge comes {say_length(-float(above[k]))} below the finished surface at "
+            f"x = {x[k]:.4g} mm, y = {y[k]:.4g} mm, the limit is {say_length(ROUNDING + start)}: state part.blank and "
+            "a lead_in with which the pass begins beside it"
+        )
+
+
 def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
     """Return how the tool enters one pass."""
     part, tool = job.part.aimed, job.tool.tool
@@ -147,7 +206,10 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
     x0, y0 = float(motion.axes["X"][0]), float(motion.axes["Y"][0]) if "Y" in motion.axes else 0.0
     x0 += float(motion.axes["U"][0]) if "U" in motion.axes else 0.0
     w = axes.get("W", np.zeros(turned.size))
-    path = axes["Z"] + w
+    path, heights = axes["Z"] + w, None
+    if not FAST.keys() & motion.axes.keys():
+        heights = _contact_heights(part, tool, motion, turned, axes)
+        path = heights + (path[0] - heights[0])
     plain = _before(part, tool, before, x0, _azimuths(part, max(x0, 0.0)), 0.0)
     azimuth = np.mod(motion.axes["C"][0] + motion.sense * turned, TURN)
     lowest = _lowest(azimuth, path, plain.angle)
@@ -168,8 +230,10 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
         )
     lathe = motion.lathe()
     approach = approach_to(
-        lathe, clearance=clearance, depth=depth, plunge_feed=job.program.plunge_feed, name=name
+        lathe, clearance=clearance, depth=depth, plunge_feed=job.program.plunge_feed, name=name, heights=heights
     )  # fmt: skip
+    if approach.plunge is not None and heights is not None and "gouge" not in job.accept:
+        _require_above(job, name, approach.plunge, max(float(heights[0] - path[0]), 0.0))
     first = float(np.interp(np.mod(approach.start["C"], TURN), plain.angle, touched, period=TURN))
     gap = min(approach.start["Z"] + float(w[0]) + rest - first, approach.clear + float(w.min()) - top)
     least = GAP / 2 if depth is not None else BESIDE
@@ -180,7 +244,7 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
         )
     return Entry(
         approach=approach, clearance=clearance, depth=depth, least_gap=gap,
-        outward=bool(motion.axes["X"][-1] > motion.axes["X"][0]),
+        outward=bool(motion.axes["X"][-1] > motion.axes["X"][0]), heights=heights,
         **_cut_at(part, plain, float(motion.axes["C"][0])),
     )  # fmt: skip
 

@@ -315,12 +315,14 @@ def written(
     shared: dict[str, Any] = {
         "header": header, "clearance": max(one.clearance for one in entries.values()), "progress": tell,
         "depth": {name: one.depth for name, one in entries.items()}, "plunge_feed": job.program.plunge_feed,
+        "entry_heights": {name: one.heights for name, one in entries.items()},
     }  # fmt: skip
     by = job.program.fast_tool
     if by is None:
         return write_nc(motions, machine, file, max_lines=job.program.max_lines, **shared)
     (motion,) = motions.values()
-    (shared["depth"],) = shared["depth"].values()  # its program has one pass, with a name of its own
+    for each in ("depth", "entry_heights"):
+        (shared[each],) = shared[each].values()  # its program has one pass, with a name of its own
     both = write_fast_tool(motion, machine, file, by=by, rate_hz=job.program.fast_tool_rate, **shared)
     size = both.program.bytes + both.table.stat().st_size
     return replace(both.program, files=(*both.program.files, both.table), bytes=size)

@@ -96,13 +96,20 @@ class Approach:
         return self.per_rev * self.turns
 
 
-def approach_to(motion: Motion, *, clearance: float, depth: float | None, plunge_feed: float, name: str) -> Approach:
+def approach_to(
+    motion: Motion,
+    *,
+    clearance: float,
+    depth: float | None,
+    plunge_feed: float,
+    name: str,
+    heights: Floats | None = None,
+) -> Approach:
     """Return the approach to a pass.
 
     Straight down from the clear plane, C at rest, to 0.1 mm above the material; then C turns at the speed of the pass
-    and the tool comes down along the path of its first revolution, raised by less and less, at the radius where the
-    pass begins. In a revolution it plunges by no more than the pass advances (or 1 um), and never faster than
-    ``plunge_feed``.
+    and the tool follows the heights of one revolution at the radius where the pass begins, raised by less and less. In
+    a revolution it plunges by no more than the pass advances (or 1 um), and in no block faster than ``plunge_feed``.
 
     Parameters
     ----------
@@ -117,19 +124,31 @@ def approach_to(motion: Motion, *, clearance: float, depth: float | None, plunge
         Fastest plunge. [mm/s]
     name
         Of the pass, for messages.
+    heights
+        Z of the lathe at the radius where the pass begins, at the angles of `first_turn`; shifted so that they begin
+        at the first point of the pass. Without them they are extrapolated from its first revolutions. (n,) [mm]
     """
     clear = float(motion.axes["Z"].max()) + clearance
     first = {letter: float(values[0]) for letter, values in motion.axes.items()}
     if depth is None:
         return Approach(clear=clear, start=first, plunge=None)
-    plunge, per_rev = _plunge(motion, max(depth, 0.0) + GAP, plunge_feed, name)
+    plunge, per_rev = _plunge(motion, max(depth, 0.0) + GAP, plunge_feed, name, heights)
     start = {letter: float(values[0]) for letter, values in plunge.axes.items()}
     return Approach(clear=max(clear, start["Z"]), start=start, plunge=plunge, per_rev=per_rev)
 
 
-def _plunge(motion: Motion, height: float, plunge_feed: float, name: str) -> tuple[Motion, float]:
+def _plunge(
+    motion: Motion, height: float, plunge_feed: float, name: str, heights: Floats | None
+) -> tuple[Motion, float]:
     """Return the motion down to the first point of a pass, and its depth in a revolution [mm/rev]."""
     turned, time, others, advance = first_turn(motion)
+    if heights is not None:
+        if heights.shape != turned.shape or not np.isfinite(heights).all():
+            raise ProgramError(
+                f"pass {name} has entry heights of shape {heights.shape}, they must be finite and {turned.shape}: give "
+                "one for each angle of its first revolution"
+            )
+        others["Z"] = heights - heights[0] + motion.axes["Z"][0]
     turn_s = float(time[-1]) if motion.velocity is None else TURN / _fastest(motion)
     per_rev = min(plunge_feed * turn_s, max(advance, LEAST_ADVANCE))
     turns = math.ceil(height / per_rev - 1e-9)
@@ -146,15 +165,18 @@ def _plunge(motion: Motion, height: float, plunge_feed: float, name: str) -> tup
     turn, place = number // each, number % each
     angle = turned[place] + TURN * (turn - turns)
     axes = {letter: values[place] for letter, values in others.items()}
-    axes["Z"] = axes["Z"] - per_rev * angle / TURN
     axes["C"] = float(motion.axes["C"][0]) + motion.sense * angle
-    for letter, values in axes.items():
-        values[-1] = motion.axes[letter][0]
     velocity = None
     if motion.velocity is None:
+        # Evenly in time, so that no block is faster where C is.
         clock = time[place] + turn_s * turn
+        axes["Z"] = axes["Z"] + height * (1 - clock / clock[-1])
     else:
         clock, pace = _from_rest_to_rest(motion, angle + TURN * turns, turns)
+        axes["Z"] = axes["Z"] - per_rev * angle / TURN
+    for letter, values in axes.items():
+        values[-1] = motion.axes[letter][0]
+    if motion.velocity is not None:
         velocity = {letter: pace * np.gradient(axes[letter], angle) for letter in motion.axes}
     axes = {letter: axes[letter] for letter in motion.axes}
     return Motion(time=clock, axes=axes, machine=motion.machine, velocity=velocity), per_rev
@@ -206,8 +228,9 @@ def first_turn(motion: Motion) -> tuple[Floats, Floats, dict[str, Floats], float
     """Return the path of a pass around its first point, at the radius of that point.
 
     The radius of a pass changes over its first revolution. What its other axes are at the radius of the first point is
-    found from its first three revolutions by the parabola through them, so that the tool can stay at that radius and
-    follow the surface.
+    extrapolated from its first three revolutions by the parabola through them. After a whole turn the error of that is
+    known, as the first point is; it grows as the product of the distances from the three radii, and this share of it is
+    taken off all around, so that the turn closes without a step.
 
     Returns
     -------
@@ -241,11 +264,16 @@ def first_turn(motion: Motion) -> tuple[Floats, Floats, dict[str, Floats], float
     radii = [at(x, turn) for turn in range(known)]
     axes = {"X": np.full(turned.size, x[0])}
     weights = _weights(radii, float(x[0]))
+    share = turned / TURN
+    if len(weights) > 1:
+        away = np.prod([float(x[0]) - one for one in radii[: len(weights)]], axis=0)
+        share = np.clip(away / away[-1], 0.0, 1.0)
     for letter in letters:
         if letter != "X":
             values = sum(weight * at(motion.axes[letter], turn) for turn, weight in enumerate(weights))
-            axes[letter] = np.asarray(values)
-            axes[letter][[0, -1]] = motion.axes[letter][0]
+            first = motion.axes[letter][0]
+            axes[letter] = np.asarray(values - (np.asarray(values)[-1] - first) * share)
+            axes[letter][[0, -1]] = first
     return turned, time, axes, abs(float(at(x, 0)[-1] - x[0]))
 
 

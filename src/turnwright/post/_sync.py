@@ -88,6 +88,7 @@ def write_fast_tool(
     clearance: float = 5.0,
     depth: float | Mapping[str, float | None] | None = 0.0,
     plunge_feed: float = PLUNGE_FEED,
+    entry_heights: Floats | None = None,
     progress: Progress | None = None,
 ) -> FastToolFiles:
     """Write the program of the lathe without W, see `write_nc` and `Motion.lathe`, and a table of W beside it.
@@ -117,8 +118,8 @@ def write_fast_tool(
         What the table is synchronised by.
     rate_hz
         Heights per second, by time only. [Hz]
-    header, clearance, depth, plunge_feed, progress
-        See `write_nc`.
+    header, clearance, depth, plunge_feed, entry_heights, progress
+        See `write_nc`; the heights are those of the lathe, at the angles of its first revolution.
 
     Raises
     ------
@@ -149,7 +150,7 @@ def write_fast_tool(
                 digest = _body(file, rows, decimals)
             program = write_nc(
                 motion.lathe(), machine, path, header=header, clearance=clearance, depth=depth, plunge_feed=plunge_feed,
-                progress=progress,
+                entry_heights=entry_heights, progress=progress,
             )  # fmt: skip
             with hidden.open("r+b") as file:
                 file.write(_head(motion, machine, dialect, rows.shape[0], rate_hz, path, (digest, program.hash)))

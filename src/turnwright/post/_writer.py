@@ -9,6 +9,7 @@ import re
 import shutil
 import tempfile
 from collections import deque
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -37,7 +38,7 @@ from turnwright.post._registry import dialect_of
 from turnwright.progress import Progress, cores
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
     from os import PathLike
 
     from turnwright.machine import Machine
@@ -136,6 +137,7 @@ def write_nc(
     clearance: float = 5.0,
     depth: float | Mapping[str, float | None] | None = 0.0,
     plunge_feed: float = PLUNGE_FEED,
+    entry_heights: Floats | Mapping[str, Floats | None] | None = None,
     max_lines: int | None = None,
     progress: Progress | None = None,
 ) -> ProgramFiles:
@@ -143,8 +145,10 @@ def write_nc(
 
     The numbers are fixed-point, rounded to the dialect's last decimal, and so is a block's time. Every pass begins with
     an approach from ``clearance`` above its highest point and ends with a retract to there. From 0.1 mm above the
-    material the tool comes down only while C turns: it follows the first revolution of the pass, raised by less and
-    less, by no more in a revolution than the pass advances (or 1 um) and never faster than ``plunge_feed``. Where C is
+    material the tool comes down only while C turns: at the radius where the pass begins it follows the heights of one
+    revolution there, raised by less and less, by no more in a revolution than the pass advances (or 1 um) and in no
+    block faster than ``plunge_feed``. `run` has these heights exactly, from part and tool; a motion alone does not
+    hold them, and without ``entry_heights`` they are extrapolated from its first three revolutions. Where C is
     cumulative it begins within a turn of 0 and counts on from pass to pass, so that the spindle is never unwound.
 
     All files are written beside their final place and put there, the main program last, when the whole program is
@@ -168,6 +172,9 @@ def write_nc(
         begins clear of all material, which is approached without a plunge. [mm]
     plunge_feed
         Fastest plunge into material. [mm/s]
+    entry_heights
+        Z for one revolution at the radius where the pass begins, for a motion or by name, at the angles of
+        `turnwright.post.first_turn`. (n,) [mm]
     max_lines
         Most lines in one file, if not the dialect's own limit.
     progress
@@ -211,7 +218,8 @@ def write_nc(
             "mm/min: give it in mm/s"
         )
     motions = {"finish": motion} if isinstance(motion, Motion) else motion
-    passes = _passes(motions, machine, dialect, _approaches(motions, clearance, depth, plunge_feed))
+    approaches = _approaches(motions, clearance, depth, plunge_feed, entry_heights)
+    passes = _passes(motions, machine, dialect, approaches)
     limit = dialect.max_lines if max_lines is None else max_lines
     if limit < 100:
         raise ProgramError(f"max_lines is {limit}, approach and retract need at least 100: allow longer files")
@@ -263,16 +271,19 @@ def _approaches(
     clearance: float,
     depth: float | Mapping[str, float | None] | None,
     plunge_feed: float,
+    entry_heights: Floats | Mapping[str, Floats | None] | None,
 ) -> dict[str, Approach]:
     """Return the approach to every pass by its name."""
     approaches = {}
-    heights = dict.fromkeys(motions, depth) if depth is None or isinstance(depth, int | float) else depth
+    depths = dict.fromkeys(motions, depth) if depth is None or isinstance(depth, int | float) else depth
+    around = entry_heights if isinstance(entry_heights, Mapping) else dict.fromkeys(motions, entry_heights)
     for name, motion in motions.items():
-        height = heights[name]
+        height, heights = depths[name], around.get(name)
         if height is not None and not np.isfinite(height):
             raise ProgramError(f"depth of pass {name} is {height:g} mm, it must be finite: give the material's height")
         approaches[name] = approach_to(
-            motion, clearance=clearance, depth=height, plunge_feed=plunge_feed, name=name
+            motion, clearance=clearance, depth=height, plunge_feed=plunge_feed, name=name,
+            heights=None if heights is None else np.asarray(heights, dtype=np.float64),
         )  # fmt: skip
     return approaches
 
