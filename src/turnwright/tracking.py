@@ -39,6 +39,9 @@ FINER = 8
 ROUNDS = 4
 """How often samples are set closer together, at most; the second time is the last but for odd motions."""
 
+SETTLING_RAD = 1e-3
+"""Angle by which C may swing back where it comes from rest or to rest: a micrometre at a radius of one millimetre."""
+
 MOST_SAMPLES = 300_000_000
 """Beyond this no memory holds the motion."""
 
@@ -65,7 +68,8 @@ def track(
     the blocks of the lathe beside it are those of `Motion.lathe`.
 
     Last each axis: its dead time and its response. Before the program begins every axis has moved on as straight as it
-    begins.
+    begins. Where C comes to rest, its servo may swing past the end and back, and while its dead time lasts it stands;
+    there C is taken to creep on evenly, off by no more than that swing.
 
     Parameters
     ----------
@@ -87,7 +91,7 @@ def track(
     InputError
         If ``chord`` is not positive.
     LimitError
-        If the motion would need more samples than any memory holds.
+        If the motion would need more samples than any memory holds, or the servo of C turns back by more than 1 mrad.
 
     Sources
     -------
@@ -127,6 +131,7 @@ def track(
             break
         parts = math.ceil(parts * math.sqrt(bulge / chord))
     told(len(axes), len(axes))
+    axes["C"] = motion.sense * _settling(motion.sense * axes["C"], samples, machine)
     return Motion(time=samples - samples[0], axes=axes, machine=motion.machine)
 
 
@@ -315,6 +320,40 @@ def _samples(time: Floats, parts: int, *, uniform: bool) -> Floats:
     at[:-1].reshape(-1, parts)[:] = time[:-1, None] + np.diff(time)[:, None] * share
     at[-1] = time[-1]
     return at
+
+
+def _settling(angle: Floats, time: Floats, machine: Machine) -> Floats:
+    """Return an angle that grows all the way, or raise if it swings back by more than it may at its ends. (n,)."""
+    if (angle[1:] > angle[:-1]).all():
+        return angle
+    made = angle
+    for _ in range(2):  # the end, and then the beginning from behind
+        made = -_creeping(made)[::-1]
+    back = np.flatnonzero(made[1:] <= made[:-1])
+    if back.size:
+        most = float(np.maximum.accumulate(angle)[back[0]] - angle[back[0] :].min())
+        raise LimitError(
+            f"the servo of C on {machine.name} turns back by {most:.3g} rad at {time[back[0]]:.4g} s, the limit is "
+            f"{SETTLING_RAD:g} rad, and only from rest and to rest: turn slower, or use a response of C that is faster "
+            "or better damped"
+        )
+    return made
+
+
+def _creeping(angle: Floats) -> Floats:
+    """Return an angle that grows evenly to its end where it swings past that and back. (n,)."""
+    back = np.flatnonzero(angle[1:] <= angle[:-1])
+    back = back[angle[back] > angle[-1] - SETTLING_RAD]
+    if not back.size:
+        return angle
+    swing = angle[back[0] :]
+    low, high = float(swing.min()), float(swing.max())
+    first, step = int(back[0]), rounding(angle)
+    while first > 0 and (angle[first] >= low or high - angle[first] < step * (angle.size - first)):
+        first -= 1
+    if high - angle[first] > SETTLING_RAD:
+        return angle
+    return np.concatenate([angle[:first], np.linspace(angle[first], high, angle.size - first)])
 
 
 def _follow(

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BSpline, CubicHermiteSpline
 
-from turnwright import Axis, Controller, Machine, Motion
+from turnwright import Axis, Controller, Machine, Motion, Part, SlowToolServo, Sphere, Tool, drive, place
 from turnwright.errors import InputError, LimitError
 from turnwright.response import FrequencyResponse, SecondOrder, TransferFunction
 from turnwright.tracking import precorrect, track
@@ -308,3 +308,45 @@ def test_what_cannot_be_corrected_is_refused():
         precorrect(given, machine(block_rate=400))
     with pytest.raises(InputError, match="chord"):
         track(given, chord=0.0)
+
+
+@pytest.mark.parametrize("dead_time", [None, 0.002])
+def test_c_that_swings_as_it_comes_to_rest_is_tracked(dead_time):
+    """Oracle: SciPy's ODE solver, which follows the swing back past the end that a spindle angle may not show."""
+    axis = Axis(response=SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1), dead_time=dead_time)
+    machine = Machine(
+        name="swing", axes={"C": axis, "X": Axis(), "Z": Axis()}, spindle_rpm=1000, block_rate_hz=5000,
+        controller=Controller(interpolation="hermite"),
+    )  # fmt: skip
+    part, tool = Part(surface=Sphere(radius=50.0), radius=0.4), Tool(nose_radius=0.5)
+    servo = SlowToolServo(feed=0.02, points_per_rev=72, spindle_rpm=300)
+    motion = drive(place(servo.spiral(part, tool), part, tool), servo, machine)
+    real = track(motion, chord=1e-9)
+    assert (np.diff(real.axes["C"]) * motion.sense > 0).all()
+    c, late = CubicHermiteSpline(motion.time, motion.axes["C"], motion.velocity["C"]), dead_time or 0.0
+    omega, speed = 200 * np.pi, c.derivative()
+
+    def pulls(t, q):
+        t = max(t - late, 0.0)
+        return q[1], 1.4 * omega * (speed(t) - q[1]) + omega**2 * (c(t) - q[0])
+
+    made = solve_ivp(
+        pulls, (0, motion.time[-1]), (c(0.0), 0.0), t_eval=real.time, rtol=1e-10, atol=1e-12, max_step=2e-3
+    )
+    assert (np.diff(made.y[0]) * motion.sense < 0).any()
+    swing = motion.sense * (made.y[0] - made.y[0][-1])
+    assert np.abs(made.y[0] - real.axes["C"]).max() < 1.1 * swing.max()
+
+
+def test_c_that_swings_back_on_its_way_is_refused():
+    axis = Axis(response=SecondOrder(frequency_hz=5, damping=0.02))
+    machine = Machine(
+        name="swing", axes={"C": axis, "X": Axis(), "Z": Axis()}, spindle_rpm=1000, block_rate_hz=5000,
+        controller=Controller(interpolation="hermite"),
+    )  # fmt: skip
+    time = np.linspace(0, 1, 101)
+    motion = Motion(
+        time=time, axes={"C": 10 * np.minimum(time, 0.3) + 0.01 * time, "X": 5 - time, "Z": 0 * time}, machine=machine
+    )
+    with pytest.raises(LimitError, match=r"servo of C on swing turns back by .* rad"):
+        track(motion)
