@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from turnwright.cutting.learning import Cuts, learn_material
+from turnwright.cutting._slope_change import slope_change
+from turnwright.cutting.learning import Cuts, _Rows, _transition, learn_material
 from turnwright.material import Material
 
 KC, KT = 1489.0, 816.0
@@ -54,3 +55,50 @@ def covered(kind, cases, seed):
         holds = np.vstack((holds, inside))
     critical = holds[:, 2][~np.isnan(holds[:, 2])]
     return found / cases, *holds[:, :2].mean(axis=0), critical.mean() if critical.size else np.nan
+
+
+def misled(count, seed):
+    """Return the least chance of a transition that forces in proportion to the chip are given."""
+    random = np.random.default_rng(seed)
+    chip = np.linspace(50e-6, 1500e-6, count)
+    cutting, thrust = (0.5 * k * chip + 0.01 * random.normal(size=count) for k in (KC, KT))
+    rows = _Rows(
+        Cuts(thickness=chip, width=np.full(count, 0.5), cutting=cutting, thrust=thrust), None, edge=False, falling=False
+    )
+    drop, bend = _transition(rows, 0.95), slope_change(rows, 0.95)
+    return min(1.0 if drop is None else drop.split.chance, 1.0 if bend is None else bend.chance)
+
+
+CLIPPED = {
+    "cutting force, exact": (True, False, 0.0),
+    "thrust, exact": (False, True, 0.0),
+    "both, exact": (True, True, 0.0),
+    "cutting force, 0.001 of noise": (True, False, 0.001),
+    "both, 0.03 of the noise": (True, True, 0.03),
+    "cutting force, all the noise": (True, False, 1.0),
+    "thrust, all the noise": (False, True, 1.0),
+}
+"""Which channels end, and the noise of the end over that of the forces."""
+
+
+def clipped(kind, random):
+    """Return cuts in proportion to the chip whose channels end at a force."""
+    which, share = CLIPPED[kind][:2], CLIPPED[kind][2]
+    count = int(random.integers(30, 200))
+    chip, limit = np.linspace(50e-6, 1500e-6, count), random.uniform(400e-6, 1000e-6)
+    forces = []
+    for k, ends in zip((KC, KT), which, strict=True):
+        force, noise = 0.5 * k * chip, 0.003 * random.normal(size=(2, count))
+        rail = 0.5 * k * limit
+        level = np.minimum(force + noise[0], rail) if share < 1 else np.minimum(force, rail)
+        forces.append(level + share * noise[1] if ends else force + noise[0])
+    return Cuts(thickness=chip, width=np.full(count, 0.5), cutting=forces[0], thrust=forces[1])
+
+
+def plateau(random):
+    """Return cuts whose forces stand still beyond a limit, with the noise that they have below it."""
+    count, limit = int(random.integers(12, 200)), random.uniform(300e-6, 1400e-6)
+    chip = np.sort(random.uniform(50e-6, 1500e-6, count))
+    noise = 10 ** random.uniform(-4, -1.5)
+    cutting, thrust = (0.5 * k * np.minimum(chip, limit) + noise * random.normal(size=count) for k in (KC, KT))
+    return Cuts(thickness=chip, width=np.full(count, 0.5), cutting=cutting, thrust=thrust)

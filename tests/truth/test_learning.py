@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 from force_oracle import learned, ramp_record, tap_tests
-from learning_cases import covered, shipped
+from learning_cases import covered, misled, shipped
 from scipy import stats
 
 from turnwright.cutting.learning import Cuts, learn_material
@@ -143,6 +143,14 @@ def test_forces_without_a_transition_seldom_show_one():
         thrust = 816 * chip * width + 1e-3 * random.normal(size=chip.size)
         shown += learn_material(Cuts(thickness=chip, width=width, cutting=force, thrust=thrust)).critical is not None
     assert shown <= 6  # at most 1 % by the bound, which is 2 here; 6 has a chance below 2 % even so
+
+
+@pytest.mark.parametrize("count", [9, 15, 40, 120])
+def test_the_chance_of_a_transition_is_that_of_forces_without_one(count):
+    """A tenth of the proof in tests/proof/proof_chance.py; more than the limit has a chance of 0.1 % even at p."""
+    chances = np.array([misled(count, [7, case]) for case in range(100)])
+    for p in (0.05, 0.01, 0.001):
+        assert (chances <= p).sum() <= stats.binom.ppf(0.999, chances.size, p)
 
 
 def test_averages_of_few_cuts_give_the_critical_thickness_within_their_steps():

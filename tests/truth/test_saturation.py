@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from learning_cases import CLIPPED, clipped, plateau, shipped
 
 from turnwright.cutting.edge_cuts import NoseCuts
 from turnwright.cutting.edge_learning import learn_along_edge
@@ -40,6 +41,31 @@ def test_averages_of_a_saturated_channel_are_refused(which, sign):
     names = ("cutting force", "thrust")
     with pytest.raises(InputError, match=f"the {names[which]} is saturated.* in {clipped} of 60 cuts"):
         learn_material(Cuts(thickness=CHIP, width=np.full(60, 0.2), cutting=force[:, 0], thrust=force[:, 1]))
+
+
+@pytest.mark.parametrize("kind", CLIPPED)
+def test_channels_in_proportion_that_end_at_a_force_are_no_transition(kind):
+    """A tenth of the proof in tests/proof/proof_chance.py. Unrefused, both gave 672.8 nm where there is no limit."""
+    for seed in range(5):
+        with pytest.raises(InputError, match="saturated"):
+            learn_material(clipped(kind, np.random.default_rng(seed)))
+
+
+def test_forces_of_a_material_that_stand_still_are_learned_with_a_question():
+    """Their noise is that of the other forces, in both channels: the law of the shipped IRG 26."""
+    for seed in range(12):
+        assert any("ends of the ranges" in one for one in learn_material(shipped(seed)).sentences)
+    for seed in range(30):
+        learn_material(plateau(np.random.default_rng(seed)))
+
+
+@pytest.mark.parametrize("levels", [20, 100, 1000])
+def test_averages_of_a_coarse_converter_are_not_saturated(levels):
+    for seed in range(5):
+        force = forces(seed, noise=0.003)
+        step = force.max() / levels
+        cutting, thrust = (np.round(force / step) * step).T
+        learn_material(Cuts(thickness=CHIP, width=np.full(60, 0.2), cutting=cutting, thrust=thrust))
 
 
 def test_averages_with_or_without_noise_that_are_not_saturated_are_learned():

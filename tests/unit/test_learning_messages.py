@@ -180,6 +180,11 @@ def test_no_force_along_an_axis_is_uncertain_beyond_measure():
         ({"cutting": np.zeros(30)}, "the cutting force of all cuts is 0 N"),
         ({"thrust": np.zeros(30)}, "the thrust of all cuts is 0 N"),
         ({"cutting": -np.linspace(0.01, 0.2, 30)}, r"the cutting coefficient comes out as -.*above 0"),
+        ({"thrust": -160 * np.linspace(50e-6, 600e-6, 30)}, r"the thrust coefficient comes out as -800 .*above 0"),
+        ({"thickness": np.linspace(50e-9, 600e-9, 30)}, r"cutting coefficient .* 1\.5e\+06 .* 10 to 1e\+05: .* mm"),
+        ({"width": np.full(30, 200.0)}, r"cutting coefficient .* 1\.5 N/mm\^2, .* width .* mm"),
+        ({"thrust": 160e3 * np.linspace(50e-6, 600e-6, 30)}, r"thrust coefficient .* 8e\+05 .* forces in N"),
+        (dict.fromkeys(("thickness", "width", "cutting", "thrust"), np.zeros(0)), "0 rows are cuts, at least 4 are"),
     ],
 )
 def test_cuts_that_no_diamond_made_are_refused(change, message):

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright.cutting._chance import chance_of
+
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.cutting.learning import _Rows
@@ -165,10 +167,10 @@ def slope_change(rows: _Rows, confidence: float) -> SlopeChange | None:
             middle = (inside + outside) / 2
             inside, outside = (middle, outside) if squares(middle) - least <= reach else (inside, middle)
         ends.append(outside)
-    whole = sum(model.fit(c, rows.ductile_columns(c))[0] / variance[c] for c in range(COMPONENTS))
+    whole = [model.fit(c, rows.ductile_columns(c))[0] for c in range(COMPONENTS)]
+    thin = rows.thickness <= best
     smooth = np.array([model.smooth(c) for c in range(COMPONENTS)])
     better = float((smooth / variance).sum() - least) / noise
-    more = COMPONENTS + 1
     answer = fits[0][2]
     below = (rows.line(0, answer[:-1], best) - rows.line(0, answer[:-1], 0.99 * best)) / (0.01 * best)
     return SlopeChange(
@@ -176,7 +178,7 @@ def slope_change(rows: _Rows, confidence: float) -> SlopeChange | None:
         low=ends[0],
         high=ends[1],
         squares=np.array([one for one, _, _ in fits]),
-        chance=float(min(1.0, n * f.sf((whole - least) / noise / more, more, free))),
+        chance=chance_of(rows, whole, [left for _, left, _ in fits], np.flatnonzero(rows.engaged & thin)),
         smooth=smooth,
         straight=n * float(f.sf(better, 1, free)) > CERTAIN,
         falls=bool(answer[-1] < below),

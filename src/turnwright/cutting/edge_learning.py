@@ -41,7 +41,7 @@ from turnwright.cutting.learning import (
     Estimate,
     ForceFit,
     LearnedMaterial,
-    require_cutting,
+    require_material,
     require_plausible,
     said_of,
     too_weak,
@@ -135,8 +135,8 @@ def learn_along_edge(
     rows.edge, rows.power = edge_force, [0.0, 0.0] if size_effect else None
     split, ductile = _settled(rows, told, confidence)
     fit = _Estimates(rows, ductile | ~rows.engaged, told, confidence, split)
-    if "cutting" in told:
-        require_cutting(float(fit.value[told.index("cutting")]))
+    for name, value, half in zip(told, fit.value, fit.half, strict=True):
+        require_material(name, float(value), float(value + half))
     from scipy.stats import norm  # noqa: PLC0415 - costly to import
 
     wide = float(norm.ppf(0.5 + confidence / 2))

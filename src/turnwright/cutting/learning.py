@@ -30,7 +30,8 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, Ints, freeze, frozen, same_length
 from turnwright._validate import between, check_numbers, positive
 from turnwright._validate import whole as whole_number
-from turnwright.cutting._saturation import saturated
+from turnwright.cutting._chance import chance_of
+from turnwright.cutting._saturation import SOLID, rail, saturated
 from turnwright.cutting._slope_change import SlopeChange, slope_change
 from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
 from turnwright.errors import InputError
@@ -56,6 +57,15 @@ WILD = 10.0
 UNLIKELY = 0.999
 """A departure from proportion is told of outside this interval."""
 
+SURE = 3.0
+"""Standard uncertainties within which a slope is that of forces that stand still, or go on."""
+
+STILL = 0.05
+"""Share of the ductile slope that counts as nothing, where the place of a transition is not quite known."""
+
+SLOW = 0.3
+"""Share of the ductile slope that these may be at most to tell one from the other."""
+
 ROUNDS = 20
 """Steps of Newton for the power of a size effect."""
 
@@ -66,11 +76,11 @@ CLEAR = 5.0
 """Times the scatter in air that a force must have for its cut to be found beyond doubt, as `engagements` looks for it.
 """
 
+SOFTEST, HARDEST = 10.0, 1e5
+"""Cutting coefficients that materials have; beyond, a unit is likely not as stated. [N/mm²]"""
+
 THICKEST = 0.1
 """Uncut chip beyond which a thickness is likely not in mm: that of a diamond is below. [mm]"""
-
-SOLID = 0.9
-"""Share of the cuts from the first to the last at the end of a range that stand there, if that is the range."""
 
 EXACT = 1e-6
 """Share of the thickest chip below which a departure from proportion is that of the arithmetic."""
@@ -224,7 +234,8 @@ class LearnedMaterial:
     fit
         The forces beside what was learned makes of them.
     chance
-        At most this share of experiments without a transition would show one as clear.
+        At most this share of experiments without a transition would show one as clear, wherever and of whichever kind,
+        if their noise is normal and as large in all cuts, or larger on the brittle side.
     sentences
         What a person should know before relying on it.
     exponents
@@ -384,7 +395,8 @@ def learn_material(
             break
         split, ductile = _parts(rows, confidence)
     parts = [rows.slope(component, ductile | ~rows.engaged, confidence) for component in range(COMPONENTS)]
-    require_cutting(parts[0][0])
+    for name, (value, _, half) in zip(("cutting", "thrust"), parts, strict=True):
+        require_material(name, value, value + half)
     from scipy.stats import norm  # noqa: PLC0415 - costly to import
 
     wide = float(norm.ppf(0.5 + confidence / 2))
@@ -395,6 +407,7 @@ def learn_material(
         estimates.append(Estimate(value=value, low=value - reach, high=value + reach))
         standard.append(float(np.hypot(sigma, common)))
     critical = None
+    standing = () if split is None else _standing(rows, split.value)
     if split is not None:
         more = wide * between(thickness_uncertainty, "thickness_uncertainty", 0.0, np.inf, "mm")
         critical = Estimate(value=split.value, low=max(split.low - more, 0.0), high=split.high + more)
@@ -407,6 +420,7 @@ def learn_material(
             float(cuts.thickness.max()),
             confidence,
         ),
+        *standing,
         *_misfits(rows, ductile | ~rows.engaged, split),
     ]
     return LearnedMaterial(
@@ -441,12 +455,12 @@ class _Rows:
             raise InputError(
                 "edge_force and size_effect are both asked for, the limit is 1: forces do not tell them apart"
             )
-        require_plausible(cuts.thickness, {"cutting force": cuts.cutting, "thrust": cuts.thrust})
+        area = cuts.thickness * cuts.width if cuts.area is None else cuts.area
+        require_plausible(cuts.thickness, {"cutting force": cuts.cutting, "thrust": cuts.thrust}, area)
         self.thickness = cuts.thickness
         self.engaged: Bools = cuts.thickness > 0
         spread = np.zeros_like(cuts.thickness) if cuts.spread is None else cuts.spread
         self.lower, self.upper = cuts.thickness - spread, cuts.thickness + spread
-        area = cuts.thickness * cuts.width if cuts.area is None else cuts.area
         self.areas = (area, area if cuts.thrust_area is None else cuts.thrust_area)
         self.forces = (cuts.cutting, cuts.thrust)
         self.in_time = cuts.time is not None
@@ -459,10 +473,6 @@ class _Rows:
         self.stated = cuts.uncertainty is not None
         weight = 1 / cuts.uncertainty if cuts.uncertainty is not None else np.ones((n, COMPONENTS))
         self.weights = (weight[:, 0], weight[:, 1])
-        if np.count_nonzero(self.engaged) < FEWEST:
-            raise InputError(
-                f"{np.count_nonzero(self.engaged)} rows are cuts, at least {FEWEST} are needed: measure more"
-            )
 
     @property
     def reference(self) -> float:
@@ -499,8 +509,8 @@ class _Rows:
         steps = []
         for component in range(COMPONENTS):
             columns = self.ductile_columns(component)
-            value = self._first(component, columns, rows, 0.9)[0]
-            steps.append(self._first(component, columns[:, ::-1], rows, 0.9)[0] / value)
+            value = self.first(component, columns, rows, 0.9)[0]
+            steps.append(self.first(component, columns[:, ::-1], rows, 0.9)[0] / value)
         self.power = [float(np.clip(old + step, -2, 2)) for old, step in zip(self.power, steps, strict=True)]
         return max(abs(step) for step in steps)
 
@@ -510,8 +520,8 @@ class _Rows:
         found = []
         for component in range(COMPONENTS):
             columns = self.ductile_columns(component)
-            value = self._first(component, columns, rows, confidence)[0]
-            half = self._first(component, columns[:, ::-1], rows, confidence)[2] / abs(value)
+            value = self.first(component, columns, rows, confidence)[0]
+            half = self.first(component, columns[:, ::-1], rows, confidence)[2] / abs(value)
             power = self.power[component]
             found.append(Estimate(value=power, low=power - half, high=power + half))
         return found[0], found[1]
@@ -533,7 +543,7 @@ class _Rows:
 
     def slope(self, component: int, rows: Bools, confidence: float) -> tuple[float, float, float]:
         """Return the coefficient, its standard uncertainty and half its interval, from some rows."""
-        return self._first(component, self.ductile_columns(component), rows, confidence)
+        return self.first(component, self.ductile_columns(component), rows, confidence)
 
     def scatter(self, rows: Bools) -> float:
         """Return how many times as much the cutting force scatters in the cut as in air; 0 where that is not known."""
@@ -558,11 +568,11 @@ class _Rows:
         The value [mm], its standard uncertainty and half its interval.
         """
         columns = np.column_stack((self.per_thickness(component), self.areas[component]))
-        edge, sigma, half = self._first(component, columns, rows, confidence)
-        slope = self._first(component, columns[:, ::-1], rows, confidence)[0]
+        edge, sigma, half = self.first(component, columns, rows, confidence)
+        slope = self.first(component, columns[:, ::-1], rows, confidence)[0]
         return -edge / slope, abs(sigma / slope), abs(half / slope)
 
-    def _first(self, component: int, columns: Floats, rows: Bools, confidence: float) -> tuple[float, float, float]:
+    def first(self, component: int, columns: Floats, rows: Bools, confidence: float) -> tuple[float, float, float]:
         """Return what the first of some columns is multiplied by, its standard uncertainty and half its interval."""
         from scipy.stats import t  # noqa: PLC0415 - costly to import
 
@@ -598,8 +608,8 @@ class _Rows:
         return float(answer[0] / size[0]), sigma, float(t.ppf(0.5 + confidence / 2, free)) * sigma
 
 
-def require_plausible(thickness: Floats, forces: Mapping[str, Floats]) -> None:
-    """Raise for chips that are no diamond's, and for channels that measured nothing."""
+def require_plausible(thickness: Floats, forces: Mapping[str, Floats], area: Floats | None = None) -> None:
+    """Raise for chips that are no diamond's, and for channels that measured nothing or are saturated."""
     thickest = float(thickness.max(initial=0.0))
     if thickest > THICKEST:
         raise InputError(
@@ -607,32 +617,42 @@ def require_plausible(thickness: Floats, forces: Mapping[str, Floats]) -> None:
             "um is 0.001"
         )
     engaged = thickness > 0
+    if np.count_nonzero(engaged) < FEWEST:
+        raise InputError(f"{np.count_nonzero(engaged)} rows are cuts, at least {FEWEST} are needed: measure more")
     for name, force in forces.items():
-        if engaged.any() and not force[engaged].any():
+        if not force[engaged].any():
             raise InputError(f"the {name} of all cuts is 0 N, it must be measured: check its channel")
     order = np.flatnonzero(engaged)
     order = order[np.argsort(thickness[order], kind="stable")]
     for name, force in forces.items():
         clipped = saturated(force[order])
-        if clipped.size < SOLID * (np.ptp(clipped) + 1 if clipped.size else 1):
+        solid = clipped.size >= SOLID * (np.ptp(clipped) + 1 if clipped.size else 1)
+        # Without noise all forces may be constant beyond a transition; a range ends for one of them.
+        others = [other[order[clipped]] for other in forces.values()]
+        if not solid or (len(forces) > 1 and not any(np.ptp(other) for other in others)):
+            clipped = rail((thickness if area is None else area)[order], force[order])
+        if not clipped.size:
             continue
         at = order[clipped]
-        # Beyond a transition all forces may be constant; a range ends for one of them.
-        if len(forces) > 1 and not any(np.ptp(other[at]) for other in forces.values()):
-            continue
+        largest = force[at[np.argmax(np.abs(force[at]))]]
         raise InputError(
-            f"the {name} is saturated: it is {force[at[0]]:.6g} N in {at.size} of {order.size} cuts, of chips from "
-            f"{thickness[at[0]] * 1e6:.4g} to {thickness[at[-1]] * 1e6:.4g} nm: record with a larger range, or leave "
-            "these cuts out"
+            f"the {name} is saturated: it stands at {largest:.6g} N in {at.size} of {order.size} cuts, of chips from "
+            f"{thickness[at].min() * 1e6:.4g} to {thickness[at].max() * 1e6:.4g} nm, closer together than its noise: "
+            "record with a larger range, or leave these cuts out"
         )
 
 
-def require_cutting(value: float) -> None:
-    """Raise for a cutting coefficient that no material has."""
-    if not value > 0:
+def require_material(name: str, value: float, high: float) -> None:
+    """Raise for a coefficient of cutting force or thrust that no material has."""
+    if not value > 0 and (name == "cutting" or high < 0):
         raise InputError(
-            f"the cutting coefficient comes out as {value:.4g} N/mm^2, it must be above 0: check the signs of both "
+            f"the {name} coefficient comes out as {value:.4g} N/mm^2, it must be above 0: check the signs of both "
             "channels"
+        )
+    if abs(value) > HARDEST or (name == "cutting" and value < SOFTEST):
+        raise InputError(
+            f"the {name} coefficient comes out as {value:.4g} N/mm^2, materials have {SOFTEST:g} to {HARDEST:.0e}: "
+            "state forces in N, and thickness and width of the chip in mm"
         )
 
 
@@ -694,16 +714,16 @@ def _transition(rows: _Rows, confidence: float) -> _Drop | None:
     weight = 1 / np.diag(fits[0])
     joint = np.asarray(sum(w * many for w, (many, _) in zip(weight, sums, strict=True)))
     best = int(np.argmin(joint))
-    thin, thick, gone = _sides(rows, order, after, best)
-    eta = [float((weight * gone) @ side @ (weight * gone) / (weight @ gone**2)) for side in (thin, thick)]
+    thin, thick, gone, residuals = _sides(rows, order, after, best)
+    jump = max(float(weight @ gone**2), np.finfo(np.float64).tiny)
+    eta = [float((weight * gone) @ side @ (weight * gone) / jump) for side in (thin, thick)]
     limit = -2 * np.log(1 - np.sqrt(confidence))
     # A split below the best one would make ductile what is brittle, and is judged by the noise of the brittle side.
     allowed = (joint - joint[best]) <= limit * np.where(np.arange(joint.size) < best, eta[1], eta[0])
     inside = after[allowed]
     low, high = ascending[inside.min() - 1], ascending[inside.max()]
     spread = rows.upper - rows.thickness
-    one = float(sum(w * whole for w, (_, whole) in zip(weight, sums, strict=True)))
-    chance = _chance(one - float(joint[best]), max(eta), n, free)
+    chance = chance_of(rows, [whole for _, whole in sums], residuals, order[: int(after[best])])
     at = 0.5 * (ascending[after[best] - 1] + ascending[after[best]])
     remaining = tuple(_remaining(rows, component, order, int(after[best]), float(at)) for component in (0, 1))
     split = _Split(
@@ -733,6 +753,9 @@ def _selected(rows: _Rows, drop: _Drop | None, bend: SlopeChange | None) -> _Spl
         # The noise is that of the richer model: what a drop leaves of two lines that meet would count as noise.
         return float(f.sf(float(drop.weight @ (squares - drop.squares)) / drop.noise / numbers, numbers, free))
 
+    for one in (bend, None if drop is None else drop.split):
+        if one is not None and one.chance <= CERTAIN:
+            _standing(rows, one.value)
     split = None if drop is None or drop.split.chance > CERTAIN or drop.split.remaining[0] >= 1 else drop.split
     if bend is None:
         return split
@@ -750,16 +773,6 @@ def _selected(rows: _Rows, drop: _Drop | None, bend: SlopeChange | None) -> _Spl
     if split is not None and chance < CERTAIN:
         return replace(bent, low=min(bent.low, split.low), high=max(bent.high, split.high))
     return bent
-
-
-def _chance(gain: float, eta: float, rows: int, free: int) -> float:
-    """Return an upper limit of the probability that chance gains as much by a split somewhere.
-
-    Each of at most ``rows`` independent splits gains as an F of 2 by 2 columns does; their chances add up at most.
-    """
-    from scipy.stats import f  # noqa: PLC0415 - costly to import
-
-    return float(min(1.0, rows * f.sf(gain / eta / (2 * COMPONENTS), 2 * COMPONENTS, free)))
 
 
 def _design(rows: _Rows, component: int, order: np.ndarray) -> tuple[Floats, Floats, Floats, Floats]:
@@ -806,8 +819,11 @@ def _left(rows: _Rows, component: int, order: np.ndarray, after: np.ndarray) -> 
     return many, float(rest @ rest)
 
 
-def _sides(rows: _Rows, order: np.ndarray, after: np.ndarray, best: int) -> tuple[Floats, Floats, Floats]:
-    """Return the long-run covariances of the thin and the thick side at a split, and the jump there. (2, 2), (2,)."""
+def _sides(rows: _Rows, order: np.ndarray, after: np.ndarray, best: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the long-run covariances of the thin and the thick side at a split, the jump there and what is left.
+
+    (2, 2), (2, 2), (2,) and (2, n).
+    """
     cut = int(after[best])
     residuals, jumps = [], []
     for component in range(COMPONENTS):
@@ -836,7 +852,7 @@ def _sides(rows: _Rows, order: np.ndarray, after: np.ndarray, best: int) -> tupl
         covers = [larger, larger]
     floor = 1e-18 * np.array([one @ one / one.size for one in rows.forces])
     thin_cover, thick_cover = (one + np.diag(floor + np.finfo(np.float64).tiny) for one in covers)
-    return np.asarray(thin_cover), np.asarray(thick_cover), np.array(jumps)
+    return np.asarray(thin_cover), np.asarray(thick_cover), np.array(jumps), left
 
 
 def _remaining(rows: _Rows, component: int, order: np.ndarray, cut: int, at: float) -> float:
@@ -936,6 +952,42 @@ def said_of(
             f"{'remain' if len(shares) > 1 else 'remains'}"
         )
     return said
+
+
+def _standing(rows: _Rows, limit: float) -> list[str]:
+    """Say if both forces stand still at their largest beyond a limit; raise if one does and the other goes on.
+
+    Fracture changes both; the end of a range is that of a channel.
+    """
+    names = ("cutting force", "thrust")
+    level, clear, stands, goes = [], [], [], []
+    thick = rows.thickness > limit
+    for component in range(COMPONENTS):
+        beyond = rows.per_thickness(component) * np.maximum(rows.thickness - limit, 0.0)
+        line = rows.ductile_columns(component, limit)
+        every = np.ones_like(rows.engaged)
+        slope, sigma, _ = rows.first(component, np.column_stack((beyond, line)), every, UNLIKELY)
+        whole = rows.first(component, np.column_stack((line, beyond)), every, UNLIKELY)[0]
+        force = np.abs(rows.forces[component])
+        level.append(float(force[thick].mean()))
+        near = max(SURE * sigma, STILL * whole)
+        clear.append(SURE * sigma < SLOW * whole)
+        stands.append(abs(slope) < near and force[thick].max() >= force[~thick].max())
+        goes.append(abs(slope - whole) < near)
+    if all(stands):
+        question = (
+            f"both forces stand at their largest from there on, {level[0]:.4g} N and {level[1]:.4g} N: if these are "
+            "the ends of the ranges, the critical thickness is not the material's"
+        )
+        return [question]
+    for which, other in ((0, 1), (1, 0)):
+        if all(clear) and stands[which] and goes[other]:
+            raise InputError(
+                f"the {names[which]} stands at its largest, {level[which]:.4g} N, from {limit * 1e6:.4g} nm on "
+                f"and the {names[other]} goes on in proportion: fracture changes both, so the channel is saturated; "
+                "record with a larger range, or leave these cuts out"
+            )
+    return []
 
 
 def too_weak(weakest: float, scatter: float) -> list[str]:
