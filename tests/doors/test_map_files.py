@@ -430,6 +430,11 @@ def test_meshes_of_a_turned_grid_are_points(tmp_path):
 
 
 ARRAYS = {
+    "a number without end": (
+        "a.npy",
+        array_file(PICTURE).replace(b"4), }" + 50 * b" ", b"4" + 54 * b"4"),
+        "plain real numbers",
+    ),
     "objects": ("a.npy", array_file(np.array([{}, 1], dtype=object)), "none of plain real numbers"),
     "complex numbers": ("a.npy", array_file(np.ones((4, 4), dtype=complex)), "plain real numbers"),
     "three columns": ("a.npy", array_file(np.ones((9, 3))), "may be points as well"),
@@ -747,3 +752,11 @@ def test_a_library_that_dies_of_a_file_takes_nobody_with_it(tmp_path, monkeypatc
     monkeypatch.setattr("turnwright._apart.PROGRAM", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     with pytest.raises(MapError, match="is HDF5 that cannot be read"):
         read(tmp_path, datx(), "a.datx")
+
+
+@pytest.mark.parametrize("head", ["x{0}q,y,z", "5 5 1 1 0{0}0 0 x", "x [mm{0}],y,z", "{0}x"])
+def test_blanks_without_end_are_read_once(tmp_path, head):
+    """A pattern that tries a run of blanks again at each of them takes a minute; here it would not end."""
+    (tmp_path / "a.csv").write_text(head.format(1_000_000 * " ") + "\n1,2,3\n2,3,4\n")
+    with pytest.raises(InputError):
+        read_map(tmp_path / "a.csv")

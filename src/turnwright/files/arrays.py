@@ -30,7 +30,7 @@ __all__ = ["SIGNATURE", "packed", "read_bare", "read_named"]
 SIGNATURE = b"\x93NUMPY"
 HEAD = re.compile(
     rb"\{'descr': '(?P<kind>[<>|=](?:b1|[iu][1248]|f[248]|f16|U\d{1,7}))', 'fortran_order': (?P<columns>True|False), "
-    rb"'shape': \((?P<shape>(?:\d{1,18},? ?)*)\),? ?\}\s*"
+    rb"'shape': \((?P<shape>(?:\d{1,18}+(?:, ?|(?=\))))*+)\),? ?\}\s*+"
 )
 """The head of an array, as NumPy writes it; read by its pattern, for it is a piece of Python."""
 

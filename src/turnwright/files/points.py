@@ -301,7 +301,7 @@ def _names(above: list[str], layout: _Layout) -> list[str] | None:
         plain = line.strip().lstrip(MARKS).strip()
         for separator in (layout.separator, ",", ";", "\t", None):
             # A unit belongs to the name before it, also where white space parts the names.
-            cells = _cells(re.sub(r"\s+(?=[\[(/])", "", plain) if separator is None else plain, separator)
+            cells = _cells(re.sub(r"(?<!\s)\s++(?=[\[(/])", "", plain) if separator is None else plain, separator)
             if len(cells) == layout.columns and not any(NUMBER.fullmatch(cell) for cell in cells):
                 return cells
         return None
@@ -310,7 +310,7 @@ def _names(above: list[str], layout: _Layout) -> list[str] | None:
 
 def _split_cell(cell: str) -> tuple[str, str]:
     """Return name and unit of a column."""
-    found = CELL.fullmatch(cell)
+    found = CELL.fullmatch(" ".join(cell.split()))  # blanks in a row would be tried again and again
     if found is None:
         return cell.lower(), ""
     return found[1].lower(), (found[2] or found[3] or "")
