@@ -252,8 +252,10 @@ def first_turn(motion: Motion) -> tuple[Floats, Floats, dict[str, Floats], float
         return turned, turned * pace, axes, abs(float(x[-1] - x[0])) * TURN / float(angle[-1])
     turned = angle[:last]
     closing = TURN - turned[-1]
-    if last > 2 and closing < 0.5 * float(np.median(np.diff(turned))) and closing + turned[-1] - turned[-2] < WIDEST:
-        turned = turned[:-1]
+    if last > 2 and closing < 0.5 * float(np.median(np.diff(turned))):
+        # A point so near to the end of the turn would make a block too short: it goes, or to the middle of its gap.
+        wide = closing + turned[-1] - turned[-2] >= WIDEST
+        turned = np.append(turned[:-1], [turned[-2] + (TURN - turned[-2]) / 2] if wide else [])
     turned = np.append(turned, TURN)
     time = np.interp(turned, angle, motion.time) - motion.time[0]
 
