@@ -19,7 +19,9 @@ DECIMALS = {"nanotech": {"C": 5, "X": 6, "Y": 6, "Z": 6}, "generic": {"C": 6, "X
 @st.composite
 def machines(draw):
     side = st.sampled_from([1, -1])
-    convention = Convention(x_side=draw(side), c_sense=draw(side), z_sign=draw(side), clocking=draw(st.floats(-7, 7)))
+    convention = Convention(
+        x_side=draw(side), c_sense=draw(side), z_sign=draw(side), clocking=draw(st.floats(-6.2, 6.2))
+    )
     return Machine(
         name="lathe",
         axes={letter: Axis() for letter in "CXYZ"},

@@ -29,7 +29,9 @@ def lathe(**more):
 def machines(draw):
     side = st.sampled_from([1, -1])
     return lathe(
-        convention=Convention(x_side=draw(side), c_sense=draw(side), z_sign=draw(side), clocking=draw(st.floats(-7, 7)))
+        convention=Convention(
+            x_side=draw(side), c_sense=draw(side), z_sign=draw(side), clocking=draw(st.floats(-6.2, 6.2))
+        )
     )
 
 

@@ -71,7 +71,7 @@ def run_batch(jobs: Sequence[Path], out: Path, door: Door, *, force: bool, worke
     shared = {"out": str(out.absolute()), "force": force}
     made = [folder for folder in (out.absolute(), *out.absolute().parents) if not folder.exists()]
     side_by_side = min(fitting() if workers is None else workers, len(jobs))
-    steps = [Step(stage="jobs", work=JOB_S * len(jobs) / side_by_side)]
+    steps = [Step(stage="jobs", work=JOB_S * len(jobs) / max(side_by_side, 1))]  # the pool refuses less
     out.mkdir(parents=True, exist_ok=True)
     door.partly = f"what is finished stays in {out}: give the same command to go on"
     try:
