@@ -51,11 +51,22 @@ class Verdict:
     @property
     def sentence(self) -> str:
         """What was found, and what is allowed."""
-        called, allowed = CALLED[self.tolerance], f"the tolerance is {self.limit_nm:.4g} nm"
+        called = CALLED[self.tolerance]
         if self.kept is None or self.value_nm is None:
-            return f"{self.place}: {called} is not judged ({self.reason}), {allowed}"
+            return f"{self.place}: {called} is not judged ({self.reason}), the tolerance is {self.limit_nm:.4g} nm"
         also = f" and {self.reason}" if self.reason else ""
-        return f"{self.place}: {called} is {self.value_nm:.4g} nm{also}, {allowed}"
+        value, limit = _distinct(self.value_nm, self.limit_nm)
+        return f"{self.place}: {called} is {value} nm{also}, the tolerance is {limit} nm"
+
+
+def _distinct(one: float, other: float) -> tuple[str, str]:
+    """Return two numbers with four digits, or as many as it takes to differ.
+
+    >>> _distinct(225.049, 225.04)
+    ('225.05', '225.04')
+    """
+    digits = next((n for n in range(4, 17) if one == other or f"{one:.{n}g}" != f"{other:.{n}g}"), 17)
+    return f"{one:.{digits}g}", f"{other:.{digits}g}"
 
 
 def tolerances_of(job: Job) -> dict[str, float]:
@@ -121,21 +132,28 @@ def judge_form(job: Job, pv_nm: float, *, sq_reason: str) -> tuple[Verdict, ...]
     found = []
     for name, limit in tolerances_of(job).items():
         form = name == "form_pv"
-        found.append(
+        found += [
             Verdict(
-                tolerance=name, place=WHOLE, limit_nm=limit, value_nm=pv_nm if form else None,
+                tolerance=name, place=place, limit_nm=limit, value_nm=pv_nm if form else None,
                 kept=pv_nm <= limit if form else None, reason="" if form else sq_reason,
             )
-        )  # fmt: skip
+            for place in _places(job, name)
+        ]  # fmt: skip
     return tuple(found)
 
 
 def unjudged(job: Job, reason: str) -> tuple[Verdict, ...]:
     """Return every stated tolerance as not judged, for a reason."""
     return tuple(
-        Verdict(tolerance=name, place=WHOLE, limit_nm=limit, value_nm=None, kept=None, reason=reason)
+        Verdict(tolerance=name, place=place, limit_nm=limit, value_nm=None, kept=None, reason=reason)
         for name, limit in tolerances_of(job).items()
+        for place in _places(job, name)
     )
+
+
+def _places(job: Job, tolerance: str) -> list[str]:
+    """Return where a tolerance is judged."""
+    return [patch.name for patch in job.simulation.patches if tolerance == "sq"] or [WHOLE]
 
 
 def missed(verdicts: Iterable[Verdict]) -> bool:
