@@ -184,7 +184,7 @@ def test_the_command_writes_a_table_and_a_page(tmp_path):
         ),
         (
             {"errors": {"drift z": {"spread": "uniform(0, 1, 2) nm", "source": "a"}}},
-            "drift z: uniform has 3 numbers, it needs 2 finite ones (low, high): complete or correct them",
+            "drift z: uniform has 3 numbers, it needs 2 (low, high): complete or correct them",
         ),
         (
             {"errors": {"drift z": {"spread": "uniform(0, 1) deg", "source": "a"}}},
