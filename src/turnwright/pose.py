@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +53,12 @@ class Pose:
         object.__setattr__(self, "rotation", check_angle(self.rotation, "rotation"))
         for lean in self.tilt:
             check_angle(lean, "tilt")
+
+    @classmethod
+    def within_a_turn(cls, shift: Sequence[float] | Floats, rotation: float, tilt: Sequence[float] | Floats) -> Pose:
+        """Return the pose of angles that may be beyond a turn, as those of a search; whole turns are taken off."""
+        angles = np.fmod([rotation, *tilt], 2 * np.pi).tolist()
+        return cls(shift=(shift[0], shift[1], shift[2]), rotation=angles[0], tilt=(angles[1], angles[2]))
 
     @classmethod
     def of(cls, matrix: ArrayLike, shift: ArrayLike) -> Pose:

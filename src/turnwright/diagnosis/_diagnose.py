@@ -487,12 +487,7 @@ def _report(
 
 
 def _pose(sight: Sight) -> Pose:
-    x, y, z, rotation, one, other = sight.pose[:6].tolist()
-    return Pose(
-        shift=(x, y, z),
-        rotation=float(np.fmod(rotation, 2 * np.pi)),
-        tilt=(float(np.fmod(one, 2 * np.pi)), float(np.fmod(other, 2 * np.pi))),
-    )
+    return Pose.within_a_turn(sight.pose[:3].tolist(), sight.pose[3], sight.pose[4:6])
 
 
 def _on(heights: HeightMap, mark: Floats, sight: Sight) -> HeightMap:

@@ -98,9 +98,7 @@ class Sight:
         if self.sphere is not None:
             x, y, z = on_sphere(self.sphere + self.pose[6:], x, y, z, self.stands)
         shift, rotation, tilt = self.pose[:3], self.pose[3], self.pose[4:6]
-        return Pose(
-            shift=tuple(shift), rotation=float(np.fmod(rotation, 2 * np.pi)), tilt=tuple(np.fmod(tilt, 2 * np.pi))
-        ).apply(x, y, z)
+        return Pose.within_a_turn(shift, rotation, tilt).apply(x, y, z)
 
     def cut(self, deviations: Deviations) -> tuple[Floats, Cutting]:
         """Return what is measured beyond the height that the deviations leave, and how the points were cut."""

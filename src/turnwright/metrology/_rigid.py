@@ -101,8 +101,7 @@ class _Sums(NamedTuple):
 
 def turns(state: Floats) -> tuple[Floats, Floats]:
     """Return the rotation matrix of a state, and the axes that its three angles turn about, as rows. (3, 3) each."""
-    rotation, *tilt = np.fmod(state[3:6], 2 * np.pi)
-    pose = Pose(rotation=rotation, tilt=(tilt[0], tilt[1]))
+    pose = Pose.within_a_turn((0.0, 0.0, 0.0), state[3], state[4:6])
     c, s = np.cos(state[3]), np.sin(state[3])
     ca, sa = np.cos(state[4]), np.sin(state[4])
     return pose.matrix, np.array([[0, 0, 1], [c, s, 0], [-s * ca, c * ca, sa]])
@@ -111,9 +110,7 @@ def turns(state: Floats) -> tuple[Floats, Floats]:
 def pose_of(state: Floats, pivot: Floats) -> Pose:
     """Return the pose of a state."""
     turn, _ = turns(state)
-    x, y, z = state[:3] - turn @ pivot
-    rotation, *tilt = np.fmod(state[3:6], 2 * np.pi)
-    return Pose(shift=(x, y, z), rotation=rotation, tilt=(tilt[0], tilt[1]))
+    return Pose.within_a_turn(state[:3] - turn @ pivot, state[3], state[4:6])
 
 
 def state_of(pose: Pose, pivot: Floats, terms: int) -> Floats:

@@ -361,7 +361,7 @@ class _Revolved(_Model):
     def _pose(self, parameters: Floats) -> Pose:
         x, y, z = parameters[:3].tolist()
         tilt = (0.0, 0.0) if isinstance(self.given, Sphere) else (float(parameters[3]), float(parameters[4]))
-        return Pose(shift=(x, y, z), tilt=(float(np.fmod(tilt[0], 2 * np.pi)), float(np.fmod(tilt[1], 2 * np.pi))))
+        return Pose.within_a_turn((x, y, z), 0.0, tilt)
 
     def _shape(self, parameters: Floats) -> tuple[float, float, Floats]:
         """Return curvature, conic constant and the even terms' coefficients."""
