@@ -458,12 +458,7 @@ class _Search:
             r = np.clip(radius[:, None] + along * ways[:, 0], 0.0, rim)
             a = angle[:, None] + around * ways[:, 1]
             near, turned, value = (one.reshape(r.shape) for one in self._looked(r.ravel(), a.ravel(), sign))
-            top = value.argmax(axis=1)
-            each = np.arange(top.size)
-            better = value[each, top] > best
-            radius = np.where(better, near[each, top], radius)
-            angle = np.where(better, turned[each, top], angle)
-            best = np.where(better, value[each, top], best)
+            radius, angle, best = _higher(radius, angle, best, near, turned, value)
             along, around = max(along / 2, self.feed / 3), max(around / 2, self.step / 3)
         return radius, angle, best
 
@@ -478,12 +473,7 @@ class _Search:
             looks = max(FINE - int(math.log(widest / reach.max(), (INNER - 1) / 2)), COARSE)
             every = (np.repeat(radius, STEPS), angles.ravel(), np.repeat(reach, STEPS))
             near, value = (one.reshape(angles.shape) for one in self._along(*every, looks, sign))
-            top = value.argmax(axis=1)
-            each = np.arange(radius.size)
-            better = value[each, top] > best
-            radius = np.where(better, near[each, top], radius)
-            angle = np.where(better, angles[each, top], angle)
-            best = np.where(better, value[each, top], best)
+            radius, angle, best = _higher(radius, angle, best, near, angles, value)
             # As far as the top moves along the radius from azimuth to azimuth.
             reach = np.clip(np.ptp(near, axis=1), reach / 3, widest)
             half = half / 3
@@ -537,3 +527,17 @@ class _Search:
         cell = np.stack([radius[order] / (self.feed / 2), angle[order] % TURN / self.step]).round()
         order = order[np.sort(np.unique(cell, axis=1, return_index=True)[1])[:count]]
         return radius[order], angle[order], best[order]
+
+
+def _higher(
+    radius: Floats, angle: Floats, best: Floats, radii: Floats, angles: Floats, values: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return each place (n,), or the highest of its looks (n, k) where that is higher, with its value."""
+    each, top = np.arange(radius.size), values.argmax(axis=1)
+    highest = values[each, top]
+    better = highest > best
+    return (
+        np.where(better, radii[each, top], radius),
+        np.where(better, angles[each, top], angle),
+        np.where(better, highest, best),
+    )
