@@ -148,7 +148,7 @@ def require_new(file: Path) -> None:
 
 @contextmanager
 def progress_of(stop: Stop, steps: Sequence[Step]) -> Iterator[StageProgress]:
-    """Yield what is told of each stage: one bar for the whole run on a terminal, a quiet line per stage elsewhere."""
+    """Yield the progress callback: one bar for the whole run on a terminal, a quiet line per stage elsewhere."""
     if not sys.stderr.isatty():
         told: set[str] = set()
 
