@@ -106,7 +106,7 @@ class _Rule:
         if self.whole and not isinstance(value, numbers.Integral):
             raise InputError(f"{what} {shown(value)}, it must be a whole number: give one")
         if not math.isfinite(plain) and not (self.nan if math.isnan(plain) else self.inf):
-            raise InputError(f"{what} {plain:g}, it must be finite{' or inf' * self.inf}: correct it")
+            raise InputError(f"{what} {plain:g}, it must be finite{' or infinite' * self.inf}: correct it")
 
     def _check_array(self, values: NDArray[Any], name: str) -> None:
         if values.dtype.kind not in "fciu":

@@ -147,7 +147,7 @@ def _ascending(
     for name, axis in zip(names, (column, row), strict=True):
         if not (np.diff(axis) > 0).all():
             raise MapError(
-                f"{path} has an axis {name} that does not ascend or holds a nan: sort it, drop repeated values"
+                f"{path} has an axis {name} that does not ascend or has a gap: sort it, drop repeated values"
             )
     return z, column, row
 

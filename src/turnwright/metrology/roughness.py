@@ -187,16 +187,16 @@ def _texture(residual: HeightMap, grid: Grid, sq: float) -> tuple[float, float, 
     nothing = float("nan"), float("nan")
     steps = [np.diff(axis) for axis in (grid.columns, grid.rows)]
     if residual.polar:
-        return *nothing, ("sal and str are nan: a polar grid has no even lags, so take a rectangular patch",)
+        return *nothing, ("Sal and Str cannot be stated: a polar grid has no even lags, so take a rectangular patch",)
     if any(step.size < 3 or np.ptp(step) > 1e-6 * step.mean() for step in steps):
-        return *nothing, ("sal and str are nan: they need an even grid of at least 4 x 4 points",)
+        return *nothing, ("Sal and Str cannot be stated: they need an even grid of at least 4 x 4 points",)
     if sq == 0:
-        return *nothing, ("sal and str are nan: the map is perfectly flat",)
+        return *nothing, ("Sal and Str cannot be stated: the map is perfectly flat",)
     correlation, known = _autocorrelation(residual.z)
     lengths, fallen = _decay(correlation, known, steps[0].mean(), steps[1].mean())
     if not fallen.any():
         note = f"the autocorrelation stays above {CORRELATED} as far as it is known, so map a larger area"
-        return *nothing, (f"sal and str are nan: {note}",)
+        return *nothing, (f"Sal and Str cannot be stated: {note}",)
     sal, longest = float(lengths[fallen].min()), float(lengths.max())
     if fallen.all():
         return sal, sal / longest, ()

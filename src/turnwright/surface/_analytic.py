@@ -75,13 +75,13 @@ def curvature(radius: float, what: str) -> float:
     """Return 1/radius; an infinite radius is flat. [1/mm]."""
     if not isinstance(radius, Real) or np.isnan(radius) or radius == 0:
         raise InputError(
-            f"{what} is {radius!r} mm, it must not be 0 or nan: give it positive for a bowl, negative for a dome, "
-            "inf for a flat"
+            f"{what} is {radius!r} mm, it must not be 0: give it positive for a bowl, negative for a dome, "
+            "infinite for a flat"
         )
     if not LEAST <= abs(radius) <= MOST and not np.isinf(radius):
         raise InputError(
             f"{what} is {radius:g} mm, the limits of its size are {LEAST:g} to {MOST:g} mm: check its exponent and its "
-            "unit, or give inf for a flat"
+            "unit, or give it infinite for a flat"
         )
     return 1 / radius
 

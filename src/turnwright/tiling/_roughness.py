@@ -64,7 +64,7 @@ def tiled_roughness(files: Files, form: str, progress: Progress | None) -> Rough
         math.fsum(every[:, k]) for k in range(kernel.SUMS)
     )
     low, high = float(every[:, kernel.SUMS].min()), float(every[:, kernel.SUMS + 1].max())
-    notes = ["sal and str are nan: they need the map in one piece, take them from a window"]
+    notes = ["Sal and Str cannot be stated: they need the map in one piece, take them from a window"]
     sq = math.sqrt(square / count)
     ssk = sku = sdq = sdr = math.nan
     if sq > 0:
