@@ -1,5 +1,6 @@
 """Formulas against SymPy and mpmath, and on the axis against the same surface written without rho and phi."""
 
+import contextlib
 import multiprocessing
 from dataclasses import replace
 
@@ -8,8 +9,8 @@ import pytest
 import sympy as sp
 from surface_oracle import X, Y, computed, disc, error
 
-from turnwright.errors import DomainError
-from turnwright.surface import Expression
+from turnwright.errors import DomainError, InputError
+from turnwright.surface import Expression, expression
 
 RHO, PHI = sp.sqrt(X**2 + Y**2), sp.atan2(Y, X)
 NAMES = {"x": X, "y": Y, "rho": RHO, "phi": PHI, "pi": sp.pi, "e": sp.E, "hypot": lambda a, b: sp.sqrt(a**2 + b**2)}
@@ -196,6 +197,23 @@ def test_a_long_sum_of_pairs_is_read(name):
     formula = "+".join([f"{name}(x+1.5,2)"] * 230) + f"+{name}(" + "+".join(["x"] * 300) + ",7)"
     oracle = getattr(np, {"hypot": "hypot", "atan2": "arctan2"}[name])
     np.testing.assert_allclose(Expression(formula).sag(x, y), 230 * oracle(x + 1.5, 2) + oracle(300 * x, 7), rtol=1e-12)
+
+
+@pytest.mark.parametrize("formula", ["8196*exp((rho*x)**sqrt(phi))", "exp(0*x)", "exp(x**9)"])
+def test_the_search_for_a_crest_ends(formula, monkeypatch):
+    """Oracle: a count of the evaluations; the first formula climbed along the rim for minutes."""
+    count = 0
+    run = expression._run
+
+    def counted(*args, **kwargs):
+        nonlocal count
+        count += 1
+        return run(*args, **kwargs)
+
+    monkeypatch.setattr(expression, "_run", counted)
+    with contextlib.suppress(InputError):
+        Expression(formula)
+    assert count < 2000
 
 
 def test_another_formula_has_a_feature_size_of_its_own():

@@ -47,6 +47,9 @@ FAR = 25.0
 CREST_TOL = 1e-12
 """How closely the crest of an exp is found. [mm]."""
 
+CLIMBS = 1000
+"""Steps toward a crest at most: some arguments of exp climb along a spiral without end."""
+
 STRAY_TOL = 1e-7
 """Closer than this to a crest its height no longer tells where it is, by rounding. [mm]."""
 
@@ -362,12 +365,15 @@ def _crest(argument: tuple[Step, ...], sampled: Floats) -> tuple[float, float]:
     x, y = r * np.cos(azimuth), r * np.sin(azimuth)
     across, along = (part.ravel() for part in np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)))
     with np.errstate(all="ignore"):
-        while wide > CREST_TOL:
+        for _ in range(CLIMBS):
+            if wide <= CREST_TOL:
+                break
             near_x, near_y = x + wide * across, y + wide * along
             heights = np.broadcast_to(_run(argument, _seeds(near_x, near_y, 0), 0)[0], near_x.shape)
             allowed = np.isfinite(heights) & (np.hypot(near_x, near_y) <= FAR)
-            best = int(np.argmax(np.where(allowed, heights, -np.inf)))
-            if best == across.size // 2:
+            heights = np.where(allowed, heights, -np.inf)
+            best = int(np.argmax(heights))
+            if heights[best] == heights[across.size // 2]:  # places as high as this one are not gone through
                 wide /= 2
             elif wide < STRAY_TOL:  # rounding alone moves it on
                 break
