@@ -137,7 +137,7 @@ class HeightMap:
         [0.0, 0.1, 0.2]
         """
         if self.calibrated or self.x is None or self.y is None:
-            raise InputError(f"the map {self.name!r} has its lengths already: leave the pixel size out")
+            raise InputError(f"the map {self.name!r} has its lengths already: do not give a pixel size")
         along_x, along_y = pixel_size if isinstance(pixel_size, tuple) else (pixel_size, pixel_size)
         return replace(
             self,

@@ -228,7 +228,7 @@ def test_a_file_without_calibration_loads_and_asks_for_its_pixel_size(tmp_path, 
 
 
 def test_a_pixel_size_for_a_file_that_has_one_is_refused(tmp_path):
-    with pytest.raises(MapError, match=r"leave pixel_size=0\.1 out"):
+    with pytest.raises(MapError, match=r"do not give pixel_size=0\.1"):
         read(tmp_path, metropro(), "a.dat", pixel_size=0.1)
 
 
@@ -243,7 +243,7 @@ def test_a_wrong_pixel_size_is_refused(tmp_path):
 
 def test_a_unit_for_a_file_that_has_one_is_refused(tmp_path):
     for name, data, *_ in FORMATS.values():
-        with pytest.raises(MapError, match="leave unit='um' out"):
+        with pytest.raises(MapError, match="do not give unit='um'"):
             read(tmp_path, data, name, unit="um")
 
 
@@ -410,7 +410,7 @@ def test_what_would_have_to_be_guessed_is_refused(tmp_path, text, said):
 
 
 def test_a_unit_that_the_text_states_cannot_be_given_too(tmp_path):
-    with pytest.raises(MapError, match="leave unit='nm' out"):
+    with pytest.raises(MapError, match="do not give unit='nm'"):
         read(tmp_path, "# unit: mm\n" + GRID, "a.csv", unit="nm")
 
 

@@ -65,7 +65,7 @@ def read_map(
     data = _contents(path)
     reader, kind = _reader_of(path, data)
     if reader is not _read_text and (unit or lateral_unit):
-        raise MapError(f"{path} is {kind}, which has units of its own: leave unit={unit or lateral_unit!r} out")
+        raise MapError(f"{path} is {kind} and states its own units: do not give {_given(unit, lateral_unit)}")
     try:
         # Numbers that overflow are no heights: they end as missing points.
         with np.errstate(over="ignore", invalid="ignore"):
@@ -81,11 +81,15 @@ def read_map(
     if pixel_size is None:
         return found
     if found.calibrated:
-        raise MapError(f"{path} states the size of its pixels: leave pixel_size={pixel_size} out")
+        raise MapError(f"{path} states the size of its pixels: do not give pixel_size={pixel_size}")
     sizes = tuple(np.ravel(pixel_size).tolist())
     if len(sizes) > 2:
         raise MapError(f"{path} is given {len(sizes)} pixel sizes, the limit is 2: give one, or one along x and y each")
     return found.scaled(sizes if len(sizes) == 2 else sizes[0])
+
+
+def _given(unit: str | None, lateral_unit: str | None) -> str:
+    return f"unit={unit!r}" if unit else f"lateral_unit={lateral_unit!r}"
 
 
 def _contents(path: Path) -> bytes:
@@ -147,7 +151,7 @@ def _read_text(path: Path, data: bytes, unit: str | None = None, lateral_unit: s
     if own is None:
         return points.read(path, text, unit, lateral_unit)
     if unit or lateral_unit:
-        raise MapError(f"{path} has units of its own: leave unit={unit or lateral_unit!r} out")
+        raise MapError(f"{path} states its own units: do not give {_given(unit, lateral_unit)}")
     return own(path, text)
 
 

@@ -368,7 +368,7 @@ def _unit(
     if len({SPELLINGS.get(one.lower(), one.lower()) for one in told}) > 1:
         raise MapError(f"{path} states the units {', '.join(sorted(told))} for {axis}, the limit is 1: state one")
     if told and given is not None and axis == "z" and given.lower() not in {one.lower() for one in told}:
-        raise MapError(f"{path} states the unit of its heights, {next(iter(told))}: leave unit={given!r} out")
+        raise MapError(f"{path} states the unit of its heights, {next(iter(told))}: do not give unit={given!r}")
     unit = next(iter(told), given)
     if unit is None:
         raise MapError(f"{path} does not state the unit of {axis}: give it as unit='mm', or as a column '{axis} [mm]'")
