@@ -1,5 +1,7 @@
 """What `check` says of the shape of a part. Oracles: closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,12 @@ def test_a_plane_is_flat():
     assert found.steepest == pytest.approx(np.arctan(0.01), rel=1e-12)
     assert found.departure_pv < 1e-12
     assert found.facts["Least radius of curvature"] == "none, it is flat"
+    assert found.facts["Best-fit sphere"] == "none, the part is flat"
+
+
+def test_where_no_sphere_fits_the_departure_is_from_the_plane():
+    found = replace(shape(tw.Plane(slope=(0.01, 0.0))), departure_pv=2e-3, departure_rms=1e-3)
+    assert found.facts["Best-fit sphere"] == "none, a plane fits best, departure PV 2 um, RMS 1 um"
 
 
 def test_the_vertex_of_an_off_axis_part_is_at_0_nm():

@@ -41,7 +41,7 @@ class PartShape:
     sphere_radius
         Radius of curvature of the best-fit sphere, positive where concave; infinite for a plane. [mm]
     departure_pv, departure_rms
-        Of the surface from that sphere, along z. [mm]
+        Of the surface from that sphere, or from the best-fit plane where no sphere fits, along z. [mm]
     concave_radius, convex_radius
         The least radii of curvature of either sign; infinite where there is none. [mm]
     """
@@ -60,9 +60,13 @@ class PartShape:
     def facts(self) -> dict[str, str]:
         """Each quantity by its name, with its unit."""
         x, y = (round(one, 6) + 0.0 for one in self.steepest_at)
-        sphere = "plane"
+        departure = f"departure PV {say_length(self.departure_pv)}, RMS {say_length(self.departure_rms)}"
+        sphere = f"none, a plane fits best, {departure}"
         if math.isfinite(self.sphere_radius):
-            sphere = f"R {say_length(abs(self.sphere_radius))} {'concave' if self.sphere_radius > 0 else 'convex'}"
+            bend = "concave" if self.sphere_radius > 0 else "convex"
+            sphere = f"R {say_length(abs(self.sphere_radius))} {bend}, {departure}"
+        elif self.departure_pv == 0:
+            sphere = "none, the part is flat"
         radii = {"concave": self.concave_radius, "convex": self.convex_radius}
         curved = [f"{say_length(radius)} {kind}" for kind, radius in radii.items() if math.isfinite(radius)]
         return {
@@ -70,9 +74,7 @@ class PartShape:
                 f"{say_length(self.lowest)} to {say_length(self.highest)}, PV {say_length(self.highest - self.lowest)}"
             ),
             "Steepest slope": f"{math.degrees(self.steepest):.4g} deg at x = {x:.4g} mm, y = {y:.4g} mm",
-            "Best-fit sphere": (
-                f"{sphere}, departure PV {say_length(self.departure_pv)}, RMS {say_length(self.departure_rms)}"
-            ),
+            "Best-fit sphere": sphere,
             "Least radius of curvature": ", ".join(curved) or "none, it is flat",
         }
 
