@@ -43,6 +43,19 @@ def test_all_keep_what_the_job_keeps(tmp_path):
     assert adaptive.turns < steady.turns
 
 
+def test_lead_in_and_overrun_of_the_job_are_kept(tmp_path):
+    """Oracle: what the job states, in every strategy of constant feed, and the ends of its spiral."""
+    job = Job.load(written(tmp_path, *CHANGES, ("strategy.lead_in", "50 um")))
+    found = compare(job)
+    slow = [one for one in found.candidates if one.name.startswith("slow")]
+    assert len(slow) == 2
+    for one in slow:
+        assert (one.servo.overrun, one.servo.lead_in) == (0.0025, 0.05)
+        spiral = one.servo.spiral(job.part.part, job.tool.tool)
+        assert (spiral.radius.min(), spiral.radius.max()) == pytest.approx((-0.0025, 0.55), abs=1e-9)
+        assert found.stated(one)["overrun"] == "2.5 um"
+
+
 def test_the_job_as_it_stands_is_the_first(tmp_path):
     """Oracle: `run` on the same job, whose points, minutes and strategy these are."""
     own = {"kind": "slow tool servo", "feed": "20 um/rev", "points_per_rev": 400, "along": "normal"}

@@ -149,8 +149,8 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
     An adaptive job says both itself. Of any other, the cusps are the highest that its own feed leaves away from the
     axis (those of a flat, where the surface is in pieces, since no nose reaches its valleys), and the chord is the one
     it states, or the largest that its points leave. Strategies of constant feed keep the job's feed, or, in an adaptive
-    job, take the largest that keeps the scallop. Each turns at the job's spindle speed or speeds, or at the highest
-    within all limits if it states none.
+    job, take the largest that keeps the scallop; slow, fast and hybrid servos keep its lead-in and its overrun, too.
+    Each turns at the job's spindle speed or speeds, or at the highest within all limits if it states none.
 
     Parameters
     ----------
@@ -208,7 +208,11 @@ def _ways(
     rpm, sense, inside_out = own.spindle_rpm, job.strategy.sense, job.strategy.inside_out
     linear = machine.controller.interpolation != "hermite"
     shared: dict[str, Any] = {"spindle_rpm": rpm, "sense": sense, "inside_out": inside_out}
-    by_chord = SlowToolServo(feed=feed, chord=chord, **shared)
+    plain = _plain(own)
+    ends: dict[str, Any] = {}
+    if isinstance(plain, SlowToolServo):
+        ends = {"lead_in": plain.lead_in, "overrun": min(plain.overrun, feed)}
+    by_chord = SlowToolServo(feed=feed, chord=chord, **shared, **ends)
 
     @cache  # several strategies go by it
     def even() -> SlowToolServo:
@@ -216,7 +220,7 @@ def _ways(
         steps = np.abs(np.diff(by_chord.spiral(part, tool).angle))
         # The last two steps of a plan by chord share what is left, and may be short.
         least = float(np.quantile(steps, FEW))
-        return SlowToolServo(feed=feed, points_per_rev=max(math.ceil(TURN / least), 8), **shared)
+        return SlowToolServo(feed=feed, points_per_rev=max(math.ceil(TURN / least), 8), **shared, **ends)
 
     def adaptive(x_motion: Literal["servo", "steady"]) -> AdaptiveToolServo:
         return AdaptiveToolServo(
