@@ -155,7 +155,8 @@ def main(jobs: int = 30, seed: int = 0, first: int = 0) -> int:
         try:
             found = judged(table, rng)
         except tw.InputError as error:
-            print(f"{number:4} refused: {str(error)[:90]}")
+            failed += 1  # every job that is drawn can be cut
+            print(f"{number:4} FAILS, refused: {str(error)[:90]}")
             continue
         bad = found["beyond"] > 1e-6 or found["stated"] > 1.01 * found["refined"] + 1e-3
         failed += bad
