@@ -202,7 +202,7 @@ def test_the_quickest_interpolation_that_the_controller_offers_is_taken(tmp_path
     again = tw.read_nc(program, planned.machine.machine)
     # The plan knew how the program comes to speed and to rest.
     assert again.time.size == points[1]
-    share = float(re.search(r"points (\S+) nm, decimals", said)[1])
+    share = float(re.search(r"points ±(\S+) nm, decimals", said)[1])
     # As closely at both ends, from rest and to rest, as elsewhere.
     first, last = again.time[[0, -1]]
     time = np.unique(

@@ -69,6 +69,23 @@ def test_a_flat_has_cusps_alone():
     assert found.rounding_nm == found.tracking_nm == 0
 
 
+def test_the_cusp_at_the_axis_counts_in_full():
+    """Oracle: R - sqrt(R² - (3f/4)²), where the last half turn of a spiral to the axis meets the turn before it."""
+    found = shares(*planned(Plane(), SlowToolServo(feed=FEED, points_per_rev=36, spindle_rpm=60)))
+    height = (NOSE - math.sqrt(NOSE**2 - (3 * FEED / 4) ** 2)) * 1e6
+    assert found.cusp_nm == pytest.approx(height, rel=1e-6)
+    assert found.pv_nm == pytest.approx(height, rel=1e-6)
+
+
+def test_contributions_add_up_to_the_form_error():
+    """Oracle: a sum of extremes is no less than the extreme of a sum; a steep part whose tip stands beside its cut."""
+    servo = SlowToolServo(feed=FEED, chord=2e-6, spindle_rpm=60)
+    found = shares(*planned(Plane(slope=(0.3, 0.2)) + SineGrid(amplitude=(0.002, 0.002), period=(0.5, 0.5)), servo))
+    parts = found.cusp_nm + 2 * (found.chord_nm + found.rounding_nm + found.tracking_nm)
+    assert max(found.cusp_nm, found.cusp_away_nm) <= found.pv_nm * 1.05
+    assert found.pv_nm <= parts * 1.001
+
+
 def test_points_err_by_their_chord():
     """Oracle: the tolerance that the strategy keeps is reached, and not passed, somewhere on the part."""
     grid = SineGrid(amplitude=(0.002, 0.002), period=(0.5, 0.5))

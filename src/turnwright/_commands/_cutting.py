@@ -132,10 +132,7 @@ def plan(
         f"{chosen.limits.points} points, {chosen.limits.cycle_time_s / 60:.1f} min at "
         f"{chosen.limits.spindle_rpm:.4g} rpm, {chosen.limits.nearest} is nearest to its limit"
     )
-    door.say(
-        f"form error PV {found.pv_nm:.3g} nm: cusps {found.cusp_nm:.3g} nm, points {found.chord_nm:.3g} nm, decimals "
-        f"{found.rounding_nm:.3g} nm, servos {found.tracking_nm:.3g} nm; Sq {found.sq_nm:.3g} nm"
-    )
+    door.say(f"form error PV {found.pv_nm:.3g} nm: {found.sentence}; Sq {found.sq_nm:.3g} nm")
     for verdict in chosen.verdicts:
         door.say(verdict.sentence)
     door.say(f"job: {out}")

@@ -235,11 +235,9 @@ def _planned(job: Job, form: float, sq: float, told: StageProgress) -> Plan:
         for name in aim:
             over = [(one.value_nm or 0.0) / one.limit_nm for one in found.verdicts if one.tolerance == name]
             aim[name] *= ROOM / max(over) if max(over) > 1 else 1.0
-    parts = found.shares
     raise LimitError(
-        f"the plan misses a tolerance: {'; '.join(one.sentence for one in found.verdicts if not one.kept)}; cusps have "
-        f"{parts.cusp_nm:.3g} nm, points {parts.chord_nm:.3g} nm, decimals {parts.rounding_nm:.3g} nm, servos "
-        f"{parts.tracking_nm:.3g} nm of the form error: allow more, or change tool or machine"
+        f"the plan misses a tolerance: {'; '.join(one.sentence for one in found.verdicts if not one.kept)}; form error "
+        f"of {found.shares.sentence}: allow more, or change tool or machine"
     )
 
 

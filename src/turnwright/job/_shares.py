@@ -55,6 +55,15 @@ RING = 12
 PER_FEATURE = 4
 """Azimuths to a feature of the surface at the rim, if they are not too many."""
 
+FAINT_NM = 1e-4
+"""Heights below it are roundings of the simulation."""
+
+AXIS_FEEDS = 2
+"""Distance of the tip from the axis, in feeds, within which an Archimedean spiral leaves its highest cusp."""
+
+DENSER = 16
+"""Parts into which an exact path close about the axis divides the way from one azimuth to the next."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shares:
@@ -65,7 +74,7 @@ class Shares:
     cusp_nm
         Peak to valley of what an exact path leaves: cusps, and valleys that no nose reaches.
     cusp_away_nm
-        The same two feeds or more away from the axis, where an Archimedean spiral leaves its highest cusp.
+        The same on the lines, two feeds or more away from the axis, where an Archimedean spiral leaves its highest.
     chord_nm
         Largest change of the surface by what the controller makes of the path between the program's points.
     rounding_nm
@@ -91,6 +100,14 @@ class Shares:
     rms_nm: float
     sq_nm: float
     error: HeightMap
+
+    @property
+    def sentence(self) -> str:
+        """Name every contribution: that of the cusps peak to valley, the others as what they change at most."""
+        return (
+            f"cusps {_digits(self.cusp_nm)} nm, points ±{_digits(self.chord_nm)} nm, decimals "
+            f"±{_digits(self.rounding_nm)} nm, servos ±{_digits(self.tracking_nm)} nm at most"
+        )
 
 
 def shares(
@@ -132,7 +149,8 @@ def shares(
         told(done, 6)
         return generate_polar(one, tool, radius=radius, angle=angle)
 
-    ideal_path = exact_motion(spiral, part, tool, machine, angle)
+    zone, reach = _axis_zone(part, tool, feed)
+    ideal_path = exact_motion(spiral, part, tool, machine, angle, dense_to=reach)
     exact = made(ideal_path, 0)
     again, ideal = again or motion, without_servos(machine)
     steady = machine.controller.interpolation == "linear"
@@ -152,7 +170,7 @@ def shares(
     told(6, 6)
     cusps = exact.minus(part.surface)
     return Shares(
-        cusp_nm=pv_nm_of(np.append(cusps.z.ravel(), _about_axis(ideal_path, part, tool, feed, angle))),
+        cusp_nm=pv_nm_of(np.append(cusps.z.ravel(), _about_axis(ideal_path, part, tool, zone))),
         cusp_away_nm=pv_nm_of(cusps.z[:, radius > 2 * feed]),
         chord_nm=apart_nm(wanted, exact),
         rounding_nm=apart_nm(rounded, sent),
@@ -167,16 +185,33 @@ def shares(
 def exact_cusps(spiral: Spiral, part: Part, tool: Tool, machine: Machine) -> tuple[HeightMap, float]:
     """Return what an exact path leaves on lines across all passes [mm], and its peak to valley, about the axis too."""
     radius, angle = lines(part, spiral.feed)
-    motion = exact_motion(spiral, part, tool, machine, angle)
+    zone, reach = _axis_zone(part, tool, spiral.feed)
+    motion = exact_motion(spiral, part, tool, machine, angle, dense_to=reach)
     error = generate_polar(motion, tool, radius=radius, angle=angle).minus(part.surface)
-    axis = _about_axis(motion, part, tool, spiral.feed, angle)
-    return error, pv_nm_of(np.append(error.z.ravel(), axis))
+    return error, pv_nm_of(np.append(error.z.ravel(), _about_axis(motion, part, tool, zone)))
 
 
-def _about_axis(motion: Motion, part: Part, tool: Tool, feed: float, angle: Floats) -> Floats:
-    """Return the error close about the axis, where one cusp stands alone and is higher than all others. [mm]."""
-    radius = np.linspace(0, min(2 * feed, part.radius), 2 * PER_FEED**2 + 1)
-    return generate_polar(motion, tool, radius=radius, angle=angle).minus(part.surface).z.ravel()
+def _axis_zone(part: Part, tool: Tool, feed: float) -> tuple[float, float]:
+    """Return how far from the axis cusps are cut by the tip next to it, and how far out their neighbours are. [mm].
+
+    On a slope the edge touches beside the tip, so that the cusp of the axis stands beside the axis.
+    """
+    radius = np.linspace(0, min(AXIS_FEEDS * feed, part.radius), 5)[:, None]
+    angle = np.linspace(0, TURN, FEWEST_ANGLES, endpoint=False)
+    slope = float(np.hypot(*part.surface.gradient(radius * np.cos(angle), radius * np.sin(angle))).max())
+    lateral = tool.actual_radius * slope / math.hypot(1, slope)
+    return min(AXIS_FEEDS * feed + lateral, part.radius), 2 * (AXIS_FEEDS * feed + lateral)
+
+
+def _about_axis(motion: Motion, part: Part, tool: Tool, zone: float) -> Floats:
+    """Return the highest and the lowest error within a distance of the axis. (2,) [mm]."""
+    found = find_extremes(motion, tool, replace(part, radius=zone))
+    return np.array([math.nan] * 2 if found is None else [found.highest.error, found.lowest.error])
+
+
+def _digits(height_nm: float) -> str:
+    """Return three digits of a height, or 0 where it is mere rounding."""
+    return f"{height_nm:.3g}" if height_nm >= FAINT_NM else "0"
 
 
 def pv_nm_of(z: Floats) -> float:
@@ -243,10 +278,13 @@ def apart_nm(one: HeightMap, other: HeightMap) -> float:
     return float(np.nanmax(np.abs(one.z - other.z))) * NM
 
 
-def exact_motion(spiral: Spiral, part: Part, tool: Tool, machine: Machine, angle: Floats) -> Motion:
+def exact_motion(
+    spiral: Spiral, part: Part, tool: Tool, machine: Machine, angle: Floats, *, dense_to: float = 0.0
+) -> Motion:
     """Return a motion that is exact wherever it crosses one of the azimuths, at one radian per second.
 
-    The azimuths ascend from 0 to less than a turn, at any distance from each other.
+    The azimuths ascend from 0 to less than a turn, at any distance from each other. Where the tip is no farther from
+    the axis than ``dense_to`` [mm], the motion is exact at places between them too.
     """
     first, last = sorted((float(spiral.angle[0]), float(spiral.angle[-1])))
     apart = 1e-11 + rounding(spiral.angle)  # so that no azimuth is one of the ends over again [rad]
@@ -254,6 +292,11 @@ def exact_motion(spiral: Spiral, part: Part, tool: Tool, machine: Machine, angle
     inner = (TURN * turns[:, None] + angle).ravel()
     inner = inner[(inner > first + apart) & (inner < last - apart)]
     nodes = np.concatenate(([first], inner, [last]))[:: spiral.sense]
+    far = np.abs(_between(spiral, spiral.radius, spiral.radius_rate, nodes))
+    parts = np.where(np.minimum(far[:-1], far[1:]) <= dense_to, DENSER, 1)
+    start = np.repeat(np.cumsum(parts) - parts, parts)
+    within = (np.arange(start.size) - start) / np.repeat(parts, parts)
+    nodes = np.append(np.repeat(nodes[:-1], parts) + within * np.repeat(np.diff(nodes), parts), nodes[-1])
     radius = _between(spiral, spiral.radius, spiral.radius_rate, nodes)
     y = None if spiral.y is None else _between(spiral, spiral.y, spiral.y_rate, nodes)
     path = place(Spiral(angle=nodes, radius=radius, y=y), part, tool)
