@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from turnwright.contact import place
+from turnwright.heightmap import HeightMap
 from turnwright.job import Job, plan, run, shares
+from turnwright.job._result import Prediction
 from turnwright.job._shares import exact_motion
 from turnwright.machine import Axis, Machine
 from turnwright.motion import drive
@@ -100,6 +102,17 @@ def test_servos_err_by_their_response():
     found = shares(*planned(Plane(slope=(slope, 0.0)), servo, SERVO))
     expected = abs(SERVO.at(rpm / 60) - 1) * slope * 1.0 * 1e6
     assert found.tracking_nm == pytest.approx(expected, rel=0.02)  # the outermost pass stands within a feed of the rim
+    # Over the area, the mean of (r cos)² on a disc of radius 1 is 1/4; the cusps stand beside it.
+    cusps = shares(*planned(Plane(slope=(slope, 0.0)), servo)).rms_nm
+    assert math.sqrt(found.rms_nm**2 - cusps**2) == pytest.approx(expected / 2, rel=0.02)
+
+
+def test_rms_of_a_polar_map_is_over_its_area():
+    """Oracle: the mean of r⁴ on a disc of radius 1 is 1/3, of all samples alike 1/5."""
+    radius, angle = np.linspace(0, 1, 2001), np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    bowl = HeightMap(z=np.tile(1e-6 * radius**2, (60, 1)), radius=radius, angle=angle)
+    found = Prediction(name="whole part", error=bowl, roughness=None, tracking=bowl)
+    assert found.tracking_nm == pytest.approx((1.0, math.sqrt(1 / 3)), rel=2e-3)
 
 
 def test_decimals_err_by_what_was_moved():

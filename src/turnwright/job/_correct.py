@@ -79,7 +79,7 @@ class Correction:
     def numbers_nm(self) -> dict[str, tuple[float, float]]:
         """Peak to valley and root mean square of each map that there is. [nm]."""
         maps = {"measured": self.measured, "predicted": self.predicted, "simulated": self.simulated}
-        return {name: (pv_nm_of(one.z), rms_nm_of(one.z)) for name, one in maps.items() if one is not None}
+        return {name: (pv_nm_of(one.z), rms_nm_of(one)) for name, one in maps.items() if one is not None}
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:

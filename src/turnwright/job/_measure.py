@@ -214,7 +214,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         rough = roughness(replace(registration.error, z=left), form="plane")
     measured = Measured(
         job=job, heights=heights, spikes=spikes, registration=registration, placed=placed, error=error,
-        form_pv_nm=pv_nm_of(inside.z), form_rms_nm=rms_nm_of(inside.z), zernike=terms, roughness=rough,
+        form_pv_nm=pv_nm_of(inside.z), form_rms_nm=rms_nm_of(inside), zernike=terms, roughness=rough,
         lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
     )  # fmt: skip
     told("judge", 1, 1)
@@ -279,7 +279,7 @@ def explain(measured: Measured | Sequence[Measured], *, progress: StageProgress 
         # Causes that were bent to resemble the form are judged anew without it.
         again = judged([replace(one, z=one.z - form) for one, form in zip(maps, forms, strict=True)])
         left = [replace(one, z=one.z + form) for one, form in zip(again.residuals, forms, strict=True)]
-        rms = rms_nm_of(np.concatenate([one.z for one in left]))
+        rms = float(np.sqrt(np.nanmean(np.concatenate([one.z for one in left]) ** 2))) * NM
         found = replace(again, residuals=tuple(left), measured_rms_nm=found.measured_rms_nm, unexplained_rms_nm=rms)
     told("diagnose", 2, 2)
     return found

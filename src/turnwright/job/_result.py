@@ -164,10 +164,10 @@ class Prediction:
 
     @property
     def tracking_nm(self) -> tuple[float, float] | None:
-        """Peak to valley and root mean square of what the servos add, or ``None``."""
+        """Peak to valley and root mean square over the area of what the servos add, or ``None``."""
         if self.tracking is None:
             return None
-        return pv_nm_of(self.tracking.z), rms_nm_of(self.tracking.z)
+        return pv_nm_of(self.tracking.z), rms_nm_of(self.tracking)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -14,6 +14,7 @@ from turnwright.errors import InputError
 from turnwright.generation import generate_polar
 from turnwright.job._extremes import find_extremes
 from turnwright.job._interpolated import interpolated
+from turnwright.metrology import area_rms
 from turnwright.path import Motion, Spiral
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ class Shares:
     pv_nm
         Of all together: cut minus design, from the highest to the lowest place of the whole part.
     rms_nm
-        The same, root mean square on the lines.
+        Root mean square of all together over the area, on the lines.
     sq_nm
         Finish of all together: largest Sq of a ring a few feeds wide, straight lines across it removed.
     error
@@ -176,7 +177,7 @@ def shares(
         rounding_nm=apart_nm(rounded, sent),
         tracking_nm=apart_nm(real, rounded if meant is None else wanted),
         pv_nm=pv_nm,
-        rms_nm=rms_nm_of(error.z),
+        rms_nm=rms_nm_of(error),
         sq_nm=finish_nm(error, feed),
         error=error,
     )
@@ -219,9 +220,9 @@ def pv_nm_of(z: Floats) -> float:
     return float(np.nanmax(z) - np.nanmin(z)) * NM
 
 
-def rms_nm_of(z: Floats) -> float:
-    """Return the root mean square of heights."""
-    return float(np.sqrt(np.nanmean(z**2))) * NM
+def rms_nm_of(heights: HeightMap) -> float:
+    """Return the root mean square of a map, over its area."""
+    return area_rms(heights) * NM
 
 
 def lines(part: Part, feed: float) -> tuple[Floats, Floats]:

@@ -1,5 +1,6 @@
 """What a height map says: its form, and the surface parameters of what remains."""
 
+from turnwright.metrology._grid import area_rms
 from turnwright.metrology.alignment import Alignment
 from turnwright.metrology.bearing import Bearing, bearing
 from turnwright.metrology.best_fit import BestFit, best_fit, fizeau_view
@@ -35,6 +36,7 @@ __all__ = [
     "Undetermined",
     "ZernikeFit",
     "area_psd",
+    "area_rms",
     "bearing",
     "best_fit",
     "despike",

@@ -12,7 +12,7 @@ from turnwright.errors import InputError
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
 
-__all__ = ["Grid", "edges", "mean", "measure", "valid_points"]
+__all__ = ["Grid", "area_rms", "edges", "mean", "measure", "valid_points"]
 
 
 class Grid(NamedTuple):
@@ -78,6 +78,14 @@ def mean(values: Floats, rows: Floats, columns: Floats) -> float:
     else:
         weight = rows.sum() * columns.sum()
     return float(rows @ values @ columns / weight) if weight > 0 else float("nan")
+
+
+def area_rms(heights: HeightMap) -> float:
+    """Return the root mean square of a map, every height weighted by its area; scattered points weigh alike. [mm]."""
+    if heights.scattered:
+        return float(np.sqrt(np.nanmean(heights.z**2)))
+    grid = measure(heights)
+    return float(np.sqrt(mean(heights.z**2, grid.row_width, grid.column_area)))
 
 
 def valid_points(heights: HeightMap, needed: int, what: str) -> Bools:

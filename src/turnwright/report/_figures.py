@@ -10,6 +10,7 @@ import io
 import math
 import re
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib as mpl
@@ -18,6 +19,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
+
+from turnwright.metrology import area_rms
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -558,7 +561,8 @@ def places_map(heights: HeightMap, radius: float) -> Picture:
         axes = canvas.figure.add_subplot()
         drawn = _plan(axes, image, radius, cmap=ERRORS, vmin=-limit, vmax=limit)
         _bar(canvas, axes, drawn, "[nm]", extend="both" if shown.size and shown.max() > limit * 1.001 else "neither")
-    low, high, rms = (float(z.min()), float(z.max()), float(np.sqrt(np.mean(z**2)))) if z.size else (0.0, 0.0, 0.0)
+    rms = area_rms(replace(heights, z=np.where(used, heights.z, np.nan))) * NM if z.size else 0.0
+    low, high = (float(z.min()), float(z.max())) if z.size else (0.0, 0.0)
     return Picture(canvas.svg, f"From {low:.4g} to {high:.4g} nm, {rms:.3g} nm rms.")
 
 
