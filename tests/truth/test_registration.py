@@ -1,6 +1,7 @@
 """Registration. Oracles: poses that were put in, SciPy's least squares on residuals written here, closed forms."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from turnwright import (
+    Conic,
     HeightMap,
     InputError,
     Job,
@@ -171,6 +173,36 @@ def test_a_sphere_says_what_it_cannot_tell():
     along = {int(np.argmax(np.abs(one.direction[:4]) * [1, 1, 1, 5])): one.direction for one in found.undetermined}
     assert along[0][5] / along[0][0] == pytest.approx(-1 / 50, rel=0.03)
     assert along[1][4] / along[1][1] == pytest.approx(1 / 50, rel=0.03)
+
+
+def poor_map(factor):
+    """A conic with 60 nm of astigmatism, 25 nm of coma and noise, times a factor: its part, heights and errors."""
+    part = Part(surface=Conic(radius=-120.0, conic=-2.0), radius=8.0)
+    axis = np.linspace(-8, 8, 161)
+    x, y = np.meshgrid(axis, axis)
+    r, angle = np.hypot(x, y) / 8, np.arctan2(y, x)
+    error = 60e-6 * r**2 * np.cos(2 * angle) + 25e-6 * (3 * r**3 - 2 * r) * np.cos(angle)
+    error += 0.3e-6 * np.random.default_rng(2).normal(size=r.shape)
+    there = r <= 0.98
+    z = np.where(there, factor * error + part.surface.sag(x, y), np.nan)
+    return part, HeightMap(x=axis, y=axis, z=z), factor * error[there]
+
+
+def test_a_map_in_the_wrong_unit_does_not_slide_off_the_part():
+    """Oracle: at the start all of it lies on the part, and fits to the rms of what was put in."""
+    part, heights, error = poor_map(1000)
+    found = register(heights, part)
+    assert np.isfinite(found.residual.z).sum() >= error.size / 2
+    assert found.rms_nm <= np.std(error) * 1e6
+
+
+def test_a_departure_taken_for_heights_is_a_poor_fit_of_all_points():
+    """Oracle: the sag of the part, which such a map lacks."""
+    part, heights, error = poor_map(1)
+    sag = part.surface.sag(*np.meshgrid(heights.x, heights.y))
+    found = register(replace(heights, z=heights.z - sag), part)
+    assert found.count == error.size
+    assert found.rms_nm == pytest.approx(np.nanstd(sag + 0 * heights.z) * 1e6, rel=0.01)
 
 
 def test_an_array_on_a_torus_is_found_from_a_raw_start():

@@ -12,7 +12,7 @@ from turnwright.metrology._rigid import Fit, Problem, fit, residuals, rows, turn
 from turnwright.progress import run_chunks
 from turnwright.surface import LensArray, Placed, Sum, Surface
 
-__all__ = ["Lattice", "lattice_of", "search"]
+__all__ = ["Lattice", "lattice_of", "mostly_on_part", "search"]
 
 LARGEST_TABLE = 1500
 PEAKS = 12
@@ -189,8 +189,18 @@ def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Fl
     return found
 
 
+def mostly_on_part(fits: list[Fit]) -> list[Fit]:
+    """Return the fits that bring at least half of the points to the part that any of them brings there.
+
+    The fewer points lie on the part, the better they fit, so a poor map would else slide off it.
+    """
+    most = max((one.used for one in fits), default=0)
+    return [one for one in fits if one.used >= LEAST * most]
+
+
 def _covering(fits: list[Fit]) -> list[Fit]:
     """Return the fits that leave no more of the map beyond the part than others that fit as well."""
+    fits = mostly_on_part(fits)
     good = [one for one in fits if one.cost <= POOR * fits[0].cost + QUIET**2]
     most = max((one.used for one in good), default=0)
     return [one for one in fits if one.used >= COVER * most]

@@ -40,7 +40,7 @@ STEEPEST = 1.5
 """Tilt beyond which no map shows the front of a part. [rad]"""
 
 LEAST_SHARE = 0.5
-"""A step that leaves fewer of the points on the part than this share of what the last one had is not taken."""
+"""A step that leaves fewer of the points on the part than this share of the most that lay there is not taken."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -272,7 +272,7 @@ def _march(
     """Levenberg-Marquardt with the loss scaled once; undamped as long as that helps."""
     chosen = np.asarray(free, dtype=np.int64)
     here = _sums(problem, state, scale)
-    damping, taken = 0.0, 0
+    damping, taken, most = 0.0, 0, here.used
     while taken < steps and here.used > 0 and chosen.size:
         taken += 1
         unit = size[chosen]
@@ -286,11 +286,11 @@ def _march(
         there = _sums(problem, trial, scale) if moved < 1e3 and leans < STEEPEST else None
         better = (
             there is not None
-            and there.used >= max(LEAST_SHARE * here.used, chosen.size + 1)
+            and there.used >= max(LEAST_SHARE * most, chosen.size + 1)
             and there.cost / there.used <= here.cost / here.used
         )
         if better and there is not None:
-            state, here = trial, there
+            state, here, most = trial, there, max(most, there.used)
             damping = 0.0 if damping < 1e-6 else damping / 10
         else:
             if moved < 1e-9:  # rounding decides the rest

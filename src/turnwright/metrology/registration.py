@@ -14,7 +14,7 @@ from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import between, check_angle, positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import valid_points
-from turnwright.metrology._pose_search import search
+from turnwright.metrology._pose_search import mostly_on_part, search
 from turnwright.metrology._rigid import (
     FINEST,
     NAMES,
@@ -598,7 +598,7 @@ def _distinct(
             alone[6:] = 0
             middle = fit(some, alone, pose, task.size, close=1e-9).state
             distinct.append(fit(some, 2 * middle - one.state, kept, task.size, close=1e-9))
-    return sorted(distinct, key=lambda one: one.cost)[:MOST_CANDIDATES]
+    return sorted(mostly_on_part(distinct), key=lambda one: one.cost)[:MOST_CANDIDATES]
 
 
 def _apart(task: _Task, one: Floats, other: Floats) -> float:
@@ -611,7 +611,8 @@ def _candidates(task: _Task, some: Problem, fits: list[Fit], kept: list[int]) ->
     if len(fits) == 1:
         return fits[0], []
     fine: list[Fit] = []
-    for one in sorted((fit(some, one.state, kept, task.size, close=1e-9) for one in fits), key=lambda one: one.cost):
+    refined = mostly_on_part([fit(some, one.state, kept, task.size, close=1e-9) for one in fits])
+    for one in sorted(refined, key=lambda one: one.cost):
         if not any(_one_valley(some, one, other) for other in fine):
             fine.append(one)
     left = np.array([_without_form(task, some, one, kept, fine[0].scale) for one in fine])
