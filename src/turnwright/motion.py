@@ -51,35 +51,29 @@ MOST_PIECES = 1000
 POWERS = {"speed": 1, "acceleration": 2, "jerk": 3}
 """How each quantity grows with the spindle speed."""
 
-SOFTLY = 0.1
-"""Either stage of speeding up takes at least this long. [s]"""
+SHORTEST_RAMP_S = 0.2
+"""Time that a motion takes to come to its speed at least."""
 
-SHORT = 1 / 40
-"""But of a short motion only this share."""
+SHORTEST_RAMP = 1 / 40
+"""But of the angle that is turned no more than this share."""
 
-LONGER = 1.25
-"""By how much a stage of speeding up that asks too much, or strays, is made longer."""
+ROOM = 0.98
+"""Share of a limit that coming to a stated speed uses at most, unless the speed is near to the highest."""
 
-SLOWER = 0.8
-"""By how much a motion too short for that is slowed down."""
+RAMP_STEP = 1.1
+"""Each way of coming to speed that is tried takes so many times the angle of the one before."""
 
-LEAST_PACE = 1e-4
-"""Share of its speed below which it is of no use to slow a motion down further."""
+DIVIDED = (1, 2, 4, 8)
+"""Blocks while speeding up are not shorter than the shortest of the motion over the first of these that will do."""
 
-HALVINGS = 60
-"""Halvings that find a time to rounding."""
-
-ROUNDS = 5
-"""How often a higher speed is tried where the ends had set it."""
-
-MOSTLY = 0.75
-"""Share of a motion that has its whole speed, at a speed that the ends do not set."""
+ROUNDS = 8
+"""How often a motion is gone along at the speed that it was found to allow, at most."""
 
 FEWEST = 4
 """Points that show a jerk."""
 
-FINER = 8
-"""Blocks while speeding up are not shorter than the shortest of the motion over this."""
+DIGITS = 1e-6
+"""A highest speed is printed lower by this share, so that it is possible with the digits that are printed."""
 
 
 class Servo(Protocol):
@@ -152,6 +146,10 @@ def require_variable(machine: Machine) -> None:
         )
 
 
+_Peaks = tuple[dict[str, float], dict[str, int]]
+"""Travel and peaks of an axis by name, and the numbers of the points they are found at."""
+
+
 class _Asked(NamedTuple):
     """Something that a motion asks of a limit."""
 
@@ -162,6 +160,16 @@ class _Asked(NamedTuple):
     unit: str
     point: int
     what: str = ""
+
+    @property
+    def pace(self) -> float:
+        """How many times as quick the motion may be."""
+        return math.inf if self.value == 0 else (self.limit / self.value) ** (1 / self.power)
+
+    @property
+    def exceeded(self) -> bool:
+        """Whether the limit is not kept."""
+        return self.value > self.limit * (1 + SLACK)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,7 +183,8 @@ class Limits:
     points
         Program points.
     spindle_rpm
-        Mean speed of the spindle. [rev/min]
+        Speed of the spindle: of a motion in velocities, which comes to speed and to rest, that in between, the highest
+        one; of any other the mean. [rev/min]
     block_rate_hz
         Blocks per second where they are shortest; with a fast tool those of the lathe, see `Motion.lathe`.
     peak_speed, peak_acceleration, peak_jerk
@@ -236,12 +245,17 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     :math:`\dot q = \omega\, dq/d\theta`, with the derivative of the machine's errors along X in that of Z. Where
     straightness, a table with straight lines in between, has a corner, that is the slope of the line beyond.
 
-    Its program begins and ends at rest, so the motion does too: along the path itself, all axes together come to half
-    of their speed, and from there to the whole of it, and to rest in the same way. Blocks are divided there so that the
-    cubics in time stay within 0.1 nm of those that a steady spindle makes between the points of the path; none is
-    shorter than the machine may have them, and accelerations and jerks keep the limits, or what the motion asks for
-    elsewhere where that is more. A path too short for that is gone along more slowly. Beside a fast tool, whose lathe
-    has blocks of its own, the motion is steady to its ends.
+    Its program begins and ends at rest, so the motion does too. All axes together come to their speed and to rest along
+    the path itself, with an acceleration that rises evenly from nothing and falls evenly back to it. Blocks are divided
+    there until the cubics in time stay within 0.1 nm of those that a steady spindle makes between the points. Either
+    end takes as little of the path as the limits allow, in steps of a tenth: 0.1 s at full speed (of a short motion a
+    fortieth) or more, and half of the path at most. A stated speed is reached between the ends, or refused with the
+    highest one possible; where the path itself asks for more than a limit, so may the ends.
+
+    The highest speed keeps every limit with these ends, whose points are passed at less. Longer ends leave fewer points
+    at full speed, which may allow a higher one, with longer ends again; the search goes on as long as each such step
+    gains, so a higher speed beyond one that gains nothing is missed. Beside a fast tool, whose lathe has blocks of its
+    own, the motion is steady to its ends.
 
     Parameters
     ----------
@@ -258,7 +272,8 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     ------
     LimitError
         If the machine lacks an axis that is needed, turns slower than what is asked, or cannot vary its speed, or if
-        the path has so few points that no motion in velocities comes to speed and to rest on it.
+        the path is too short for a motion in velocities to come to a stated speed and to rest, or has too few points
+        for that at any speed.
 
     Sources
     -------
@@ -299,7 +314,8 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     course = course.at(omega)
     stated = profile is not None or rpm is not None
     if slopes and not FAST.keys() & axes.keys():
-        course = _from_rest_to_rest(course, machine, stated=stated)
+        subject = "spindle_rpm is" if profile is None else "the speed profile goes up to"
+        course = _from_rest_to_rest(course, machine, stated=subject) if stated else _fastest(course, machine)
     if not stated:
         course = _within(course, machine)
     return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity or None)
@@ -338,20 +354,53 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     Divided differences are exact for polynomials of their degree, at any spacing. Extremes of a cubic: its derivatives
     are a parabola and a straight line. [Troutman2016]_ Table 7.1.
     """
+    course = _Course(motion.time, motion.axes, motion.velocity or {})
+    peaks = _all_peaks(course, motion.blocks, machine)
+    asked = _asked(course, motion.blocks, peaks, machine)
+    length = float(motion.time[-1] - motion.time[0])
+    rpm = abs(float(motion.axes["C"][-1] - motion.axes["C"][0])) / length * 60 / TURN
+    if motion.velocity is not None:
+        rpm = course.top_rpm
+    utilisation = {one.name: one.value / one.limit for one in asked}
+    findings = [
+        f"{one.name} reaches {one.value:.5g} {one.unit}{one.what} at {motion.time[one.point] / 60:.2f} min "
+        f"(X {motion.axes['X'][one.point]:.4g} mm), the limit of {machine.name} is {one.limit:.5g} {one.unit}: "
+        f"turn at {rpm * one.pace:.4g} rev/min or less"
+        for one in asked
+        if one.exceeded
+    ]
+    for letter, (top, _) in peaks.items():
+        findings += _beyond(letter, top, machine)
+    return Limits(
+        cycle_time_s=length,
+        points=motion.time.size,
+        spindle_rpm=rpm,
+        block_rate_hz=asked[0].value,
+        peak_speed=MappingProxyType({letter: top["speed"] for letter, (top, _) in peaks.items()}),
+        peak_acceleration=MappingProxyType({letter: top["acceleration"] for letter, (top, _) in peaks.items()}),
+        peak_jerk=MappingProxyType({letter: top["jerk"] for letter, (top, _) in peaks.items()}),
+        travel=MappingProxyType({letter: (top["low"], top["high"]) for letter, (top, _) in peaks.items()}),
+        frequency_hz=MappingProxyType({one.name.split()[0]: one.value for one in asked if one.unit == "Hz"}),
+        utilisation=MappingProxyType(utilisation),
+        binding=max(utilisation, key=utilisation.__getitem__) if max(utilisation.values()) >= FULL else STATED,
+        ok=not findings,
+        findings=tuple(findings),
+    )
+
+
+def _asked(
+    course: _Course, blocks: Ints, peaks: Mapping[str, _Peaks], machine: Machine, *, bands: bool = True
+) -> list[_Asked]:
+    """Return all that a course asks of the stated limits of a machine, the block rate first."""
     from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
 
-    blocks = motion.blocks
-    peaks = _all_peaks(_Course(motion.time, motion.axes, motion.velocity or {}), blocks, machine)
-    number, shortest = kernel.shortest(only_read(motion.time[blocks]))
-    length = float(motion.time[-1] - motion.time[0])
+    number, shortest = kernel.shortest(only_read(course.time[blocks]))
     turning = TURN / 60
-    mean_rpm = abs(float(motion.axes["C"][-1] - motion.axes["C"][0])) / length / turning
     top, at = peaks["C"]
     asked = [
         _Asked("block rate", 1, 1 / shortest, machine.block_rate_hz, "blocks/s", int(blocks[number])),
         _Asked("spindle speed", 1, top["speed"] / turning, machine.spindle_rpm, "rev/min", at["speed"]),
     ]
-    frequencies: dict[str, float] = {}
     for letter, (top, at) in peaks.items():
         axis = machine.axes.get(letter, Axis())
         for kind, power in POWERS.items():
@@ -359,37 +408,13 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
             if limit is not None:
                 unit = f"{_length(letter)}/s" + ("", "^2", "^3")[power - 1]
                 asked.append(_Asked(f"{letter} {kind}", power, top[kind], limit, unit, at[kind]))
-        if axis.bandwidth_hz is not None:
-            frequencies[letter], point = _frequency(motion.time, motion.axes["C"], motion.axes[letter], axis)
+        if bands and axis.bandwidth_hz is not None:
+            frequency, point = _frequency(course.time, course.axes["C"], course.axes[letter], axis)
             residual = axis.bandwidth_residual or RESIDUAL
             size = f"{residual:.3g} rad" if letter in ROTARY else f"{residual * NM:.3g} nm"
             what = f", above which less than {size} of its motion remains,"
-            asked.append(_Asked(f"{letter} bandwidth", 1, frequencies[letter], axis.bandwidth_hz, "Hz", point, what))
-    utilisation = {one.name: one.value / one.limit for one in asked}
-    findings = [
-        f"{one.name} reaches {one.value:.5g} {one.unit}{one.what} at {motion.time[one.point] / 60:.2f} min "
-        f"(X {motion.axes['X'][one.point]:.4g} mm), the limit of {machine.name} is {one.limit:.5g} {one.unit}: "
-        f"turn at {mean_rpm * (one.limit / one.value) ** (1 / one.power):.4g} rev/min or less"
-        for one in asked
-        if one.value > one.limit * (1 + SLACK)
-    ]
-    for letter, (top, _) in peaks.items():
-        findings += _beyond(letter, top, machine)
-    return Limits(
-        cycle_time_s=length,
-        points=motion.time.size,
-        spindle_rpm=mean_rpm,
-        block_rate_hz=1 / shortest,
-        peak_speed=MappingProxyType({letter: top["speed"] for letter, (top, _) in peaks.items()}),
-        peak_acceleration=MappingProxyType({letter: top["acceleration"] for letter, (top, _) in peaks.items()}),
-        peak_jerk=MappingProxyType({letter: top["jerk"] for letter, (top, _) in peaks.items()}),
-        travel=MappingProxyType({letter: (top["low"], top["high"]) for letter, (top, _) in peaks.items()}),
-        frequency_hz=MappingProxyType(frequencies),
-        utilisation=MappingProxyType(utilisation),
-        binding=max(utilisation, key=utilisation.__getitem__) if max(utilisation.values()) >= FULL else STATED,
-        ok=not findings,
-        findings=tuple(findings),
-    )
+            asked.append(_Asked(f"{letter} bandwidth", 1, frequency, axis.bandwidth_hz, "Hz", point, what))
+    return asked
 
 
 def _beyond(letter: str, top: Mapping[str, float], machine: Machine) -> list[str]:
@@ -443,26 +468,13 @@ def _highest(course: _Course, machine: Machine) -> float:
 
     With the angle for its time that is the highest spindle speed. [rad/s]
     """
-    from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
+    return _first_limit(course, machine).pace
 
-    time, axes = course.time, course.axes
-    blocks = block_points(time, axes)
-    peaks = _all_peaks(course, blocks, machine)
-    allowed = [
-        machine.spindle_rpm * TURN / 60 / peaks["C"][0]["speed"],
-        machine.block_rate_hz * kernel.shortest(only_read(time[blocks]))[1],
-    ]
-    for letter, (top, _) in peaks.items():
-        for kind, power in POWERS.items():
-            limit, value = getattr(machine.axes[letter], kind), top[kind]
-            if limit is not None and value > 0:
-                allowed.append((limit / value) ** (1 / power))
-        band = machine.axes[letter].bandwidth_hz
-        if band is not None:
-            highest, _ = _frequency(time, axes["C"], axes[letter], machine.axes[letter])
-            if highest > 0:
-                allowed.append(band / highest)
-    return float(min(allowed))
+
+def _first_limit(course: _Course, machine: Machine) -> _Asked:
+    """Return the limit that a motion comes to first if it is made quicker."""
+    blocks = block_points(course.time, course.axes)
+    return min(_asked(course, blocks, _all_peaks(course, blocks, machine), machine), key=lambda one: one.pace)
 
 
 def _within(course: _Course, machine: Machine) -> _Course:
@@ -486,6 +498,11 @@ class _Course(NamedTuple):
         """Return the same course, whose time is the angle turned, at a spindle speed. [rad/s]."""
         velocity = {letter: omega * values for letter, values in self.velocity.items()}
         return _Course(_clock(self.time, omega), self.axes, velocity)
+
+    @property
+    def top_rpm(self) -> float:
+        """Highest spindle speed at its points. [rev/min]."""
+        return float(np.abs(self.velocity["C"]).max()) * 60 / TURN
 
     def backwards(self) -> _Course:
         """Return the same course from its end to its beginning."""
@@ -518,148 +535,182 @@ class _Course(NamedTuple):
         )
 
 
-def _from_rest_to_rest(course: _Course, machine: Machine, *, stated: bool) -> _Course:
-    """Return a course that comes to its speed and to rest along the same path.
+class _Ends(NamedTuple):
+    """A course from rest to rest."""
 
-    If nobody stated the speed it is quicker where only the ends had kept it from that.
-    """
-    made, inner = _with_ends(course, machine, stated=stated)
-    if stated:
-        return made
-    more = _room(course, inner, machine)
-    for _ in range(ROUNDS):
-        if more < 1 + SLACK:
-            break
-        quicker = course.quicker(more)
-        tried, its = _with_ends(quicker, machine, stated=False)
-        kept = quicker.time[its.stop - 1] - quicker.time[its.start] > MOSTLY * quicker.time[-1]
-        if kept and tried.time[-1] < made.time[-1] and _room(tried, slice(None), machine) > 1 - SLACK / 3:
-            course, made = quicker, tried
-            more = _room(course, its, machine)
-        else:
-            more = math.sqrt(more)
-    return made
+    course: _Course
+    inner: slice  # of the points of the course given, those at full speed
+    pace: float  # how much quicker coming to speed and to rest may be, at most 1
 
 
-def _room(course: _Course, at: slice, machine: Machine) -> float:
-    """Return how much quicker some points of a course may follow each other so that they just keep every limit."""
-    own = course.some(at)
-    return 1.0 if own.time.size < FEWEST else _highest(own, machine)
-
-
-def _with_ends(course: _Course, machine: Machine, *, stated: bool) -> tuple[_Course, slice]:
-    """Return a course from rest to rest, and which points of the one given it keeps."""
-    points = course.time.size
-    pace = 1.0
-    while pace > LEAST_PACE:
-        slowed = course if pace == 1 else course.quicker(pace)
-        asked = _Asking.of(slowed, machine, stated=stated)
-        begin = _speeding_up(slowed, asked)
-        end = None if begin is None else _speeding_up(slowed.backwards(), asked)
-        if begin is not None and end is not None and begin[0] + end[0] < points:
-            inner = slice(begin[0], points - end[0])
-            return begin[1].then(slowed.some(inner)).then(end[1].backwards()), inner
-        pace *= SLOWER
-    turned = abs(float(course.axes["C"][-1] - course.axes["C"][0]))
+def _from_rest_to_rest(course: _Course, machine: Machine, *, stated: str) -> _Course:
+    """Return a course that comes to its speed, which somebody stated, and to rest along the same path."""
+    made = _with_ends(course, machine, stated=True)
+    if made.pace == 1 and not any(one.exceeded for one in _of_points(made.course, machine)):
+        return made.course
+    fastest = _fastest(course, machine)
+    highest, rpm = fastest.top_rpm, course.top_rpm
+    if highest >= rpm:
+        return fastest.quicker(rpm / highest)
+    if made.pace == 1:  # what the path itself asks for is too much, as `check_limits` says
+        return made.course
+    turns = abs(float(course.axes["C"][-1] - course.axes["C"][0])) / TURN
     raise LimitError(
-        f"the path has {points} points in {turned:.3g} rad, too few to come to speed and to rest along it on "
-        f"{machine.name}: give it more turns or more points per turn"
+        f"{stated} {rpm:.7g} rev/min, the limit of {machine.name} from rest to rest along this path of {turns:.4g} "
+        f"turns is {highest * (1 - DIGITS):.7g} rev/min, set by the {_first_limit(fastest, machine).name}: turn "
+        "slower, state none to have the highest speed found, or give the path more turns"
     )
 
 
-class _Asking(NamedTuple):
-    """What a motion that speeds up may ask of a machine."""
-
-    block: float  # the shortest one that is divided into [s]
-    shortest: float  # the shortest one at all [s]
-    most: Mapping[str, Mapping[str, float]]  # acceleration and jerk by letter
-
-    @classmethod
-    def of(cls, course: _Course, machine: Machine, *, stated: bool) -> _Asking:
-        """Return what the limits allow; at a stated speed what the course itself asks for where that is more."""
-        own, least = float(np.diff(course.time).min()), 1 / machine.block_rate_hz
-        # Two blocks at the machine's rate, so that they are not what binds; those of the cut if these are shorter.
-        block = max(least, min(own, max(own / FINER, 2 * least)))
-        most = {}
-        for letter, position in course.axes.items():
-            axis = machine.axes[letter]
-            top = _peaks(course.time, position, course.velocity[letter])[0] if stated else {}
-            most[letter] = {
-                # A speed that is sought is slowed down by what this is above a limit, see `_within`.
-                kind: max(limit, top.get(kind, 0.0)) * (1 + (ROUNDED if stated else SLACK / 2))
-                for kind in ("acceleration", "jerk")
-                if (limit := getattr(axis, kind)) is not None
-            }
-        return cls(block, (min(own, least) if stated else least) * (1 - (ROUNDED if stated else SLACK / 2)), most)
-
-    def exceeded(self, course: _Course) -> bool:
-        """Say whether a course asks for more."""
-        if float(np.diff(course.time).min()) < self.shortest:
-            return True
-        for letter, most in self.most.items():
-            top = _peaks(course.time, course.axes[letter], course.velocity[letter])[0]
-            if any(top[kind] > limit for kind, limit in most.items()):
-                return True
-        return False
+def _fastest(course: _Course, machine: Machine) -> _Course:
+    """Return a course from rest to rest at the highest speed that keeps every limit."""
+    course = course.quicker(_highest(course, machine))
+    # The first and last bit of a path do not count, since they are passed at less, nor what longer ends then take.
+    best = _at_speed_of(course, _shortest_ends(course), machine)
+    for _ in range(ROUNDS):
+        more = _at_speed_of(course, best.inner, machine)
+        if more.course.top_rpm < best.course.top_rpm * (1 + SLACK):
+            break
+        best = more
+    return best.course
 
 
-def _speeding_up(course: _Course, asked: _Asking) -> tuple[int, _Course] | None:
-    """Return the number of the point from which a course has its speed, and how it comes there from rest.
+def _at_speed_of(course: _Course, inner: slice, machine: Machine) -> _Ends:
+    """Return a course from rest to rest at the speed that some of its points allow, or lower where its ends ask so."""
+    own = course.some(inner)
+    if own.time.size >= FEWEST:
+        course = course.quicker(_highest(own, machine))
+    made = _with_ends(course, machine, stated=False)
+    return made._replace(course=made.course.quicker(_highest(made.course, machine)))
 
-    ``None`` if half of the course is not enough for that.
+
+def _shortest_ends(course: _Course) -> slice:
+    """Return which points of a course have its speed if it comes to it, and to rest, as soon as it ever does."""
+    time = course.time - course.time[0]
+    phase = min(SHORTEST_RAMP_S / 2, SHORTEST_RAMP * time[-1])
+    return slice(int(np.searchsorted(time, phase)), int(np.searchsorted(time, time[-1] - phase, "right")))
+
+
+def _with_ends(course: _Course, machine: Machine, *, stated: bool) -> _Ends:
+    """Return a course from rest to rest.
+
+    Coming to speed and to rest keeps every limit. At a stated speed it keeps some room, so that it is not what binds,
+    and may ask for what the course itself asks for where that is more.
     """
-    length = float(course.time[-1] - course.time[0])
-    stages = [min(SOFTLY, SHORT * length)] * 2
-    # Where blocks are as short as they may be they cannot be divided until C is down to half of its speed: up to there
-    # it may speed up much faster than from there on.
-    while stages[0] / 4 + stages[1] * 3 / 4 <= length / 2:
-        last, made, astray = _divided(course, stages, asked.block)
-        border = int(np.searchsorted(made.time, stages[0]))
-        both = [astray[:border], astray[max(border - 1, 0) :]]
-        parts = [made.some(slice(max(border, 1) + 1)), made.some(slice(max(border - 1, 0), None))]
-        # What strays falls with one over the length of a stage at least, and with its square at most.
-        over = [max(1.0, math.sqrt(off.max(initial=0.0))) for off in both]
-        over = [
-            max(by, LONGER) if by > 1 or asked.exceeded(part) else 1.0 for by, part in zip(over, parts, strict=True)
-        ]
-        if max(over) == 1:
-            return last, made
-        stages = [stage * by for stage, by in zip(stages, over, strict=True)]
+    limits = {
+        one.name: max(ROOM * one.limit, one.value) if stated else one.limit for one in _of_points(course, machine)
+    }
+    points = course.time.size
+    begin = _speeding_up(course, machine, limits)
+    end = _speeding_up(course.backwards(), machine, limits)
+    if begin is None or end is None:
+        turned = abs(float(course.axes["C"][-1] - course.axes["C"][0]))
+        raise LimitError(
+            f"the path has {points} points in {turned:.3g} rad, too few to come to speed and to rest along it on "
+            f"{machine.name}: give it more turns or more points per turn"
+        )
+    inner = slice(begin.last, points - end.last)
+    made = begin.course.then(course.some(inner)).then(end.course.backwards())
+    return _Ends(made, inner, min(begin.pace, end.pace, 1.0))
+
+
+def _of_points(course: _Course, machine: Machine) -> list[_Asked]:
+    """Return what a course without a fast tool asks of the limits, but for the bandwidths."""
+    every = np.arange(course.time.size)
+    return _asked(course, every, _all_peaks(course, every, machine), machine, bands=False)
+
+
+class _Ramp(NamedTuple):
+    """How a course comes from rest to its speed."""
+
+    course: _Course
+    last: int  # number of the point from which on it has its speed
+    pace: float  # how much quicker this may be, by the limits
+
+
+def _speeding_up(course: _Course, machine: Machine, limits: Mapping[str, float]) -> _Ramp | None:
+    """Return the shortest way to the speed of a course that keeps the limits, or else the one nearest to that.
+
+    Nothing if the course has too few points.
+    """
+    time = course.time - course.time[0]
+    middle = int(np.searchsorted(time, time[-1] / 2 * (1 + ROUNDED), "right")) - 1
+    if middle == 0:
+        return None
+    shortest = _shortest_ends(course).start
+    # Steps down from the middle, so that the same ramps are tried at any speed.
+    longer = max(0, math.floor(math.log(time[middle] / time[shortest], RAMP_STEP)))
+    phase = np.append(time[shortest], time[middle] / RAMP_STEP ** np.arange(longer, -1, -1.0))
+    numbers = np.unique(np.searchsorted(time, phase * (1 - ROUNDED)).clip(1, middle))
+    own = float(np.diff(time).min())
+    best: _Ramp | None = None
+    for last in numbers.tolist():
+        made = _ramp(course, last, own)
+        if made is None:
+            continue
+        asked = _of_points(made.then(course.some(slice(last, last + 2))), machine)
+        pace = min(one._replace(limit=limits[one.name]).pace for one in asked)
+        if best is None or pace > best.pace:
+            best = _Ramp(made, last, pace)
+        if pace >= 1 - ROUNDED:
+            return best._replace(pace=1.0)
+    return best
+
+
+def _ramp(course: _Course, last: int, shortest: float) -> _Course | None:
+    """Return how a course, whose shortest block is given, comes from rest to its speed at one of its points.
+
+    The acceleration rises as evenly from nothing as it falls back to it, and blocks are divided as far as is needed to
+    stay within 0.1 nm of the path. Nothing if its points are too few for that.
+    """
+    clock = course.time[: last + 1] - course.time[0]
+    length = 2 * clock[-1]
+    ends = _when(length, clock)
+    for divided in DIVIDED:
+        most = np.maximum(np.floor(np.diff(ends) / shortest * divided * (1 + ROUNDED)), 1).astype(np.int64)
+        made, astray = _divided(course, ends, length, most)
+        if astray.max() <= 1:
+            return made
     return None
 
 
-def _divided(course: _Course, stages: list[float], least: float) -> tuple[int, _Course, Floats]:
-    """Return a course that comes to its speed in two stages, its blocks divided as far as its path asks for.
+def _divided(course: _Course, ends: Floats, length: float, most: Ints) -> tuple[_Course, Floats]:
+    """Return a course that comes to speed in some time, its blocks divided as far as its path asks for.
+
+    Parameters
+    ----------
+    course
+        At its speed from the beginning.
+    ends
+        When each of the blocks is to end. (n + 1,) [s]
+    length
+        The time it takes to come to speed. [s]
+    most
+        Into how many each of the blocks may be divided. (n,)
 
     Returns
     -------
-    int
-        Number of the first point that has its whole speed.
     _Course
-        From rest to that point.
+        From rest to speed.
     ndarray
-        By how much its blocks stray from the path in spite of that, as a share of what they may. (n - 1,)
+        By how much its blocks stray from the path in spite of that, as a share of what they may. (m - 1,)
     """
-    full = stages[0] / 4 + stages[1] * 3 / 4
-    last = int(np.searchsorted(course.time, course.time[0] + full))
-    told = course.time[: last + 1] - course.time[0]
-    ends = _when(stages, told)
-    most = np.maximum(np.floor(np.diff(ends) / least * (1 + ROUNDED)), 1).astype(np.int64)
-    parts = np.ones(last, dtype=np.int64)
+    clock = course.time[: ends.size] - course.time[0]
+    parts = np.ones(most.size, dtype=np.int64)
     while True:
-        number = np.repeat(np.arange(last), parts)
+        number = np.repeat(np.arange(most.size), parts)
         share = (np.arange(number.size) - (np.cumsum(parts) - parts)[number]) / parts[number]
         time = np.append(ends[number] + share * np.diff(ends)[number], ends[-1])
-        phase, pace = _eased(stages, time)
+        phase, pace = _eased(length, time)
         first = np.append(share == 0, True)
-        phase[first] = told
-        pace[0] = 0.0
-        made = _Course(time, *_along(course, np.append(number, last - 1), phase, pace))
+        phase[first] = clock
+        pace[0], pace[-1] = 0.0, 1.0
+        made = _Course(time, *_along(course, np.append(number, most.size - 1), phase, pace))
         off = _astray(course, made, number, phase, pace)
         worst = np.maximum.reduceat(off, np.flatnonzero(share == 0))
         finer = (worst > 1) & (parts < most)
         if not finer.any():
-            return last, made, off
+            return made, off
         # Cubics miss by the fourth power of their length.
         wanted = np.maximum(np.ceil(parts * worst**0.25), parts + 1).astype(np.int64)
         parts = np.where(finer, np.minimum(wanted, most), parts)
@@ -701,31 +752,21 @@ def _astray(course: _Course, made: _Course, block: Ints, phase: Floats, pace: Fl
     return off
 
 
-def _eased(stages: list[float], time: Floats) -> tuple[Floats, Floats]:
-    """Return how far a motion from rest is, in time at full speed [s], and at which share of its speed. Each (n,).
-
-    The share goes to a half in the first stage and to one in the second, each with its acceleration rising as evenly
-    from nothing as it falls back to it.
-    """
-    phase, pace = np.maximum(time - sum(stages), 0.0), np.zeros(time.size)
-    start = 0.0
-    for k, stage in enumerate(stages):
-        s = np.clip((time - start) / stage, 0.0, 1.0)
-        late = s > 0.5
-        pace += np.where(late, 1 - 2 * (1 - s) ** 2, 2 * s**2) / 2
-        phase += stage / 2 * (np.where(late, s - 0.5 + (1 - s) ** 3 * 2 / 3, s**3 * 2 / 3) + k * s)
-        start += stage
-    return phase, pace
+def _eased(length: float, time: Floats) -> tuple[Floats, Floats]:
+    """Return how far a motion from rest is, in time at full speed [s], and at which share of its speed. Each (n,)."""
+    s = time / length
+    late = s > 0.5
+    phase = length * np.where(late, s - 0.5 + (1 - s) ** 3 * 2 / 3, s**3 * 2 / 3)
+    return phase, np.where(late, 1 - 2 * (1 - s) ** 2, 2 * s**2)
 
 
-def _when(stages: list[float], phase: Floats) -> Floats:
-    """Return when a motion from rest is as far as some time at full speed. (n,) [s]."""
-    low, high = np.zeros(phase.size), phase + sum(stages)
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        over = _eased(stages, middle)[0] > phase
-        low, high = np.where(over, low, middle), np.where(over, middle, high)
-    return np.where(phase > 0, (low + high) / 2, 0.0)
+def _when(length: float, phase: Floats) -> Floats:
+    """Return when a motion from rest is as far as some time at full speed, up to its ramp's end. (n,) [s]."""
+    share = phase / length
+    early = np.cbrt(1.5 * share)
+    # The cubic of the second half has three real roots, so that it is solved by an angle.
+    late = 1 - math.sqrt(2) * np.sin(np.arcsin((0.5 - np.clip(share, 1 / 12, 0.5)) * 3 / math.sqrt(2)) / 3)
+    return length * np.where(share > 1 / 12, late, early)
 
 
 def _frequency(time: Floats, angle: Floats, position: Floats, axis: Axis) -> tuple[float, int]:
@@ -762,7 +803,7 @@ def _frequency(time: Floats, angle: Floats, position: Floats, axis: Axis) -> tup
     return highest, at
 
 
-def _all_peaks(course: _Course, blocks: Ints, machine: Machine) -> dict[str, tuple[dict[str, float], dict[str, int]]]:
+def _all_peaks(course: _Course, blocks: Ints, machine: Machine) -> dict[str, _Peaks]:
     """Return travel and peaks of every axis and where they are: of the fast tool at all points, else at the blocks."""
     from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
 
@@ -784,7 +825,7 @@ def _all_peaks(course: _Course, blocks: Ints, machine: Machine) -> dict[str, tup
     return peaks
 
 
-def _peaks(time: Floats, position: Floats, velocity: Floats | None) -> tuple[dict[str, float], dict[str, int]]:
+def _peaks(time: Floats, position: Floats, velocity: Floats | None) -> _Peaks:
     """Return travel and peaks of an axis by name, and the numbers of the points they are found at.
 
     Of cubics if it states velocities, else of straight lines.

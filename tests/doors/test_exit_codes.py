@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -38,6 +39,25 @@ def test_run_ends_by_its_tolerances(limit, code, head, tmp_path, capsys):
     assert found["predictions"][0]["pv_nm"] > 50
     assert head in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert ("missed" in said.out) is (code == 4)
+
+
+def test_a_speed_that_the_path_is_too_short_for_ends_with_2(tmp_path, capsys):
+    """Oracle: C needs half of the path, about 20 turns, to come to sqrt(10 * 63) rad/s, 240 rev/min."""
+    (tmp_path / "pvt.toml").write_text(
+        'base = "nanoform"\nname = "pvt"\ndialect = "pmac"\naxes.C.acceleration = "10 rad/s^2"\n'
+        '[controller]\ninterpolation = "hermite"\n',
+        encoding="utf-8",
+    )
+    machine, strategy = {"file": "pvt.toml"}, {**DISH["strategy"], "feed": "20 um/rev", "points_per_rev": 36}
+    for speed, code in (("260 rpm", 2), ("200 rpm", 0)):
+        file = job_file(tmp_path, speed[:3], machine=machine, strategy={**strategy, "spindle_speed": speed})
+        assert main(["run", file, "--out", str(tmp_path / f"out {speed}")]) == code
+        said = capsys.readouterr()
+        if code:
+            assert re.search(r"spindle_rpm is 260 rev/min, .* 24\d\.\d+ rev/min, set by the C acceleration", said.err)
+        else:
+            assert " min at 200 rpm, spindle speed as stated binds" in said.out
+            assert "200 rev/min" in (tmp_path / f"out {speed}" / "report.html").read_text(encoding="utf-8")
 
 
 def test_check_says_which_tolerances_it_does_not_judge(tmp_path, capsys):

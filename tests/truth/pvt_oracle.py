@@ -77,8 +77,8 @@ def surface_of(rng, radius):
     )
 
 
-def case(rng):
-    """Return a motion at the highest speed within the limits, or at a stated one, and its machine."""
+def setting(rng):
+    """Return a kind of motion, its path, strategy, machine, and speed profile if it has one."""
     radius, tool = 0.5, tw.Tool(nose_radius=0.1, included=np.deg2rad(120))
     part = tw.Part(surface=surface_of(rng, radius), radius=radius)
     shared = {"sense": choose(rng, 1, -1), "inside_out": bool(rng.random() < 0.5)}
@@ -105,7 +105,26 @@ def case(rng):
     profile = None
     if machine.controller.variable_speed and rng.random() < 0.3:
         profile = tw.SpeedProfile(radius=[0.1, 0.4], spindle_rpm=[60.0, 20.0])
+    return kind, path, servo, machine, profile
+
+
+def case(rng):
+    """Return a motion at the highest speed within the limits, or at a stated one, and its machine."""
+    kind, path, servo, machine, profile = setting(rng)
     return kind, tw.drive(path, servo, machine, profile=profile), machine, profile is None
+
+
+def top_rpm(motion):
+    return np.abs(motion.velocity["C"]).max() * 60 / TURN
+
+
+def stated(path, servo, machine, rpm):
+    """Return whether a stated speed keeps every limit, by SciPy's cubics, and the speed that is reached."""
+    try:
+        motion = tw.drive(path, replace(servo, spindle_rpm=rpm), machine)
+    except tw.LimitError:
+        return False, None
+    return judge(motion, machine)[1] <= 1 + 1e-9, top_rpm(motion)
 
 
 def slopes(time, position):

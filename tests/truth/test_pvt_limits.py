@@ -20,6 +20,17 @@ def test_peaks_are_those_of_the_cubics_and_limits_are_kept(number):
     assert used <= 1 + 1e-9 or not sought
 
 
+@pytest.mark.parametrize("number", [2, 29, 48])
+def test_the_speed_that_is_sought_is_the_highest(number):
+    """Oracle: any stated speed, by SciPy's cubics. A higher one breaks a limit or is refused, a lower one does not."""
+    _, path, servo, machine, _ = pvt_oracle.setting(np.random.default_rng((8, number)))
+    top = pvt_oracle.top_rpm(tw.drive(path, servo, machine))
+    for share in (1.01, 1.3):
+        assert not pvt_oracle.stated(path, servo, machine, share * top)[0]
+    for share in (0.999999, 0.9):
+        assert pvt_oracle.stated(path, servo, machine, share * top) == (True, pytest.approx(share * top, rel=1e-9))
+
+
 def test_a_cubic_has_its_closed_form():
     """(t - 1)(t - 2)(t - 4) from 0 to 5 in one block: extremes at (7 ± sqrt 7) / 3, speed -7/3 at 7/3."""
     machine = tw.Machine(

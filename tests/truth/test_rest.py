@@ -1,5 +1,6 @@
 """From rest to rest along the planned path. Oracle: SciPy's cubics through the program read back, and exact placing."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from turnwright import (
     Part,
     SineGrid,
     SlowToolServo,
+    SpeedProfile,
     Spiral,
     Tool,
     Toroid,
@@ -155,18 +157,86 @@ def test_a_speed_that_only_the_ends_would_keep_down_is_higher(tmp_path):
     assert limits.peak_speed["C"] == pytest.approx(200.0 * TURN / 36, rel=0.01)
 
 
-def test_a_path_too_short_is_gone_along_slowly_and_one_without_points_refused():
+def test_a_short_path_is_gone_along_as_fast_as_c_may_be_sped_up():
+    """Oracle: an acceleration from nothing to its peak and back comes to w along w^2 / a, here half of the path."""
     part, tool = PARTS["toroid"], Tool(nose_radius=0.1)
     slow = SlowToolServo(feed=0.006, points_per_rev=90, spindle_rpm=60)
     machine = replace(FREE, axes={**FREE.axes, "C": Axis(acceleration=2.0)})
     spiral = slow.spiral(part, tool)
 
-    def some(count):
+    def some(count, rpm):
         of = {name: getattr(spiral, name)[:count] for name in ("angle", "radius", "radius_rate")}
-        return drive(place(Spiral(**of), part, tool), slow, machine)
+        return drive(place(Spiral(**of), part, tool), replace(slow, spindle_rpm=rpm), machine)
 
-    short = some(91)  # one turn
-    assert np.abs(short.velocity["C"]).max() < TURN
-    assert check_limits(short, machine).ok
+    sought = some(91, None)  # one turn
+    top = np.abs(sought.velocity["C"]).max()
+    assert top == pytest.approx(np.sqrt(2.0 * np.pi), rel=0.01)
+    limits = check_limits(sought, machine)
+    assert limits.ok
+    assert limits.binding == "C acceleration"
+    # What is stated is kept to, or refused for what limits it.
+    for share in (0.3, 0.8, 0.99):
+        stated = some(91, share * top * 60 / TURN)
+        assert np.abs(stated.velocity["C"]).max() == pytest.approx(share * top, rel=1e-12)
+        assert check_limits(stated, machine).ok
+    for share in (1.001, 1.3, 3.0):
+        with pytest.raises(LimitError, match=r"spindle_rpm is .* C acceleration"):
+            some(91, share * top * 60 / TURN)
     with pytest.raises(LimitError, match=r"2 points in 0\.0698 rad, too few to come to speed and to rest"):
-        some(2)
+        some(2, 60)
+
+
+@pytest.mark.parametrize("rpm", [300, 500, 580, 620, 900, 1100])
+def test_a_stated_speed_is_reached_or_refused(rpm):
+    part, tool = Part(surface=Toroid(radius_x=20, radius_y=30), radius=0.5), Tool(nose_radius=0.5)
+    machine = replace(Machine.load("nanoform"), dialect="pmac", controller=HERMITE, spindle_rpm=2000, block_rate_hz=5e3)
+    servo = SlowToolServo(feed=0.02, points_per_rev=8, spindle_rpm=rpm)
+    path = place(servo.spiral(part, tool), part, tool)
+    # Half of 25.5 turns, from rest at a peak of 52.36 rad/s^2 that rises and falls evenly.
+    highest = np.sqrt(machine.axes["C"].acceleration * np.ptp(path.angle) / 2) * 60 / TURN
+    if rpm < highest:
+        motion = drive(path, servo, machine)
+        assert np.abs(motion.velocity["C"]).max() * 60 / TURN == pytest.approx(rpm, rel=1e-12)
+        limits = check_limits(motion, machine)
+        assert limits.spindle_rpm == pytest.approx(rpm, rel=1e-12)  # not the mean
+        assert limits.binding == "spindle speed as stated"
+    else:
+        with pytest.raises(LimitError, match="C acceleration") as refused:
+            drive(path, servo, machine)
+        named = float(re.search(r"is ([\d.]+) rev/min, set by", str(refused.value))[1])
+        assert named == pytest.approx(highest, rel=0.01)
+        limits = check_limits(drive(path, replace(servo, spindle_rpm=named), machine), machine)
+        assert limits.ok
+        assert limits.spindle_rpm == pytest.approx(named, rel=1e-12)
+        assert limits.binding == "C acceleration"
+
+
+def test_a_speed_profile_is_reached_or_refused():
+    """Oracle: C needs w^2 / a to come to w, here more than the path."""
+    part, tool, servo = PARTS["toroid"], Tool(nose_radius=0.1), SlowToolServo(feed=0.02, points_per_rev=90)
+    machine = replace(FREE, axes={**FREE.axes, "C": Axis(acceleration=5.0)})
+    machine = replace(machine, controller=replace(HERMITE, variable_speed=True))
+    path = place(servo.spiral(part, tool), part, tool)
+
+    def at(rpm):
+        profile = SpeedProfile(radius=[0.2, 0.4], spindle_rpm=[rpm, rpm / 2])
+        return drive(path, servo, machine, profile=profile)
+
+    slow = at(60.0)
+    inner = np.abs(slow.axes["X"]) < 0.15
+    assert np.abs(slow.velocity["C"][inner]).max() * 60 / TURN == pytest.approx(60, rel=1e-9)
+    with pytest.raises(LimitError, match=r"the speed profile goes up to 600 rev/min.*C acceleration"):
+        at(600.0)
+
+
+def test_no_higher_speed_than_the_one_sought_keeps_every_limit():
+    """Blocks that cannot be divided bound how soon a wavy path comes to speed: the steps of 0.8 missed half of it."""
+    part, tool = Part(surface=SineGrid(amplitude=(0.003, 0.002), period=(0.8, 1.1)), radius=0.6), Tool(nose_radius=0.2)
+    machine = replace(Machine.load("nanoform"), dialect="pmac", controller=HERMITE, block_rate_hz=100)
+    servo = SlowToolServo(feed=0.03, points_per_rev=36)
+    path = place(servo.spiral(part, tool), part, tool)
+    top = np.abs(drive(path, servo, machine).velocity["C"]).max() * 60 / TURN
+    for share in (1.001, 1.1, 1.25):
+        with pytest.raises(LimitError, match=r"spindle_rpm is .* block rate"):
+            drive(path, replace(servo, spindle_rpm=share * top), machine)
+    assert check_limits(drive(path, replace(servo, spindle_rpm=0.99 * top), machine), machine).ok

@@ -319,7 +319,7 @@ def test_c_that_swings_as_it_comes_to_rest_is_tracked(dead_time):
         controller=Controller(interpolation="hermite"),
     )  # fmt: skip
     part, tool = Part(surface=Sphere(radius=50.0), radius=0.4), Tool(nose_radius=0.5)
-    servo = SlowToolServo(feed=0.02, points_per_rev=72, spindle_rpm=300)
+    servo = SlowToolServo(feed=0.02, points_per_rev=72, spindle_rpm=600)
     motion = drive(place(servo.spiral(part, tool), part, tool), servo, machine)
     real = track(motion, chord=1e-9)
     assert (np.diff(real.axes["C"]) * motion.sense > 0).all()

@@ -38,6 +38,9 @@ AIM = (1 + NEAR) / 2
 ROUNDS = 8
 """Plans that are tried for one number."""
 
+SLOWEST = 0.05
+"""Share of its speed below which a profile is not lowered so that its motion can come to it and to rest."""
+
 COARSE = 4
 """Where only the difference of two surfaces counts, one sample in so many will do."""
 
@@ -231,8 +234,7 @@ class Servos:
                     if ((ratio >= NEAR * NEAR) | (speed >= NEAR * most)).all():
                         break
                 speed = np.minimum(most, speed * (NEAR / np.maximum(ratio, 1e-3)) ** (1 / POWER))
-            profile = rings.profile(speed)
-            meant = drive(path, servo, machine, profile=profile)
+            speed, profile, meant = _reached(path, servo, machine, rings, speed)
         return best
 
     def _possible(self, meant: Motion) -> Motion | None:
@@ -250,6 +252,21 @@ class Servos:
         """Return how far the real surface of a command is from the one wanted, at each radius. (n,) [mm]."""
         off: Floats = np.nanmax(np.abs(self._surface(command, self.machine).z - wanted.z), axis=0)
         return off
+
+
+def _reached(
+    path: Path, servo: Strategy, machine: Machine, rings: _Rings, wanted: Floats
+) -> tuple[Floats, SpeedProfile, Motion]:
+    """Return the speed of each ring, lowered as far as coming to it and to rest asks for, its profile and motion."""
+    speed = wanted
+    while True:
+        profile = rings.profile(speed)
+        try:
+            return speed, profile, drive(path, servo, machine, profile=profile)
+        except LimitError:
+            if speed[0] < SLOWEST * wanted[0]:
+                raise
+            speed = speed * NEAR
 
 
 class _Rings:
