@@ -892,6 +892,33 @@ def test_no_state_has_a_barrier(bench, by_hand, how):
     assert found == []
 
 
+@pytest.mark.parametrize("how", [{}, {"dark": True}, {"size": PHONE, "touch": True}], ids=["light", "dark", "phone"])
+def test_a_job_with_an_error_or_under_check_has_no_barrier(bench, by_hand, how):
+    # Oracle: axe-core.
+    one = bench(**how).take(by_hand.parent / "job.toml")
+    page, held = one.page, []
+    box = page.locator("#field-tool-included")
+    box.fill("60 degrees")
+    page.locator("#pill").filter(has_text="to mend").wait_for()
+    found = barriers(page, "error")
+    if "size" in how:
+        page.get_by_role("navigation", name="Panes").get_by_role("button", name="Results", exact=True).click()
+    page.get_by_role("tab", name="Plan").click()
+    expect(page.locator(".cards.stale")).to_be_visible()
+    found += barriers(page, "plan of a job with an error")
+    if "size" in how:
+        page.get_by_role("navigation", name="Panes").get_by_role("button", name="Job", exact=True).click()
+    page.route("**/api/job/check", lambda route: held.append(route))  # noqa: PLW0108 - playwright marks the function
+    box.fill("61 deg")
+    expect(page.locator("#pill.waiting")).to_be_visible()
+    found += barriers(page, "checking")
+    for route in held:
+        route.continue_()
+    page.unroute("**/api/job/check")
+    expect(page.locator("#pill.waiting")).to_be_hidden()
+    assert found == []
+
+
 def test_light_and_dark_follow_the_system_and_the_switch(bench):
     for dark in (False, True):
         one = bench(dark=dark)

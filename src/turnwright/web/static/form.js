@@ -345,12 +345,12 @@ function Explained() {
     return () => (explain = () => {});
   }, []);
   if (!told) {
-    return html`<aside class="explain" aria-live="off"><p class="quiet">Point at a field, or go to it with Tab: what it means is told here.</p></aside>`;
+    return html`<aside class="explain" aria-label="About the field" tabindex="0" aria-live="off"><p class="quiet">Point at a field, or go to it with Tab: its meaning is shown here.</p></aside>`;
   }
   const { node, path } = told;
   const unit = shownUnit(node);
   const text = defaultText(node);
-  return html`<aside class="explain" id="explained" aria-live="off">
+  return html`<aside class="explain" id="explained" aria-label="About the field" tabindex="0" aria-live="off">
     <h3>${titleOf(node, path.at(-1))} ${unit && html`<span class="unit">[${unit}]</span>`}</h3>
     ${node.description && html`<p>${node.description}</p>`}
     ${node.holds && html`<p>Bring a file (${node.endings.join(", ")}) with the button beside it; it goes along with the job.</p>`}

@@ -97,7 +97,7 @@ export async function start(kind = "run") {
   try {
     await settled();
     if (!state.job) return;
-    if (state.errors.length) return say(`The job is not whole: ${state.errors[0].sentence}`, "bad");
+    if (state.errors.length) return say(`The job has an error: ${state.errors[0].sentence}`, "bad");
     const { id } = await post("/runs", { data: state.job, toml: lastText(), kind, name: state.job.part?.name || state.title || "job" });
     set({ run: id, ...NOTHING, ...(kind === "compare" ? { comparison: null } : {}) });
     await refresh();

@@ -42,8 +42,8 @@ function Plan() {
   const stale = errors.length > 0 && check.errors !== errors;
   const refused = preview?.refused ?? [];
   const ok = access.ok && refused.length === 0 && !(errors.length > 0 && !stale);
-  return html`<${Fragment}>${errors.length > 0 && html`<section class="card bad"><header><h3>${stale ? "The job as typed is not whole" : "No path can be laid"}</h3></header>
-      <ul class="sentences">${errors.slice(0, 4).map((error) => html`<li>${error.sentence}</li>`)}</ul>${stale && html`<p class="quiet">Below stands what was last whole.</p>`}</section>`}
+  return html`<${Fragment}>${errors.length > 0 && html`<section class="card bad"><header><h3>${stale ? "The job as typed has errors" : "No path can be laid"}</h3></header>
+      <ul class="sentences">${errors.slice(0, 4).map((error) => html`<li>${error.sentence}</li>`)}</ul>${stale && html`<p class="quiet">Below: the job before these errors.</p>`}</section>`}
     <div class=${stale ? "cards stale" : "cards"} aria-busy=${checking ? "true" : "false"}>
     <section class=${ok ? "card verdict good" : "card verdict bad"} id="verdict" aria-live="polite">
       <${Mark} ok=${ok} /><div><h3>${ok ? "The tool reaches the part" : access.ok ? "A run would refuse the job" : "The tool does not reach the part"}</h3>
