@@ -47,7 +47,9 @@ class Spiral:
     ----------
     angle
         Azimuth of the part under the tool, cumulative over the turns, strictly growing or strictly falling, in most
-        steps by half a turn at most. (n,) [rad]
+        steps by half a turn at most. Degrees are refused where their steps are wider than that, where they are coarse,
+        even and a whole part of 360, and where the ends lie a whole number of times 360 apart; uneven steps of less
+        than 3.1 degrees cannot be known from coarse ones in radians. (n,) [rad]
     radius
         Commanded distance of the tip from the axis (for a path along the normal: of the contact point). (n,) [mm]
     y
