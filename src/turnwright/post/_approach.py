@@ -43,7 +43,7 @@ LEAST_ADVANCE = 1e-3
 MOST_POINTS = 5_000_000
 """Points of a plunge: beyond this a feed or a height is a slip of the unit."""
 SLOWEST = 60.0
-"""Longest revolution of a plunge whose pass is less than one. [s]"""
+"""Longest revolution of a plunge whose pass is less than one, or whose heights are extrapolated. [s]"""
 SLOWEST_PVT = 4.0
 """The same where the pass states velocities, and the longest block there. [s]"""
 SHORTEST_PVT = 2e-6
@@ -110,6 +110,8 @@ def approach_to(
     Straight down from the clear plane, C at rest, to 0.1 mm above the material; then C turns at the speed of the pass
     and the tool follows the heights of one revolution at the radius where the pass begins, raised by less and less. In
     a revolution it plunges by no more than the pass advances (or 1 um), and in no block faster than ``plunge_feed``.
+    Where the heights are extrapolated, what that may add to the fall of a block counts, and C turns slower if it must,
+    up to a minute a revolution.
 
     Parameters
     ----------
@@ -142,6 +144,7 @@ def _plunge(
 ) -> tuple[Motion, float]:
     """Return the motion down to the first point of a pass, and its depth in a revolution [mm/rev]."""
     turned, time, others, advance = first_turn(motion)
+    doubt = np.zeros(turned.size) if heights is not None else others["Z"] - _one_term_less(motion, others["Z"])
     if heights is not None:
         if heights.shape != turned.shape or not np.isfinite(heights).all():
             raise ProgramError(
@@ -150,7 +153,12 @@ def _plunge(
             )
         others["Z"] = heights - heights[0] + motion.axes["Z"][0]
     turn_s = float(time[-1]) if motion.velocity is None else TURN / _fastest(motion)
-    per_rev = min(plunge_feed * turn_s, max(advance, LEAST_ADVANCE))
+    blocks = np.diff(time) if motion.velocity is None else np.diff(turned) * (turn_s / TURN)
+    # What the heights may fall beyond the part's: twice what the last term of their extrapolation adds to a block.
+    beyond = float((2 * np.abs(np.diff(doubt)) / blocks).max())
+    slower = min(max(1.0, 2 * beyond / plunge_feed), max(SLOWEST / turn_s, 1.0))
+    time, turn_s = time * slower, turn_s * slower
+    per_rev = min(max(plunge_feed - beyond / slower, plunge_feed / 2) * turn_s, max(advance, LEAST_ADVANCE))
     turns = math.ceil(height / per_rev - 1e-9)
     each = turned.size - 1
     if turns * each > MOST_POINTS:
@@ -172,7 +180,7 @@ def _plunge(
         clock = time[place] + turn_s * turn
         axes["Z"] = axes["Z"] + height * (1 - clock / clock[-1])
     else:
-        clock, pace = _from_rest_to_rest(motion, angle + TURN * turns, turns)
+        clock, pace = _from_rest_to_rest(motion, angle + TURN * turns, turns, slower)
         axes["Z"] = axes["Z"] - per_rev * angle / TURN
     for letter, values in axes.items():
         values[-1] = motion.axes[letter][0]
@@ -191,12 +199,12 @@ def _fastest(motion: Motion) -> float:
     return float(np.abs(motion.velocity["C"])[passed <= 2 * TURN].max())
 
 
-def _from_rest_to_rest(motion: Motion, angle: Floats, turns: int) -> tuple[Floats, Floats]:
+def _from_rest_to_rest(motion: Motion, angle: Floats, turns: int, slower: float) -> tuple[Floats, Floats]:
     """Return when a plunge is at each angle from its start, and how fast C turns there. [s, rad/s].
 
     A pass that states velocities begins at rest: its first revolution brings C to speed, its second one is repeated at
     that speed, and the first one backwards in time brings C to rest where the pass begins. So the plunge asks no more
-    of C than the pass does.
+    of C than the pass does, and less where all of it is so many times ``slower``.
     """
     assert motion.velocity is not None  # noqa: S101 - for the type checker
     passed = np.abs(motion.axes["C"] - motion.axes["C"][0])
@@ -206,7 +214,7 @@ def _from_rest_to_rest(motion: Motion, angle: Floats, turns: int) -> tuple[Float
         rising, falling = (np.sqrt(np.minimum(one, TURN) / TURN) for one in (angle, before_end))
         clock = np.where(angle < TURN, 2 * TURN * rising, angle + TURN)
         clock = np.where(before_end < TURN, angle[-1] + 2 * TURN - 2 * TURN * falling, clock)
-        return clock / fastest, fastest * np.minimum(rising, falling)
+        return slower * clock / fastest, fastest * np.minimum(rising, falling) / slower
     time = motion.time - motion.time[0]
     to_speed, steady = np.interp(TURN, passed, time), np.interp(2 * TURN, passed, time)
     turn = np.minimum((angle / TURN + 1e-9).astype(np.int64), turns - 1)
@@ -220,17 +228,25 @@ def _from_rest_to_rest(motion: Motion, angle: Floats, turns: int) -> tuple[Float
     clock[last] = begun[-1] + to_speed - np.interp(TURN - place[last], passed, time)
     pace[last] = np.interp(TURN - place[last], passed, speed)
     # Between the points of the pass a block may come out shorter or longer than a controller takes.
-    blocks = np.clip(np.diff(clock), SHORTEST_PVT, SLOWEST_PVT)
-    return np.concatenate([[0.0], np.cumsum(blocks)]), pace
+    blocks = np.clip(slower * np.diff(clock), SHORTEST_PVT, SLOWEST_PVT)
+    return np.concatenate([[0.0], np.cumsum(blocks)]), pace / slower
 
 
-def first_turn(motion: Motion) -> tuple[Floats, Floats, dict[str, Floats], float]:
+def _one_term_less(motion: Motion, z: Floats) -> Floats:
+    """Return the heights around the first point from one revolution less; those given if it has only one. (n,)."""
+    turns = float(abs(motion.axes["C"][-1] - motion.axes["C"][0])) / TURN + 1e-9
+    if turns < 2:
+        return z
+    return first_turn(motion, most=min(int(turns), 3) - 1)[2]["Z"]
+
+
+def first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[str, Floats], float]:
     """Return the path of a pass around its first point, at the radius of that point.
 
     The radius of a pass changes over its first revolution. What its other axes are at the radius of the first point is
-    extrapolated from its first three revolutions by the parabola through them. After a whole turn the error of that is
-    known, as the first point is; it grows as the product of the distances from the three radii, and this share of it is
-    taken off all around, so that the turn closes without a step.
+    extrapolated from its first three revolutions by the parabola through them, or from fewer if ``most`` says so. After
+    a whole turn the error of that is known, as the first point is; it grows as the product of the distances from the
+    three radii, and this share of it is taken off all around, so that the turn closes without a step.
 
     Returns
     -------
@@ -262,7 +278,7 @@ def first_turn(motion: Motion) -> tuple[Floats, Floats, dict[str, Floats], float
     def at(values: Floats, turn: int) -> Floats:
         return np.interp(turned + turn * TURN, angle, values)
 
-    known = min(int(angle[-1] / TURN + 1e-9), 3)
+    known = min(int(angle[-1] / TURN + 1e-9), most)
     radii = [at(x, turn) for turn in range(known)]
     axes = {"X": np.full(turned.size, x[0])}
     weights = _weights(radii, float(x[0]))

@@ -148,7 +148,8 @@ def write_nc(
     material the tool comes down only while C turns: at the radius where the pass begins it follows the heights of one
     revolution there, raised by less and less, by no more in a revolution than the pass advances (or 1 um) and in no
     block faster than ``plunge_feed``. `run` has these heights exactly, from part and tool; a motion alone does not
-    hold them, and without ``entry_heights`` they are extrapolated from its first three revolutions. Where C is
+    hold them, and without ``entry_heights`` they are extrapolated from its first three revolutions: then C turns so
+    much slower than in the pass, up to a minute a revolution, that what this may add keeps the feed too. Where C is
     cumulative it begins within a turn of 0 and counts on from pass to pass, so that the spindle is never unwound.
 
     All files are written beside their final place and put there, the main program last, when the whole program is
