@@ -56,6 +56,9 @@ GOLDEN = np.pi * (3 - np.sqrt(5))
 ROUNDS = 8
 """Times that the search narrows, to a third of its step each."""
 
+NARROWED = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+"""Steps from each place, outward and along the turn, by which the search narrows."""
+
 ON_FLANK = 120
 """Points of a flank that are looked at, closer together where it begins."""
 
@@ -269,7 +272,13 @@ def check_access(part: Part, tool: Tool, *, sense: int = 1, progress: Progress |
 
 
 def check_depths(
-    part: Part, tool: Tool, depths: Mapping[str, float], *, inside_out: bool = False, sense: int = 1
+    part: Part,
+    tool: Tool,
+    depths: Mapping[str, float],
+    *,
+    inside_out: bool = False,
+    sense: int = 1,
+    progress: Progress | None = None,
 ) -> tuple[AccessFinding, ...]:
     r"""Say of each pass whether its chip stays on the cutting edge.
 
@@ -294,6 +303,8 @@ def check_depths(
         Whether the passes go from the centre to the rim.
     sense
         +1 where the spindle angle under the tool grows, -1 where it falls.
+    progress
+        Called with (done, total).
 
     Returns
     -------
@@ -311,7 +322,7 @@ def check_depths(
     taken = {name: depth for name, depth in depths.items() if depth > 0}
     if not taken:
         return ()
-    most, where = largest_depth(part, tool, side=1 if inside_out else -1, sense=sense)
+    most, where = largest_depth(part, tool, side=1 if inside_out else -1, sense=sense, progress=progress)
     findings = []
     for name, depth in taken.items():
         ok = depth <= most * (1 + 1e-9)
@@ -331,7 +342,7 @@ def check_depths(
 
 
 def largest_depth(
-    part: Part, tool: Tool, *, side: int, sense: int = 1, nearest: float = 0.0
+    part: Part, tool: Tool, *, side: int, sense: int = 1, nearest: float = 0.0, progress: Progress | None = None
 ) -> tuple[float, tuple[float, float]]:
     """Return the thickest layer that one side of the edge cuts all over a part [mm], and where it is the thinnest.
 
@@ -343,17 +354,28 @@ def largest_depth(
     ring = np.linspace(0, TURN, RING, endpoint=False)
     radius = np.concatenate([np.sqrt(square), np.full(RING, part.radius), np.full(RING, nearest)])
     angle = np.concatenate([count * GOLDEN, ring, ring])
-    room = _room_beyond(part, tool, side, sense, radius, angle)
+    done, total = 0, radius.size + ROUNDS * STARTS * NARROWED.size**2
+
+    def look(radius: Floats, angle: Floats) -> Floats:
+        """Return the room at some places, and tell how many were looked at."""
+        nonlocal done
+        before = done
+        tell = None if progress is None else (lambda one, _all: progress(before + one, total))
+        room = _room_beyond(part, tool, side, sense, radius, angle, tell)
+        done += radius.size
+        return room
+
+    room = look(radius, angle)
     step = part.radius / math.sqrt(FIRST_PLACES)
     for _ in range(ROUNDS):
         best = np.argsort(room, kind="stable")[:STARTS]
         radius, angle, room = radius[best], angle[best], room[best]
-        aside = step * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+        aside = step * NARROWED
         out, turn = (one.ravel() for one in np.meshgrid(aside, aside))
         near = np.clip(np.add.outer(radius, out), nearest, part.radius).ravel()
         turned = angle[:, None] + turn / np.maximum(radius, step)[:, None]
         radius, angle = np.append(radius, near), np.append(angle, turned.ravel())
-        room = np.append(room, _room_beyond(part, tool, side, sense, near, turned.ravel()))
+        room = np.append(room, look(near, turned.ravel()))
         step /= 3
     worst = int(np.argmin(room))
     return float(room[worst]), (
@@ -362,11 +384,13 @@ def largest_depth(
     )
 
 
-def _room_beyond(part: Part, tool: Tool, side: int, sense: int, radius: Floats, angle: Floats) -> Floats:
+def _room_beyond(
+    part: Part, tool: Tool, side: int, sense: int, radius: Floats, angle: Floats, progress: Progress | None
+) -> Floats:
     """Return how high the edge stands above the finished surface beyond its cutting part, at the least. (n,) [mm]."""
     from turnwright.dilation import touch  # noqa: PLC0415 - numba is costly to import
 
-    tip = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.radius).z
+    tip = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.radius, progress=progress).z
     end = tool.arc[1] if side > 0 else tool.arc[0]
     u, v, e = tool.edge(np.array([end, end + side]), sense)
     begin = (tool.edge_length or 0.0) / math.hypot(u[1] - u[0], v[1] - v[0], e[1] - e[0])

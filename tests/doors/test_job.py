@@ -137,8 +137,8 @@ def test_a_run_leaves_the_cusps_of_its_tool(tmp_path):
     assert result.rounding_nm > 0.01  # it has been read back, rounded
     assert result.ok
     assert list(dict.fromkeys(stages)) == [
-        "access", "plan", "place", "drive", "limits", "approach", "write program", "read program", "compare",
-        "simulate whole part", "roughness", "highest and lowest place", "simulate patch",
+        "access", "depth of cut", "plan", "place", "drive", "limits", "approach", "write program", "read program",
+        "compare", "simulate whole part", "roughness", "highest and lowest place", "simulate patch",
     ]  # fmt: skip
     assert set(result.timings) == set(stages)
     assert 0.01 < result.peak_memory_gb < 4

@@ -26,7 +26,7 @@ __all__ = [
 
 MILLION = 1e6
 
-ACCESS_S, APPROACH_S, REPORT_S = 0.6, 0.3, 2.0
+ACCESS_S, DEPTH_S, APPROACH_S, REPORT_S = 0.6, 0.2, 0.3, 2.0
 PLAN_S, DRIVE_S, LIMITS_S, CHIPS_S, WRITE_S, READ_S = 0.12, 0.3, 0.06, 0.15, 0.18, 0.18
 """For a million points of a pass. [s]"""
 
@@ -53,7 +53,7 @@ FEWEST_POINTS = 36
 
 def steps_of_run(job: Job) -> tuple[Step, ...]:
     """Return the steps of `run`, and of its report."""
-    steps = [Step(stage="access", work=ACCESS_S)]
+    steps = [Step(stage="access", work=ACCESS_S), Step(stage="depth of cut", work=DEPTH_S)]
     stock = job.part.part.stock
     known = job.part.substance
     written = 0.0
@@ -110,7 +110,7 @@ def steps_of_prediction(job: Job, *, tracking: bool | None = None) -> tuple[Step
 def steps_of_preview(job: Job) -> tuple[Step, ...]:
     """Return the steps of `preview`."""
     passes = (Step(stage="plan", work=0.2 + PLAN_S * _points(job, cut)) for cut in job.passes)
-    return (Step(stage="access", work=ACCESS_S), *passes)
+    return (Step(stage="access", work=ACCESS_S), *passes, Step(stage="depth of cut", work=DEPTH_S))
 
 
 def steps_of_plan(job: Job) -> tuple[Step, ...]:

@@ -138,7 +138,8 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     with watch.stage("access") as tell:
         access = check_access(part, tool, sense=job.strategy.sense, progress=tell)
     warnings = _accepted_access(job, access) + list(odd_sizes(part, tool))
-    require_depths(job)
+    with watch.stage("depth of cut") as tell:
+        require_depths(job, progress=tell)
 
     motions: dict[str, Motion] = {}
     passes: list[Pass] = []
@@ -211,17 +212,17 @@ def depths_of(job: Job) -> dict[str, float]:
     return depths
 
 
-def judge_depths(job: Job) -> tuple[AccessFinding, ...]:
+def judge_depths(job: Job, *, progress: Progress | None = None) -> tuple[AccessFinding, ...]:
     """Return whether the chip of each pass stays on the edge."""
     plan = job.strategy
     return check_depths(
-        job.part.aimed, job.tool.tool, depths_of(job), inside_out=plan.inside_out, sense=plan.sense
+        job.part.aimed, job.tool.tool, depths_of(job), inside_out=plan.inside_out, sense=plan.sense, progress=progress
     )  # fmt: skip
 
 
-def require_depths(job: Job) -> None:
+def require_depths(job: Job, *, progress: Progress | None = None) -> None:
     """Raise if a pass takes off more than the edge can cut; no job can accept that."""
-    for finding in judge_depths(job):
+    for finding in judge_depths(job, progress=progress):
         if not finding.ok:
             raise GougeError(finding.sentence)
 
@@ -376,7 +377,8 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
             chips[cut.name] = expected
         stock = cut.allowance
     if not refused:  # else the finished surface may be none that an edge can touch
-        refused = tuple(one.sentence for one in judge_depths(job) if not one.ok)
+        with watch.stage("depth of cut") as tell:
+            refused = tuple(one.sentence for one in judge_depths(job, progress=tell) if not one.ok)
     return Preview(
         access=access, points=points, shortest_s=shortest, refused=refused, chips=chips,
         remarks=job.part.part.surface.remarks, warnings=odd_sizes(part, tool), shape=part_shape(job.part.part),
