@@ -8,6 +8,7 @@ import shutil
 import time
 import tomllib
 import zipfile
+from dataclasses import replace
 from importlib import resources
 
 import jsonschema
@@ -28,6 +29,7 @@ from turnwright.web._examples import examples
 from turnwright.web._packed import unpack
 from turnwright.web._queue import Runs
 from turnwright.web._references import FILE_KEYS, located
+from turnwright.web._shown import write_predicted
 
 HERE = "http://127.0.0.1:8765"
 PATIENCE_S = 120
@@ -295,6 +297,11 @@ def test_a_correction_plans_with_the_tool_as_it_was_found(client, measured, fold
     better = correct(part.job, explain([part]), [part], out=folder / "again")
     left = told["predicted"]["predicted"]
     assert (left["pv_nm"], left["rms_nm"]) == pytest.approx(better.numbers_nm["predicted"], rel=1e-9)
+    assert told["predicted"]["missed"] == []
+    strict = replace(better, job=Job.read(changed(*DISH, ("tolerances.form_pv", "1 nm"))))
+    write_predicted(strict, folder / "again")
+    (missed,) = json.loads((folder / "again" / "shown.json").read_text())["missed"]
+    assert missed == strict.verdicts[0].sentence
     ours = client.get(f"/api/measurements/{measured}/files/job").content.decode()
     both = [tomllib.loads(ours), tomllib.loads(better.file.read_text())]
     # Threads add up in any order, so the last digits of what was found may differ.

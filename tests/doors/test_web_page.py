@@ -713,6 +713,9 @@ def test_a_measurement_tells_the_injected_offset_and_becomes_a_better_program(be
     wait(
         lambda: differs_from(before, one.png(page.locator("#measured .map canvas.mapcanvas"))), what="the predicted map"
     )
+    # As the command line judges it: by the prediction, which holds what no correction reaches, against the tolerance.
+    judged = page.locator("#measured .decide .bar > span")
+    expect(judged).to_contain_text("then predicted")
     # Closed form: an offset leaves a cone, offset times slope; it was there, and will be gone.
     measured = unpack(page.request.get(told.url.replace("predicted", "measured")).body())
     assert header["unit"] == "nm"

@@ -293,7 +293,9 @@ class Measurement(Model):
     lenslets: list[dict[str, Any]] = []
     findings: list[dict[str, Any]] = []
     correction: str | None = Field(default=None, description="The last run that corrects by it.")
-    predicted: dict[str, Any] | None = Field(default=None, description="What that run says is left.")
+    predicted: dict[str, Any] | None = Field(
+        default=None, description="What is left by prediction, by simulation alone, and which tolerances it misses."
+    )
 
 
 class Causes(Model):

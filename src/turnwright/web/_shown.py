@@ -98,9 +98,10 @@ def _psd(measured: Measured) -> dict[str, Any] | None:
 
 
 def write_predicted(better: Correction, out: Path) -> None:
-    """Write the sizes of what a correction leaves, for the page."""
+    """Write the sizes of what a correction leaves and which tolerances that misses, for the page."""
     sizes = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
-    (out / "shown.json").write_text(json.dumps(plain(sizes)), encoding="utf-8")
+    missed = [one.sentence for one in better.verdicts if one.kept is False]
+    (out / "shown.json").write_text(json.dumps(plain(sizes | {"missed": missed})), encoding="utf-8")
 
 
 def shown_map(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) -> bytes:

@@ -252,11 +252,13 @@ function Findings({ measurement }) {
   </div>`;
 }
 
-/** What a correction leaves; one that leaves no less than was measured is not judged good. */
+/** What a correction leaves; one that misses a tolerance, or leaves no less than was measured, is not judged good. */
 function Predicted({ predicted, measured }) {
-  const [name, { pv_nm, rms_nm }] = Object.entries(predicted).at(-1);
+  const name = predicted.predicted ? "predicted" : "simulated";
+  const { pv_nm, rms_nm } = predicted[name];
+  const { missed } = predicted;
   const better = rms_nm < measured;
-  return html`<span><${Mark} ok=${better} warn /> then ${name}: PV ${height(pv_nm)}, RMS ${height(rms_nm)}${better ? "" : `, no less than the ${height(measured)} that were measured`}</span>`;
+  return html`<span><${Mark} ok=${better && !missed.length} warn /> then ${name}: PV ${height(pv_nm)}, RMS ${height(rms_nm)}${better ? "" : `, no less than the ${height(measured)} that were measured`}${missed.map((sentence) => html`<p class="wrong">${sentence}</p>`)}</span>`;
 }
 
 /** Where each lens sits against where it should: a table, and arrows drawn large. */
