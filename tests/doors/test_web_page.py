@@ -859,6 +859,9 @@ def test_a_phone_shows_one_pane_at_a_time_with_run_in_reach(bench, by_hand):
             )()
         assert not page.evaluate(COVERED, "run")
         assert page.evaluate(BEYOND) == []
+    # A tab that is open already stays so: there is nothing else to see in its pane.
+    page.locator("#tab-maps").click()
+    expect(page.locator("#panel-maps")).to_be_visible()
     one.look_at("run")
     expect(page.locator("#right")).to_be_visible()
     assert not page.evaluate(COVERED, "run")

@@ -53,6 +53,7 @@ const tab = {
 // ---------------------------------------------------------------------------------------------------- light and dark
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
+const ONE_PANE = matchMedia("(max-width: 640px)"); // as in style.css
 
 function applyTheme() {
   const theme = kept.read("theme", dark.matches ? "dark" : "light");
@@ -230,7 +231,7 @@ function Tabs({ panes }) {
   useEffect(() => row.current.querySelector("[aria-selected=true]")?.scrollIntoView({ block: "nearest", inline: "nearest" }), [drawer]);
   return html`<div class="panehead"><div class="tabs" role="tablist" aria-label="Lower area" ref=${row} onKeyDown=${keys}>
     ${TABS.map(({ name, title }, index) => html`<button type="button" role="tab" id=${`tab-${name}`} aria-controls=${`panel-${name}`} aria-selected=${drawer === name ? "true" : "false"}
-      tabindex=${drawer === name || (!drawer && index === 0) ? 0 : -1} title=${`${title}  (${index + 1})`} onClick=${() => set({ drawer: drawer === name ? null : name })}>${title}</button>`)}</div>
+      tabindex=${drawer === name || (!drawer && index === 0) ? 0 : -1} title=${`${title}  (${index + 1})`} onClick=${() => set({ drawer: drawer === name && !ONE_PANE.matches ? null : name })}>${title}</button>`)}</div>
     <span class="gap"></span>
     <${Tool} icon="tall" name="Taller or lower" keys="0" onClick=${() => panes.tall()} />
     <${Tool} icon=${drawer ? "down" : "up"} name=${drawer ? "Close the lower area" : "Open the lower area"} keys="Esc" onClick=${() => set({ drawer: drawer ? null : "maps" })} /></div>`;
