@@ -116,7 +116,7 @@ def end_by(door: Door, verdicts: Iterable[Verdict]) -> None:
     verdicts = tuple(verdicts)
     if missed(verdicts):
         many = sum(one.kept is False for one in verdicts)
-        door.say(f"done and written, but {many} of {len(verdicts)} verdicts on the stated tolerances say: missed")
+        door.say(f"done and written, but a stated tolerance is missed ({many} of {len(verdicts)} judged)")
         raise typer.Exit(MISSED)
 
 
