@@ -370,8 +370,8 @@ def largest_depth(
     for _ in range(ROUNDS):
         best = np.argsort(room, kind="stable")[:STARTS]
         radius, angle, room = radius[best], angle[best], room[best]
-        aside = step * NARROWED
-        out, turn = (one.ravel() for one in np.meshgrid(aside, aside))
+        lateral = step * NARROWED
+        out, turn = (one.ravel() for one in np.meshgrid(lateral, lateral))
         near = np.clip(np.add.outer(radius, out), nearest, part.radius).ravel()
         turned = angle[:, None] + turn / np.maximum(radius, step)[:, None]
         radius, angle = np.append(radius, near), np.append(angle, turned.ravel())
@@ -398,9 +398,9 @@ def _room_beyond(
     last = begin + 2 * part.radius / abs(u[1] - u[0])
     along = begin + (last - begin) * np.linspace(0, 1, ON_FLANK) ** 2
     out = radius[:, None] + u[0] + along * (u[1] - u[0])
-    aside = v[0] + along * (v[1] - v[0])
+    lateral = v[0] + along * (v[1] - v[0])
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    finished = _continued(part, out * cosine - aside * sine, out * sine + aside * cosine)
+    finished = _continued(part, out * cosine - lateral * sine, out * sine + lateral * cosine)
     gap = tip[:, None] + e[0] + along * (e[1] - e[0]) - finished
     # Half a turn before, the other side of the axis was cut as far as the edge reaches.
     gap[out < abs(u[0] + begin * (u[1] - u[0])) - radius[:, None]] = np.inf

@@ -110,14 +110,14 @@ def track(
         for letter in motion.axes
         if letter in machine.axes
     )
-    told = progress or (lambda _done, _total: None)
+    report = progress or (lambda _done, _total: None)
     parts = 1
     asked = None if at is None else frozen(at, "at")
     for rounds in range(1, ROUNDS + 1):
         samples = _samples(time, parts, uniform=uniform) if asked is None else asked
         axes = {}
         for k, letter in enumerate(motion.axes):
-            told(k, len(motion.axes))
+            report(k, len(motion.axes))
             own = slice(None) if letter in FAST else blocks
             speed = velocity[letter][own] if letter in velocity else None
             axes[letter] = _follow(letter, motion.axes[letter][own], speed, time[own], machine, samples)
@@ -130,7 +130,7 @@ def track(
         if bulge <= chord or (parts > 1 and machine.controller.interpolation == "linear") or rounds == ROUNDS:
             break
         parts = math.ceil(parts * math.sqrt(bulge / chord))
-    told(len(axes), len(axes))
+    report(len(axes), len(axes))
     axes["C"] = motion.sense * _settling(motion.sense * axes["C"], samples, machine)
     return Motion(time=samples - samples[0], axes=axes, machine=motion.machine)
 

@@ -364,12 +364,12 @@ def _unit(
     path: Path, columns: dict[str, str], stated: dict[str, set[str]], axis: str, given: str | None
 ) -> float | None:
     """Return the unit of an axis in mm, or nothing if it counts pixels."""
-    told = {columns[axis]} if axis in columns else stated[axis]
-    if len({SPELLINGS.get(one.lower(), one.lower()) for one in told}) > 1:
-        raise MapError(f"{path} states the units {', '.join(sorted(told))} for {axis}, the limit is 1: state one")
-    if told and given is not None and axis == "z" and given.lower() not in {one.lower() for one in told}:
-        raise MapError(f"{path} states the unit of its heights, {next(iter(told))}: do not give unit={given!r}")
-    unit = next(iter(told), given)
+    names = {columns[axis]} if axis in columns else stated[axis]
+    if len({SPELLINGS.get(one.lower(), one.lower()) for one in names}) > 1:
+        raise MapError(f"{path} states the units {', '.join(sorted(names))} for {axis}, the limit is 1: state one")
+    if names and given is not None and axis == "z" and given.lower() not in {one.lower() for one in names}:
+        raise MapError(f"{path} states the unit of its heights, {next(iter(names))}: do not give unit={given!r}")
+    unit = next(iter(names), given)
     if unit is None:
         raise MapError(f"{path} does not state the unit of {axis}: give it as unit='mm', or as a column '{axis} [mm]'")
     return None if unit.lower() in PIXELS else to_mm(unit, f"{path} has {axis} in")

@@ -133,12 +133,12 @@ class _Material:
         material = np.concatenate([opposite[:, :0:-1], self.height], axis=1)
         dx, dy, dz = tool.offset
         low, lean = _edge(tool, sense, line - radius - dx)
-        aside = np.abs(lean + y + dy)
+        lateral = np.abs(lean + y + dy)
         # An edge off the radial plane meets the material beside it, as much higher as that rises around the axis.
-        if aside.max() > 0:
+        if lateral.max() > 0:
             around = np.abs(np.diff(self.height, axis=0, append=self.height[:1]))
             rise = np.where(np.isfinite(around), around, 0.0) / np.maximum(self.radius * self.angle[1], 1e-3)
-            low = low - float(rise.max(initial=0.0)) * aside
+            low = low - float(rise.max(initial=0.0)) * lateral
         top = np.maximum(material[:, 1:], material[:, :-1]) - np.minimum(low[1:], low[:-1])
         here = top.max(axis=1)
         # Between two azimuths the higher one counts for both.

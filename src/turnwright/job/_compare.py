@@ -159,18 +159,18 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
     progress
         Called with (stage, done, total).
     """
-    told = progress or (lambda _stage, _done, _total: None)
+    report = progress or (lambda _stage, _done, _total: None)
     part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
     own = job.servo(job.passes[-1])
-    told("what the job asks for", 0, 1)
+    report("what the job asks for", 0, 1)
     feed, scallop, chord = _asked(own, part, tool, machine)
-    told("what the job asks for", 1, 1)
+    report("what the job asks for", 1, 1)
     ways = list(_ways(job, own, feed, scallop, chord))
     candidates = []
     for name, way in ways:
-        told(name, 0, 1)
-        candidates.append(_tried(name, way, job, told))
-        told(name, 1, 1)
+        report(name, 0, 1)
+        candidates.append(_tried(name, way, job, report))
+        report(name, 1, 1)
     return Comparison(job=job, scallop=scallop, chord=chord, candidates=tuple(candidates))
 
 
@@ -253,7 +253,7 @@ def strategies_of(job: Job) -> list[str]:
     return [name for name, _ in _ways(job, job.servo(job.passes[-1]), 1.0, 1.0, 1.0)]
 
 
-def _tried(name: str, way: Callable[[], Strategy], job: Job, told: StageProgress) -> Candidate:
+def _tried(name: str, way: Callable[[], Strategy], job: Job, report: StageProgress) -> Candidate:
     """Return what a strategy makes of a part, or why it does not."""
     start = time.perf_counter()
     part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
@@ -261,7 +261,7 @@ def _tried(name: str, way: Callable[[], Strategy], job: Job, told: StageProgress
 
     def third(number: int) -> Progress:
         """Plan, place and simulate: each a third of the bar."""
-        return lambda done, total: told(name, 100 * number + 99 * done // max(total, 1), 300)
+        return lambda done, total: report(name, 100 * number + 99 * done // max(total, 1), 300)
 
     try:
         servo = way()

@@ -124,7 +124,7 @@ def correct(
     InputError
         If the job was not planned with the tool and machine of the measured parts.
     """
-    told = progress or (lambda _stage, _done, _total: None)
+    report = progress or (lambda _stage, _done, _total: None)
     _check(job, found)
     text, beside = ("", File()) if source is None else (File(source).read_bytes().decode(), File(source).parent)
     out = File(out).resolve()  # the job names its files beside itself, wherever it is read from
@@ -135,19 +135,19 @@ def correct(
     _put_machine(table["machine"], found.machine, job.machine.machine, out)
     table.pop("actual", None)  # the correction is its prediction now
     cutoff, left = None, None
-    told("correct the part", 0, 1)
+    report("correct the part", 0, 1)
     every = [measured] if isinstance(measured, Measured) else list(measured or ())
     if every:
         left = _left(found, [same_part(one.job, job) for one in every])
         cutoff = _put_correction(table["part"], job, part, left, out)
-    told("correct the part", 1, 1)
+    report("correct the part", 1, 1)
     better = Job.read(table, folder=out)
     file = out / "job.toml"
     write_whole(file, edited(text, job, better, folder=beside, into=out))
-    told("simulate", 0, 1)
+    report("simulate", 0, 1)
     x, y = _places(job.part.part, left)
     simulated = _simulated(better, x, y)
-    told("simulate", 1, 1)
+    report("simulate", 1, 1)
     if left is None:
         return Correction(job=better, file=file, cutoff=cutoff, measured=None, predicted=None, simulated=simulated)
     # What is left was measured beside what was added already, which the simulation of the new aim has in it.

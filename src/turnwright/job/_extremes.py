@@ -160,9 +160,9 @@ def find_extremes(
         ``None`` where no pass covers any place.
     """
     search = _Search(motion, tool, part, machine)
-    told = progress or (lambda _done, _total: None)
-    told(0, STAGES)
-    scans = search.scans(told)
+    report = progress or (lambda _done, _total: None)
+    report(0, STAGES)
+    scans = search.scans(report)
     if known is not None:
         x, y = known.points()
         scans.append(_Places(np.hypot(x, y), np.arctan2(y, x), known.z))
@@ -172,7 +172,7 @@ def find_extremes(
         if place is None:
             return None
         found.append(place)
-        told(STAGES - 1 + number, STAGES)
+        report(STAGES - 1 + number, STAGES)
     return Extremes(highest=found[0], lowest=found[1])
 
 
@@ -215,7 +215,7 @@ class _Search:
         z[there] -= self.part.surface.sag(x[there], y[there])
         return z.reshape(rows, columns)
 
-    def scans(self, told: Progress) -> list[_Places]:
+    def scans(self, report: Progress) -> list[_Places]:
         """Return the error across all passes, about the axis and along the rim."""
         rim, feed = self.part.radius, self.feed
         features = TURN * rim / self.part.surface.feature_size * PER_FEATURE
@@ -233,7 +233,7 @@ class _Search:
             )
         ):
             found.append(self._scan(radius, count))
-            told(1 + number, STAGES)
+            report(1 + number, STAGES)
         if np.isnan(found[0].error[:, 0]).any():
             self.edge = self.around_core(self._azimuths(FEWEST_ANGLES))
             found.append(self.edge)

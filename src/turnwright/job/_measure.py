@@ -172,20 +172,20 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     InputError
         If the map has no lengths and the job does not state its pixel size, or too little of it lies on the part.
     """
-    told = progress or (lambda _stage, _done, _total: None)
+    report = progress or (lambda _stage, _done, _total: None)
     asked, part = job.measurement, job.part.part
     # What a fiducial fixes is not fitted away beforehand.
     known = {name for one in asked.fixed for name in OF_POSE[one]}
     free = tuple(name for name in asked.free if name not in known)
-    told("register", 0, 1)
+    report("register", 0, 1)
     heights, start = _with_reference(_turned(heights, job), job)
     pieces = part.surface.in_pieces
     first = register(
         heights.thinned(FIRST), part, free=free, loss="huber" if pieces else "tukey", start=start,
         reach=asked.reach, clocking=asked.clocking if "rotation" in free else 0.0,
     )  # fmt: skip
-    told("register", 1, 1)
-    told("clean", 0, 1)
+    report("register", 1, 1)
+    report("clean", 0, 1)
     spikes = 0
     if asked.spikes != "none":
         # The error shows no edges of the part, so only what does not belong there stands out.
@@ -196,14 +196,14 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         heights = replace(heights, z=np.where(found.spikes, np.nan, heights.z))
     if asked.trim:
         heights = trim_edge(heights, asked.trim)
-    told("clean", 1, 1)
-    told("register all points", 0, 1)
+    report("clean", 1, 1)
+    report("register all points", 0, 1)
     registration = register(
         heights, part, free=free, loss="huber" if pieces else "linear", start=first.pose, reach=0.0, clocking=0.0
     )
     registration = replace(registration, candidates=first.candidates, start=first.start)
-    told("register all points", 1, 1)
-    told("judge", 0, 1)
+    report("register all points", 1, 1)
+    report("judge", 0, 1)
     placed, error = _on_part(heights, registration)
     inside = keep_disc(error, part.radius)
     terms = _terms(inside, part.radius)
@@ -217,7 +217,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         form_pv_nm=pv_nm_of(inside.z), form_rms_nm=rms_nm_of(inside), zernike=terms, roughness=rough,
         lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
     )  # fmt: skip
-    told("judge", 1, 1)
+    report("judge", 1, 1)
     return measured
 
 
@@ -241,7 +241,7 @@ def explain(measured: Measured | Sequence[Measured], *, progress: StageProgress 
     InputError
         If jobs of different parts were planned with different tools or machines.
     """
-    told = progress or (lambda _stage, _done, _total: None)
+    report = progress or (lambda _stage, _done, _total: None)
     every = [measured] if isinstance(measured, Measured) else list(measured)
     if not every:
         raise InputError("0 measured parts are given, a diagnosis needs at least 1: measure one")
@@ -252,7 +252,7 @@ def explain(measured: Measured | Sequence[Measured], *, progress: StageProgress 
                 f"{one.job.part.name!r} and {first.part.name!r} were planned with different tools or machines, one "
                 "diagnosis takes 1 of each: diagnose them apart"
             )
-    told("diagnose", 0, 2)
+    report("diagnose", 0, 2)
     asked = first.measurement
     maps = [_gathered(one, first) for one in every]
 
@@ -273,7 +273,7 @@ def explain(measured: Measured | Sequence[Measured], *, progress: StageProgress 
         )
 
     found = judged(maps)
-    told("diagnose", 1, 2)
+    report("diagnose", 1, 2)
     forms = _forms(found, every)
     if forms is not None:
         # Causes that were bent to resemble the form are judged anew without it.
@@ -281,7 +281,7 @@ def explain(measured: Measured | Sequence[Measured], *, progress: StageProgress 
         left = [replace(one, z=one.z + form) for one, form in zip(again.residuals, forms, strict=True)]
         rms = float(np.sqrt(np.nanmean(np.concatenate([one.z for one in left]) ** 2))) * NM
         found = replace(again, residuals=tuple(left), measured_rms_nm=found.measured_rms_nm, unexplained_rms_nm=rms)
-    told("diagnose", 2, 2)
+    report("diagnose", 2, 2)
     return found
 
 

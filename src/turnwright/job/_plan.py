@@ -179,7 +179,7 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
         raise JobError("the job states no tolerances.form_pv or no tolerances.sq: a plan needs both, add them")
     if "chord" not in type(job.strategy).model_fields:
         raise JobError(f"a plan sets a chord, which the {job.strategy.kind} does not have: choose another kind")
-    told = progress or (lambda _stage, _done, _total: None)
+    report = progress or (lambda _stage, _done, _total: None)
     controller = job.machine.machine.controller
     own = controller.interpolation
     others = () if job.machine.interpolation else tuple(controller.other_interpolations)
@@ -188,7 +188,7 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     why: TurnwrightError | None = None
     for name in (own, *others):
         try:
-            found = _planned(job if name == own else _asking(job, name), form, sq, told)
+            found = _planned(job if name == own else _asking(job, name), form, sq, report)
         except Stopped:
             raise
         except TurnwrightError as error:
@@ -216,12 +216,12 @@ def _asking(job: Job, interpolation: str) -> Job:
     return Job.read(table)
 
 
-def _planned(job: Job, form: float, sq: float, told: StageProgress) -> Plan:
+def _planned(job: Job, form: float, sq: float, report: StageProgress) -> Plan:
     """Return the quickest plan that keeps the tolerances [mm], with the interpolation that the job has."""
     stage = stage_of(job.machine.machine.controller.interpolation)
 
     def tell(share: float) -> None:
-        told(stage, round(share * FINE), FINE)
+        report(stage, round(share * FINE), FINE)
 
     aim = {"form_pv": form, "sq": sq}
     tell(0.0)

@@ -142,12 +142,12 @@ def shares(
     progress
         Called with (surfaces done, surfaces in all).
     """
-    machine, told = motion.machine, progress or (lambda _done, _total: None)
+    machine, report = motion.machine, progress or (lambda _done, _total: None)
     feed = spiral.feed
     radius, angle = lines(part, feed)
 
     def made(one: Motion, done: int) -> HeightMap:
-        told(done, 6)
+        report(done, 6)
         return generate_polar(one, tool, radius=radius, angle=angle)
 
     zone, reach = _axis_zone(part, tool, feed)
@@ -164,11 +164,11 @@ def shares(
         moved = interpolated(again, machine)
         real = made(moved, 4)
     error = real.minus(part.surface)
-    told(5, 6)
+    report(5, 6)
     if pv_nm is None:
         form = find_extremes(moved, tool, part, known=error)
         pv_nm = math.nan if form is None else form.pv_nm
-    told(6, 6)
+    report(6, 6)
     cusps = exact.minus(part.surface)
     return Shares(
         cusp_nm=pv_nm_of(np.append(cusps.z.ravel(), _about_axis(ideal_path, part, tool, zone))),

@@ -316,8 +316,8 @@ def link_seconds(approaches: list[tuple[Approach, Motion]], machine: Machine) ->
     place: dict[str, float] | None = None
     for approach, motion in approaches:
         if place is not None:
-            aside = math.hypot(*(approach.start[letter] - place[letter] for letter in "XY" if letter in place))
-            seconds += (abs(place["Z"] - approach.clear) + aside) / TRAVERSE
+            lateral = math.hypot(*(approach.start[letter] - place[letter] for letter in "XY" if letter in place))
+            seconds += (abs(place["Z"] - approach.clear) + lateral) / TRAVERSE
             seconds += motion.sense * (approach.start["C"] - place["C"]) % TURN / TURN * 60 / machine.spindle_rpm
         seconds += (approach.clear - approach.start["Z"]) / DOWN + approach.plunge_s
         place = {letter: float(values[-1]) for letter, values in motion.axes.items()}

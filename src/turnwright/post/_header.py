@@ -253,13 +253,13 @@ def _info(text: str, signature: str) -> ProgramInfo | None:
             )
         elif match := FIELD.match(row):
             fields.setdefault(match[1], []).append(match[2])
-    told = {key: " ".join(parts) for key, parts in fields.items()}
+    entries = {key: " ".join(parts) for key, parts in fields.items()}
     return ProgramInfo(
-        header=ProgramHeader(**{key: told.get(key.upper(), "") for key in ("design", "tool", "date", "notes")}),
-        software=told.get("SOFTWARE", ""),
-        machine=told.get("MACHINE", ""),
-        dialect=told.get("DIALECT", ""),
-        convention=told.get("CONVENTION", ""),
+        header=ProgramHeader(**{key: entries.get(key.upper(), "") for key in ("design", "tool", "date", "notes")}),
+        software=entries.get("SOFTWARE", ""),
+        machine=entries.get("MACHINE", ""),
+        dialect=entries.get("DIALECT", ""),
+        convention=entries.get("CONVENTION", ""),
         passes=tuple(passes),
     )
 

@@ -229,7 +229,7 @@ def _head(
     away = "GROWS" if machine.convention.x_side > 0 else "FALLS"
     grows = "GROWS" if motion.sense * machine.convention.c_sense > 0 else "FALLS"
     if rate_hz is None:
-        told = [
+        lines_of_kind = [
             "# BY: POSITION",
             f"# RADIUS: X OF THE PROGRAM, MM, {away} AWAY FROM THE AXIS, DECIMALS {dialect.decimals['X']}",
             f"# ANGLE: C OF THE PROGRAM, DEGREES FROM 0 TO 360, {grows} FROM ROW TO ROW BY LESS THAN HALF A TURN",
@@ -238,7 +238,7 @@ def _head(
         ]
         names = COLUMNS["position"]
     else:
-        told = [
+        lines_of_kind = [
             "# BY: TIME",
             f"# RATE: {float(rate_hz)!r} HEIGHTS PER SECOND",
             "# START: THE FIRST HEIGHT IS THAT OF THE FIRST POINT OF THE CUT, WHERE THE APPROACH OF THE PROGRAM ENDS",
@@ -250,7 +250,7 @@ def _head(
         f"# SOFTWARE: {software()}",
         f"# MACHINE: {plain(machine.name)}",
         f"# CONVENTION: {convention_line(machine)}",
-        *told,
+        *lines_of_kind,
         f"# HEIGHT: MM THAT THE FAST TOOL ADDS TO Z, OUT OF THE PART, DECIMALS {HEIGHT}",
         *(["# OUTWARD: MM THAT IT ADDS TO THE DISTANCE FROM THE AXIS, DECIMALS 7"] if "U" in motion.axes else []),
         f"# ROWS: {count}",
