@@ -18,6 +18,8 @@ Every message is one sentence: what, how much, the limit, the remedy; or a few, 
 an input is that a message shows, its lines stay within `LONGEST` letters and it within `MOST_LINES` lines.
 """
 
+import math
+
 __all__ = [
     "DomainError",
     "GougeError",
@@ -69,6 +71,8 @@ def shown(value: object) -> str:
     >>> shown("0,5 mm"), shown([1.5] * 100)
     ("'0,5 mm'", '[1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1...')
     """
+    if isinstance(value, float) and math.isinf(value):
+        return "infinite"  # 1e999 is, to those who read it
     try:
         text = " ".join(repr(value).split())
     except ValueError:  # Python writes out no number of thousands of digits

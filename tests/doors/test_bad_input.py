@@ -166,7 +166,7 @@ WRONG = {
     ),
     "an infinite conic": (
         [("part.surface", {"family": "conic", "radius": "5 mm", "conic": float("inf")})],
-        r"part\.surface\.conic is inf, it must be a finite number",
+        r"part\.surface\.conic is infinite, it must be a finite number",
     ),
     "a number for a name": ([("part.name", 5)], r"part\.name is 5, it must be text in quotes"),
     "a word for yes": ([("strategy.inside_out", "yes")], r"strategy\.inside_out is 'yes', it must be true or false"),
