@@ -68,9 +68,10 @@ def dish(folder, client):
     """A job by the server and by the command line."""
     job = changed(*DISH)
     name = client.post("/api/runs", json={"data": job, "kind": "run"}).json()["id"]
+    told = ended(client, name)
     file = written(folder, *DISH)
     assert main(["run", str(file), "--out", str(folder / "by-hand")]) == 0
-    return name, folder / "by-hand", ended(client, name)
+    return name, folder / "by-hand", told
 
 
 def test_the_server_says_what_it_is(client):
@@ -196,6 +197,16 @@ def test_a_run_tells_its_progress(dish):
     assert fractions == sorted(fractions)
     assert all(0 <= one <= 1 for one in fractions)
     assert all(1 <= data["step"] <= data["steps"] and data["left_s"] >= 0 for kind, data in told if kind == "progress")
+
+
+def test_a_run_that_misses_a_tolerance_says_so_in_the_list(client, dish):
+    """The list put a green tick beside it."""
+    strict = changed(*DISH, ("tolerances.form_pv", "1 nm"))
+    name = client.post("/api/runs", json={"data": strict, "kind": "run"}).json()["id"]
+    ended(client, name)
+    missed = {one["id"]: one["missed"] for one in client.get("/api/runs").json()}
+    assert missed[name] is True
+    assert missed[dish[0]] is False
 
 
 def test_lines_of_the_program_lie_where_the_motion_is(client, dish):

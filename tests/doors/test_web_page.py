@@ -497,7 +497,7 @@ def test_many_runs_at_a_time_leave_lines_to_the_server_for_all_else(bench):
     page, heard = one.page, set()
     line = {
         "name": "many", "kind": "run", "state": "running", "created": "2026-01-01T00:00:00Z", "started": None,
-        "ended": None, "sentence": "", "of": "", "progress": None,
+        "ended": None, "sentence": "", "missed": False, "of": "", "progress": None,
     }  # fmt: skip
     page.on("request", lambda request: heard.add(urlsplit(request.url).path))
     page.route("**/api/runs", lambda route: route.fulfill(json=[{"id": f"{n:016x}"} | line for n in range(8)]))

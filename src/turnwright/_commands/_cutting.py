@@ -252,7 +252,8 @@ def _read(program: Path, recipe: Job, cut: str | None, progress: StageProgress, 
 def _say_predictions(door: Door, predictions: Sequence[Prediction]) -> None:
     for one in predictions:
         door.say(
-            f"{one.name}: Sq {one.roughness.sq_nm:.3g} nm, PV {one.pv_nm:.4g} nm"
+            f"{one.name}: {'rms' if one.roughness.form == 'none' else 'Sq'} {one.roughness.sq_nm:.3g} nm, PV "
+            f"{one.pv_nm:.4g} nm"
             + (" from the design" if one.roughness.form == "none" else f" after form removal ({one.roughness.form})")
             + (
                 f"; of it the servos {servos[0]:.4g} nm PV, {servos[1]:.3g} nm rms"

@@ -234,6 +234,7 @@ class RunLine(Model):
     started: Time | None
     ended: Time | None
     sentence: str = Field(description="How it ended.")
+    missed: bool = Field(description="Whether its part misses a stated tolerance.")
     of: str = Field(description="The run that a measurement belongs to, or the measurement that a correction does.")
     progress: Progress | None = Field(description="Of a run that is under way.")
 

@@ -68,6 +68,8 @@ class Run:
         Times in UTC as ISO 8601 writes them; ``None`` for what has not happened.
     sentence
         How it ended.
+    missed
+        Whether its part misses a stated tolerance.
     of
         The run that a measurement belongs to, or the measurement that a correction does.
     file
@@ -86,6 +88,7 @@ class Run:
     started: str | None = None
     ended: str | None = None
     sentence: str = ""
+    missed: bool = False
     of: str = ""
     file: str = ""
     called: str = ""
@@ -319,9 +322,9 @@ class Runs:
         (folder / "progress.jsonl").unlink(missing_ok=True)
 
     async def _carry_out(self, name: str) -> None:
-        state, sentence = "failed", "the server could not start a process for it: try it again"
+        state, sentence, missed = "failed", "the server could not start a process for it: try it again", False
         try:
-            state, sentence = await self._in_process(name)
+            state, sentence, missed = await self._in_process(name)
         except OSError as error:
             sentence = f"no process can be started for it ({error.strerror}): try it again"
         finally:
@@ -331,15 +334,15 @@ class Runs:
                 self._cancelled.discard(name)
                 state, sentence = "cancelled", "it was cancelled, nothing of it was kept"
             if run is not None and not (self._closed and state != "done"):
-                self._keep(replace(run, state=state, sentence=sentence, ended=_now()))
+                self._keep(replace(run, state=state, sentence=sentence, missed=missed, ended=_now()))
             if state != "done":
                 self._clean(name)
             self.start()
 
-    async def _in_process(self, name: str) -> tuple[str, str]:
-        """Carry out a run in a process of its own; return how it ended."""
+    async def _in_process(self, name: str) -> tuple[str, str, bool]:
+        """Carry out a run in a process of its own; return its state, how it ended, and if it misses a tolerance."""
         if name in self._cancelled or self._closed:
-            return "cancelled", ""
+            return "cancelled", "", False
         folder = self.place / name
         # Its standard input stays open as long as this server lives: when it closes, the process ends itself.
         with (folder / "log.txt").open("wb") as log:
@@ -360,13 +363,13 @@ class Runs:
             said = await asyncio.wait_for(process.stdout.read(), LONGEST_H * 3600)  # type: ignore[union-attr]
         except TimeoutError:
             await _end(process)
-            return "failed", f"it took more than {LONGEST_H} h, the limit: run the job by the command line"
+            return "failed", f"it took more than {LONGEST_H} h, the limit: run the job by the command line", False
         code = await process.wait()
         with suppress(ValueError, KeyError, IndexError):
             told = json.loads(said.decode().splitlines()[-1])
-            return told["state"], told["sentence"]
+            return told["state"], told["sentence"], told["missed"]
         how = "the memory ran out, or it was ended from outside" if code < 0 else f"code {code}, see its log.txt"
-        return "failed", f"its process ended before it was done ({how}): make the job smaller, or try it again"
+        return "failed", f"its process ended before it was done ({how}): make the job smaller, or try it again", False
 
 
 async def _end(process: asyncio.subprocess.Process) -> None:

@@ -61,7 +61,7 @@ def line_of(runs: Runs, run: Run) -> RunLine:
     """Return a run as a list has it."""
     return RunLine(
         id=run.id, name=run.name, kind=run.kind, state=run.state, created=run.created, started=run.started,  # type: ignore[arg-type]
-        ended=run.ended, sentence=run.sentence, of=run.of,
+        ended=run.ended, sentence=run.sentence, missed=run.missed, of=run.of,
         progress=runs.progress(run.id) if run.state == "running" else None,  # type: ignore[arg-type]
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ import time
 import traceback
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from turnwright._stop import Stop
 from turnwright.errors import InputError, TurnwrightError, shortened
@@ -80,13 +80,13 @@ def main() -> int:
     threading.Thread(target=_end_with_server, daemon=True).start()
     with suppress(AttributeError, OSError):
         os.nice(int(sys.argv[3]))
-    state, sentence = "failed", ""
+    state, sentence, missed = "failed", "", False
     with Stop() as stop:
         try:
             tell = _Teller(run / "progress.jsonl", stop)
             told = json.loads((run / "state.json").read_text(encoding="utf-8"))
             with _new_folder(run) as out:
-                sentence = KINDS[told["kind"]](run, server, out, told, tell)
+                sentence, missed = KINDS[told["kind"]](run, server, out, told, tell)
             state = "done"
         except KeyboardInterrupt:
             state, sentence = "cancelled", "it was stopped"
@@ -101,13 +101,21 @@ def main() -> int:
             traceback.print_exc()
             sentence = f"this is a defect of Turnwright ({type(error).__name__}), the log of the run tells more"
         stop.deaf = True
-        _say(state, " ".join(sentence.split()))
+        _say(state, " ".join(sentence.split()), missed=missed)
     return 0 if state == "done" else 1
 
 
-def _say(state: str, sentence: str) -> None:
+def _say(state: str, sentence: str, *, missed: bool = False) -> None:
     with suppress(OSError):
-        print(json.dumps({"state": state, "sentence": shortened(sentence)}), flush=True)  # noqa: T201 - the server reads it
+        line = json.dumps({"state": state, "sentence": shortened(sentence), "missed": missed})
+        print(line, flush=True)  # noqa: T201 - the server reads it
+
+
+class Ended(NamedTuple):
+    """How a run ended, and whether its part misses a stated tolerance."""
+
+    sentence: str
+    missed: bool = False
 
 
 def _end_with_server() -> None:
@@ -147,7 +155,7 @@ def _pack(run: Path, server: Path, out: Path) -> None:
         (out / BUNDLE).write_bytes(bundle(data, str(server), text_in(run)))
 
 
-def _run(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> str:
+def _run(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright run``."""
     from turnwright.job import steps_of_run  # noqa: PLC0415
 
@@ -158,7 +166,7 @@ def _run(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Telle
     return said
 
 
-def _cut(job: Job, out: Path, tell: _Teller) -> str:
+def _cut(job: Job, out: Path, tell: _Teller) -> Ended:
     from turnwright import archive, report  # noqa: PLC0415
     from turnwright import job as recipe  # noqa: PLC0415
     from turnwright.web._program import index  # noqa: PLC0415
@@ -174,10 +182,11 @@ def _cut(job: Job, out: Path, tell: _Teller) -> str:
     told = [f"{points} points, {minutes:.1f} min"]
     missing = sum(one.kept is False for one in result.verdicts)
     told = ([f"misses {missing} of {len(result.verdicts)} verdicts on its tolerances"] if missing else []) + told
-    return ", ".join(told + ([f"{len(result.warnings)} warnings"] if result.warnings else []))
+    told += [f"{len(result.warnings)} warnings"] if result.warnings else []
+    return Ended(", ".join(told), missing > 0)
 
 
-def _compare(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> str:
+def _compare(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright compare``."""
     from turnwright import archive, report  # noqa: PLC0415
     from turnwright.job import compare, steps_of_comparison  # noqa: PLC0415
@@ -189,7 +198,8 @@ def _compare(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _T
     archive.write_comparison(found, out)
     report.write_comparison(found, out)
     _pack(run, server, out)
-    return f"{sum(not one.refused for one in found.candidates)} of {len(found.candidates)} strategies can cut it"
+    able = sum(not one.refused for one in found.candidates)
+    return Ended(f"{able} of {len(found.candidates)} strategies can cut it")
 
 
 def _measured(run: Path, server: Path, tell: _Teller, told: dict[str, Any]) -> Measured:
@@ -240,10 +250,10 @@ def _deadline(seconds: float, sentence: str) -> Iterator[None]:
         timer.cancel()
 
 
-def _diagnose(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _Teller) -> str:
+def _diagnose(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright diagnose``, and what the page shows of it."""
     from turnwright import archive, report  # noqa: PLC0415
-    from turnwright.job import explain  # noqa: PLC0415
+    from turnwright.job import explain, missed  # noqa: PLC0415
     from turnwright.web._shown import write_shown  # noqa: PLC0415
 
     measured = [_measured(run, server, tell, told)]
@@ -253,16 +263,17 @@ def _diagnose(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _T
     archive.write_diagnosis(measured, found, out)
     report.write_diagnosis(measured, found, out)
     write_shown(measured[0], found, out)
-    return (
+    sentence = (
         f"off by {found.measured_rms_nm:.4g} nm rms, of it explained {found.explained_rms_nm:.4g} nm, left "
         f"{found.unexplained_rms_nm:.4g} nm"
     )
+    return Ended(sentence, missed(measured[0].verdicts))
 
 
-def _correct(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _Teller) -> str:
+def _correct(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright correct``, then as ``turnwright run`` of the job that it wrote."""
     from turnwright import archive, report  # noqa: PLC0415
-    from turnwright.job import Job, correct, explain  # noqa: PLC0415
+    from turnwright.job import Job, correct, explain, missed  # noqa: PLC0415
     from turnwright.web._shown import write_predicted  # noqa: PLC0415
 
     measured = [_measured(run, server, tell, told)]
@@ -278,10 +289,10 @@ def _correct(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _Te
     _cut(Job.load(better.file), out, tell)
     _pack(run, server, out)
     pv, rms = better.numbers_nm["simulated" if better.predicted is None else "predicted"]
-    return f"predicted after the correction: PV {pv:.4g} nm, rms {rms:.4g} nm"
+    return Ended(f"predicted after the correction: PV {pv:.4g} nm, rms {rms:.4g} nm", missed(better.verdicts))
 
 
-KINDS: dict[str, Callable[[Path, Path, Path, dict[str, Any], _Teller], str]] = {
+KINDS: dict[str, Callable[[Path, Path, Path, dict[str, Any], _Teller], Ended]] = {
     "run": _run,
     "compare": _compare,
     "measure": _diagnose,

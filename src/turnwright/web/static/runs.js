@@ -181,8 +181,8 @@ function Run({ run, chosen }) {
   const share = progress?.fraction ?? 0;
   return html`<li class=${chosen ? "run chosen" : "run"} data-state=${run.state}>
     <button type="button" class="line" aria-pressed=${chosen ? "true" : "false"} onClick=${() => look(run.id)}>
-      <${Mark} ok=${run.state === "done" ? true : run.state === "failed" ? false : null} />
-      <span class="what"><strong>${run.name}</strong><small>${run.kind === "run" ? "" : `${run.kind}, `}${SAID[run.state] ?? run.state}${run.created ? `, ${clock(run.created)}` : ""}</small></span>
+      <${Mark} ok=${run.state === "done" ? !run.missed : run.state === "failed" ? false : null} warn=${run.missed} />
+      <span class="what"><strong>${run.name}</strong><small>${run.kind === "run" ? "" : `${run.kind}, `}${SAID[run.state] ?? run.state}${run.missed ? ", misses a tolerance" : ""}${run.created ? `, ${clock(run.created)}` : ""}</small></span>
     </button>
     ${sure
       ? html`<span class="sure"><button type="button" class="button bad" onClick=${() => drop(run)}>Delete</button><button type="button" class="button" onClick=${() => ask(false)}>Keep</button></span>`
