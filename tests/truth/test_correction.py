@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from turnwright import HeightMap, InputError, Part, Plane
-from turnwright.surface._smoothing import _binned, _smoothed
+from turnwright.surface._smoothing import _binned, _smoothed, smooth_table
 
 FLAT = Part(surface=Plane(slope=(0.0, 0.0)), radius=5.0)
 
@@ -78,3 +78,13 @@ def test_a_plane_runs_on_as_a_plane_over_missing_places():
 def test_what_cannot_be_corrected_is_said(error, cutoff, beyond, words):
     with pytest.raises(InputError, match=words):
         FLAT.corrected(error, cutoff=cutoff, beyond=beyond)
+
+
+def test_a_map_as_coarse_as_two_cells_is_corrected_too():
+    """Every pixel fell into a cell of one colour, and the other half of the points was empty."""
+    side = np.arange(-20, 21) * 0.2
+    x, y = (at.ravel() for at in np.meshgrid(side, side))
+    wave = 1e-4 * np.cos(2 * np.pi * x / 4.0) + 1e-6 * np.random.default_rng(1).normal(size=x.size)
+    found = smooth_table(x, y, wave, cutoff=1.0, reach=4.15)
+    assert found.cutoff is not None
+    assert np.std(found.table.sag(x, y) - wave) < 2e-6

@@ -86,7 +86,8 @@ def smooth_table(
     # Cells, not points, are split: neighbours share the cell's noise only.
     cell = cutoff / PER_CUTOFF / 2
     column, row = (np.floor((at + reach) / cell).astype(np.int64) for at in (x, y))
-    odd = (column + row) % 2 == 1
+    # Of a coarse grid only every second column of cells may hold points: those that do are counted.
+    odd = sum(np.unique(one, return_inverse=True)[1] for one in (column, row)) % 2 == 1
     whole = z + beside
     halves = [_binned(x[chosen], y[chosen], whole[chosen], cell, reach) for chosen in (odd, ~odd)]
     best: float | None = None
