@@ -81,10 +81,10 @@ def test_what_cannot_be_corrected_is_said(error, cutoff, beyond, words):
 
 
 def test_a_map_as_coarse_as_two_cells_is_corrected_too():
-    """Every pixel fell into a cell of one colour, and the other half of the points was empty."""
+    """Every pixel fell into a cell of one colour. The plate takes 1.5 % of such a wave, noise is 1.4 %."""
     side = np.arange(-20, 21) * 0.2
     x, y = (at.ravel() for at in np.meshgrid(side, side))
     wave = 1e-4 * np.cos(2 * np.pi * x / 4.0) + 1e-6 * np.random.default_rng(1).normal(size=x.size)
     found = smooth_table(x, y, wave, cutoff=1.0, reach=4.15)
     assert found.cutoff is not None
-    assert np.std(found.table.sag(x, y) - wave) < 2e-6
+    assert np.std(found.table.sag(x, y) - wave) < 0.04 * np.std(wave)
