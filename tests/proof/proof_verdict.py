@@ -105,7 +105,7 @@ def closer(motion, job, radius, angle, sign, top, i, j):
         low, high = radius[max(j - 2, 0)], radius[min(j + 2, radius.size - 1)]
         if high - low < 1e-12:
             break
-        radius = np.linspace(low, high, 81)
+        radius = np.unique(np.linspace(low, high, 81))
         angle = angle[i] + turned * np.linspace(-1, 1, 41)
         error = error_of(motion, job, radius, angle, sign)
         i, j = np.unravel_index(error.argmax(), error.shape)
@@ -132,7 +132,7 @@ def judged(table: dict, rng: np.random.Generator) -> dict[str, float]:
     grids = [
         (np.linspace(0, part.radius, int(rng.integers(300, 4000))), np.sort(rng.uniform(0, TURN, 90))),
         (np.linspace(0, part.radius, 801), np.linspace(0, TURN, 720, endpoint=False)),
-        (np.hypot(core, np.geomspace(1e-8, near, 121)), np.linspace(0, TURN, 90, endpoint=False)),
+        (np.unique(np.hypot(core, np.geomspace(1e-8, near, 121))), np.linspace(0, TURN, 90, endpoint=False)),
         (np.linspace(0, near, 181), np.linspace(0, TURN, 180, endpoint=False)),
         (np.linspace(part.radius - near, part.radius, 91), np.linspace(0, TURN, 360, endpoint=False)),
     ]
