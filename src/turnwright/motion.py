@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -319,6 +319,28 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     if not stated:
         course = _within(course, machine)
     return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity or None)
+
+
+def from_rest_to_rest(motion: Motion) -> Motion:
+    """Return a motion in velocities along the same path, from rest to rest.
+
+    It has the speed of the motion given between the ends, or the highest one that the limits of its machine allow if
+    that is less; see `drive`.
+
+    Raises
+    ------
+    LimitError
+        If the path has too few points to come to any speed.
+    """
+    assert motion.velocity is not None  # noqa: S101 - for the type checker
+    course = _Course(motion.time - motion.time[0], motion.axes, motion.velocity)
+    made = _with_ends(course, motion.machine, stated=True)
+    if made.pace == 1 and not any(one.exceeded for one in _of_points(made.course, motion.machine)):
+        course = made.course
+    else:
+        fastest = _fastest(course, motion.machine)
+        course = _within(fastest.quicker(min(1.0, course.top_rpm / fastest.top_rpm)), motion.machine)
+    return replace(motion, time=course.time, axes=course.axes, velocity=course.velocity)
 
 
 def check_limits(motion: Motion, machine: Machine) -> Limits:

@@ -1,6 +1,7 @@
 """Limits of PVT motions are those of the cubics that the controller makes. Oracle: SciPy's cubic Hermite splines."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pvt_oracle
@@ -8,6 +9,7 @@ import pytest
 
 import turnwright as tw
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 TURN = 2 * np.pi
 HERMITE = tw.Controller(interpolation="hermite")
 
@@ -72,3 +74,36 @@ def test_few_points_a_turn_ask_more_of_z_than_their_differences_show(points):
     straight = replace(machine, controller=tw.Controller())
     _, rough = pvt_oracle.judge(replace(tw.drive(path, servo, straight), velocity=None), machine)
     assert rough > 1 + 1 / points
+
+
+@pytest.mark.parametrize("per_turn", [24, 60])
+@pytest.mark.parametrize("rpm", [50.0, 200.0, None])
+def test_a_plunge_keeps_the_limits_too(per_turn, rpm, tmp_path):
+    """Where C needs more than a turn to come to speed it fell back at every turn of the plunge, in one block.
+
+    Oracle: dense samples of the cubics of positions and velocities. On a sine grid, where coming to speed divides
+    blocks, the plunge took over the tiny ones of the pass.
+    """
+    machine = tw.Machine.load(EXAMPLES / "machines" / "pmac_lathe.toml")
+    tool = tw.Tool(nose_radius=0.5, included=np.deg2rad(90), clearance=np.deg2rad(15))
+    for surface, radius in ((tw.Plane(), 2.0), (tw.SineGrid(amplitude=(0.002, 0.002), period=(2.5, 2.5)), 3.0)):
+        part = tw.Part(surface=surface, radius=radius)
+        servo = tw.SlowToolServo(feed=0.02, points_per_rev=per_turn, spindle_rpm=rpm)
+        motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)
+        written = tw.write_nc(motion, machine, tmp_path / "part.pmc", depth=0.02)
+        plunge = written.approaches["finish"].plunge
+        assert np.diff(plunge.time).min() >= (1 - 2e-3) / machine.block_rate_hz
+        for letter, axis in machine.axes.items():
+            if letter not in plunge.axes:
+                continue
+            _, peaks = pvt_oracle.peaks(plunge.time, plunge.axes[letter], plunge.velocity[letter])
+            for kind, peak in zip(("speed", "acceleration", "jerk"), peaks, strict=True):
+                limit = getattr(axis, kind)
+                assert limit is None or peak <= limit * (1 + 1e-3), (letter, kind)
+        # From rest to rest, down to the first point of the pass.
+        for letter, values in plunge.axes.items():
+            assert values[-1] == motion.axes[letter][0]
+            assert plunge.velocity[letter][[0, -1]] == pytest.approx(0, abs=1e-12)
+        fall = -np.diff(plunge.axes["Z"]) / np.diff(plunge.time)
+        if isinstance(surface, tw.Plane):
+            assert fall.max() <= 0.03 * (1 + 1e-9)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright.errors import ProgramError
+from turnwright.errors import LimitError, ProgramError
+from turnwright.motion import from_rest_to_rest
 from turnwright.path import Motion
 
 if TYPE_CHECKING:
@@ -45,9 +47,17 @@ MOST_POINTS = 5_000_000
 SLOWEST = 60.0
 """Longest revolution of a plunge whose pass is less than one, or whose heights are extrapolated. [s]"""
 SLOWEST_PVT = 4.0
-"""The same where the pass states velocities, and the longest block there. [s]"""
-SHORTEST_PVT = 2e-6
-"""Shortest block of a plunge there. [s]"""
+"""The same where the pass states velocities. [s]"""
+LONGEST_PVT = 1.5
+"""Longest block of a plunge there at its speed; the first one, from rest, takes twice as long. [s]"""
+FINEST_PVT = math.radians(0.05)
+"""Least step of C there, on the way to speed a block takes a small share of it. [rad]"""
+LEAST_STEP = math.radians(1e-5)
+"""Points of C nearer than this are one to a program. [rad]"""
+FINER = (1, 2, 4, 8)
+"""Into how many each step of C there is divided until the way to speed stays on the path. [1]"""
+STEADY = 0.99
+"""A pass that states velocities is at its speed from this share of it on."""
 WIDEST = 0.9 * math.pi
 """Widest step of C in a plunge. [rad]"""
 
@@ -153,10 +163,14 @@ def _plunge(
             )
         others["Z"] = heights - heights[0] + motion.axes["Z"][0]
     turn_s = float(time[-1]) if motion.velocity is None else TURN / _fastest(motion)
-    blocks = np.diff(time) if motion.velocity is None else np.diff(turned) * (turn_s / TURN)
+    if motion.velocity is not None:
+        turn_s = min(turn_s, LONGEST_PVT * TURN / float(np.diff(turned).max()))
+        time = turned * (turn_s / TURN)
+    blocks = np.diff(time)
     # What the heights may fall beyond the part's: twice what the last term of their extrapolation adds to a block.
     beyond = float((2 * np.abs(np.diff(doubt)) / blocks).max())
-    slower = min(max(1.0, 2 * beyond / plunge_feed), max(SLOWEST / turn_s, 1.0))
+    longest = SLOWEST / turn_s if motion.velocity is None else LONGEST_PVT / float(blocks.max())
+    slower = min(max(1.0, 2 * beyond / plunge_feed), max(longest, 1.0))
     time, turn_s = time * slower, turn_s * slower
     per_rev = min(max(plunge_feed - beyond / slower, plunge_feed / 2) * turn_s, max(advance, LEAST_ADVANCE))
     turns = math.ceil(height / per_rev - 1e-9)
@@ -167,27 +181,28 @@ def _plunge(
             f"points, the limit is {MOST_POINTS:.0e}: take less off at a time, or raise the plunge feed"
         )
     if motion.velocity is not None:
-        turns = max(turns, 2)  # one to come to speed, one to come to rest
+        turns = max(turns, 2)  # to come to speed and to rest
     per_rev = height / turns
     number = np.arange(turns * each + 1)
     turn, place = number // each, number % each
     angle = turned[place] + TURN * (turn - turns)
     axes = {letter: values[place] for letter, values in others.items()}
     axes["C"] = float(motion.axes["C"][0]) + motion.sense * angle
-    velocity = None
-    if motion.velocity is None:
-        # Evenly in time, so that no block is faster where C is.
-        clock = time[place] + turn_s * turn
-        axes["Z"] = axes["Z"] + height * (1 - clock / clock[-1])
-    else:
-        clock, pace = _from_rest_to_rest(motion, angle + TURN * turns, turns, slower)
-        axes["Z"] = axes["Z"] - per_rev * angle / TURN
+    clock = time[place] + turn_s * turn
+    # Evenly in time, so that no block is faster where C is.
+    axes["Z"] = axes["Z"] + height * (1 - clock / clock[-1])
     for letter, values in axes.items():
         values[-1] = motion.axes[letter][0]
-    if motion.velocity is not None:
-        velocity = {letter: pace * np.gradient(axes[letter], angle) for letter in motion.axes}
     axes = {letter: axes[letter] for letter in motion.axes}
-    return Motion(time=clock, axes=axes, machine=motion.machine, velocity=velocity), per_rev
+    plunge = Motion(time=clock, axes=axes, machine=motion.machine)
+    if motion.velocity is None:
+        return plunge, per_rev
+    for finer in FINER:
+        with suppress(LimitError):
+            return _apart(from_rest_to_rest(_in_velocities(plunge, turned, others, finer, per_rev))), per_rev
+    raise ProgramError(
+        f"pass {name} has too few points per turn to plunge with C turning: give it more, or begin it beside the blank"
+    )
 
 
 def _fastest(motion: Motion) -> float:
@@ -199,37 +214,46 @@ def _fastest(motion: Motion) -> float:
     return float(np.abs(motion.velocity["C"])[passed <= 2 * TURN].max())
 
 
-def _from_rest_to_rest(motion: Motion, angle: Floats, turns: int, slower: float) -> tuple[Floats, Floats]:
-    """Return when a plunge is at each angle from its start, and how fast C turns there. [s, rad/s].
+def _apart(plunge: Motion) -> Motion:
+    """Return a motion without the points, near where it is at rest, that a program cannot tell apart."""
+    assert plunge.velocity is not None  # noqa: S101 - for the type checker
+    c = np.abs(plunge.axes["C"] - plunge.axes["C"][0])
+    if np.diff(c).min() >= LEAST_STEP:
+        return plunge
+    unit = np.floor(c / LEAST_STEP)
+    kept = np.append(True, np.diff(unit) > 0)
+    kept[-1] = True
+    before = int(np.flatnonzero(kept[:-1])[-1])
+    kept[before] = before == 0 or c[-1] - c[before] >= LEAST_STEP
+    return replace(
+        plunge, time=plunge.time[kept], axes={letter: values[kept] for letter, values in plunge.axes.items()},
+        velocity={letter: values[kept] for letter, values in plunge.velocity.items()},
+    )  # fmt: skip
 
-    A pass that states velocities begins at rest: its first revolution brings C to speed, its second one is repeated at
-    that speed, and the first one backwards in time brings C to rest where the pass begins. So the plunge asks no more
-    of C than the pass does, and less where all of it is so many times ``slower``.
-    """
-    assert motion.velocity is not None  # noqa: S101 - for the type checker
-    passed = np.abs(motion.axes["C"] - motion.axes["C"][0])
-    speed = np.abs(motion.velocity["C"])
-    if passed[-1] < 2 * TURN:  # hardly a pass: evenly faster for a revolution, evenly slower in the last one
-        fastest, before_end = _fastest(motion), angle[-1] - angle
-        rising, falling = (np.sqrt(np.minimum(one, TURN) / TURN) for one in (angle, before_end))
-        clock = np.where(angle < TURN, 2 * TURN * rising, angle + TURN)
-        clock = np.where(before_end < TURN, angle[-1] + 2 * TURN - 2 * TURN * falling, clock)
-        return slower * clock / fastest, fastest * np.minimum(rising, falling) / slower
-    time = motion.time - motion.time[0]
-    to_speed, steady = np.interp(TURN, passed, time), np.interp(2 * TURN, passed, time)
-    turn = np.minimum((angle / TURN + 1e-9).astype(np.int64), turns - 1)
-    place = angle - TURN * turn
-    begun = to_speed + (turn - 1) * (steady - to_speed)
-    clock = np.where(
-        turn == 0, np.interp(place, passed, time), np.interp(place + TURN, passed, time) - to_speed + begun
-    )
-    pace = np.where(turn == 0, np.interp(place, passed, speed), np.interp(place + TURN, passed, speed))
-    last = turn == turns - 1
-    clock[last] = begun[-1] + to_speed - np.interp(TURN - place[last], passed, time)
-    pace[last] = np.interp(TURN - place[last], passed, speed)
-    # Between the points of the pass a block may come out shorter or longer than a controller takes.
-    blocks = np.clip(slower * np.diff(clock), SHORTEST_PVT, SLOWEST_PVT)
-    return np.concatenate([[0.0], np.cumsum(blocks)]), pace / slower
+
+def _in_velocities(plunge: Motion, turned: Floats, others: Mapping[str, Floats], finer: int, per_rev: float) -> Motion:
+    """Return a plunge at a steady speed with the velocities of its axes, each step divided into some."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
+
+    each = turned.size - 1
+    steps = np.arange(finer * (plunge.time.size - 1) + 1) / finer
+    angle = np.interp(np.arange(finer * each + 1) / finer, np.arange(each + 1), turned)
+    place = np.arange(steps.size) % (finer * each)
+    time = np.interp(steps, np.arange(plunge.time.size), plunge.time)
+    c = np.interp(steps, np.arange(plunge.time.size), plunge.axes["C"])
+    pace = (c[-1] - c[0]) / (time[-1] - time[0])
+    axes, velocity = {"C": c}, {"C": np.full(c.size, pace)}
+    for letter, values in others.items():
+        around = CubicSpline(turned, np.append(values[:-1], values[0]), bc_type="periodic")
+        axes[letter], velocity[letter] = around(angle)[place], abs(pace) * around(angle, 1)[place]
+    left = np.abs(c - c[-1]) / TURN
+    axes["Z"], velocity["Z"] = axes["Z"] + per_rev * left, velocity["Z"] - per_rev * abs(pace) / TURN
+    for letter, values in axes.items():
+        values[-1] = plunge.axes[letter][-1]
+    return replace(
+        plunge, time=time, axes={letter: axes[letter] for letter in plunge.axes},
+        velocity={letter: velocity[letter] for letter in plunge.axes},
+    )  # fmt: skip
 
 
 def _one_term_less(motion: Motion, z: Floats) -> Floats:
@@ -260,13 +284,13 @@ def first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[s
     letters = [letter for letter in motion.axes if letter != "C"]
     if last >= angle.size:
         # Less than a revolution says nothing of the rest of the way around: it is bridged, at an even pace.
-        step = min(float(np.diff(angle).max()), math.pi / 4)
+        step = max(min(float(np.diff(angle).max()), math.pi / 4), FINEST_PVT if motion.velocity is not None else 0.0)
         turned = np.linspace(0, TURN, max(math.ceil(TURN / step), 8) + 1)
         pace = min(float(motion.time[-1] - motion.time[0]) / float(angle[-1]), SLOWEST / TURN)
         axes = {one: np.interp(turned, angle, motion.axes[one], period=TURN) for one in letters}
         axes["X"] = np.full(turned.size, x[0])
         return turned, turned * pace, axes, abs(float(x[-1] - x[0])) * TURN / float(angle[-1])
-    turned = angle[:last]
+    turned = angle[:last] if motion.velocity is None else _as_at_speed(motion, angle, last)
     closing = TURN - turned[-1]
     if last > 2 and closing < 0.5 * float(np.median(np.diff(turned))):
         # A point so near to the end of the turn would make a block too short: it goes, or to the middle of its gap.
@@ -275,10 +299,17 @@ def first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[s
     turned = np.append(turned, TURN)
     time = np.interp(turned, angle, motion.time) - motion.time[0]
 
-    def at(values: Floats, turn: int) -> Floats:
-        return np.interp(turned + turn * TURN, angle, values)
-
     known = min(int(angle[-1] / TURN + 1e-9), most)
+    some = slice(0, int(np.searchsorted(angle, known * TURN)) + 4)
+
+    def at(values: Floats, turn: int) -> Floats:
+        place = turned + turn * TURN
+        if motion.velocity is None:
+            return np.interp(place, angle, values)
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
+
+        return np.asarray(CubicSpline(angle[some], values[some])(np.minimum(place, angle[-1])))
+
     radii = [at(x, turn) for turn in range(known)]
     axes = {"X": np.full(turned.size, x[0])}
     weights = _weights(radii, float(x[0]))
@@ -293,6 +324,19 @@ def first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[s
             axes[letter] = np.asarray(values - (np.asarray(values)[-1] - first) * share)
             axes[letter][[0, -1]] = first
     return turned, time, axes, abs(float(at(x, 0)[-1] - x[0]))
+
+
+def _as_at_speed(motion: Motion, angle: Floats, last: int) -> Floats:
+    """Return the angles of the first points of a pass without those that its way to speed is divided by. (n,) [rad]."""
+    assert motion.velocity is not None  # noqa: S101 - for the type checker
+    speed, steps = np.abs(motion.velocity["C"]), np.diff(angle)
+    steady = np.minimum(speed[1:], speed[:-1]) >= STEADY * speed.max()
+    least = max(float(steps[steady].min()) if steady.any() else float(steps.max()) / 2, FINEST_PVT)
+    kept = [0]
+    for number in range(1, last):
+        if angle[number] - angle[kept[-1]] >= least * (1 - 1e-6):
+            kept.append(number)
+    return np.asarray(angle[kept])
 
 
 def _weights(radii: list[Floats], radius: float) -> list[Floats]:
