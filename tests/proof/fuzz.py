@@ -206,9 +206,15 @@ def _request(case: Case, folder: Path) -> tuple[int, str]:
     async def send(message: dict[str, Any]) -> None:
         answer.append(message)
 
-    # Starlette answers a defect, then raises it for the server's log.
-    with contextlib.suppress(Exception):
-        asyncio.run(_server()(scope, receive, send))
+    async def asked() -> None:
+        # Starlette answers a defect, then raises it for the server's log.
+        with contextlib.suppress(Exception):
+            await _server()(scope, receive, send)
+        runs = _server().state.runs
+        for run in runs.all():  # a job that was not damaged is cut: not here
+            await runs.cancel(run.id)
+
+    asyncio.run(asked())
     status = answer[0]["status"] if answer else 500
     sent = b"".join(one.get("body", b"") for one in answer[1:])
     try:
