@@ -58,10 +58,10 @@ def test_a_run_predicts_what_the_servos_make_of_its_program(done):
         np.testing.assert_allclose(added, with_servos.z - without.z, atol=1e-12)
         assert one["tracking"]["pv_nm"] == pytest.approx(np.ptp(added) * 1e6, rel=1e-9)
         weights = np.ones(added.shape[1])
-        if "radius" in grid:  # the area of the ring from halfway to one neighbour to halfway to the other
+        if "radius" in grid:  # integrals of r times the straight hat over each radius, the rim's and the axis' halved
             step = grid["radius"][1]
-            outer, inner = grid["radius"] + step / 2, np.maximum(grid["radius"] - step / 2, 0)
-            weights = outer**2 - inner**2
+            weights = grid["radius"] * step
+            weights[0], weights[-1] = step**2 / 6, weights[-1] / 2 - step**2 / 6
         mean = np.average((added**2).mean(axis=0), weights=weights)
         assert one["tracking"]["rms_nm"] == pytest.approx(np.sqrt(mean) * 1e6, rel=1e-9)
         assert one["tracking"]["pv_nm"] > 20

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from area_oracle import ring_weights
 
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import remove_form
@@ -53,10 +54,10 @@ def test_a_form_on_a_polar_grid_is_the_polynomial_of_x_and_y(degree, turns):
     radius, angle = np.linspace(0, 2, 60), np.linspace(0, 2 * np.pi * turns, 80, endpoint=False) + 0.3
     x, y = np.cos(angle)[:, None] * radius, np.sin(angle)[:, None] * radius
     z = rough((80, 60), rng) + 3.0 + x**3 * y
-    edges = np.concatenate([[0], (radius[1:] + radius[:-1]) / 2, [1.5 * radius[-1] - 0.5 * radius[-2]]])
-    ring = np.diff(edges**2)
-    ring[-1] = (2 * radius[-1] - edges[-2]) ** 2 - edges[-2] ** 2
-    truth, valid = dense(x, y, z, np.tile(ring, (80, 1)), degree)
+    around = np.ones(80)
+    if turns < 1:
+        around[[0, -1]] = 0.5
+    truth, valid = dense(x, y, z, np.outer(around, ring_weights(radius)), degree)
     left = remove_form(HeightMap(radius=radius, angle=angle, z=z), degree).z
     assert np.abs(left[valid] - truth).max() < 1e-12
 

@@ -7,6 +7,7 @@ from math import factorial
 import mpmath
 import numpy as np
 import pytest
+from area_oracle import ring_weights
 
 from turnwright._kernels import least_squares
 from turnwright.heightmap import HeightMap
@@ -105,14 +106,7 @@ def test_noisy_coefficients_and_their_uncertainty_are_those_of_dense_matrices(po
         radius, angle = np.linspace(0.1, 4.9, 40), np.linspace(0, 2 * np.pi, 61)[:-1]
         columns, rows = np.cos(angle)[:, None] * radius, np.sin(angle)[:, None] * radius
         valid = rng.random(columns.shape) > 0.3
-        edges = np.concatenate(
-            [
-                [radius[0] - 0.5 * (radius[1] - radius[0])],
-                (radius[1:] + radius[:-1]) / 2,
-                [radius[-1] + 0.5 * (radius[1] - radius[0])],
-            ]
-        )
-        weight = np.broadcast_to(np.diff(np.maximum(edges, 0) ** 2), columns.shape)[valid]
+        weight = np.broadcast_to(ring_weights(radius), columns.shape)[valid]
         axes = {"radius": radius, "angle": angle}
     else:
         x, y, columns, rows, valid, _ = holed(50, rng, centre=(0.0, 0.0))

@@ -16,13 +16,14 @@ from turnwright.heightmap import HeightMap
 from turnwright.job._advice import open_questions
 from turnwright.job._finish import finished
 from turnwright.job._prescriptions import with_keys
-from turnwright.job._shares import pv_nm_of, rms_nm_of
+from turnwright.job._shares import pv_nm_of
 from turnwright.job._verdict import Verdict, judge_form
 from turnwright.metrology import (
     Lenslets,
     Registration,
     Roughness,
     ZernikeFit,
+    area_rms,
     despike,
     fit_zernike,
     has_lenslets,
@@ -32,6 +33,7 @@ from turnwright.metrology import (
     roughness,
     trim_edge,
 )
+from turnwright.metrology.registration import EDGE
 from turnwright.pose import Pose
 from turnwright.surface._smoothing import beside_form, smooth_table
 
@@ -93,7 +95,7 @@ class Measured:
     error
         Cut minus design at these places, along z. [mm]
     form_pv_nm, form_rms_nm
-        Of the error within the clear radius. [nm]
+        Of the error within the clear radius, the rms over the area that the points of the map stand for. [nm]
     zernike
         The error in fringe terms over the clear radius, or ``None`` if too little of the part was measured for them.
     roughness
@@ -205,7 +207,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     report("register all points", 1, 1)
     report("judge", 0, 1)
     placed, error = _on_part(heights, registration)
-    inside = keep_disc(error, part.radius)
+    inside = keep_disc(error, part.radius * (1 + EDGE))
     terms = _terms(inside, part.radius)
     rough = None
     if not heights.scattered:
@@ -214,7 +216,8 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         rough = roughness(replace(registration.error, z=left), form="plane")
     measured = Measured(
         job=job, heights=heights, spikes=spikes, registration=registration, placed=placed, error=error,
-        form_pv_nm=pv_nm_of(inside.z), form_rms_nm=rms_nm_of(inside), zernike=terms, roughness=rough,
+        form_pv_nm=pv_nm_of(inside.z), form_rms_nm=area_rms(inside, like=registration.error) * NM, zernike=terms,
+        roughness=rough,
         lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
     )  # fmt: skip
     report("judge", 1, 1)

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Floats, Ints
+from turnwright._arrays import Bools, Floats, Ints
 from turnwright.pose import Pose
 from turnwright.progress import run_chunks
 from turnwright.surface import Surface
@@ -47,11 +47,13 @@ LEAST_SHARE = 0.5
 class Problem:
     """Points about the pivot, and what they are compared with.
 
-    ``points`` is (3, n); ``within`` is the radius about the part's axis inside which points count [mm]; ``whole`` says
-    that the surface is known to be defined all over it.
+    ``points`` is (3, n); ``area`` is what each of them stands for (n,), its mean 1, or ``None`` where all stand for as
+    much; ``within`` is the radius about the part's axis inside which points count [mm]; ``whole`` says that the
+    surface is known to be defined all over it.
     """
 
     points: Floats
+    area: Floats | None
     surface: Surface
     terms: tuple[Surface, ...]
     within: float
@@ -61,7 +63,16 @@ class Problem:
 
     def only(self, index: Ints) -> Problem:
         """Return the problem of some of the points."""
-        return replace(self, points=np.ascontiguousarray(self.points[:, index]))
+        area = None if self.area is None else self.area[index]
+        return replace(self, points=np.ascontiguousarray(self.points[:, index]), area=area)
+
+    def weighed(self, weight: Floats, which: Ints | Bools) -> Floats:
+        """Return the weights of some of the points times the area that each stands for. (m,)."""
+        return weight if self.area is None else weight * self.area[which]
+
+    def mean(self, values: Floats, which: Ints | Bools) -> float:
+        """Average values of some of the points over their area."""
+        return float(np.mean(values)) if self.area is None else float(np.average(values, weights=self.area[which]))
 
 
 class Rows(NamedTuple):
@@ -96,6 +107,7 @@ class _Sums(NamedTuple):
     cost: float
     square: float
     weight: float
+    area: float
     used: int
 
 
@@ -196,13 +208,17 @@ def _sums(problem: Problem, state: Floats, scale: float) -> _Sums:
         for k in range(start, stop):
             found = rows(problem, state, blocks[k])
             weight, cost = weights(found.residual, scale, problem.loss)
-            weighted = found.columns if problem.loss == "linear" else found.columns * weight
+            if problem.area is not None:
+                weight, cost = problem.weighed(weight, found.which), problem.weighed(cost, found.which)
+            alike = problem.loss == "linear" and problem.area is None
+            weighted = found.columns if alike else found.columns * weight
             parts[k] = _Sums(
                 weighted @ found.columns.T,
                 weighted @ found.residual,
                 float(cost.sum()),
                 float((weight * found.residual) @ found.residual),
                 float(weight.sum()),
+                float(found.which.size if problem.area is None else problem.area[found.which].sum()),
                 found.which.size,
             )
 
@@ -287,7 +303,7 @@ def _march(
         better = (
             there is not None
             and there.used >= max(LEAST_SHARE * most, chosen.size + 1)
-            and there.cost / there.used <= here.cost / here.used
+            and there.cost / there.area <= here.cost / here.area
         )
         if better and there is not None:
             state, here, most = trial, there, max(most, there.used)
@@ -301,7 +317,7 @@ def _march(
         if moved <= max(close, SETTLED * np.sqrt(here.square / max(here.weight, 1e-300) / here.used)):
             break
     square = here.square / max(here.weight, 1e-300)
-    return Fit(state, here.normal, here.used, square, here.cost / max(here.used, 1), scale, taken)
+    return Fit(state, here.normal, here.used, square, here.cost / max(here.area, 1e-300), scale, taken)
 
 
 def _solve(normal: Floats, right: Floats, damping: float) -> Floats:

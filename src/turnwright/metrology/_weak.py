@@ -72,7 +72,7 @@ def doubt(
     """
     chosen = np.asarray(free, dtype=np.int64)
     at = rows(problem, found.state, slice(0, problem.points.shape[1]))
-    root = np.sqrt(weights(at.residual, found.scale, problem.loss)[0])
+    root = np.sqrt(problem.weighed(weights(at.residual, found.scale, problem.loss)[0], at.which))
     # Singular values reach down to rounding; eigenvalues of the normal equations stop at its square root.
     points, singular, vectors = np.linalg.svd((at.columns[chosen] * size[chosen, None] * root).T, full_matrices=False)
     fixed = singular > NOTHING * max(singular[0], 1e-300)
@@ -80,6 +80,11 @@ def doubt(
     share = at.which.size / max(count, 1)
     std = np.where(fixed, np.minimum(noise * inverse * np.sqrt(share), ENDLESS), ENDLESS)
     variance = (vectors.T * std**2) @ vectors
+    if problem.area is not None:
+        # An area is no statement of a point's noise: it enters as W does in A⁻¹ J W² Jᵀ A⁻¹ with A = J W Jᵀ.
+        spread = np.eye(chosen.size)
+        spread[np.ix_(fixed, fixed)] = (points[:, fixed].T * problem.area[at.which]) @ points[:, fixed]
+        variance = (vectors.T * std) @ spread @ (vectors.T * std).T
     if not white and fixed.all():
         variance = _widened(problem.surface, variance, share, at, singular, vectors, points * root[:, None])
     if form == 0:

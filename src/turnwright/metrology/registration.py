@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import between, check_angle, positive
 from turnwright.errors import InputError
-from turnwright.metrology._grid import valid_points
+from turnwright.metrology._grid import EVEN, point_areas, valid_points
 from turnwright.metrology._pose_search import mostly_on_part, search
 from turnwright.metrology._rigid import (
     FINEST,
@@ -62,7 +62,7 @@ FULL = 0.999
 NEARLY = 1.44
 """Ratio of mean squares up to which another pose fits nearly as well; it stands for a fifth more rms."""
 
-EVEN = 10.0
+EQUAL = 10.0
 """Difference in chi-square up to which two poses fit equally well; noise alone gives more once in 650 times."""
 
 QUIETEST = 1e-6
@@ -81,8 +81,8 @@ TAILED = 3.0
 STRAY = 6.0
 """Residual over scatter beyond which a point is flagged under a robust loss."""
 
-EDGE = 1e-9
-"""Share of the part's radius by which a point on its rim may lie outside."""
+EDGE = 1e-6
+"""Share of the part's radius by which a point on its rim may lie outside: a pose is not known to better."""
 
 NM = 1e6
 RIGHT_ANGLE = np.deg2rad(5)
@@ -182,7 +182,7 @@ class Registration:
     count
         Points that were fitted.
     rms_nm
-        Root mean square of ``residual``, outliers left out. [nm]
+        Root mean square of ``residual`` over its area, outliers left out. [nm]
     iterations
         Steps of least squares over all points.
     distance
@@ -331,8 +331,9 @@ def register(
 
     The heights are levelled at the start, correlated with the design at every lateral place within ``reach`` and every
     turn within ``clocking`` (over one cell of a lens pattern first, then over its repeats), and every peak is fitted
-    with the exact gradients. The best is fitted to all points, each counting the same. Others that fit nearly as well
-    are listed, and directions that the surface cannot fix are named and held at the start.
+    with the exact gradients. The best is fitted to all points, each counting with the area that it stands for on the
+    grid of the map; scattered ones count alike. Others that fit nearly as well are listed, and directions that the
+    surface cannot fix are named and held at the start.
 
     Parameters
     ----------
@@ -454,6 +455,7 @@ def _task(
         )
     x, y = heights.points()
     points = np.stack([one.ravel()[index] for one in (x, y, heights.z)])
+    area = point_areas(heights).ravel()[index]
     pivot = points.mean(axis=1)
     points -= pivot[:, None]
     rim = float(np.sqrt((points * points).sum(axis=0).max())) or 1.0
@@ -464,6 +466,7 @@ def _task(
     return _Task(
         problem=Problem(
             points=np.ascontiguousarray(points),
+            area=None if np.ptp(area) <= EVEN * area.max() else area / area.mean(),
             surface=part.surface,
             terms=tuple(terms),
             within=radius * (1 + EDGE),
@@ -618,7 +621,7 @@ def _candidates(task: _Task, some: Problem, fits: list[Fit], kept: list[int]) ->
     left = np.array([_without_form(task, some, one, kept, fine[0].scale) for one in fine])
     least = int(np.argmin(left))
     noise = max(left[least], FINEST**2) if task.noise is None else task.noise**2
-    even = np.flatnonzero((left - left[least]) * fine[least].used <= EVEN * noise)
+    even = np.flatnonzero((left - left[least]) * fine[least].used <= EQUAL * noise)
     most = max(fine[k].used for k in even)
     even = np.array([k for k in even if fine[k].used >= FULL * most])
     near = even[np.argmin([_apart(task, fine[k].state, task.start) for k in even])]
@@ -650,10 +653,10 @@ def _one_valley(some: Problem, one: Fit, other: Fit) -> bool:
     heights = []
     for state in (middle, one.state, other.state):
         there = residuals(some, state)
-        there = there[np.isfinite(there)]
-        if there.size < one.used / 2:
+        on = np.isfinite(there)
+        if np.count_nonzero(on) < one.used / 2:
             return False
-        heights.append(float(np.mean(weights(there, scale, some.loss)[1])))
+        heights.append(some.mean(weights(there[on], scale, some.loss)[1], on))
     return heights[0] <= max(heights[1:]) * 1.001 + FINEST**2
 
 
@@ -674,11 +677,11 @@ def _without_form(task: _Task, some: Problem, one: Fit, kept: list[int], scale: 
         both = np.concatenate([both, shapes])
     penalty = np.zeros(both.shape[0])
     penalty[len(kept) :] = QUIETEST**2 / task.form**2 if task.form > 0 else 0.0
-    weighted = both * weights(found.residual, scale, some.loss)[0]
+    weighted = both * some.weighed(weights(found.residual, scale, some.loss)[0], found.which)
     normal = weighted @ both.T
     normal[np.diag_indices_from(normal)] += penalty + 1e-12 * np.diag(normal)
     left = found.residual - np.linalg.solve(normal, weighted @ found.residual) @ both
-    return float(np.mean(weights(left, scale, some.loss)[1]))
+    return some.mean(weights(left, scale, some.loss)[1], found.which)
 
 
 def _symmetric(task: _Task, one: Floats, other: Floats) -> bool:
@@ -719,7 +722,7 @@ def _answer(
         stray = good & (np.abs(left) > STRAY * scatter(left))
         outliers.ravel()[task.which[stray]] = True
         good &= ~stray
-    rms = float(np.sqrt(np.mean(left[good] ** 2))) if good.any() else 0.0
+    rms = float(np.sqrt(problem.mean(left[good] ** 2, good))) if good.any() else 0.0
     unsure = doubt(
         some,
         final,

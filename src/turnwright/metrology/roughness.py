@@ -85,7 +85,8 @@ def roughness(heights: HeightMap, *, form: Form = "plane") -> Roughness:
     r"""Return the surface parameters of a map after its form is removed. Missing points are honoured everywhere.
 
     Height parameters are averages over the valid points; on a polar map each counts with its area
-    :math:`r\,dr\,d\theta`. With ``form="none"`` the heights count from zero, as they are.
+    :math:`r\,dr\,d\theta`. It reaches from the first to the last radius; even radii that start half a step from the
+    axis are the middles of rings. With ``form="none"`` the heights count from zero, as they are.
 
     Gradients are differences of valid neighbours divided by their distance (on a full polar turn the last row meets
     the first): ``sdq`` sums the two directions' mean squares, ``sdr`` averages the two ways to cut each pixel cell

@@ -543,8 +543,11 @@ def error_map(heights: HeightMap) -> Picture:
     return Picture(canvas.svg, f"Map of cut minus design, from {low:.4g} to {high:.4g} nm.")
 
 
-def places_map(heights: HeightMap, radius: float) -> Picture:
-    """Draw scattered errors over the part, the mean of those in each pixel, colours centred at zero."""
+def places_map(heights: HeightMap, radius: float, *, like: HeightMap | None = None) -> Picture:
+    """Draw scattered errors over the part, the mean of those in each pixel, colours centred at zero.
+
+    Of errors that stand ``like`` the valid heights of a grid, the rms is that over the area.
+    """
     x, y = heights.points()
     z = heights.z * NM
     used = np.isfinite(z) & (np.hypot(x, y) <= radius * (1 + 1e-9))
@@ -561,7 +564,7 @@ def places_map(heights: HeightMap, radius: float) -> Picture:
         axes = canvas.figure.add_subplot()
         drawn = _plan(axes, image, radius, cmap=ERRORS, vmin=-limit, vmax=limit)
         _bar(canvas, axes, drawn, "[nm]", extend="both" if shown.size and shown.max() > limit * 1.001 else "neither")
-    rms = area_rms(replace(heights, z=np.where(used, heights.z, np.nan))) * NM if z.size else 0.0
+    rms = area_rms(replace(heights, z=np.where(used, heights.z, np.nan)), like=like) * NM if z.size else 0.0
     low, high = (float(z.min()), float(z.max())) if z.size else (0.0, 0.0)
     return Picture(canvas.svg, f"From {low:.4g} to {high:.4g} nm, {rms:.3g} nm rms.")
 

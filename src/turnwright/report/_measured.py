@@ -236,7 +236,7 @@ def _form(measured: Measured) -> list[_Section]:
     from turnwright.report import _figures as draw  # noqa: PLC0415
 
     radius = measured.job.part.part.radius
-    pictures = [("over the part", draw.places_map(measured.error, radius))]
+    pictures = [("over the part", draw.places_map(measured.error, radius, like=measured.registration.error))]
     pictures.append(("around the axis", draw.over_radius(measured.error, radius)))
     sections = [_Section(title="Cut minus design", pictures=pictures)]
     terms = measured.zernike
