@@ -149,6 +149,11 @@ WRONG = {
         [("simulation.whole_part", {"radii": 100000, "angles": 10000})],
         r"whole_part: radii times angles is 1000000000, the limit is 1e\+08",
     ),
+    "a blank of a slip": (
+        [("part.surface", {"family": "sphere", "radius": "20 mm"}), ("part.blank", {"radius": "1e9 mm"})],
+        r"the blank's radius is 1e\+09 mm, .*, the limit is 1000 mm: correct part\.blank\.radius",
+    ),
+    "a device for a machine": ([("machine", {"file": "/dev/zero"})], r"machine\.file: '/dev/zero' is no plain file"),
     "a map of one radius": ([("simulation.whole_part.radii", 1)], r"whole_part\.radii is 1, it must be at least 2"),
     "half a radius": ([("simulation.whole_part.radii", 40.5)], r"radii is 40\.5, it must be a whole number"),
     "three coordinates": (
@@ -384,6 +389,16 @@ def test_a_name_too_long_for_any_system_is_no_file(place, tmp_path, capsys):
     job = written(tmp_path, *changes, (place, "x" * 5000 + ".toml"))
     assert main(["check", str(job)]) == 2
     assert "does not exist beside the job file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("door", ["check", "run"])
+def test_a_speed_beyond_the_spindle_is_refused(door, tmp_path, capsys):
+    job = written(tmp_path, ("strategy.spindle_speed", "1e5 rpm"))
+    limit = Job.load(job).machine.machine.spindle_rpm
+    assert main([door, str(job), *(["--out", str(tmp_path / "out")] if door == "run" else [])]) == 2
+    said = capsys.readouterr().err
+    assert "is 100000 rpm" in said or "is 100000 rev/min" in said
+    assert re.search(rf"the limit of .* is {limit:g} (rpm|rev/min): turn slower", said)
 
 
 @pytest.mark.parametrize("door", ["check", "run"])

@@ -54,6 +54,9 @@ STEPS = 3000
 ABOVE = 5.0
 """Height of the clear plane above the highest material. [mm]"""
 
+MOST_CLEARANCE = 1000.0
+"""Highest clear plane that a program is written with, see `write_nc`. [mm]"""
+
 ROUNDING = 1e-6
 """How far the edge may come below the finished surface in a plunge, if its pass does not begin lower. [mm]"""
 
@@ -222,6 +225,11 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
             depth = None
     top = _top(part, x0)
     clearance = max(ABOVE + part.stock, top + ABOVE - float(motion.axes["Z"].max()))
+    if part.blank is not None and clearance > MOST_CLEARANCE:
+        raise LimitError(
+            f"pass {name}: the blank's radius is {part.blank.radius:g} mm, so to clear it the tool would stand "
+            f"{clearance:.4g} mm above the part, the limit is {MOST_CLEARANCE:g} mm: correct part.blank.radius"
+        )
     if depth is not None and job.program.fast_tool == "time" and float(np.ptp(w)) > 1e-6:
         raise LimitError(
             f"pass {name}: a fast tool that takes its heights by time stands still while the lathe plunges, so the "

@@ -366,7 +366,15 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
             _require_sense(cut, servo, part, tool)
             place(_outermost(spiral), part, tool, along=job.strategy.along)  # raises where the surface has an end
         profile = job.strategy.profile(cut)
-        speed = servo.spindle_rpm or machine.spindle_rpm if profile is None else float(profile.spindle_rpm.max())
+        stated = servo.spindle_rpm
+        if stated is not None and stated > machine.spindle_rpm:
+            sentence = (
+                f"pass {cut.name}: spindle_speed is {stated:g} rpm, the limit of {machine.name} is "
+                f"{machine.spindle_rpm:g} rpm: turn slower, or state none to have the highest speed found"
+            )
+            refused = (sentence,)
+            break
+        speed = stated or machine.spindle_rpm if profile is None else float(profile.spindle_rpm.max())
         times = cut.repeats(stock)
         points[cut.name] = times * size
         # The points of a fast tool stand in its own table.

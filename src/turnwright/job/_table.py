@@ -56,6 +56,8 @@ def existing(file: File, info: ValidationInfo) -> File:
     """Return the file as a whole path, looked for beside the job file."""
     found = File((info.context or {}).get("folder", ".")) / file
     if not os.path.isfile(found):  # noqa: PTH113 - false of a name that no system takes, too
+        if os.path.exists(found):  # noqa: PTH110 - likewise
+            raise JobError(f"{str(file)!r} is no plain file, but a folder or a device: name a file")
         raise JobError(f"the file {str(file)!r} does not exist beside the job file: correct the name or put it there")
     return found.resolve()
 
