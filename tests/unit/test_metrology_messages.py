@@ -88,7 +88,8 @@ def test_neighbours_of_a_full_turn_meet_and_those_of_a_part_do_not():
     radius = np.array([1.0, 2.0, 3.0])
     whole = roughness(HeightMap(radius=radius, angle=angle, z=z), form="none")
     half = roughness(HeightMap(radius=radius, angle=angle / 2, z=z), form="none")
-    # Two steps out of eight on the full turn, one out of seven on the part; each weighs 1/r² with r dr.
-    mean = np.mean(1 / radius)  # sum of r / r² over sum of r is 3 mean / 6
-    assert whole.sdq == pytest.approx(np.sqrt(2 / 8 * mean / 2) / (np.pi / 4))
-    assert half.sdq == pytest.approx(np.sqrt(1 / 7 * mean / 2) / (np.pi / 8))
+    # Two steps out of eight on the full turn, one out of seven on the part; each weighs 1/r² with the
+    # integral of r times the straight hat over its radius: 4/6, 12/6 and 8/6.
+    mean = (4 / 1 + 12 / 4 + 8 / 9) / (4 + 12 + 8)
+    assert whole.sdq == pytest.approx(np.sqrt(2 / 8 * mean) / (np.pi / 4))
+    assert half.sdq == pytest.approx(np.sqrt(1 / 7 * mean) / (np.pi / 8))
