@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 TURN = 2 * math.pi
 ROUNDING = 2e-6
@@ -321,8 +322,9 @@ def close(case, entry, figures, name):
     later = along + TURN
     inside = later <= along[-1] + 1e-9
     if inside.any():
-        fall = height[inside] - np.interp(later[inside], along, height)
-        span = np.interp(later[inside], along, clock) - clock[inside]
+        # Points of one turn may lie between those of another: on a curve through them, which passes through them all.
+        fall = height[inside] - CubicSpline(along, height)(later[inside])
+        span = CubicSpline(along, clock)(later[inside]) - clock[inside]
         assert (fall > -ROUNDING).all()
         figures.fastest = max(figures.fastest, float(((fall - ROUNDING) / span).max()) * 60 / case.plunge_feed)
     else:

@@ -29,7 +29,7 @@ from turnwright.dilation import tip_height
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate_polar
 from turnwright.machine import FAST
-from turnwright.post import GAP, Approach, approach_to, first_turn
+from turnwright.post import GAP, Approach, approach_to, entry_angles, first_turn
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
@@ -164,6 +164,16 @@ def _edge(tool: Tool, sense: int, u: Floats) -> tuple[Floats, Floats]:
     return table[3] * w, table[4] * w
 
 
+def _between(turned: Floats, axes: Mapping[str, Floats], finely: Floats) -> dict[str, Floats]:
+    """Return axes that repeat with every turn at more angles. Each (n,)."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
+
+    return {
+        letter: CubicSpline(turned, np.append(values[:-1], values[0]), bc_type="periodic")(finely)
+        for letter, values in axes.items()
+    }
+
+
 def _contact_heights(part: Part, tool: Tool, motion: Motion, turned: Floats, axes: Mapping[str, Floats]) -> Floats:
     """Bring the edge into contact with the part around the axis, at the radius where a pass begins. (n,) [mm]."""
     # The innermost and the outermost tip of the pass: what holds at the rim for all its tips then holds here too.
@@ -211,8 +221,9 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
     w = axes.get("W", np.zeros(turned.size))
     path, heights = axes["Z"] + w, None
     if not FAST.keys() & motion.axes.keys():
-        heights = _contact_heights(part, tool, motion, turned, axes)
-        path = heights + (path[0] - heights[0])
+        finely = entry_angles(motion)
+        heights = _contact_heights(part, tool, motion, finely, _between(turned, axes, finely))
+        turned, path = finely, heights + (path[0] - heights[0])
     plain = _before(part, tool, before, x0, _azimuths(part, max(x0, 0.0)), 0.0)
     azimuth = np.mod(motion.axes["C"][0] + motion.sense * turned, TURN)
     lowest = _lowest(azimuth, path, plain.angle)

@@ -1,6 +1,6 @@
 """Programs on disk: write them, read them back, read other people's."""
 
-from turnwright.post._approach import GAP, PLUNGE_FEED, Approach, approach_to, entry_words, first_turn
+from turnwright.post._approach import GAP, PLUNGE_FEED, Approach, approach_to, entry_angles, entry_words, first_turn
 from turnwright.post._header import ProgramHeader, ProgramInfo, ProgramPass, ProgramWarning, after_stop, inspect_nc
 from turnwright.post._reader import read_nc
 from turnwright.post._registry import dialect_of
@@ -22,6 +22,7 @@ __all__ = [
     "after_stop",
     "approach_to",
     "dialect_of",
+    "entry_angles",
     "entry_words",
     "first_turn",
     "inspect_nc",

@@ -27,6 +27,7 @@ __all__ = [
     "TRAVERSE",
     "Approach",
     "approach_to",
+    "entry_angles",
     "entry_words",
     "first_turn",
     "link_seconds",
@@ -50,12 +51,17 @@ SLOWEST_PVT = 4.0
 """The same where the pass states velocities. [s]"""
 LONGEST_PVT = 1.5
 """Longest block of a plunge there at its speed; the first one, from rest, takes twice as long. [s]"""
+ROOM_PVT = 0.95
+"""Share of the stated feed there: between the points of the pass cubics fall a little faster."""
 FINEST_PVT = math.radians(0.05)
 """Least step of C there, on the way to speed a block takes a small share of it. [rad]"""
+BETWEEN = 16
+"""Heights that are wanted on each step of C there: on the way to speed its points lie between those of the pass."""
 LEAST_STEP = math.radians(1e-5)
 """Points of C nearer than this are one to a program. [rad]"""
-FINER = (1, 2, 4, 8)
-"""Into how many each step of C there is divided until the way to speed stays on the path. [1]"""
+FINER = (16, 8, 4, 2, 1)
+"""Into how many each step of C is divided there, the finest that the block rate allows: cubics through few points leave
+the heights between them. Where the way to speed cannot stay on the path with that, others are tried."""
 STEADY = 0.99
 """A pass that states velocities is at its speed from this share of it on."""
 WIDEST = 0.9 * math.pi
@@ -137,7 +143,7 @@ def approach_to(
     name
         Of the pass, for messages.
     heights
-        Z of the lathe at the radius where the pass begins, at the angles of `first_turn`; shifted so that they begin
+        Z of the lathe at the radius where the pass begins, at the angles of `entry_angles`; shifted so that they begin
         at the first point of the pass. Without them they are extrapolated from its first revolutions. (n,) [mm]
     """
     clear = float(motion.axes["Z"].max()) + clearance
@@ -155,13 +161,16 @@ def _plunge(
     """Return the motion down to the first point of a pass, and its depth in a revolution [mm/rev]."""
     turned, time, others, advance = first_turn(motion)
     doubt = np.zeros(turned.size) if heights is not None else others["Z"] - _one_term_less(motion, others["Z"])
+    z_angle, z_around = turned, others["Z"]
     if heights is not None:
-        if heights.shape != turned.shape or not np.isfinite(heights).all():
+        z_angle = entry_angles(motion)
+        if heights.shape != z_angle.shape or not np.isfinite(heights).all():
             raise ProgramError(
-                f"pass {name} has entry heights of shape {heights.shape}, they must be finite and {turned.shape}: give "
-                "one for each angle of its first revolution"
+                f"pass {name} has entry heights of shape {heights.shape}, they must be finite and {z_angle.shape}: "
+                "give one for each angle of its first revolution"
             )
-        others["Z"] = heights - heights[0] + motion.axes["Z"][0]
+        z_around = heights - heights[0] + motion.axes["Z"][0]
+        others["Z"] = z_around[:: (z_angle.size - 1) // (turned.size - 1)].copy()
     turn_s = float(time[-1]) if motion.velocity is None else TURN / _fastest(motion)
     if motion.velocity is not None:
         turn_s = min(turn_s, LONGEST_PVT * TURN / float(np.diff(turned).max()))
@@ -172,6 +181,8 @@ def _plunge(
     longest = SLOWEST / turn_s if motion.velocity is None else LONGEST_PVT / float(blocks.max())
     slower = min(max(1.0, 2 * beyond / plunge_feed), max(longest, 1.0))
     time, turn_s = time * slower, turn_s * slower
+    if motion.velocity is not None:
+        plunge_feed = ROOM_PVT * plunge_feed
     per_rev = min(max(plunge_feed - beyond / slower, plunge_feed / 2) * turn_s, max(advance, LEAST_ADVANCE))
     turns = math.ceil(height / per_rev - 1e-9)
     each = turned.size - 1
@@ -197,9 +208,12 @@ def _plunge(
     plunge = Motion(time=clock, axes=axes, machine=motion.machine)
     if motion.velocity is None:
         return plunge, per_rev
-    for finer in FINER:
+    fits = [one for one in FINER if one == 1 or _fits(one, turned, turn_s, turns, motion.machine)]
+    for finer in [*fits, *(one for one in reversed(FINER) if one not in fits)]:
         with suppress(LimitError):
-            return _apart(from_rest_to_rest(_in_velocities(plunge, turned, others, finer, per_rev))), per_rev
+            around = {letter: (turned, values) for letter, values in others.items()} | {"Z": (z_angle, z_around)}
+            divided = _in_velocities(plunge, turned, around, finer, per_rev)
+            return _apart(from_rest_to_rest(divided)), per_rev
     raise ProgramError(
         f"pass {name} has too few points per turn to plunge with C turning: give it more, or begin it beside the blank"
     )
@@ -212,6 +226,26 @@ def _fastest(motion: Motion) -> float:
     if passed[-1] < 2 * TURN:
         return max(float(passed[-1] / (motion.time[-1] - motion.time[0])), TURN / SLOWEST_PVT)
     return float(np.abs(motion.velocity["C"])[passed <= 2 * TURN].max())
+
+
+def entry_angles(motion: Motion) -> Floats:
+    """Return the angles from the first point of a pass at which the heights of its plunge are wanted. (n,) [rad]."""
+    turned = first_turn(motion)[0]
+    return turned if motion.velocity is None else _finely(turned, BETWEEN)
+
+
+def _finely(turned: Floats, each: int) -> Floats:
+    """Return angles with each step divided into some."""
+    steps = turned.size - 1
+    return np.interp(np.arange(each * steps + 1) / each, np.arange(steps + 1), turned)
+
+
+def _fits(finer: int, turned: Floats, turn_s: float, turns: int, machine: Machine) -> bool:
+    """Say whether each step of a plunge may be divided into so many."""
+    steps = np.diff(turned).min() / finer
+    points = turns * (turned.size - 1) * finer
+    fast_enough = steps * turn_s / TURN * machine.block_rate_hz >= 1
+    return bool(fast_enough and steps >= FINEST_PVT and points <= MOST_POINTS)
 
 
 def _apart(plunge: Motion) -> Motion:
@@ -231,21 +265,23 @@ def _apart(plunge: Motion) -> Motion:
     )  # fmt: skip
 
 
-def _in_velocities(plunge: Motion, turned: Floats, others: Mapping[str, Floats], finer: int, per_rev: float) -> Motion:
+def _in_velocities(
+    plunge: Motion, turned: Floats, around: Mapping[str, tuple[Floats, Floats]], finer: int, per_rev: float
+) -> Motion:
     """Return a plunge at a steady speed with the velocities of its axes, each step divided into some."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
 
     each = turned.size - 1
     steps = np.arange(finer * (plunge.time.size - 1) + 1) / finer
-    angle = np.interp(np.arange(finer * each + 1) / finer, np.arange(each + 1), turned)
+    angle = _finely(turned, finer)
     place = np.arange(steps.size) % (finer * each)
     time = np.interp(steps, np.arange(plunge.time.size), plunge.time)
     c = np.interp(steps, np.arange(plunge.time.size), plunge.axes["C"])
     pace = (c[-1] - c[0]) / (time[-1] - time[0])
     axes, velocity = {"C": c}, {"C": np.full(c.size, pace)}
-    for letter, values in others.items():
-        around = CubicSpline(turned, np.append(values[:-1], values[0]), bc_type="periodic")
-        axes[letter], velocity[letter] = around(angle)[place], abs(pace) * around(angle, 1)[place]
+    for letter, (known, values) in around.items():
+        curve = CubicSpline(known, np.append(values[:-1], values[0]), bc_type="periodic")
+        axes[letter], velocity[letter] = curve(angle)[place], abs(pace) * curve(angle, 1)[place]
     left = np.abs(c - c[-1]) / TURN
     axes["Z"], velocity["Z"] = axes["Z"] + per_rev * left, velocity["Z"] - per_rev * abs(pace) / TURN
     for letter, values in axes.items():

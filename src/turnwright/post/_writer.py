@@ -175,7 +175,7 @@ def write_nc(
         Fastest plunge into material. [mm/s]
     entry_heights
         Z for one revolution at the radius where the pass begins, for a motion or by name, at the angles of
-        `turnwright.post.first_turn`. (n,) [mm]
+        `turnwright.post.entry_angles`. (n,) [mm]
     max_lines
         Most lines in one file, if not the dialect's own limit.
     progress
