@@ -1050,6 +1050,7 @@ def test_every_state_has_its_picture(bench, by_hand, tmp_path):
 def show_cut(one):
     """Show the last map of what is cut, and a profile across it."""
     choice = one.page.get_by_label("Map", exact=True)
+    expect(choice.locator("option")).not_to_have_count(0)
     choice.select_option(index=min(1, choice.locator("option").count() - 1))
     one.drawn("#panel-maps canvas.mapcanvas", colours=60)
     one.answer("/profile", lambda: one.page.locator("#panel-maps canvas.mapcanvas").press("l"))
