@@ -395,6 +395,7 @@ def test_a_typed_entry_stays_as_it_is_typed(bench):
     one.page.locator("#field-tool-nose_radius").wait_for()
     one.context.new_cdp_session(one.page).send("Emulation.setCPUThrottlingRate", {"rate": 4})
     assert typed_by_hand(one, 4, seed=1) == []
+    one.wrong = [each for each in one.wrong if "422" not in each]  # half a number is refused
 
 
 def test_the_value_of_a_term_is_typed_with_all_its_digits(bench, tmp_path):
