@@ -289,6 +289,50 @@ def test_a_wall_higher_than_the_edge_is_warned_of(tmp_path):
     assert not [one for one in result.warnings if "plunges beside a wall" in one]
 
 
+@pytest.mark.parametrize("kind", ["hybrid tool servo", "fast tool servo"])
+@pytest.mark.parametrize("inside_out", [False, True])
+def test_a_fast_tool_by_position_keeps_the_feed_of_a_plunge(tmp_path, kind, inside_out):
+    # Between the radii of its table it was left to its controller: up to 1.3 times the feed against the part.
+    bends = ("50 mm", "25 mm") if kind.startswith("hybrid") else ("5 m", "4 m")
+    toroid = {"family": "toroid", "radius_x": bends[0], "radius_y": bends[1]}
+    waves = {"family": "sine grid", "amplitude": ["2 um", "1 um"], "period": ["0.8 mm", "0.8 mm"]}
+    lathe = (("strategy.base", toroid), ("strategy.blocks_per_rev", 90)) if kind.startswith("hybrid") else ()
+    changes = (
+        FEW, ("part.surface", [toroid, waves]), ("part.stock", "20 um"), ("tool.nose_radius", "0.3 mm"),
+        ("tool.included", "120 deg"), ("tool.clearance", "12 deg"), ("machine.name", "nanoform-fts-70"),
+        ("strategy.kind", kind), ("strategy.spindle_speed", "100 rpm"), ("strategy.points_per_rev", 360),
+        ("strategy.inside_out", inside_out), ("strategy.lead_in", "0 mm"), ("program.fast_tool", "position"), *lathe,
+    )  # fmt: skip
+    result = tw.run(Job.read(changed(*changes)), out=tmp_path)
+    x, z, c, seconds = plunge_of(result.program.files[0].read_text())
+    lines = (tmp_path / "part.fast.csv").read_text().splitlines()
+    table = np.array([[float(one) for one in line.split(",")] for line in lines if line[0] in "-0123456789"])
+    entry = table[: np.flatnonzero(table[:, 0] != table[0, 0])[0]]
+    assert len(entry) >= 360
+    assert entry[0, 0] == x[-1]
+    # At the rows of the table: its heights run straight over the angle, those of the program over that of a block.
+    turned = np.rad2deg(np.unwrap(np.deg2rad(c)))
+    at = np.linspace(turned[-1] - 360, turned[-1], 361)
+    w = np.interp(at, *np.array(sorted(zip(entry[:, 1], entry[:, 2], strict=True))).T, period=360)
+    both = np.interp(at, turned, z) + w
+    bent = (50.0, 25.0) if kind.startswith("hybrid") else (5e3, 4e3)
+    design = tw.Toroid(radius_x=bent[0], radius_y=bent[1]) + tw.SineGrid(amplitude=(2e-3, 1e-3), period=(0.8, 0.8))
+    surface = np.array([contact(design.sag, x[0], np.deg2rad(one), 1.3) for one in at])
+    above = both - surface
+    each = np.diff(np.interp(at, turned, np.append(0, np.cumsum(seconds[1:]))))
+    assert above[-1] == pytest.approx(0, abs=1.2e-6)
+    assert above.min() > -2e-6
+    assert (-np.diff(above) / each).max() <= 0.03 + 1.2e-6 / each.min()
+
+
+def test_a_fast_tool_keeps_its_travel_in_a_plunge():
+    job = Job.read(changed(("machine.name", "nanoform-fts-70")))
+    travel = job.machine.machine.axes["W"]
+    _approach._require_travel(job, "finish", {"W": np.array([travel.low, travel.high])})
+    with pytest.raises(LimitError, match=r"pass finish: in the plunge W goes from -0\.035 to 0\.0351 mm"):
+        _approach._require_travel(job, "finish", {"W": np.array([travel.low, travel.high + 1e-4])})
+
+
 def test_a_fast_tool_by_time_must_begin_beside_the_blank(tmp_path):
     waves = {"family": "sine grid", "amplitude": ["2 um", "2 um"], "period": ["0.5 mm", "0.5 mm"]}
     fast = (

@@ -40,7 +40,8 @@ def test_by_position_the_rows_are_those_that_python_would_write(tmp_path, conven
     head = [line for line in text if line.startswith("#")]
     assert f"SHA256 {done.program.hash}" in "".join(head)
     rows = list(csv.DictReader(text[len(head) :]))
-    assert len(rows) == done.rows
+    assert len(rows) == done.entry_rows + done.rows
+    rows = rows[done.entry_rows :]
     degrees = np.rad2deg(convention.c_sense * made.axes["C"] + convention.clocking)
     places = {"generic": 6, "nanotech": 5}[dialect]
     for row, x, angle, w in zip(rows, made.axes["X"], degrees, made.axes["W"], strict=True):
@@ -50,6 +51,36 @@ def test_by_position_the_rows_are_those_that_python_would_write(tmp_path, conven
         off = (float(row["angle_deg"]) - angle + 180) % 360 - 180
         assert abs(off) <= 0.50001 * 10.0**-places + 1e-9
         assert len(row["angle_deg"].split(".")[1]) == places
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_table_by_position_begins_with_the_turn_of_the_plunge(tmp_path, sense):
+    """Its heights are those given less the lathe's, which a cosine states."""
+    machine = replace(tw.Machine.load("nanoform-fts-70"), convention=CONVENTIONS[1])
+    made = motion(machine, sense=sense)
+    turned = np.deg2rad(np.arange(0, 361, 4))
+    heights = 0.25 + 0.004 * np.sin(2 * turned)
+    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="position", entry_heights=heights)
+    assert done.entry_rows == 90
+    lines = done.table.read_text().splitlines()
+    assert "# ENTRY ROWS: 90, ONE TURN AT THE RADIUS WHERE THE CUT BEGINS, FOR EVERY TURN OF THE PLUNGE" in lines
+    radius, angle, w = np.loadtxt([one for one in lines if one[0] in "-0123456789"], delimiter=",")[:90].T
+    assert radius == pytest.approx(np.full(90, -1.5), abs=1e-12)
+    wanted = np.rad2deg(-made.axes["C"][0] - sense * turned[:-1] + 1.1)
+    assert np.abs((angle - wanted + 180) % 360 - 180).max() < 1e-6
+    lathe = 0.2 + 0.001 * np.cos(turned)
+    exact = heights - heights[0] + 0.201 + made.axes["W"][0] - lathe
+    # The lathe's few blocks are straight within 0.1 nm.
+    assert w == pytest.approx(exact[:-1], abs=0.2e-6)
+    assert tw.read_fast_tool(tmp_path / "part.nc", machine).time.size == made.time.size
+    beside = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="position", depth=None)
+    assert beside.entry_rows == 0
+    with pytest.raises(tw.ProgramError, match="entry heights of shape"):
+        tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="position", entry_heights=heights[1:])
+    text = beside.table.read_text().replace("ENTRY ROWS: 0", "ENTRY ROWS: x")
+    beside.table.write_text(text)
+    with pytest.raises(tw.ProgramError, match="how many of its 388 rows"):
+        tw.read_fast_tool(tmp_path / "part.nc", machine)
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)

@@ -13,14 +13,14 @@ slope of the rim where that rises outward, and level where it falls.
 A plunge stays at the radius where its pass begins. Its heights around the axis are exact: at every azimuth the edge is
 brought into contact with the part there, and all are shifted by as much as the first point of the pass stands off the
 contact, which the allowance does. As a proof apart from that search, the whole arc of the edge is compared with the
-finished surface at points of the last revolution. The heights of a fast tool between the radii of its table are its
-controller's: with one, the heights around the axis are extrapolated from the first revolutions of the pass.
+finished surface at points of the last revolution. A fast tool adds to the lathe what these heights ask for beyond it:
+its table begins with the revolution of the plunge.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,8 +28,8 @@ import numpy as np
 from turnwright.dilation import tip_height
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate_polar
-from turnwright.machine import FAST
-from turnwright.post import GAP, Approach, approach_to, entry_angles, first_turn
+from turnwright.machine import FAST, Axis
+from turnwright.post import GAP, MOST_CLEARANCE, Approach, approach_to, entry_path, entry_shares
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
@@ -53,9 +53,6 @@ STEPS = 3000
 
 ABOVE = 5.0
 """Height of the clear plane above the highest material. [mm]"""
-
-MOST_CLEARANCE = 1000.0
-"""Highest clear plane that a program is written with, see `write_nc`. [mm]"""
 
 ROUNDING = 1e-6
 """How far the edge may come below the finished surface in a plunge, if its pass does not begin lower. [mm]"""
@@ -85,8 +82,8 @@ class Entry:
     outward
         Whether the pass goes on away from the axis.
     heights
-        Contact heights of the tip around the axis where the pass begins, for `turnwright.write_nc`; ``None`` with a
-        fast tool. (n,) [mm]
+        Contact heights of the tip around the axis where the pass begins, for `turnwright.write_nc` and
+        `turnwright.write_fast_tool`. (n,) [mm]
     radius, material, finished
         Radial cut at the azimuth of the first point, for a picture: distances from the axis, negative beyond it, the
         material before the pass and the finished surface, nan where there is none. Each (n,) [mm]
@@ -97,7 +94,7 @@ class Entry:
     depth: float | None
     least_gap: float
     outward: bool
-    heights: Floats | None
+    heights: Floats
     radius: Floats
     material: Floats
     finished: Floats
@@ -164,22 +161,12 @@ def _edge(tool: Tool, sense: int, u: Floats) -> tuple[Floats, Floats]:
     return table[3] * w, table[4] * w
 
 
-def _between(turned: Floats, axes: Mapping[str, Floats], finely: Floats) -> dict[str, Floats]:
-    """Return axes that repeat with every turn at more angles. Each (n,)."""
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
-
-    return {
-        letter: CubicSpline(turned, np.append(values[:-1], values[0]), bc_type="periodic")(finely)
-        for letter, values in axes.items()
-    }
-
-
 def _contact_heights(part: Part, tool: Tool, motion: Motion, turned: Floats, axes: Mapping[str, Floats]) -> Floats:
     """Bring the edge into contact with the part around the axis, at the radius where a pass begins. (n,) [mm]."""
     # The innermost and the outermost tip of the pass: what holds at the rim for all its tips then holds here too.
     ends = [int(motion.axes["X"].argmin()), int(motion.axes["X"].argmax())]
     angle = np.append(motion.axes["C"][0] + motion.sense * turned, motion.axes["C"][ends])
-    radius = np.append(axes["X"], motion.axes["X"][ends])
+    radius = np.append(sum(axes[one] for one in "XU" if one in axes), motion.axes["X"][ends])
     y = np.append(axes["Y"], motion.axes["Y"][ends]) if "Y" in axes else None
     z = tip_height(part.surface, tool, angle=angle, radius=radius, y=y, sense=motion.sense, rim=part.radius)[:-2]
     return np.append(z[:-1], z[0])
@@ -212,18 +199,39 @@ def _require_above(job: Job, name: str, plunge: Motion, start: float) -> None:
         )
 
 
+def _with_fast_tool(plunge: Motion, turned: Floats, fast: Mapping[str, Floats]) -> Motion:
+    """Return where the tip is in a plunge: X and Z with what the fast tool adds to them."""
+    if not fast:
+        return plunge
+    around = np.abs(plunge.axes["C"] - plunge.axes["C"][-1])
+    added = {FAST[one]: np.interp(np.mod(-around, TURN), turned, values) for one, values in fast.items()}
+    axes = {letter: values + added.get(letter, 0.0) for letter, values in plunge.axes.items()}
+    return replace(plunge, axes=axes)
+
+
+def _require_travel(job: Job, name: str, fast: Mapping[str, Floats]) -> None:
+    """Raise if a fast tool would pass the end of its travel in a plunge."""
+    for letter, values in fast.items():
+        axis = job.machine.machine.axes.get(letter, Axis())
+        low, high = (-math.inf if axis.low is None else axis.low), (math.inf if axis.high is None else axis.high)
+        if values.min() < low or values.max() > high:
+            raise LimitError(
+                f"pass {name}: in the plunge {letter} goes from {values.min():.5g} to {values.max():.5g} mm, its "
+                f"travel is from {low:g} to {high:g} mm: state part.blank and a lead_in with which the pass begins "
+                "beside it"
+            )
+
+
 def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
     """Return how the tool enters one pass."""
     part, tool = job.part.aimed, job.tool.tool
-    turned, _, axes, _ = first_turn(motion)
+    turned, axes = entry_path(motion)
     x0, y0 = float(motion.axes["X"][0]), float(motion.axes["Y"][0]) if "Y" in motion.axes else 0.0
     x0 += float(motion.axes["U"][0]) if "U" in motion.axes else 0.0
-    w = axes.get("W", np.zeros(turned.size))
-    path, heights = axes["Z"] + w, None
-    if not FAST.keys() & motion.axes.keys():
-        finely = entry_angles(motion)
-        heights = _contact_heights(part, tool, motion, finely, _between(turned, axes, finely))
-        turned, path = finely, heights + (path[0] - heights[0])
+    heights = _contact_heights(part, tool, motion, turned, axes)
+    path = heights + (axes["Z"][0] + axes.get("W", np.zeros(1))[0] - heights[0])
+    z, fast = entry_shares(motion, heights) if FAST.keys() & axes.keys() else (heights, {})
+    w = fast.get("W", np.zeros(turned.size))
     plain = _before(part, tool, before, x0, _azimuths(part, max(x0, 0.0)), 0.0)
     azimuth = np.mod(motion.axes["C"][0] + motion.sense * turned, TURN)
     lowest = _lowest(azimuth, path, plain.angle)
@@ -247,12 +255,14 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
             "tool must enter from beside the blank: state part.blank and a longer lead_in, or fast_tool = "
             f'"position"'
         )
-    lathe = motion.lathe()
     approach = approach_to(
-        lathe, clearance=clearance, depth=depth, plunge_feed=job.program.plunge_feed, name=name, heights=heights
+        motion.lathe(), clearance=clearance, depth=depth, plunge_feed=job.program.plunge_feed, name=name, heights=z
     )  # fmt: skip
-    if approach.plunge is not None and heights is not None and "gouge" not in job.accept:
-        _require_above(job, name, approach.plunge, max(float(heights[0] - path[0]), 0.0))
+    if approach.plunge is not None and "limits" not in job.accept:
+        _require_travel(job, name, fast)
+    if approach.plunge is not None and "gouge" not in job.accept:
+        whole = _with_fast_tool(approach.plunge, turned, fast)
+        _require_above(job, name, whole, max(float(heights[0] - path[0]), 0.0))
     first = float(np.interp(np.mod(approach.start["C"], TURN), plain.angle, touched, period=TURN))
     gap = min(approach.start["Z"] + float(w[0]) + rest - first, approach.clear + float(w.min()) - top)
     least = GAP / 2 if depth is not None else BESIDE

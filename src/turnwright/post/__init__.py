@@ -1,6 +1,15 @@
 """Programs on disk: write them, read them back, read other people's."""
 
-from turnwright.post._approach import GAP, PLUNGE_FEED, Approach, approach_to, entry_angles, entry_words, first_turn
+from turnwright.post._approach import (
+    GAP,
+    MOST_CLEARANCE,
+    PLUNGE_FEED,
+    Approach,
+    approach_to,
+    entry_path,
+    entry_shares,
+    entry_words,
+)
 from turnwright.post._header import ProgramHeader, ProgramInfo, ProgramPass, ProgramWarning, after_stop, inspect_nc
 from turnwright.post._reader import read_nc
 from turnwright.post._registry import dialect_of
@@ -11,6 +20,7 @@ from turnwright.post._writer import FASTEST_PLUNGE, ProgramFiles, write_nc
 __all__ = [
     "FASTEST_PLUNGE",
     "GAP",
+    "MOST_CLEARANCE",
     "PLUNGE_FEED",
     "Approach",
     "FastToolFiles",
@@ -22,9 +32,9 @@ __all__ = [
     "after_stop",
     "approach_to",
     "dialect_of",
-    "entry_angles",
+    "entry_path",
+    "entry_shares",
     "entry_words",
-    "first_turn",
     "inspect_nc",
     "read_fast_tool",
     "read_nc",

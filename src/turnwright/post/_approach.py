@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.errors import LimitError, ProgramError
+from turnwright.machine import FAST
 from turnwright.motion import from_rest_to_rest
 from turnwright.path import Motion
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from scipy.interpolate import CubicSpline
 
     from turnwright._arrays import Floats
     from turnwright.machine import Machine
@@ -23,13 +26,14 @@ if TYPE_CHECKING:
 __all__ = [
     "DOWN",
     "GAP",
+    "MOST_CLEARANCE",
     "PLUNGE_FEED",
     "TRAVERSE",
     "Approach",
     "approach_to",
-    "entry_angles",
+    "entry_path",
+    "entry_shares",
     "entry_words",
-    "first_turn",
     "link_seconds",
 ]
 
@@ -38,7 +42,9 @@ TURN = 2 * math.pi
 GAP = 0.1
 """Height above material, and distance beside it, down to which the tool may move with C at rest. [mm]"""
 PLUNGE_FEED = 0.03
-"""Fastest plunge into material where nobody states another. [mm/s]"""
+"""Fastest plunge into material, unless another is stated. [mm/s]"""
+MOST_CLEARANCE = 1000.0
+"""Highest clear plane above a pass. [mm]"""
 TRAVERSE, DOWN = 500 / 60, 100 / 60
 """Feeds in free space: to and along the clear plane, and down from it. [mm/s]"""
 LEAST_ADVANCE = 1e-3
@@ -143,7 +149,7 @@ def approach_to(
     name
         Of the pass, for messages.
     heights
-        Z of the lathe at the radius where the pass begins, at the angles of `entry_angles`; shifted so that they begin
+        Z of the lathe at the radius where the pass begins, at the angles of `entry_path`; shifted so that they begin
         at the first point of the pass. Without them they are extrapolated from its first revolutions. (n,) [mm]
     """
     clear = float(motion.axes["Z"].max()) + clearance
@@ -159,16 +165,12 @@ def _plunge(
     motion: Motion, height: float, plunge_feed: float, name: str, heights: Floats | None
 ) -> tuple[Motion, float]:
     """Return the motion down to the first point of a pass, and its depth in a revolution [mm/rev]."""
-    turned, time, others, advance = first_turn(motion)
+    turned, time, others, advance = _first_turn(motion)
     doubt = np.zeros(turned.size) if heights is not None else others["Z"] - _one_term_less(motion, others["Z"])
     z_angle, z_around = turned, others["Z"]
     if heights is not None:
-        z_angle = entry_angles(motion)
-        if heights.shape != z_angle.shape or not np.isfinite(heights).all():
-            raise ProgramError(
-                f"pass {name} has entry heights of shape {heights.shape}, they must be finite and {z_angle.shape}: "
-                "give one for each angle of its first revolution"
-            )
+        z_angle = entry_path(motion)[0]
+        _require_heights(heights, z_angle, f"pass {name}")
         z_around = heights - heights[0] + motion.axes["Z"][0]
         others["Z"] = z_around[:: (z_angle.size - 1) // (turned.size - 1)].copy()
     turn_s = float(time[-1]) if motion.velocity is None else TURN / _fastest(motion)
@@ -228,10 +230,68 @@ def _fastest(motion: Motion) -> float:
     return float(np.abs(motion.velocity["C"])[passed <= 2 * TURN].max())
 
 
-def entry_angles(motion: Motion) -> Floats:
-    """Return the angles from the first point of a pass at which the heights of its plunge are wanted. (n,) [rad]."""
-    turned = first_turn(motion)[0]
-    return turned if motion.velocity is None else _finely(turned, BETWEEN)
+def entry_path(motion: Motion) -> tuple[Floats, dict[str, Floats]]:
+    """Return the path of a pass around its first point, where the heights of its plunge are wanted.
+
+    Parameters
+    ----------
+    motion
+        The pass.
+
+    Returns
+    -------
+    turned, axes
+        Angles from the first point, 0 to a whole turn, as dense as the points of the pass, or 16 times where it states
+        velocities (n,) [rad]; and every axis but C there at the radius of the first point, by letter, extrapolated from
+        the first revolutions (n,) [mm].
+    """
+    turned, _, axes, _ = _first_turn(motion)
+    if motion.velocity is None:
+        return turned, axes
+    finely = _finely(turned, BETWEEN)
+    return finely, {letter: _closed(turned, values)(finely) for letter, values in axes.items()}
+
+
+def _require_heights(heights: Floats, angle: Floats, what: str) -> None:
+    if heights.shape != angle.shape or not np.isfinite(heights).all():
+        raise ProgramError(
+            f"{what} has entry heights of shape {heights.shape}, they must be finite and {angle.shape}: give one for "
+            "each angle of its first revolution"
+        )
+
+
+def entry_shares(motion: Motion, heights: Floats) -> tuple[Floats, dict[str, Floats]]:
+    """Share the heights of a plunge among lathe and fast tool.
+
+    The lathe goes on as in the first revolutions of the pass, the fast tool adds the rest.
+
+    Parameters
+    ----------
+    motion
+        The pass, with W.
+    heights
+        Z and W together, at the angles of `entry_path`. (n,) [mm]
+
+    Returns
+    -------
+    lathe, fast
+        Z at the angles of `entry_path` of the lathe's share, (m,) [mm]; the fast tool's axes by letter at those of the
+        motion. Each (n,) [mm]
+    """
+    angle, axes = entry_path(motion)
+    _require_heights(heights, angle, "the pass")
+    turned, lathe = entry_path(motion.lathe())
+    z = lathe["Z"]
+    between = np.interp(angle, turned, z) if motion.velocity is None else _closed(turned, z)(angle)
+    fast = {letter: values for letter, values in axes.items() if letter in FAST}
+    return z, fast | {"W": heights - heights[0] + axes["Z"][0] + axes["W"][0] - between}
+
+
+def _closed(turned: Floats, values: Floats) -> CubicSpline:
+    """Return the cubic spline of values that repeat with every turn."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
+
+    return CubicSpline(turned, np.append(values[:-1], values[0]), bc_type="periodic")
 
 
 def _finely(turned: Floats, each: int) -> Floats:
@@ -269,8 +329,6 @@ def _in_velocities(
     plunge: Motion, turned: Floats, around: Mapping[str, tuple[Floats, Floats]], finer: int, per_rev: float
 ) -> Motion:
     """Return a plunge at a steady speed with the velocities of its axes, each step divided into some."""
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
-
     each = turned.size - 1
     steps = np.arange(finer * (plunge.time.size - 1) + 1) / finer
     angle = _finely(turned, finer)
@@ -280,7 +338,7 @@ def _in_velocities(
     pace = (c[-1] - c[0]) / (time[-1] - time[0])
     axes, velocity = {"C": c}, {"C": np.full(c.size, pace)}
     for letter, (known, values) in around.items():
-        curve = CubicSpline(known, np.append(values[:-1], values[0]), bc_type="periodic")
+        curve = _closed(known, values)
         axes[letter], velocity[letter] = curve(angle)[place], abs(pace) * curve(angle, 1)[place]
     left = np.abs(c - c[-1]) / TURN
     axes["Z"], velocity["Z"] = axes["Z"] + per_rev * left, velocity["Z"] - per_rev * abs(pace) / TURN
@@ -297,10 +355,10 @@ def _one_term_less(motion: Motion, z: Floats) -> Floats:
     turns = float(abs(motion.axes["C"][-1] - motion.axes["C"][0])) / TURN + 1e-9
     if turns < 2:
         return z
-    return first_turn(motion, most=min(int(turns), 3) - 1)[2]["Z"]
+    return _first_turn(motion, most=min(int(turns), 3) - 1)[2]["Z"]
 
 
-def first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[str, Floats], float]:
+def _first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[str, Floats], float]:
     """Return the path of a pass around its first point, at the radius of that point.
 
     The radius of a pass changes over its first revolution. What its other axes are at the radius of the first point is

@@ -16,7 +16,7 @@ from turnwright._arrays import rows_of_numbers
 from turnwright._validate import positive
 from turnwright.errors import ProgramError
 from turnwright.path import Motion
-from turnwright.post._approach import PLUNGE_FEED
+from turnwright.post._approach import PLUNGE_FEED, entry_path, entry_shares
 from turnwright.post._header import NO_HASH, convention_line, inspect_nc, plain, require_regular, software
 from turnwright.post._reader import read_nc
 from turnwright.post._registry import dialect_of
@@ -65,7 +65,9 @@ class FastToolFiles:
     by
         "position" or "time".
     rows
-        Heights in the table.
+        Rows of the cut in the table.
+    entry_rows
+        Rows of the plunge before them.
     off
         Largest distance of the motion's W, or U, from the straight lines between the rows, at its own points. [mm]
     """
@@ -74,6 +76,7 @@ class FastToolFiles:
     table: Path
     by: str
     rows: int
+    entry_rows: int
     off: float
 
 
@@ -98,10 +101,11 @@ def write_fast_tool(
     The table is text, part.fast.csv beside part.nc. By position it has a row of radius, angle and height for every
     point of the motion: the radius is the X of the program, the angle its C within one turn, with as many decimals, so
     that the tool's controller reads both from the scales of the lathe; between two rows heights run straight over the
-    angle turned. By time it has one height every 1/``rate_hz`` s, straight in between, and the first one belongs to the
-    first point of the cut, where the approach of the program ends. Heights add to Z, out of the part, whatever the
-    convention of the lathe, and U to the distance from the axis; their last decimal is 0.1 nm. The first lines say all
-    this, the hash of the rows and that of the program they belong to.
+    angle turned. Where the tool plunges, the table begins with the revolution at the radius where the cut begins, which
+    holds for every turn of the plunge. By time it has one height every 1/``rate_hz`` s, straight in between, and the
+    first one belongs to the first point of the cut, where the approach of the program ends. Heights add to Z, out of
+    the part, whatever the convention of the lathe, and U to the distance from the axis; their last decimal is 0.1 nm.
+    The first lines say all this, the hash of the rows and that of the program they belong to.
 
     The table is written under another name beside its place before the program is, and put in place after it: if
     anything fails before, nothing changes.
@@ -119,7 +123,8 @@ def write_fast_tool(
     rate_hz
         Heights per second, by time only. [Hz]
     header, clearance, depth, plunge_feed, entry_heights, progress
-        See `write_nc`; the heights are those of the lathe, at the angles of its first revolution.
+        See `write_nc`; the heights are Z and W together, at the angles of `turnwright.post.entry_path`. Without them
+        lathe and fast tool are extrapolated, and what the fast tool may fall beyond the part does not slow the plunge.
 
     Raises
     ------
@@ -142,24 +147,41 @@ def write_fast_tool(
     dialect = dialect_of(machine)
     table = path.parent / f"{path.stem}.fast.csv"
     hidden = table.with_name(f".{table.name}.{os.getpid()}")
-    rows, decimals, off = _position(motion, machine, dialect) if by == "position" else _stream(motion, rate_hz)
+    lathe_heights, whole = entry_heights, motion
+    if depth is not None:
+        lathe_heights, entered = _with_entry(motion, entry_heights)
+        whole = entered if by == "position" else motion
+    rows, decimals, off = _position(whole, machine, dialect) if by == "position" else _stream(motion, rate_hz)
+    counts = rows.shape[0], whole.time.size - motion.time.size
     try:
         try:
             with hidden.open("wb") as file:
-                file.write(_head(motion, machine, dialect, rows.shape[0], rate_hz, path, (NO_HASH, NO_HASH)))
+                file.write(_head(motion, machine, dialect, counts, rate_hz, path, (NO_HASH, NO_HASH)))
                 digest = _body(file, rows, decimals)
             program = write_nc(
                 motion.lathe(), machine, path, header=header, clearance=clearance, depth=depth, plunge_feed=plunge_feed,
-                entry_heights=entry_heights, progress=progress,
+                entry_heights=lathe_heights, progress=progress,
             )  # fmt: skip
             with hidden.open("r+b") as file:
-                file.write(_head(motion, machine, dialect, rows.shape[0], rate_hz, path, (digest, program.hash)))
+                file.write(_head(motion, machine, dialect, counts, rate_hz, path, (digest, program.hash)))
             hidden.replace(table)
         except OSError as error:
             raise _disk_error(table, error) from error
     finally:
         hidden.unlink(missing_ok=True)
-    return FastToolFiles(program=program, table=table, by=by, rows=rows.shape[0], off=off)
+    return FastToolFiles(program=program, table=table, by=by, rows=counts[0] - counts[1], entry_rows=counts[1], off=off)
+
+
+def _with_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, Motion]:
+    """Return the lathe's heights in a plunge, where those of both are known, and the motion with a turn before it."""
+    turned, axes = entry_path(motion)
+    lathe, fast = entry_shares(motion, axes["Z"] + axes["W"] if heights is None else np.asarray(heights, np.float64))
+    ahead = turned[-1] - turned[:-1]
+    before = {letter: values[:-1] for letter, values in {**axes, **fast}.items()}
+    before["C"] = motion.axes["C"][0] - motion.sense * ahead
+    entered = {letter: np.concatenate([before[letter], values]) for letter, values in motion.axes.items()}
+    time = np.concatenate([motion.time[0] - ahead, motion.time])
+    return None if heights is None else lathe, Motion(time=time, axes=entered, machine=motion.machine)
 
 
 def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints, Ints, float]:
@@ -220,12 +242,12 @@ def _head(
     motion: Motion,
     machine: Machine,
     dialect: Dialect,
-    count: int,
+    counts: tuple[int, int],
     rate_hz: float | None,
     path: Path,
     hashes: tuple[str, str],
 ) -> bytes:
-    """Return the first lines; their length does not depend on the hashes."""
+    """Return the first lines, ``counts`` of all rows and of those of the entry; their length depends on no hash."""
     away = "GROWS" if machine.convention.x_side > 0 else "FALLS"
     grows = "GROWS" if motion.sense * machine.convention.c_sense > 0 else "FALLS"
     if rate_hz is None:
@@ -235,6 +257,7 @@ def _head(
             f"# ANGLE: C OF THE PROGRAM, DEGREES FROM 0 TO 360, {grows} FROM ROW TO ROW BY LESS THAN HALF A TURN",
             f"# ANGLE DECIMALS: {dialect.decimals['C']}",
             "# BETWEEN ROWS: STRAIGHT OVER THE ANGLE TURNED",
+            f"# ENTRY ROWS: {counts[1]}, ONE TURN AT THE RADIUS WHERE THE CUT BEGINS, FOR EVERY TURN OF THE PLUNGE",
         ]
         names = COLUMNS["position"]
     else:
@@ -253,7 +276,7 @@ def _head(
         *lines_of_kind,
         f"# HEIGHT: MM THAT THE FAST TOOL ADDS TO Z, OUT OF THE PART, DECIMALS {HEIGHT}",
         *(["# OUTWARD: MM THAT IT ADDS TO THE DISTANCE FROM THE AXIS, DECIMALS 7"] if "U" in motion.axes else []),
-        f"# ROWS: {count}",
+        f"# ROWS: {counts[0]}",
         f"# PROGRAM: {plain(path.name)}, SHA256 {hashes[1]}",
         f"# SHA256: {hashes[0]}",
         ",".join([*names, *(OWN[letter] for letter in _own(motion))]),
@@ -322,6 +345,10 @@ def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Pro
         blocks = np.searchsorted(time, motion.time)
         rows = {name: np.interp(time, at, column) for name, column in zip(names, table.T, strict=True)}
     else:
+        match = re.match(r"\d{1,9}(?=,)", fields.get("ENTRY ROWS", ""))
+        if match is None or int(match[0]) > len(table) - 2:
+            raise ProgramError(f"{file} does not say how many of its {len(table)} rows are the entry: write it again")
+        table = table[int(match[0]) :]
         time = _turned(file, table, motion, machine)
         blocks = None
         rows = dict(zip(names, table.T, strict=True))

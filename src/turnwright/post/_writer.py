@@ -23,7 +23,15 @@ from turnwright._arrays import Floats, Ints
 from turnwright.errors import ProgramError
 from turnwright.machine import FAST
 from turnwright.path import Motion
-from turnwright.post._approach import DOWN, PLUNGE_FEED, TRAVERSE, Approach, approach_to, link_seconds
+from turnwright.post._approach import (
+    DOWN,
+    MOST_CLEARANCE,
+    PLUNGE_FEED,
+    TRAVERSE,
+    Approach,
+    approach_to,
+    link_seconds,
+)
 from turnwright.post._digest import hashed_rows
 from turnwright.post._header import (
     ENTRY,
@@ -175,7 +183,7 @@ def write_nc(
         Fastest plunge into material. [mm/s]
     entry_heights
         Z for one revolution at the radius where the pass begins, for a motion or by name, at the angles of
-        `turnwright.post.entry_angles`. (n,) [mm]
+        `turnwright.post.entry_path`. (n,) [mm]
     max_lines
         Most lines in one file, if not the dialect's own limit.
     progress
@@ -211,8 +219,10 @@ def write_nc(
     """
     path = Path(path)
     dialect = dialect_of(machine)
-    if not 0 < clearance <= 1e3:
-        raise ProgramError(f"clearance is {clearance:g} mm, the limits are above 0 and up to 1000 mm: give its height")
+    if not 0 < clearance <= MOST_CLEARANCE:
+        raise ProgramError(
+            f"clearance is {clearance:g} mm, the limits are above 0 and up to {MOST_CLEARANCE:g} mm: give its height"
+        )
     if not 0 < plunge_feed <= FASTEST_PLUNGE:
         raise ProgramError(
             f"plunge_feed is {plunge_feed * 60:g} mm/min, the limits are above 0 and up to {FASTEST_PLUNGE * 60:g} "
