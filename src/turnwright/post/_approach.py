@@ -165,60 +165,63 @@ def _plunge(
     motion: Motion, height: float, plunge_feed: float, name: str, heights: Floats | None
 ) -> tuple[Motion, float]:
     """Return the motion down to the first point of a pass, and its depth in a revolution [mm/rev]."""
-    turned, time, others, advance = _first_turn(motion)
-    doubt = np.zeros(turned.size) if heights is not None else others["Z"] - _one_term_less(motion, others["Z"])
-    z_angle, z_around = turned, others["Z"]
-    if heights is not None:
-        z_angle = entry_path(motion)[0]
+    turned, time, around, advance = _first_turn(motion)
+    z_angle, z = _wanted(motion, turned), around["Z"]
+    if heights is None:
+        z_angle, doubt = turned, z - _one_term_less(motion, z)
+    else:
         _require_heights(heights, z_angle, f"pass {name}")
-        z_around = heights - heights[0] + motion.axes["Z"][0]
-        others["Z"] = z_around[:: (z_angle.size - 1) // (turned.size - 1)].copy()
-    turn_s = float(time[-1]) if motion.velocity is None else TURN / _fastest(motion)
-    if motion.velocity is not None:
-        turn_s = min(turn_s, LONGEST_PVT * TURN / float(np.diff(turned).max()))
-        time = turned * (turn_s / TURN)
-    blocks = np.diff(time)
-    # What the heights may fall beyond the part's: twice what the last term of their extrapolation adds to a block.
-    beyond = float((2 * np.abs(np.diff(doubt)) / blocks).max())
-    longest = SLOWEST / turn_s if motion.velocity is None else LONGEST_PVT / float(blocks.max())
-    slower = min(max(1.0, 2 * beyond / plunge_feed), max(longest, 1.0))
-    time, turn_s = time * slower, turn_s * slower
-    if motion.velocity is not None:
-        plunge_feed = ROOM_PVT * plunge_feed
-    per_rev = min(max(plunge_feed - beyond / slower, plunge_feed / 2) * turn_s, max(advance, LEAST_ADVANCE))
-    turns = math.ceil(height / per_rev - 1e-9)
+        z, doubt = heights - heights[0] + z[0], np.zeros(turned.size)
+        around["Z"] = z[:: (z_angle.size - 1) // (turned.size - 1)].copy()
+    time, turns = _paced(motion, turned, time, height, plunge_feed, max(advance, LEAST_ADVANCE), doubt)
     each = turned.size - 1
     if turns * each > MOST_POINTS:
         raise ProgramError(
-            f"pass {name} plunges {height:.4g} mm by {per_rev * 1e3:.3g} um in a revolution, {turns * each:.3g} "
-            f"points, the limit is {MOST_POINTS:.0e}: take less off at a time, or raise the plunge feed"
+            f"pass {name} plunges {height:.4g} mm by {height / turns * 1e3:.3g} um in a revolution, "
+            f"{turns * each:.3g} points, the limit is {MOST_POINTS:.0e}: take less off at a time, or raise the plunge "
+            "feed"
         )
-    if motion.velocity is not None:
-        turns = max(turns, 2)  # to come to speed and to rest
-    per_rev = height / turns
     number = np.arange(turns * each + 1)
     turn, place = number // each, number % each
-    angle = turned[place] + TURN * (turn - turns)
-    axes = {letter: values[place] for letter, values in others.items()}
-    axes["C"] = float(motion.axes["C"][0]) + motion.sense * angle
-    clock = time[place] + turn_s * turn
+    axes = {letter: values[place] for letter, values in around.items()}
+    axes["C"] = motion.axes["C"][0] + motion.sense * (turned[place] + TURN * (turn - turns))
+    clock = time[place] + time[-1] * turn
     # Evenly in time, so that no block is faster where C is.
     axes["Z"] = axes["Z"] + height * (1 - clock / clock[-1])
     for letter, values in axes.items():
         values[-1] = motion.axes[letter][0]
-    axes = {letter: axes[letter] for letter in motion.axes}
-    plunge = Motion(time=clock, axes=axes, machine=motion.machine)
+    plunge = Motion(time=clock, axes={letter: axes[letter] for letter in motion.axes}, machine=motion.machine)
     if motion.velocity is None:
-        return plunge, per_rev
-    fits = [one for one in FINER if one == 1 or _fits(one, turned, turn_s, turns, motion.machine)]
+        return plunge, height / turns
+    curves = {letter: _closed(turned, values) for letter, values in around.items()} | {"Z": _closed(z_angle, z)}
+    fits = [one for one in FINER if one == 1 or _fits(one, turned, time[-1], turns, motion.machine)]
     for finer in [*fits, *(one for one in reversed(FINER) if one not in fits)]:
         with suppress(LimitError):
-            around = {letter: (turned, values) for letter, values in others.items()} | {"Z": (z_angle, z_around)}
-            divided = _in_velocities(plunge, turned, around, finer, per_rev)
-            return _apart(from_rest_to_rest(divided)), per_rev
+            divided = _in_velocities(plunge, turned, curves, finer, height / turns)
+            return _apart(from_rest_to_rest(divided)), height / turns
     raise ProgramError(
         f"pass {name} has too few points per turn to plunge with C turning: give it more, or begin it beside the blank"
     )
+
+
+def _paced(
+    motion: Motion, turned: Floats, time: Floats, height: float, plunge_feed: float, advance: float, doubt: Floats
+) -> tuple[Floats, int]:
+    """Return the time over a turn of a plunge (n,) [s], and its turns."""
+    longest = SLOWEST / float(time[-1])
+    if motion.velocity is not None:
+        widest = float(np.diff(turned).max())
+        time = turned * min(1 / _fastest(motion), LONGEST_PVT / widest)
+        longest = LONGEST_PVT / float(np.diff(time).max())
+    # What the heights may fall beyond the part's: twice what the last term of their extrapolation adds to a block.
+    beyond = float((2 * np.abs(np.diff(doubt)) / np.diff(time)).max())
+    slower = min(max(1.0, 2 * beyond / plunge_feed), max(longest, 1.0))
+    time = time * slower
+    room = plunge_feed if motion.velocity is None else ROOM_PVT * plunge_feed
+    per_rev = min(max(room - beyond / slower, room / 2) * float(time[-1]), advance)
+    turns = math.ceil(height / per_rev - 1e-9)
+    # In velocities it comes to speed and to rest.
+    return time, turns if motion.velocity is None else max(turns, 2)
 
 
 def _fastest(motion: Motion) -> float:
@@ -248,8 +251,13 @@ def entry_path(motion: Motion) -> tuple[Floats, dict[str, Floats]]:
     turned, _, axes, _ = _first_turn(motion)
     if motion.velocity is None:
         return turned, axes
-    finely = _finely(turned, BETWEEN)
-    return finely, {letter: _closed(turned, values)(finely) for letter, values in axes.items()}
+    angle = _wanted(motion, turned)
+    return angle, {letter: _closed(turned, values)(angle) for letter, values in axes.items()}
+
+
+def _wanted(motion: Motion, turned: Floats) -> Floats:
+    """Return the angles at which the heights of a plunge are wanted: on its way to speed points lie between others."""
+    return turned if motion.velocity is None else _finely(turned, BETWEEN)
 
 
 def _require_heights(heights: Floats, angle: Floats, what: str) -> None:
@@ -326,7 +334,7 @@ def _apart(plunge: Motion) -> Motion:
 
 
 def _in_velocities(
-    plunge: Motion, turned: Floats, around: Mapping[str, tuple[Floats, Floats]], finer: int, per_rev: float
+    plunge: Motion, turned: Floats, curves: Mapping[str, CubicSpline], finer: int, per_rev: float
 ) -> Motion:
     """Return a plunge at a steady speed with the velocities of its axes, each step divided into some."""
     each = turned.size - 1
@@ -337,8 +345,7 @@ def _in_velocities(
     c = np.interp(steps, np.arange(plunge.time.size), plunge.axes["C"])
     pace = (c[-1] - c[0]) / (time[-1] - time[0])
     axes, velocity = {"C": c}, {"C": np.full(c.size, pace)}
-    for letter, (known, values) in around.items():
-        curve = _closed(known, values)
+    for letter, curve in curves.items():
         axes[letter], velocity[letter] = curve(angle)[place], abs(pace) * curve(angle, 1)[place]
     left = np.abs(c - c[-1]) / TURN
     axes["Z"], velocity["Z"] = axes["Z"] + per_rev * left, velocity["Z"] - per_rev * abs(pace) / TURN
