@@ -636,7 +636,7 @@ class _Job:
             if bad >= 0:
                 span = one.motion.time[bad] - one.motion.time[bad - 1]
                 raise ProgramError(
-                    f"block {bad} of pass {one.name} lasts {span:.3g} s, the limits are 1e-6 s to {longest:g} s: check "
+                    f"block {bad} of pass {one.name} lasts {span:.6g} s, the limits are 1e-6 s to {longest:g} s: check "
                     "the spindle speed and the points per turn"
                 )
             if self.dialect.velocities:  # whose times have lines of their own
