@@ -315,7 +315,7 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     stated = profile is not None or rpm is not None
     if slopes and not FAST.keys() & axes.keys():
         subject = "spindle_rpm is" if profile is None else "the speed profile goes up to"
-        course = _from_rest_to_rest(course, machine, stated=subject) if stated else _fastest(course, machine)
+        course = _reach_stated_speed(course, machine, subject=subject) if stated else _fastest(course, machine)
     if not stated:
         course = _within(course, machine)
     return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity or None)
@@ -565,8 +565,8 @@ class _Ends(NamedTuple):
     pace: float  # how much quicker coming to speed and to rest may be, at most 1
 
 
-def _from_rest_to_rest(course: _Course, machine: Machine, *, stated: str) -> _Course:
-    """Return a course that comes to its speed, which somebody stated, and to rest along the same path."""
+def _reach_stated_speed(course: _Course, machine: Machine, *, subject: str) -> _Course:
+    """Return a course from rest to rest that reaches its stated speed; ``subject`` begins the message if none can."""
     made = _with_ends(course, machine, stated=True)
     if made.pace == 1 and not any(one.exceeded for one in _of_points(made.course, machine)):
         return made.course
@@ -578,7 +578,7 @@ def _from_rest_to_rest(course: _Course, machine: Machine, *, stated: str) -> _Co
         return made.course
     turns = abs(float(course.axes["C"][-1] - course.axes["C"][0])) / TURN
     raise LimitError(
-        f"{stated} {rpm:.7g} rev/min, the limit of {machine.name} from rest to rest along this path of {turns:.4g} "
+        f"{subject} {rpm:.7g} rev/min, the limit of {machine.name} from rest to rest along this path of {turns:.4g} "
         f"turns is {highest * (1 - DIGITS):.7g} rev/min, set by the {_first_limit(fastest, machine).name}: turn "
         "slower, state none to have the highest speed found, or give the path more turns"
     )
