@@ -360,14 +360,14 @@ class Runs:
         if name in self._cancelled or self._closed:
             await _end(process)
         try:
-            said = await asyncio.wait_for(process.stdout.read(), LONGEST_H * 3600)  # type: ignore[union-attr]
+            output = await asyncio.wait_for(process.stdout.read(), LONGEST_H * 3600)  # type: ignore[union-attr]
         except TimeoutError:
             await _end(process)
             return "failed", f"it took more than {LONGEST_H} h, the limit: run the job by the command line", False
         code = await process.wait()
         with suppress(ValueError, KeyError, IndexError):
-            told = json.loads(said.decode().splitlines()[-1])
-            return told["state"], told["sentence"], told["missed"]
+            outcome = json.loads(output.decode().splitlines()[-1])
+            return outcome["state"], outcome["sentence"], outcome["missed"]
         how = "the memory ran out, or it was ended from outside" if code < 0 else f"code {code}, see its log.txt"
         return "failed", f"its process ended before it was done ({how}): make the job smaller, or try it again", False
 

@@ -84,9 +84,9 @@ def main() -> int:
     with Stop() as stop:
         try:
             tell = _Teller(run / "progress.jsonl", stop)
-            told = json.loads((run / "state.json").read_text(encoding="utf-8"))
+            record = json.loads((run / "state.json").read_text(encoding="utf-8"))
             with _new_folder(run) as out:
-                sentence, missed = KINDS[told["kind"]](run, server, out, told, tell)
+                sentence, missed = KINDS[record["kind"]](run, server, out, record, tell)
             state = "done"
         except KeyboardInterrupt:
             state, sentence = "cancelled", "it was stopped"
@@ -155,15 +155,15 @@ def _pack(run: Path, server: Path, out: Path) -> None:
         (out / BUNDLE).write_bytes(bundle(data, str(server), text_in(run)))
 
 
-def _run(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> Ended:
+def _run(run: Path, server: Path, out: Path, _record: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright run``."""
     from turnwright.job import steps_of_run  # noqa: PLC0415
 
     job = _job(run, server)
     tell.expect((*steps_of_run(job), INDEX))
-    said = _cut(job, out, tell)
+    ended = _cut(job, out, tell)
     _pack(run, server, out)
-    return said
+    return ended
 
 
 def _cut(job: Job, out: Path, tell: _Teller) -> Ended:
@@ -179,14 +179,15 @@ def _cut(job: Job, out: Path, tell: _Teller) -> Ended:
     index(out, job.machine.machine)
     minutes = sum(one.limits.cycle_time_s for one in result.passes) / 60
     points = sum(one.points for one in result.passes)
-    told = [f"{points} points, {minutes:.1f} min"]
     missing = sum(one.kept is False for one in result.verdicts)
-    told = ([f"misses {missing} of {len(result.verdicts)} verdicts on its tolerances"] if missing else []) + told
-    told += [f"{len(result.warnings)} warnings"] if result.warnings else []
-    return Ended(", ".join(told), missing > 0)
+    clauses = [f"misses {missing} of {len(result.verdicts)} verdicts on its tolerances"] if missing else []
+    clauses.append(f"{points} points, {minutes:.1f} min")
+    if result.warnings:
+        clauses.append(f"{len(result.warnings)} warnings")
+    return Ended(", ".join(clauses), missing > 0)
 
 
-def _compare(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _Teller) -> Ended:
+def _compare(run: Path, server: Path, out: Path, _record: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright compare``."""
     from turnwright import archive, report  # noqa: PLC0415
     from turnwright.job import compare, steps_of_comparison  # noqa: PLC0415
@@ -202,21 +203,21 @@ def _compare(run: Path, server: Path, out: Path, _told: dict[str, Any], tell: _T
     return Ended(f"{able} of {len(found.candidates)} strategies can cut it")
 
 
-def _measured(run: Path, server: Path, tell: _Teller, told: dict[str, Any]) -> Measured:
+def _measured(run: Path, server: Path, tell: _Teller, record: dict[str, Any]) -> Measured:
     """Read a measured file under limits, and register it."""
     from turnwright.job import measure, read_measurement  # noqa: PLC0415
     from turnwright.web._jobs import limit_memory  # noqa: PLC0415
 
-    recipe, file = _job(run, server), run / told["file"]
+    recipe, file = _job(run, server), run / record["file"]
     seconds, most = float(sys.argv[4]), int(sys.argv[5])
-    tell.expect((READ, *_steps(recipe, file, told["kind"])))
+    tell.expect((READ, *_steps(recipe, file, record["kind"])))
     tell(READ.stage, 0, 1)
     with _deadline(seconds, f"the file is not read after {seconds:g} s, the limit: it is damaged, or too large"):
         limit_memory(most)
         try:
             heights = read_measurement(recipe, file)
         except InputError as error:
-            called = told["called"] or file.name
+            called = record["called"] or file.name
             raise InputError(str(error).replace(str(file), file.name).replace(file.name, called)) from None
     tell(READ.stage, 1, 1)
     return measure(recipe, heights, progress=tell)
@@ -250,13 +251,13 @@ def _deadline(seconds: float, sentence: str) -> Iterator[None]:
         timer.cancel()
 
 
-def _diagnose(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _Teller) -> Ended:
+def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright diagnose``, and what the page shows of it."""
     from turnwright import archive, report  # noqa: PLC0415
     from turnwright.job import explain, missed  # noqa: PLC0415
     from turnwright.web._shown import write_shown  # noqa: PLC0415
 
-    measured = [_measured(run, server, tell, told)]
+    measured = [_measured(run, server, tell, record)]
     found = explain(measured, progress=tell)
     tell("report", 0, 1)
     archive.write_measured(measured[0], out)
@@ -270,13 +271,13 @@ def _diagnose(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _T
     return Ended(sentence, missed(measured[0].verdicts))
 
 
-def _correct(run: Path, server: Path, out: Path, told: dict[str, Any], tell: _Teller) -> Ended:
+def _correct(run: Path, server: Path, out: Path, record: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright correct``, then as ``turnwright run`` of the job that it wrote."""
     from turnwright import archive, report  # noqa: PLC0415
     from turnwright.job import Job, correct, explain, missed  # noqa: PLC0415
     from turnwright.web._shown import write_predicted  # noqa: PLC0415
 
-    measured = [_measured(run, server, tell, told)]
+    measured = [_measured(run, server, tell, record)]
     found = explain(measured, progress=tell)
     better_folder = run / CORRECTION
     shutil.rmtree(better_folder, ignore_errors=True)
