@@ -208,8 +208,7 @@ def _sums(problem: Problem, state: Floats, scale: float) -> _Sums:
         for k in range(start, stop):
             found = rows(problem, state, blocks[k])
             weight, cost = weights(found.residual, scale, problem.loss)
-            if problem.area is not None:
-                weight, cost = problem.weighed(weight, found.which), problem.weighed(cost, found.which)
+            weight, cost = problem.weighed(weight, found.which), problem.weighed(cost, found.which)
             alike = problem.loss == "linear" and problem.area is None
             weighted = found.columns if alike else found.columns * weight
             parts[k] = _Sums(
