@@ -254,8 +254,9 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
 
     The highest speed keeps every limit with these ends, whose points are passed at less. Longer ends leave fewer points
     at full speed, which may allow a higher one, with longer ends again; the search goes on as long as each such step
-    gains, so a higher speed beyond one that gains nothing is missed. Beside a fast tool, whose lathe has blocks of its
-    own, the motion is steady to its ends.
+    gains, so a higher speed beyond one that gains nothing is missed, by a tenth in one of a hundred short paths. Beside
+    a fast tool, whose lathe has blocks of its own, the motion is steady to its ends, and its program comes to speed and
+    to rest in one block, which counts.
 
     Parameters
     ----------
@@ -473,7 +474,8 @@ def _varied(course: _Course, machine: Machine) -> Floats:
     quickest = np.empty(count)
     for k, (first, last) in enumerate(pairwise(ends.tolist())):
         # Three blocks on either side count too: as far as a jerk is seen.
-        quickest[k] = _highest(course.some(slice(max(first - 3, 0), last + 4)), machine)
+        part = course.some(slice(max(first - 3, 0), last + 4))
+        quickest[k] = _highest(part, machine, ends=(k == 0, k == count - 1))
     squares = np.minimum(np.append(quickest, np.inf), np.append(np.inf, quickest)) ** 2
     rise = 2 * (machine.axes["C"].acceleration or np.inf) * borders[1]
     for order in (range(1, count + 1), range(count - 1, -1, -1)):
@@ -485,18 +487,18 @@ def _varied(course: _Course, machine: Machine) -> Floats:
     return omega * min(1.0, _highest(course.at(omega), machine))
 
 
-def _highest(course: _Course, machine: Machine) -> float:
+def _highest(course: _Course, machine: Machine, *, ends: tuple[bool, bool] = (True, True)) -> float:
     """Return how much quicker a motion may be so that it just keeps every stated limit.
 
     With the angle for its time that is the highest spindle speed. [rad/s]
     """
-    return _first_limit(course, machine).pace
+    return _first_limit(course, machine, ends).pace
 
 
-def _first_limit(course: _Course, machine: Machine) -> _Asked:
-    """Return the limit that a motion comes to first if it is made quicker."""
+def _first_limit(course: _Course, machine: Machine, ends: tuple[bool, bool] = (True, True)) -> _Asked:
+    """Return the limit that a motion comes to first if it is made quicker; ``ends`` says which of its ends it has."""
     blocks = block_points(course.time, course.axes)
-    return min(_asked(course, blocks, _all_peaks(course, blocks, machine), machine), key=lambda one: one.pace)
+    return min(_asked(course, blocks, _all_peaks(course, blocks, machine, ends), machine), key=lambda one: one.pace)
 
 
 def _within(course: _Course, machine: Machine) -> _Course:
@@ -825,7 +827,9 @@ def _frequency(time: Floats, angle: Floats, position: Floats, axis: Axis) -> tup
     return highest, at
 
 
-def _all_peaks(course: _Course, blocks: Ints, machine: Machine) -> dict[str, _Peaks]:
+def _all_peaks(
+    course: _Course, blocks: Ints, machine: Machine, ends: tuple[bool, bool] = (True, True)
+) -> dict[str, _Peaks]:
     """Return travel and peaks of every axis and where they are: of the fast tool at all points, else at the blocks."""
     from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
 
@@ -842,6 +846,9 @@ def _all_peaks(course: _Course, blocks: Ints, machine: Machine) -> dict[str, _Pe
                 velocity[:] = course.velocity[letter][blocks]
             else:
                 kernel.rates(only_read(time), only_read(points), velocity)
+            if FAST.keys() & course.axes.keys() or letter not in course.velocity:
+                # Such a motion comes to its speed, and to rest, within a block.
+                velocity[[0, -1]] = np.where(ends, 0.0, velocity[[0, -1]])
         top, at = _peaks(time, points, velocity)
         peaks[letter] = top, {name: int(blocks[point]) for name, point in at.items()}
     return peaks

@@ -83,6 +83,33 @@ def test_a_table_by_position_begins_with_the_turn_of_the_plunge(tmp_path, sense)
         tw.read_fast_tool(tmp_path / "part.nc", machine)
 
 
+@pytest.mark.parametrize("count", [85, 89, 91, 95])
+def test_an_edited_number_of_entry_rows_is_refused(tmp_path, count):
+    machine = tw.Machine.load("nanoform-fts-70")
+    done = tw.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", by="position")
+    done.table.write_text(done.table.read_text().replace("ENTRY ROWS: 90,", f"ENTRY ROWS: {count},"))
+    with pytest.raises(tw.ProgramError, match="its number of entry rows was edited"):
+        tw.read_fast_tool(tmp_path / "part.nc", machine)
+
+
+def test_corners_of_z_are_refused_where_the_controller_makes_cubics(tmp_path):
+    """Straight from block to block Z was reckoned with, 12 nm beside the cubics of the program, and nothing noticed."""
+    pmac = replace(
+        tw.Machine.load("nanoform-fts-70"), dialect="pmac", controller=tw.machine.Controller(interpolation="hermite")
+    )
+    turned = np.deg2rad(np.arange(0, 1441.0))
+    axes = {"C": turned, "X": 1 - 0.02 / TURN * turned, "W": 0 * turned}
+    tip = 0.01 * np.cos(2 * turned)
+    corners = np.interp(turned, turned[::8], tip[::8])
+    for z, refused in ((tip, False), (corners, True)):
+        made = tw.Motion(time=turned / TURN, axes={**axes, "Z": z, "W": tip - z + 0.001}, machine=pmac)
+        if not refused:
+            tw.write_fast_tool(made, pmac, tmp_path / "part.nc", by="position", depth=None)
+            continue
+        with pytest.raises(tw.ProgramError, match=r"nm off what the fast tool reckons with.*leave blocks_per_rev out"):
+            tw.write_fast_tool(made, pmac, tmp_path / "part.nc", by="position", depth=None)
+
+
 @pytest.mark.parametrize("convention", CONVENTIONS)
 @pytest.mark.parametrize("sense", [1, -1])
 @pytest.mark.parametrize("by", ["position", "time"])

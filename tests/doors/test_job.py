@@ -258,3 +258,16 @@ def test_a_run_makes_the_folder_that_it_is_given(tmp_path, monkeypatch):
     with pytest.raises(GougeError):
         run(Job.read(changed(("tool.nose_radius", "60 mm"))), out="other/folder")
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize("sense", [1, -1])
+def test_what_decimals_may_change_holds_in_every_direction(tmp_path, sense, inside_out):
+    """Where a pass ends on an azimuth that was looked at, a decimal of C took it away: 184 nm were allowed."""
+    waves = [
+        {"family": "toroid", "radius_x": "50 mm", "radius_y": "25 mm"},
+        {"family": "sine grid", "amplitude": ["2 um", "1 um"], "period": ["0.8 mm", "0.8 mm"]},
+    ]
+    changes = (("part.surface", waves), ("strategy.sense", sense), ("strategy.inside_out", inside_out))
+    result = tw.run(Job.read(changed(*changes)), out=tmp_path)
+    assert result.rounding_nm < result.rounding_limit_nm < 1.0

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import turnwright as tw
 from turnwright.contact import place
 from turnwright.heightmap import HeightMap
 from turnwright.job import Job, plan, run, shares
@@ -165,3 +166,18 @@ def test_a_plan_keeps_its_tolerances(response, tmp_path):
     assert whole.pv_nm <= 100
     assert place_.sq_nm <= 8
     assert np.isfinite(result.rounding_nm)
+
+
+@pytest.mark.parametrize(("sense", "inside_out", "clocking"), [(1, False, 1.1), (-1, True, 1.1), (1, True, 0.3)])
+def test_decimals_take_no_pass_away_at_an_azimuth(tmp_path, sense, inside_out, clocking):
+    """Half a decimal of X, Z and C moves a surface by their slopes; a pass that ended on a line gave 270 to 318 nm."""
+    design = tw.Toroid(radius_x=50, radius_y=25) + tw.SineGrid(amplitude=(2e-3, 1e-3), period=(0.8, 0.8))
+    part = tw.Part(surface=design, radius=1.0)
+    tool = tw.Tool(nose_radius=0.3, included=np.deg2rad(120), clearance=np.deg2rad(12))
+    machine = replace(tw.Machine.load("generic"), convention=tw.Convention(clocking=clocking))
+    servo = tw.SlowToolServo(feed=0.02, points_per_rev=120, spindle_rpm=50, sense=sense, inside_out=inside_out)
+    spiral = servo.spiral(part, tool)
+    motion = tw.drive(tw.place(spiral, part, tool), servo, machine)
+    tw.write_nc(motion, machine, tmp_path / "part.nc", depth=None)
+    found = shares(part, tool, spiral, motion, again=tw.read_nc(tmp_path / "part.nc", machine))
+    assert found.rounding_nm < 0.6

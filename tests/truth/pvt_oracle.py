@@ -138,7 +138,9 @@ def judge(motion, machine):
     worst, used = 0.0, [1 / np.diff(motion.time[motion.blocks]).min() / machine.block_rate_hz]
     for letter in set(motion.axes) - {"W", "U"}:
         time, position = motion.time[motion.blocks], motion.axes[letter][motion.blocks]
-        speed = motion.velocity[letter][motion.blocks] if motion.velocity else slopes(time, position)
+        speed = np.array(motion.velocity[letter][motion.blocks] if motion.velocity else slopes(time, position))
+        if {"W", "U"} & set(motion.axes) or not motion.velocity:
+            speed[[0, -1]] = 0.0  # as the program begins and ends
         travel, tops = peaks(time, position, speed)
         off = np.abs(np.subtract(limits.travel[letter], travel)).max() - 4 * np.spacing(np.abs(travel).max())
         worst = max(worst, off / max(np.ptp(travel), 1e-300))

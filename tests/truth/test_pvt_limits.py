@@ -107,3 +107,19 @@ def test_a_plunge_keeps_the_limits_too(per_turn, rpm, tmp_path):
         fall = -np.diff(plunge.axes["Z"]) / np.diff(plunge.time)
         if isinstance(surface, tw.Plane):
             assert fall.max() <= 0.03 * (1 + 1e-9)
+
+
+def test_beside_a_fast_tool_c_comes_to_speed_in_its_first_block():
+    """Oracle: the cubic over an angle d from rest to the speed w, in the time d / w, begins with 4 w^2 / d."""
+    fast = tw.Machine.load("nanoform-fts-70")
+    machine = replace(fast, dialect="pmac", controller=tw.Controller(interpolation="hermite"))
+    turned = np.deg2rad(np.arange(0, 1081.0))
+    axes = {"C": turned, "X": 1 - 0.02 / TURN * turned, "Z": 0 * turned, "W": 0.001 * np.cos(3 * turned)}
+    motion = tw.Motion(time=turned / 2.0, axes=axes, machine=machine)
+    steps = np.diff(motion.axes["C"][motion.blocks])
+    step = min(steps[0], steps[-1])
+    limits = tw.check_limits(motion, machine)
+    assert limits.peak_acceleration["C"] == pytest.approx(4 * 2.0**2 / step, rel=1e-9)
+    spindle = replace(fast.axes["C"], acceleration=1.0)
+    slow = replace(machine, axes={**machine.axes, "C": spindle})
+    assert any("C acceleration" in one for one in tw.check_limits(motion, slow).findings)

@@ -84,6 +84,8 @@ class Entry:
     heights
         Contact heights of the tip around the axis where the pass begins, for `turnwright.write_nc` and
         `turnwright.write_fast_tool`. (n,) [mm]
+    beyond_travel
+        A sentence where a fast tool would pass an end of its travel in the plunge, else empty.
     radius, material, finished
         Radial cut at the azimuth of the first point, for a picture: distances from the axis, negative beyond it, the
         material before the pass and the finished surface, nan where there is none. Each (n,) [mm]
@@ -95,6 +97,7 @@ class Entry:
     least_gap: float
     outward: bool
     heights: Floats
+    beyond_travel: str
     radius: Floats
     material: Floats
     finished: Floats
@@ -209,17 +212,18 @@ def _with_fast_tool(plunge: Motion, turned: Floats, fast: Mapping[str, Floats]) 
     return replace(plunge, axes=axes)
 
 
-def _require_travel(job: Job, name: str, fast: Mapping[str, Floats]) -> None:
-    """Raise if a fast tool would pass the end of its travel in a plunge."""
+def _beyond_travel(job: Job, name: str, fast: Mapping[str, Floats]) -> str:
+    """Return a sentence if a fast tool would pass an end of its travel in a plunge."""
     for letter, values in fast.items():
         axis = job.machine.machine.axes.get(letter, Axis())
         low, high = (-math.inf if axis.low is None else axis.low), (math.inf if axis.high is None else axis.high)
         if values.min() < low or values.max() > high:
-            raise LimitError(
+            return (
                 f"pass {name}: in the plunge {letter} goes from {values.min():.5g} to {values.max():.5g} mm, its "
                 f"travel is from {low:g} to {high:g} mm: state part.blank and a lead_in with which the pass begins "
                 "beside it"
             )
+    return ""
 
 
 def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
@@ -258,8 +262,6 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
     approach = approach_to(
         motion.lathe(), clearance=clearance, depth=depth, plunge_feed=job.program.plunge_feed, name=name, heights=z
     )  # fmt: skip
-    if approach.plunge is not None and "limits" not in job.accept:
-        _require_travel(job, name, fast)
     if approach.plunge is not None and "gouge" not in job.accept:
         whole = _with_fast_tool(approach.plunge, turned, fast)
         _require_above(job, name, whole, max(float(heights[0] - path[0]), 0.0))
@@ -273,6 +275,7 @@ def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
         )
     return Entry(
         approach=approach, clearance=clearance, depth=depth, least_gap=gap,
+        beyond_travel="" if approach.plunge is None else _beyond_travel(job, name, fast),
         outward=bool(motion.axes["X"][-1] > motion.axes["X"][0]), heights=heights,
         **_cut_at(part, plain, float(motion.axes["C"][0])),
     )  # fmt: skip

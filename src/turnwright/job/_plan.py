@@ -319,7 +319,7 @@ class _Search:
             tell(0.3)
             if self.answers:
                 self.servos = self.servos or Servos(
-                    self.part, self.tool, self.machine, feed=points.spiral.feed, corrected=self.corrected
+                    self.part, self.tool, self.machine, spiral=points.spiral, corrected=self.corrected
                 )
                 motion = self.servos.constant(points.top, rest)
             if best is not None and motion.time[-1] >= best[1].time[-1]:
@@ -392,7 +392,7 @@ class _Search:
 
     def _added(self, points: _Points) -> float:
         """Return how far the surface of an exact path is from that of the controller's. [mm]."""
-        radius, angle = few_lines(self.part, points.spiral.feed)
+        radius, angle = few_lines(self.part, points.spiral.feed, points.spiral.angle)
         exact = exact_motion(points.spiral, self.part, self.tool, self.machine, angle)
         made = interpolated(points.top, without_servos(self.machine, corrected=self.corrected))
         maps = [generate_polar(one, self.tool, radius=radius, angle=angle) for one in (exact, made)]

@@ -28,6 +28,7 @@ from turnwright.job._result import Pass, Prediction, Preview, Result
 from turnwright.job._shape import part_shape
 from turnwright.job._shares import (
     Shares,
+    clear_azimuths,
     finish_nm,
     has_servos,
     lines,
@@ -168,7 +169,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     del path, lifted, before
 
     with watch.stage("approach"):
-        entries = entries_of(job, motions)
+        entries = _entered(job, motions, warnings)
     with watch.stage("write program") as tell:
         File(out).mkdir(parents=True, exist_ok=True)
         program = written(job, motions, File(out), tell, entries)
@@ -225,6 +226,15 @@ def require_depths(job: Job, *, progress: Progress | None = None) -> None:
     for finding in judge_depths(job, progress=progress):
         if not finding.ok:
             raise GougeError(finding.sentence)
+
+
+def _entered(job: Job, motions: Mapping[str, Motion], warnings: list[str]) -> dict[str, Entry]:
+    """Return how the tool enters every pass; warn of accepted travel beyond a limit."""
+    entries = entries_of(job, motions)
+    for entry in entries.values():
+        if entry.beyond_travel:
+            warnings += _accepted(job, "limits", LimitError(entry.beyond_travel))
+    return entries
 
 
 def _walls(job: Job, passes: list[Pass], entries: Mapping[str, Entry]) -> list[str]:
@@ -491,7 +501,7 @@ def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) ->
 def _ring_sq_nm(job: Job, motion: Motion) -> float:
     """Return the Sq of the roughest ring of the whole part."""
     part = job.part.part
-    radius, angle = lines(part, motion.feed)
+    radius, angle = lines(part, motion.feed, motion.axes["C"])
     made = generate_polar(motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine)
     return finish_nm(made.minus(part.surface), motion.feed)
 
@@ -693,7 +703,7 @@ def _rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
     as they were read, with what straight lines between those of a stream leave out.
     """
     part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
-    radius, angle = part.radius * (np.arange(96) + 0.5) / 96, np.linspace(0, 2 * np.pi, 36, endpoint=False)
+    radius, angle = part.radius * (np.arange(96) + 0.5) / 96, clear_azimuths(36, motion.axes["C"])
     decimals = dialect_of(machine).decimals
     c, x, z = (0.5 * 10.0 ** -decimals[letter] for letter in "CXZ")
     c = np.deg2rad(c)

@@ -56,6 +56,9 @@ RING = 12
 PER_FEATURE = 4
 """Azimuths to a feature of the surface at the rim, if they are not too many."""
 
+CLEAR = 1e-4
+"""How far azimuths go aside for an end of a spiral; twice as far as they keep from it at least. [rad]"""
+
 FAINT_NM = 1e-4
 """Heights below it are roundings of the simulation."""
 
@@ -144,7 +147,7 @@ def shares(
     """
     machine, report = motion.machine, progress or (lambda _done, _total: None)
     feed = spiral.feed
-    radius, angle = lines(part, feed)
+    radius, angle = lines(part, feed, spiral.angle)
 
     def made(one: Motion, done: int) -> HeightMap:
         report(done, 6)
@@ -185,7 +188,7 @@ def shares(
 
 def exact_cusps(spiral: Spiral, part: Part, tool: Tool, machine: Machine) -> tuple[HeightMap, float]:
     """Return what an exact path leaves on lines across all passes [mm], and its peak to valley, about the axis too."""
-    radius, angle = lines(part, spiral.feed)
+    radius, angle = lines(part, spiral.feed, spiral.angle)
     zone, reach = _axis_zone(part, tool, spiral.feed)
     motion = exact_motion(spiral, part, tool, machine, angle, dense_to=reach)
     error = generate_polar(motion, tool, radius=radius, angle=angle).minus(part.surface)
@@ -225,13 +228,29 @@ def rms_nm_of(heights: HeightMap) -> float:
     return area_rms(heights) * NM
 
 
-def lines(part: Part, feed: float) -> tuple[Floats, Floats]:
-    """Return the radii and azimuths of lines across all passes. (n,) [mm], (m,) [rad]."""
+def lines(part: Part, feed: float, passed: Floats) -> tuple[Floats, Floats]:
+    """Return the radii and azimuths of lines across all passes of a spiral that goes by some angles.
+
+    (n,) [mm], (m,) [rad]
+    """
     fine = TURN * part.radius / part.surface.feature_size * PER_FEATURE
     return (
         np.linspace(0, part.radius, min(math.ceil(part.radius / feed * PER_FEED), MOST_RADII) + 1),
-        np.linspace(0, TURN, int(np.clip(math.ceil(fine), FEWEST_ANGLES, MOST_ANGLES)), endpoint=False),
+        clear_azimuths(int(np.clip(math.ceil(fine), FEWEST_ANGLES, MOST_ANGLES)), passed),
     )
+
+
+def clear_azimuths(count: int, passed: Floats) -> Floats:
+    """Return even azimuths clear of both ends of a spiral, where a decimal of C adds or takes a revolution.
+
+    (count,) [rad]
+    """
+    step = TURN / count
+    for shift in (0.0, CLEAR, 2 * CLEAR):
+        away = np.mod(passed[[0, -1]] - shift + step / 2, step) - step / 2
+        if np.abs(away).min() >= CLEAR / 2:
+            break
+    return np.asarray(shift + step * np.arange(count))
 
 
 def finish_nm(error: HeightMap, feed: float) -> float:

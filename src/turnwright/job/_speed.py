@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
     from turnwright.machine import Machine
     from turnwright.part import Part
-    from turnwright.path import Motion, Path
+    from turnwright.path import Motion, Path, Spiral
     from turnwright.strategy import Strategy
     from turnwright.tool import Tool
 
@@ -70,9 +70,9 @@ SLACK = 1e-3
 """A limit counts as kept up to this share above it, as for `check_limits`."""
 
 
-def few_lines(part: Part, feed: float) -> tuple[Floats, Floats]:
+def few_lines(part: Part, feed: float, passed: Floats) -> tuple[Floats, Floats]:
     """Return radii and azimuths at which the difference of two surfaces shows. (n,) [mm], (m,) [rad]."""
-    radius, angle = lines(part, COARSE * feed)
+    radius, angle = lines(part, COARSE * feed, passed)
     return radius, angle[:: min(COARSE, angle.size // FEWEST_ANGLES)]
 
 
@@ -141,16 +141,16 @@ class Servos:
     ----------
     part, tool, machine
         What is cut, with what and on what.
-    feed
-        Of the spiral: how densely the surface is looked at. [mm/rev]
+    spiral
+        One of them: its feed says how densely the surface is looked at, its ends where not.
     corrected
         Whether the motions are corrected for the servos beforehand.
     """
 
-    def __init__(self, part: Part, tool: Tool, machine: Machine, *, feed: float, corrected: bool) -> None:
-        self.tool, self.machine, self.feed, self.corrected = tool, machine, feed, corrected
+    def __init__(self, part: Part, tool: Tool, machine: Machine, *, spiral: Spiral, corrected: bool) -> None:
+        self.tool, self.machine, self.feed, self.corrected = tool, machine, spiral.feed, corrected
         self.ideal = without_servos(machine, corrected=corrected)
-        self.radius, self.angle = few_lines(part, feed)
+        self.radius, self.angle = few_lines(part, spiral.feed, spiral.angle)
         self.known: list[tuple[float, float]] = []  # (spindle speed [rad/s], error [mm]), whatever the points
 
     def commanded(self, meant: Motion) -> Motion:

@@ -20,7 +20,7 @@ from turnwright.post._approach import PLUNGE_FEED, entry_path, entry_shares
 from turnwright.post._header import NO_HASH, convention_line, inspect_nc, plain, require_regular, software
 from turnwright.post._reader import read_nc
 from turnwright.post._registry import dialect_of
-from turnwright.post._writer import CHUNK, ProgramFiles, _disk_error, write_nc
+from turnwright.post._writer import CHUNK, ProgramFiles, _disk_error, _velocity, write_nc
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -48,6 +48,12 @@ MOST_ROWS = 300_000_000
 """Beyond this no memory holds the motion."""
 SAME = 1e-6
 """Share of the time between two heights within which a block of the program is at the same time as one of them."""
+BOWED = 1e-6
+"""How far Z of a controller that makes cubics may be from the lathe's share of a motion between its blocks. [mm]"""
+FEWEST = 4
+"""Blocks of which there are some between the first and the last."""
+BEGUN = 1e-6
+"""How far the first and the last row of a cut may be from the ends of the program's, which are both rounded. [rad]"""
 APART = 1e-5
 """How far the radius of a table may be from the X of its program, which are both rounded. [mm]"""
 
@@ -147,6 +153,7 @@ def write_fast_tool(
     dialect = dialect_of(machine)
     table = path.parent / f"{path.stem}.fast.csv"
     hidden = table.with_name(f".{table.name}.{os.getpid()}")
+    _require_straight(motion, dialect)
     lathe_heights, whole = entry_heights, motion
     if depth is not None:
         lathe_heights, entered = _with_entry(motion, entry_heights)
@@ -170,6 +177,24 @@ def write_fast_tool(
     finally:
         hidden.unlink(missing_ok=True)
     return FastToolFiles(program=program, table=table, by=by, rows=counts[0] - counts[1], entry_rows=counts[1], off=off)
+
+
+def _require_straight(motion: Motion, dialect: Dialect) -> None:
+    """Raise if the lathe's controller leaves the heights between its blocks that its fast tool reckons with."""
+    lathe = motion.lathe()
+    if not dialect.velocities or lathe.time.size < FEWEST:
+        return
+    from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415 - costly to import
+
+    curve = CubicHermiteSpline(lathe.time, lathe.axes["Z"], _velocity(lathe)["Z"])
+    # The first block and the last come from rest and to it.
+    steady = (motion.time >= lathe.time[1]) & (motion.time <= lathe.time[-2])
+    off = float(np.abs(curve(motion.time[steady]) - motion.axes["Z"][steady]).max(initial=0.0))
+    if off > BOWED:
+        raise ProgramError(
+            f"between its blocks Z is up to {off * 1e6:.3g} nm off what the fast tool reckons with, as programs in the "
+            f"dialect {dialect.name} make cubics of them, the limit is {BOWED * 1e6:g} nm: leave blocks_per_rev out"
+        )
 
 
 def _with_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, Motion]:
@@ -257,7 +282,12 @@ def _head(
             f"# ANGLE: C OF THE PROGRAM, DEGREES FROM 0 TO 360, {grows} FROM ROW TO ROW BY LESS THAN HALF A TURN",
             f"# ANGLE DECIMALS: {dialect.decimals['C']}",
             "# BETWEEN ROWS: STRAIGHT OVER THE ANGLE TURNED",
-            f"# ENTRY ROWS: {counts[1]}, ONE TURN AT THE RADIUS WHERE THE CUT BEGINS, FOR EVERY TURN OF THE PLUNGE",
+            f"# ENTRY ROWS: {counts[1]}, "
+            + (
+                "ONE TURN AT THE RADIUS WHERE THE CUT BEGINS, FOR EVERY TURN OF THE PLUNGE"
+                if counts[1]
+                else "NO PLUNGE"
+            ),
         ]
         names = COLUMNS["position"]
     else:
@@ -367,11 +397,16 @@ def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floa
     if not (np.diff(c) * motion.sense > 0).all():
         raise ProgramError(f"{file} does not turn as its program does: write both again")
     ahead = motion.sense * motion.axes["C"]
+    if abs(c[0] - motion.axes["C"][0]) > BEGUN:
+        raise ProgramError(
+            f"{file} has its first row of the cut at C {np.rad2deg(c[0]):.3f} deg where its program begins at "
+            f"{np.rad2deg(motion.axes['C'][0]):.3f} deg, so its number of entry rows was edited: write both again"
+        )
     time: Floats = np.interp(motion.sense * c, ahead, motion.time)
     x = np.interp(motion.sense * c, ahead, motion.axes["X"]) * convention.x_side
     off = np.abs(x - table[:, 0])
     worst = int(np.argmax(off))
-    if off[worst] > APART or abs(c[-1] - motion.axes["C"][-1]) > 1e-6:
+    if off[worst] > APART or abs(c[-1] - motion.axes["C"][-1]) > BEGUN:
         ends = np.rad2deg([c[-1], motion.axes["C"][-1]])
         raise ProgramError(
             f"{file} has the radius {table[worst, 0]:g} mm where its program has X {x[worst]:g} mm, and ends at C "
