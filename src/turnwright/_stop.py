@@ -14,10 +14,10 @@ class Stop:
     `check` from time to time.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, deaf: bool = False) -> None:
         self.wanted = False
         self.number: int = signal.SIGINT
-        self.deaf = False
+        self.deaf = deaf
         self._before: dict[int, object] = {}
 
     def __enter__(self) -> Self:

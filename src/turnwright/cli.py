@@ -40,8 +40,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
-    with Stop() as stop:
+    with Stop(deaf=True) as stop:  # until it is caught below
         try:
+            stop.deaf = False
+            stop.check()
             _open_closed()
             # Costly, so an interrupt may well come meanwhile.
             from turnwright._commands import Door  # noqa: PLC0415

@@ -152,6 +152,17 @@ def test_a_motion_alone_of_a_freeform_keeps_the_feed(tmp_path, inside_out):
     assert fastest <= 0.6 * (1 + 1e-3) + 60e-6 / seconds.min()
 
 
+def test_a_short_pass_of_fine_points_is_closed_by_few(tmp_path):
+    # A step of 3e-9 rad made a turn of two thousand million points, and memory ended.
+    machine = tw.Machine.load("generic")
+    turned = np.arange(1000) * 1e-6
+    axes = {"C": turned, "X": 1 - 1e-3 * turned, "Z": 0 * turned}
+    motion = tw.Motion(time=0.01 * np.arange(1000.0), axes=axes, machine=machine)
+    done = tw.write_nc(motion, machine, tmp_path / "part.nc", depth=0.0)
+    plunge = done.approaches["finish"].plunge
+    assert plunge.time.size <= 7200 * math.ceil(done.approaches["finish"].turns) + 1
+
+
 def test_a_plunge_below_the_part_is_refused(tmp_path, monkeypatch):
     """The proof does not rest on the contact that the heights of the plunge are from."""
     exact = _approach.tip_height

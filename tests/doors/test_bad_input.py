@@ -352,6 +352,28 @@ def test_an_interrupted_run_leaves_nothing(kill, tmp_path):
 
 
 @pytest.mark.usefixtures("signals_heard")
+@pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_at_the_very_start_is_heard(kill, tmp_path):
+    code = f"""if True:
+        import os, sys
+        from turnwright import _stop, cli
+        class Struck(_stop.Stop):
+            def __enter__(self):
+                super().__enter__()
+                os.kill(os.getpid(), {int(kill)})
+                return self
+        cli.Stop = Struck
+        sys.exit(cli.main())
+    """
+    process = subprocess.run(
+        [sys.executable, "-c", code, "run", str(LENS), "--out", str(tmp_path / "out")],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert process.returncode == 128 + kill, process.stderr
+    assert process.stderr.splitlines()[-1].startswith("turnwright: interrupted")
+
+
+@pytest.mark.usefixtures("signals_heard")
 @pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGHUP])
 @pytest.mark.parametrize("delay", [0.0, 0.1, 0.3, 0.6])
 def test_an_early_interrupt_is_not_lost(kill, delay, tmp_path):

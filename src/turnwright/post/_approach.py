@@ -59,8 +59,8 @@ LONGEST_PVT = 1.5
 """Longest block of a plunge there at its speed; the first one, from rest, takes twice as long. [s]"""
 ROOM_PVT = 0.95
 """Share of the stated feed there: between the points of the pass cubics fall a little faster."""
-FINEST_PVT = math.radians(0.05)
-"""Least step of C there, on the way to speed a block takes a small share of it. [rad]"""
+FINEST = math.radians(0.05)
+"""Least step of C there, whose way to speed divides it, and where a pass of less than a turn is closed. [rad]"""
 BETWEEN = 16
 """Heights that are wanted on each step of C there: on the way to speed its points lie between those of the pass."""
 LEAST_STEP = math.radians(1e-5)
@@ -313,7 +313,7 @@ def _fits(finer: int, turned: Floats, turn_s: float, turns: int, machine: Machin
     steps = np.diff(turned).min() / finer
     points = turns * (turned.size - 1) * finer
     fast_enough = steps * turn_s / TURN * machine.block_rate_hz >= 1
-    return bool(fast_enough and steps >= FINEST_PVT and points <= MOST_POINTS)
+    return bool(fast_enough and steps >= FINEST and points <= MOST_POINTS)
 
 
 def _apart(plunge: Motion) -> Motion:
@@ -385,7 +385,7 @@ def _first_turn(motion: Motion, *, most: int = 3) -> tuple[Floats, Floats, dict[
     letters = [letter for letter in motion.axes if letter != "C"]
     if last >= angle.size:
         # Less than a revolution says nothing of the rest of the way around: it is bridged, at an even pace.
-        step = max(min(float(np.diff(angle).max()), math.pi / 4), FINEST_PVT if motion.velocity is not None else 0.0)
+        step = max(min(float(np.diff(angle).max()), math.pi / 4), FINEST)
         turned = np.linspace(0, TURN, max(math.ceil(TURN / step), 8) + 1)
         pace = min(float(motion.time[-1] - motion.time[0]) / float(angle[-1]), SLOWEST / TURN)
         axes = {one: np.interp(turned, angle, motion.axes[one], period=TURN) for one in letters}
@@ -432,7 +432,7 @@ def _as_at_speed(motion: Motion, angle: Floats, last: int) -> Floats:
     assert motion.velocity is not None  # noqa: S101 - for the type checker
     speed, steps = np.abs(motion.velocity["C"]), np.diff(angle)
     steady = np.minimum(speed[1:], speed[:-1]) >= STEADY * speed.max()
-    least = max(float(steps[steady].min()) if steady.any() else float(steps.max()) / 2, FINEST_PVT)
+    least = max(float(steps[steady].min()) if steady.any() else float(steps.max()) / 2, FINEST)
     kept = [0]
     for number in range(1, last):
         if angle[number] - angle[kept[-1]] >= least * (1 - 1e-6):
