@@ -43,6 +43,11 @@ class Stop:
         if not self.deaf:
             raise KeyboardInterrupt
 
+    def hear(self) -> None:
+        """Raise at each wish from now on, and at once if there was one."""
+        self.deaf = False
+        self.check()
+
     def check(self) -> None:
         """Raise `KeyboardInterrupt` if a stop was wanted."""
         if self.wanted:

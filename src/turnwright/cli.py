@@ -40,10 +40,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
-    with Stop(deaf=True) as stop:  # until it is caught below
+    with Stop(deaf=True) as stop:  # what it raises must be caught below
         try:
-            stop.deaf = False
-            stop.check()
+            stop.hear()
             _open_closed()
             # Costly, so an interrupt may well come meanwhile.
             from turnwright._commands import Door  # noqa: PLC0415

@@ -57,7 +57,7 @@ PER_FEATURE = 4
 """Azimuths to a feature of the surface at the rim, if they are not too many."""
 
 CLEAR = 1e-4
-"""How far azimuths go aside for an end of a spiral; twice as far as they keep from it at least. [rad]"""
+"""Shift of azimuths that come near to an end of a spiral; they keep at least half of it away from both ends. [rad]"""
 
 FAINT_NM = 1e-4
 """Heights below it are roundings of the simulation."""

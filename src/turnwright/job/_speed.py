@@ -142,7 +142,7 @@ class Servos:
     part, tool, machine
         What is cut, with what and on what.
     spiral
-        One of them: its feed says how densely the surface is looked at, its ends where not.
+        Of any of the motions: its feed sets how densely the surface is sampled, and azimuths keep clear of its ends.
     corrected
         Whether the motions are corrected for the servos beforehand.
     """

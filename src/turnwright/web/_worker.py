@@ -81,8 +81,9 @@ def main() -> int:
     with suppress(AttributeError, OSError):
         os.nice(int(sys.argv[3]))
     state, sentence, missed = "failed", "", False
-    with Stop() as stop:
+    with Stop(deaf=True) as stop:  # what it raises must be caught below
         try:
+            stop.hear()
             tell = _Teller(run / "progress.jsonl", stop)
             record = json.loads((run / "state.json").read_text(encoding="utf-8"))
             with _new_folder(run) as out:
