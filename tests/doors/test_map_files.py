@@ -515,6 +515,40 @@ def test_npz_keeps_polar_grids_points_and_pixels(tmp_path):
         assert (again.polar, again.scattered, again.calibrated) == (one.polar, one.scattered, one.calibrated)
 
 
+@pytest.mark.parametrize(
+    ("name", "data"),
+    {
+        "grid": ("a.npz", array_file(None, z=[[0.0, np.inf], [-np.inf, np.nan]], x=[0.0, 1.0], y=[0.0, 1.0])),
+        "polar": ("a.npz", array_file(None, z=[[0.0, np.inf], [-np.inf, np.nan]], radius=[0.0, 1.0], angle=[0.0, 1.0])),
+        "bare": ("a.npy", array_file(np.array([[0.0, np.inf], [-np.inf, np.nan]]))),
+        "points": ("a.npz", array_file(None, z=[0.0, np.inf, -np.inf, np.nan], x=[0.0, 1, 0, 2], y=[0.0, 0.1, 1, 2])),
+        "text": ("a.csv", b"x [mm],y [mm],z [mm]\n0,0.5,0\n1,0.5,1e999\n0,1.5,-1e999\n1,1.5,nan\n"),
+        "crossed": ("a.csv", b"# z unit: mm\n# x unit: mm\n# y unit: mm\ny,0,1.5,2\n0,0,1e999,0\n1,-1e999,nan,0\n"),
+    }.values(),
+)
+def test_an_infinite_height_is_missing_in_every_format(tmp_path, name, data):
+    found = read(tmp_path, data, name)
+    assert np.count_nonzero(np.isnan(found.z)) == 3
+    assert (found.z[np.isfinite(found.z)] == 0).all()
+
+
+def test_a_damaged_file_is_refused_and_nothing_is_printed(tmp_path, capfd, caplog):
+    damaged = b"\1\0" + b"Directory" + bytes(range(256)) * 4000
+    for suffix in (".opd", ".al3d", ".frt", ".plu", ".vk4", ".opdx", ".os3d", ".lext"):
+        with pytest.raises(MapError, match="cannot be read by SurfaceTopography"):
+            read(tmp_path, damaged, f"a{suffix}")
+    assert len("".join(capfd.readouterr())) == 0
+    assert caplog.text == ""
+
+
+def test_an_npz_of_other_names_is_refused_with_the_names_it_has(tmp_path):
+    with pytest.raises(MapError, match=r"'X', 'heights', .*z with x and y"):
+        read(tmp_path, array_file(None, heights=PICTURE, X=np.arange(4.0), y=np.arange(3.0)), "a.npz")
+    many = {f"array_{k:03d}": np.zeros(2) for k in range(300)}
+    with pytest.raises(MapError, match="and 292 more, it needs z"):
+        read(tmp_path, array_file(None, **many), "a.npz")
+
+
 def test_other_programs_read_a_written_x3p_alike(tmp_path):
     import x3pio
 

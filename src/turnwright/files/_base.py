@@ -23,6 +23,7 @@ __all__ = [
     "LARGEST_FILE",
     "MOST_POINTS",
     "even_axes",
+    "finite_or_missing",
     "grid_map",
     "inflated",
     "require_bytes",
@@ -96,6 +97,11 @@ def inflated(path: Path, packed: int, claimed: int) -> None:
         )
 
 
+def finite_or_missing(heights: Floats) -> Floats:
+    """Return heights of which those that are not finite are missing: a format without nan marks them so."""
+    return np.where(np.isfinite(heights), heights, np.nan)
+
+
 def words(raw: bytes) -> str:
     """Return the text of a field that ends at its first zero byte, without what cannot be printed."""
     text = raw.split(b"\0", 1)[0].decode("latin-1")
@@ -136,10 +142,8 @@ def grid_map(
             raise MapError(f"{path} says that it starts at {start} mm, it must be finite: it is damaged")
     rows, columns = heights.shape
     along_x, along_y = pixel or (1.0, 1.0)
-    # An infinite height is no height.
-    heights[np.isinf(heights)] = np.nan
     return HeightMap(
-        z=heights,
+        z=finite_or_missing(heights),
         x=start[0] + along_x * np.arange(columns, dtype=np.float64),
         y=start[1] + along_y * np.arange(rows, dtype=np.float64),
         name=path.name,

@@ -18,8 +18,8 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright.errors import MapError
-from turnwright.files._base import MOST_POINTS, grid_map, inflated, require_bytes, require_points
+from turnwright.errors import MapError, shown
+from turnwright.files._base import MOST_POINTS, finite_or_missing, grid_map, inflated, require_bytes, require_points
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:
@@ -35,6 +35,9 @@ HEAD = re.compile(
 """The head of an array, as NumPy writes it; read by its pattern, for it is a piece of Python."""
 
 LONGEST_HEAD = 1 << 16
+MOST_NAMES = 8
+"""Names of arrays that a message lists."""
+
 AXES = (("x", "y"), ("radius", "angle"))
 
 
@@ -53,20 +56,22 @@ def read_bare(path: Path, data: bytes) -> HeightMap:
 def read_named(path: Path, data: bytes) -> HeightMap:
     """Read named arrays."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        names = next((pair for pair in AXES if {"z", *pair} <= members.keys()), None)
+        if names is None:
+            listed = [shown(name) for name in sorted(members)]
+            more = f" and {len(listed) - MOST_NAMES} more" if len(listed) > MOST_NAMES else ""
+            raise MapError(
+                f"{path} holds the arrays {', '.join(listed[:MOST_NAMES])}{more}, it needs z with x and y, or z "
+                "with radius and angle: save it with these names"
+            )
         found = {
-            member.filename.removesuffix(".npy"): _member(path, archive, member)
-            for member in archive.infolist()
-            if member.filename.removesuffix(".npy")
-            in {"z", "x", "y", "radius", "angle", "name", "calibrated", "metadata"}
+            name: _member(path, archive, members[name])
+            for name in ("z", *names, "name", "calibrated", "metadata")
+            if name in members
         }
-    names = next((pair for pair in AXES if {"z", *pair} <= found.keys()), None)
-    if names is None:
-        raise MapError(
-            f"{path} holds the arrays {', '.join(sorted(found)) or 'none'} of a map, it needs z with x and y, or z "
-            "with radius and angle: save it with these"
-        )
     z, column, row = (_numbers(path, name, found[name]) for name in ("z", *names))
-    z[np.isinf(z)] = np.nan
+    z = finite_or_missing(z)
     if column.ndim == row.ndim == z.ndim == 2:
         z, column, row = _from_meshes(path, z, column, row)
     if z.ndim == 2:

@@ -23,9 +23,12 @@ if TYPE_CHECKING:
 
 __all__ = ["DISPUTED", "SUFFIXES", "read", "refuse"]
 
-SUFFIXES = frozenset(
-    {".al3d", ".frt", ".lext", ".opd", ".opdx", ".os3d", ".plu", ".plux", ".vk3", ".vk4", ".vk6", ".vk7"}
-)
+SUFFIXES = {
+    **{f".{name}": name for name in ("al3d", "frt", "lext", "opd", "opdx", "os3d", "plu", "plux")},
+    **{f".vk{version}": "vk" for version in (3, 4, 6, 7)},
+}
+"""Suffixes, and SurfaceTopography's name of the format. It tries no other: one of them logs all bytes of the file."""
+
 DISPUTED = ".nms"
 
 
@@ -50,7 +53,7 @@ def read(path: Path, data: bytes) -> HeightMap:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with open_topography(io.BytesIO(data)) as reader:
+            with open_topography(io.BytesIO(data), format=SUFFIXES[path.suffix.lower()]) as reader:
                 channel = reader.default_channel
                 require_points(path, *channel.nb_grid_pts)
                 topography = reader.topography(channel_index=channel.index)

@@ -16,7 +16,7 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError
-from turnwright.files._base import grid_map, require_points
+from turnwright.files._base import finite_or_missing, grid_map, require_points
 from turnwright.files._lattice import on_lattice
 from turnwright.files._numbers import table
 from turnwright.files._units import SPELLINGS, to_mm
@@ -152,7 +152,7 @@ def _read_crossed(
         axes.append(np.argsort(axis))
     z = z[np.ix_(axes[1], axes[0])] * scales["z"]
     return HeightMap(
-        x=x[axes[0]] * scales["x"], y=y[axes[1]] * scales["y"], z=np.where(np.isfinite(z), z, np.nan), name=path.name,
+        x=x[axes[0]] * scales["x"], y=y[axes[1]] * scales["y"], z=finite_or_missing(z), name=path.name,
         metadata={"format": "text"},
     )  # fmt: skip
 
@@ -169,7 +169,7 @@ def _as_map(
     placed = np.isfinite(x) & np.isfinite(y)
     if not placed.any() or (np.isfinite(z) & ~placed).any():
         raise MapError(f"{path} has heights whose place is missing: give every height its x and y, or leave it out")
-    x, y, z = x[placed], y[placed], np.where(np.isfinite(z[placed]), z[placed] * scales["z"], np.nan)
+    x, y, z = x[placed], y[placed], finite_or_missing(z[placed] * scales["z"])
     lattice = on_lattice(x, y)
     along_x, along_y = scales["x"] or 1.0, (scales["y"] or 1.0) if "y" in scales else 1.0
     if lattice is None:
