@@ -9,5 +9,6 @@ wrong ends in one sentence, a `turnwright.MapError`.
 
 from turnwright.files._read import read_map
 from turnwright.files._write import write_map
+from turnwright.files.slices import read_profile
 
-__all__ = ["read_map", "write_map"]
+__all__ = ["read_map", "read_profile", "write_map"]

@@ -9,7 +9,7 @@ import numpy as np
 from turnwright._arrays import Floats, Ints
 from turnwright.files._base import MOST_POINTS
 
-__all__ = ["Lattice", "on_lattice"]
+__all__ = ["Lattice", "even_places", "on_lattice"]
 
 SPARSEST = 20
 """Places of a lattice for each of its points, at most."""
@@ -44,6 +44,16 @@ def on_lattice(x: Floats, y: Floats) -> Lattice | None:
     if np.bincount(place).max() > 1:
         return None
     return Lattice(across[0], along[0], across[1], along[1])
+
+
+def even_places(at: Floats, z: Floats) -> tuple[Floats, Floats]:
+    """Return ascending places on their even steps, with nan where one is left out; uneven ones as they are."""
+    places, index, even = _steps(at)
+    if not even or places.size > SPARSEST * at.size:
+        return at, z
+    heights = np.full(places.size, np.nan)
+    heights[index] = z
+    return places, heights
 
 
 def _steps(values: Floats, *, even: bool = True) -> tuple[Floats, Ints, bool]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from turnwright.heightmap import HeightMap
 
-__all__ = ["read_map"]
+__all__ = ["contents", "read_map"]
 
 
 def read_map(
@@ -62,7 +62,7 @@ def read_map(
         for a file that states its own.
     """
     path = Path(file)
-    data = _contents(path)
+    data = contents(path)
     reader, kind = _reader_of(path, data)
     if reader is not _read_text and (unit or lateral_unit):
         raise MapError(f"{path} is {kind} and states its own units: do not give {_given(unit, lateral_unit)}")
@@ -92,7 +92,7 @@ def _given(unit: str | None, lateral_unit: str | None) -> str:
     return f"unit={unit!r}" if unit else f"lateral_unit={lateral_unit!r}"
 
 
-def _contents(path: Path) -> bytes:
+def contents(path: Path) -> bytes:
     """Return the bytes of a file that can be a map."""
     try:
         size = path.stat().st_size if path.is_file() or not path.exists() else -1

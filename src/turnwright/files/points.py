@@ -25,7 +25,7 @@ from turnwright.heightmap import HeightMap
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["read"]
+__all__ = ["read", "read_slice"]
 
 MOST_LINES = 300
 """Lines of description above the table, at most."""
@@ -88,10 +88,7 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
     above = lines[: layout.first]
     names = _names(above, layout)
     chosen = _columns(path, names, layout.columns)
-    begin = 0
-    for _ in range(layout.first):
-        begin = text.index("\n", begin) + 1
-    body = text[begin:]
+    body = _body(text, layout)
     metadata = {"format": "text", "description": "\n".join(line for line in above if line.strip())[:LONGEST]}
     if chosen is None:
         scale = _unit(path, {}, _stated(above), "z", unit)
@@ -104,6 +101,93 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
     scales = {axis: _unit(path, units, _stated(above), axis, unit if axis == "z" else lateral_unit) for axis in chosen}
     found = _table(path, body, layout, tuple(chosen.values()))
     return _as_map(path, dict(zip(chosen, found.T, strict=True)), scales, metadata)
+
+
+def read_slice(
+    path: Path, text: str, columns: tuple[str | None, str | None], units: tuple[str | None, str | None]
+) -> tuple[Floats, Floats, str]:
+    """Return distances and heights of a text's rows in mm, missing ones nan, and its description. Each (n,).
+
+    Parameters
+    ----------
+    path
+        Of the file, for messages.
+    text
+        Rows of numbers below a line of names.
+    columns
+        Names of the columns of distance and height, or their numbers from 1; without names two columns of numbers.
+    units
+        Of distance and height where the text states none.
+    """
+    lines = _first_lines(text)
+    layout = _layout(path, lines)
+    above = lines[: layout.first]
+    names = _names(above, layout) or [str(number + 1) for number in range(layout.columns)]
+    chosen = _slice_columns(path, names, columns, _numeric_columns(lines, layout))
+    own = {axis: unit for axis, at in zip("xz", chosen, strict=True) if (unit := _split_cell(names[at])[1])}
+    scales = []
+    for axis, given in zip("xz", units, strict=True):
+        scale = _unit(path, own, _stated(above), axis, None if axis == "x" and axis in own else given)
+        if scale is None:
+            raise MapError(f"{path} counts pixels where a profile needs lengths: export it calibrated")
+        scales.append(scale)
+    found = _table(path, _body(text, layout), layout, chosen) * scales
+    placed = np.isfinite(found[:, 0])
+    if (np.isfinite(found[:, 1]) & ~placed).any():
+        raise MapError(f"{path} has heights whose place is missing: give every height its distance, or leave it out")
+    description = "\n".join(line for line in above if line.strip())[:LONGEST]
+    return found[placed, 0], finite_or_missing(found[placed, 1]), description
+
+
+def _numeric_columns(lines: list[str], layout: _Layout) -> list[int]:
+    """Return which columns hold numbers, by the first rows."""
+    rows = [_cells(line, layout.separator) for line in lines[layout.first :] if line.strip()][: ALIKE + 17]
+    kind = COMMA if layout.comma else NUMBER
+    return [
+        column
+        for column in range(layout.columns)
+        if any(kind.fullmatch(row[column]) for row in rows if column < len(row))
+    ]
+
+
+def _slice_columns(
+    path: Path, names: list[str], columns: tuple[str | None, str | None], numeric: list[int]
+) -> tuple[int, int]:
+    """Return where distance and height stand."""
+    listed = ", ".join(repr(name) for name in names)
+    places = []
+    for what, wanted in zip(("distance", "height"), columns, strict=True):
+        if wanted is None:
+            continue
+        spelled = {wanted.strip().lower()}
+        matches = [at for at, name in enumerate(names) if {name.lower(), _split_cell(name)[0]} & spelled]
+        if not matches and wanted.isdigit() and 1 <= int(wanted) <= len(names):
+            matches = [int(wanted) - 1]
+        if len(matches) != 1:
+            raise MapError(
+                f"{path} has {len(matches)} columns {wanted!r} for the {what}, its columns are {listed[:200]}: name "
+                "one of them"
+            )
+        places.append(matches[0])
+    if len(places) < 2:
+        rest = [at for at in numeric if at not in places]
+        if len(rest) != 2 - len(places):
+            raise MapError(
+                f"{path} has {len(numeric)} columns of numbers, {listed[:200]}, distance and height are 2: name both "
+                "(distance, height)"
+            )
+        places = [*places, *rest] if columns[0] is not None else [*rest, *places]
+    if places[0] == places[1]:
+        raise MapError(f"{path} has one column for distance and height, {names[places[0]]!r}: name two")
+    return places[0], places[1]
+
+
+def _body(text: str, layout: _Layout) -> str:
+    """Return the text from the first row of the table on."""
+    begin = 0
+    for _ in range(layout.first):
+        begin = text.index("\n", begin) + 1
+    return text[begin:]
 
 
 def _crossed(lines: list[str], layout: _Layout) -> tuple[int, list[str]] | None:

@@ -5,14 +5,16 @@ from turnwright.metrology.alignment import Alignment
 from turnwright.metrology.bearing import Bearing, bearing
 from turnwright.metrology.best_fit import BestFit, best_fit, fizeau_view
 from turnwright.metrology.clean import Despiked, Filled, despike, fill_holes, keep_disc, trim_edge
+from turnwright.metrology.cusps import Cusps, Stretch, find_cusps
 from turnwright.metrology.filters import Bands, Nesting, filter_map, separate_bands
 from turnwright.metrology.form import Form, remove_form
 from turnwright.metrology.lenslets import Lenslet, Lenslets, has_lenslets, lenslets
-from turnwright.metrology.profile import Profile, line_profile
+from turnwright.metrology.profile import line_profile
 from turnwright.metrology.registration import PoseCandidate, Registration, Undetermined, register
 from turnwright.metrology.roughness import Roughness, roughness
 from turnwright.metrology.slope import Slopes, slope_error
 from turnwright.metrology.spectrum import AreaSpectrum, Spectrum, area_psd, line_psd
+from turnwright.metrology.turned_edge import TurnedEdge, edge_from_cusps
 from turnwright.metrology.zernike_fit import ZernikeFit, fit_zernike
 
 __all__ = [
@@ -21,6 +23,7 @@ __all__ = [
     "Bands",
     "Bearing",
     "BestFit",
+    "Cusps",
     "Despiked",
     "Filled",
     "Form",
@@ -28,11 +31,12 @@ __all__ = [
     "Lenslets",
     "Nesting",
     "PoseCandidate",
-    "Profile",
     "Registration",
     "Roughness",
     "Slopes",
     "Spectrum",
+    "Stretch",
+    "TurnedEdge",
     "Undetermined",
     "ZernikeFit",
     "area_psd",
@@ -40,8 +44,10 @@ __all__ = [
     "bearing",
     "best_fit",
     "despike",
+    "edge_from_cusps",
     "fill_holes",
     "filter_map",
+    "find_cusps",
     "fit_zernike",
     "fizeau_view",
     "has_lenslets",

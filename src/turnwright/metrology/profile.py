@@ -2,94 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
-from turnwright._arrays import Floats, frozen, same_length
-from turnwright._validate import check_angle, check_numbers, finite_tuple, positive
+from turnwright._arrays import Floats
+from turnwright._validate import check_angle, finite_tuple, positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import Grid, measure
+from turnwright.profile import Profile
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
 
-__all__ = ["Method", "Profile", "line_profile"]
+__all__ = ["Method", "line_profile"]
 
 Method: TypeAlias = Literal["linear", "cubic"]
 
-NM = 1e6
 NODES = {"linear": 2, "cubic": 4}
 MAX_POINTS = 10_000_000
-MAX_DEGREE = 10
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Profile:
-    """Heights along a straight line. See `line_profile`.
-
-    Parameters
-    ----------
-    distance
-        From the start, or from the point that the line goes through; ascending and even. (n,) [mm]
-    z
-        Heights; nan is missing. (n,) [mm]
-    x, y
-        Where they stand. (n,) [mm]
-    name
-        What the profile shows.
-    """
-
-    distance: Floats
-    z: Floats
-    x: Floats
-    y: Floats
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, nan=("z",))
-        for name in ("distance", "z", "x", "y"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name, finite=name != "z"))
-        same_length((name, getattr(self, name)) for name in ("distance", "z", "x", "y"))
-
-    def without(self, degree: int) -> Profile:
-        """Return the profile without its polynomial of best fit: 0 takes off the mean, 1 a line.
-
-        Raises
-        ------
-        InputError
-            If the degree is not from 0 to 10, or there are too few valid heights.
-        """
-        if isinstance(degree, bool) or not isinstance(degree, int) or not 0 <= degree <= MAX_DEGREE:
-            raise InputError(
-                f"the degree of a profile's polynomial is {degree!r}, the limits are 0 to {MAX_DEGREE}: choose between"
-            )
-        valid = ~np.isnan(self.z)
-        if np.count_nonzero(valid) <= degree:
-            raise InputError(
-                f"the profile has {np.count_nonzero(valid)} valid heights, a polynomial of degree {degree} needs "
-                f"{degree + 1}: take a longer one"
-            )
-        low, high = self.distance[valid][[0, -1]]
-        terms: Floats = legvander((2 * self.distance - low - high) / ((high - low) or 1.0), degree)
-        return replace(self, z=self.z - terms @ np.linalg.lstsq(terms[valid], self.z[valid])[0])
-
-    @property
-    def pa_nm(self) -> float:
-        """Mean of the heights' sizes, from zero: take the line off first. [nm]."""
-        return float(np.nanmean(np.abs(self.z))) * NM
-
-    @property
-    def pq_nm(self) -> float:
-        """Root mean square of the heights, from zero: take the line off first. [nm]."""
-        return float(np.sqrt(np.nanmean(self.z**2))) * NM
-
-    @property
-    def pt_nm(self) -> float:
-        """Highest minus lowest. [nm]."""
-        return float(np.nanmax(self.z) - np.nanmin(self.z)) * NM
 
 
 def line_profile(

@@ -11,7 +11,7 @@ from turnwright._arrays import Floats, frozen
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure, valid_points
 from turnwright.metrology.form import Form, remove_form
-from turnwright.metrology.profile import Profile
+from turnwright.profile import Profile
 from turnwright.progress import cores
 
 if TYPE_CHECKING:

@@ -1,0 +1,104 @@
+"""Profiles as instruments export them: slices in text, and files of maps that hold one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import Floats
+from turnwright._validate import whole
+from turnwright.errors import MapError
+from turnwright.files._lattice import even_places
+from turnwright.files._numbers import text_of
+from turnwright.files._read import contents, read_map
+from turnwright.files.points import read_slice
+from turnwright.profile import Profile
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+__all__ = ["read_profile"]
+
+
+def read_profile(
+    file: str | PathLike[str],
+    *,
+    distance: str | None = None,
+    height: str | None = None,
+    unit: str | None = None,
+    lateral_unit: str | None = None,
+    number: int | None = None,
+) -> Profile:
+    """Read a measured profile: a slice in a text file, or a file of maps that holds one line, such as ``.sdf``.
+
+    In a text each row has a distance and a height, in two columns of numbers or in those that are named; a column
+    called Y may so be the height. Words beside them, such as the name of the slice, are left out. Where the distances
+    begin again, another slice begins. Distances are put on even steps where they stand there but for their decimals,
+    with nan where a row is left out.
+
+    Parameters
+    ----------
+    file
+        The instrument's file.
+    distance, height
+        Names of their columns, with or without the unit, in any case; or their numbers from 1.
+    unit
+        Of distances and heights where the text states none, such as "um".
+    lateral_unit
+        The same of the distances alone, where ``unit`` is that of the heights.
+    number
+        Which slice of several, from 1.
+
+    Returns
+    -------
+    Profile
+        In mm; x is the distance, y is 0.
+
+    Raises
+    ------
+    MapError
+        If the file cannot be read, has no such columns, states no unit and none is given, or holds a whole map or
+        several slices without a number.
+    """
+    path = Path(file)
+    text = text_of(contents(path))
+    if text is None or path.suffix.lower() in {".sdf", ".x3p"}:
+        if (distance, height, unit, lateral_unit) != (None,) * 4:
+            raise MapError(f"{path} is no text and names its own axes: do not give columns or units")
+        return _only_line(path)
+    at, z, description = read_slice(path, text, (distance, height), (lateral_unit or unit, unit))
+    at, z = _one_slice(path, at, z, number)
+    at, z = even_places(at, z)
+    if at.size < 2:
+        raise MapError(f"{path} has {at.size} points in its slice, a profile needs 2: export it again")
+    metadata = {"format": "text", "description": description}
+    return Profile(distance=at, z=z, x=at, y=np.zeros_like(at), name=path.name, metadata=metadata)
+
+
+def _only_line(path: Path) -> Profile:
+    heights = read_map(path)
+    heights.require_calibrated()
+    if heights.x is None or heights.z.ndim != 2 or 1 not in heights.z.shape:
+        raise MapError(f"{path} holds a map, not a profile: read it (read_map), and take a line of it (line_profile)")
+    at = heights.x if heights.z.shape[0] == 1 else heights.y
+    assert at is not None  # noqa: S101 - a rectangular grid has x and y
+    return Profile(
+        distance=at, z=heights.z.ravel(), x=at, y=np.zeros_like(at), name=path.name, metadata=heights.metadata
+    )
+
+
+def _one_slice(path: Path, at: Floats, z: Floats, number: int | None) -> tuple[Floats, Floats]:
+    """Return the slice that is asked for, its distances ascending."""
+    step = np.diff(at)
+    if step.size and (step < 0).mean() > 0.5:
+        at, step = -at, -step
+    begins = np.flatnonzero(step <= 0) + 1
+    count = begins.size + 1
+    if number is None and count > 1:
+        raise MapError(f"{path} holds {count} slices, the limit is 1: say which (number=1, ...), or export one")
+    chosen = whole(1 if number is None else number, "the number of the slice", 1, count) - 1
+    ends = [0, *begins.tolist(), at.size]
+    part = slice(ends[chosen], ends[chosen + 1])
+    return at[part], z[part]

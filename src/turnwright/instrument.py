@@ -1,0 +1,390 @@
+r"""What an instrument makes of a surface: what a prediction must go through before it is compared with a measurement.
+
+An interference microscope images the complex reflectance of the surface. Heights small against the wavelength so reach
+the map through a linear filter. Where the source fills a share :math:`s` of the aperture, its transfer at the spatial
+frequency :math:`\nu` is the overlap of two discs, of radius 1 and :math:`s`, at the distance
+:math:`d = \nu\lambda/\mathrm{NA}`, over the area of the smaller one. :math:`s = 1` is the optical transfer function of
+incoherent light,
+
+.. math:: T(\nu) = \tfrac{2}{\pi}\left(\arccos q - q\sqrt{1 - q^2}\right), \qquad q = \nu\lambda / 2\,\mathrm{NA},
+
+and :math:`s = 0` that of coherent light, which passes all up to :math:`\mathrm{NA}/\lambda` and nothing beyond. A pixel
+of side :math:`p` averages: :math:`\operatorname{sinc}(p\nu_x)\operatorname{sinc}(p\nu_y)`. A stylus rolls its ball over
+the surface, and what it traces is a grey-scale dilation by the ball, which no transfer function describes.
+
+Sources
+-------
+[deGroot2024]_ for the linear regime of heights, [Goodman2005]_ for the overlap of the pupils, ISO 16610-41 for the
+ball.
+Oracles: closed forms of sines and cusps, a sphere over a ball, a brute-force overlap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, overload
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats
+from turnwright._toml import read_toml
+from turnwright._validate import between, check_numbers, positive, whole
+from turnwright.errors import InputError, shown
+from turnwright.heightmap import HeightMap
+from turnwright.profile import Profile
+from turnwright.units import parse
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = ["Instrument"]
+
+UNITS = {"pixel": "mm", "resolution": "mm", "wavelength": "mm", "stylus_radius": "mm", "noise": "mm"}
+"""Fields that are quantities in a file."""
+
+FINE = 2
+"""Steps of a surface in the finest length of an instrument, at least."""
+
+BALL_FINE = 10
+"""Steps in the radius of a stylus, at least: the ball touches between points lower by a 1/800 of the radius at most."""
+
+TAIL = 40
+"""Finest lengths by which a surface is continued beyond its borders: a diffraction image falls off slowly."""
+
+MOST_OFFSETS = 1_000_000
+"""Points under the ball of a stylus."""
+
+Seen = TypeVar("Seen", HeightMap, Profile)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Instrument:
+    """An instrument that measures surfaces: what it resolves, and how much it adds.
+
+    What is not stated does nothing: an instrument of a pixel alone only averages over it.
+
+    Parameters
+    ----------
+    pixel
+        Side of a pixel on the surface, over which the heights are averaged. [mm]
+    numerical_aperture, wavelength
+        Of the objective, and of the light in the middle of its spectrum; both or none. [1], [mm]
+    resolution
+        In place of them, the optical resolution wavelength / (2 NA): the period that just does not pass. [mm]
+    filling
+        Share of the aperture that the source fills: 1 for incoherent light, 0 for coherent.
+    stylus_radius
+        Of the ball at the end of a stylus. [mm]
+    noise
+        Standard deviation of each height, independent of its neighbours. [mm]
+    name, source
+        What it is called, and where its numbers come from.
+
+    Raises
+    ------
+    InputError
+        If a length is not positive, the optics are stated twice or by half, or an aperture is above 1.5.
+
+    >>> microscope = Instrument.load("zygo-nexview-10x")
+    >>> [round(float(one), 3) for one in microscope.transfer([0.0, 100.0, 1060.0])]   # periods of 10 um and 0.94 um
+    [1.0, 0.868, 0.0]
+    """
+
+    pixel: float | None = None
+    numerical_aperture: float | None = None
+    wavelength: float | None = None
+    resolution: float | None = None
+    filling: float = 1.0
+    stylus_radius: float | None = None
+    noise: float = 0.0
+    name: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        for field in ("pixel", "wavelength", "resolution", "stylus_radius"):
+            if getattr(self, field) is not None:
+                positive(getattr(self, field), field, "mm")
+        if (self.numerical_aperture is None) != (self.wavelength is None):
+            raise InputError("an aperture needs its wavelength, and a wavelength its aperture: state both or none")
+        if self.numerical_aperture is not None:
+            if not 0 < self.numerical_aperture <= 1.5:
+                raise InputError(
+                    f"numerical_aperture is {self.numerical_aperture:g}, the limits are 0 and 1.5: correct it"
+                )
+            if self.resolution is not None:
+                raise InputError("resolution is wavelength / (2 NA), and all three are stated: leave one way out")
+        between(self.filling, "filling", 0.0, 1.0, "")
+        between(self.noise, "noise", 0.0, 1.0, "mm")
+
+    @classmethod
+    def known(cls) -> tuple[str, ...]:
+        """Return the names of the instruments that come with Turnwright."""
+        return tuple(_presets())
+
+    @classmethod
+    def load(cls, name: str | Path) -> Instrument:
+        """Return an instrument that comes with Turnwright, or one described in a file.
+
+        Parameters
+        ----------
+        name
+            One of `known`, or the path of a ``.toml`` file of the fields, lengths with their units.
+
+        Raises
+        ------
+        InputError
+            If there is no such instrument, or its file is wrong; the message names the key.
+        """
+        presets = _presets()
+        if str(name) in presets:
+            return _from_table(presets[str(name)], str(name))
+        path = Path(name)
+        if path.suffix != ".toml":
+            raise InputError(
+                f"there is no instrument {shown(str(name))}, the known ones are {', '.join(presets)}: choose one, or "
+                "name a .toml file"
+            )
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise InputError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
+        return _from_table(read_toml(data, f"instrument file {str(path)!r}"), path.stem)
+
+    @property
+    def cutoff(self) -> float:
+        """Highest spatial frequency that the optics pass; infinite without optics. [1/mm]."""
+        if self.numerical_aperture is not None and self.wavelength is not None:
+            return (1 + self.filling) * self.numerical_aperture / self.wavelength
+        return (1 + self.filling) / (2 * self.resolution) if self.resolution is not None else np.inf
+
+    def transfer(self, frequency_x: ArrayLike, frequency_y: ArrayLike = 0.0) -> Floats:
+        """Return which share of a sine's height passes optics and pixel.
+
+        Parameters
+        ----------
+        frequency_x, frequency_y
+            Spatial frequencies of the sine along x and y; of any shapes that go together. [1/mm]
+        """
+        along, across = np.asarray(frequency_x, dtype=np.float64), np.asarray(frequency_y, dtype=np.float64)
+        passed: Floats = np.ones(np.broadcast_shapes(along.shape, across.shape))
+        if np.isfinite(self.cutoff):
+            passed = _overlap(np.hypot(along, across) * (1 + self.filling) / self.cutoff, self.filling)
+        if self.pixel is not None:
+            passed = passed * np.sinc(along * self.pixel) * np.sinc(across * self.pixel)
+        return passed
+
+    @overload
+    def see(self, surface: Profile, *, like: Profile | None = None, seed: int | None = None) -> Profile: ...
+    @overload
+    def see(self, surface: HeightMap, *, like: HeightMap | None = None, seed: int | None = None) -> HeightMap: ...
+
+    def see(self, surface: Any, *, like: Any = None, seed: int | None = None) -> Any:
+        """Return a surface as the instrument measures it.
+
+        The ball of a stylus touches first, then optics and pixel average, then the places of another measurement are
+        taken, then noise is added. A profile is taken as a cut across grooves: nothing varies beside it. Beyond its
+        borders a surface is continued by its reflection in the border point, so that a slope goes on. Missing heights
+        stay missing; beside them, within a few resolutions, what is seen rests on the nearest heights.
+
+        Parameters
+        ----------
+        surface
+            A profile, or a map on a rectangular grid, in even steps of at most half the finest of pixel and optical
+            resolution, and a tenth of the stylus radius.
+        like
+            A measured profile or map, at whose places the seen surface is returned, by cubic interpolation; without it
+            the places stay.
+        seed
+            Adds the noise, drawn from this seed; without it the expected surface is returned.
+
+        Raises
+        ------
+        InputError
+            If the grid is uneven, polar or too coarse, or ``like`` reaches beyond the surface.
+        """
+        if isinstance(surface, Profile):
+            z, steps = surface.z[None], (np.inf, surface.step)
+        else:
+            z, steps = surface.z, _steps(surface)
+        self._require_fine(max(step for step in steps if np.isfinite(step)))
+        missing = np.isnan(z)
+        if missing.all():
+            raise InputError("the surface has 0 valid heights, an instrument needs 1: measure more of it")
+        if self.stylus_radius is not None:
+            z = _rolled(z, missing, steps, self.stylus_radius)
+        if self.pixel is not None or np.isfinite(self.cutoff):
+            z = self._averaged(z, missing, steps)
+        z = np.where(missing, np.nan, z)
+        seen = replace(surface, z=z[0] if isinstance(surface, Profile) else z)
+        seen = seen if like is None else _taken_at(seen, like)
+        if seed is not None and self.noise > 0:
+            random = np.random.default_rng(whole(seed, "the seed", 0))
+            seen = replace(seen, z=seen.z + self.noise * random.standard_normal(seen.z.shape))
+        return seen
+
+    @property
+    def _finest(self) -> float:
+        """Finest length that optics and pixel tell apart. [mm]."""
+        return max(self.pixel or 0.0, 1 / self.cutoff)
+
+    def _require_fine(self, step: float) -> None:
+        limit = min(
+            self._finest / FINE or np.inf,
+            np.inf if self.stylus_radius is None else self.stylus_radius / BALL_FINE,
+        )
+        if step > limit * (1 + 1e-6):
+            raise InputError(
+                f"the surface has steps of {step * 1e3:.3g} um, the limit for this instrument is {limit * 1e3:.3g} um: "
+                "generate it more finely"
+            )
+
+    def _averaged(self, z: Floats, missing: Bools, steps: tuple[float, float]) -> Floats:
+        """Return heights through optics and pixel, by the convolution theorem."""
+        from scipy import fft  # noqa: PLC0415 - only this needs it
+
+        z = _filled(z, missing)
+        pads = [
+            min(int(np.ceil(TAIL * self._finest / step)), size - 1) if np.isfinite(step) else 0
+            for size, step in zip(z.shape, steps, strict=True)
+        ]
+        wide = np.pad(z, [(pad, pad) for pad in pads], mode="reflect", reflect_type="odd")
+        # What goes on past the end must meet what begins: a straight line between them closes the period.
+        trend = sum(_closing_line(wide, axis) for axis in (0, 1))
+        shape = wide.shape
+        frequencies = [
+            fft.fftfreq(shape[0], steps[0]) if np.isfinite(steps[0]) else np.zeros(shape[0]),
+            fft.rfftfreq(shape[1], steps[1]),
+        ]
+        passed = self.transfer(frequencies[1], frequencies[0][:, None])
+        smooth = fft.irfft2(fft.rfft2(wide - trend) * passed, shape) + trend
+        return np.asarray(smooth[pads[0] : shape[0] - pads[0], pads[1] : shape[1] - pads[1]])
+
+
+def _presets() -> dict[str, dict[str, Any]]:
+    return read_toml((resources.files("turnwright") / "instruments.toml").read_bytes(), "instruments.toml")
+
+
+def _from_table(table: dict[str, Any], name: str) -> Instrument:
+    known = {field.name for field in fields(Instrument)}
+    wrong = [key for key in table if key not in known]
+    if wrong:
+        raise InputError(f"instrument {name!r} has the key {shown(wrong[0])}, the keys are {', '.join(sorted(known))}")
+    values: dict[str, Any] = {"name": name}
+    for key, value in table.items():
+        try:
+            values[key] = parse(value, UNITS[key]) if key in UNITS else value
+        except InputError as error:
+            raise InputError(f"instrument {name!r}, {key}: {error}") from error
+    return Instrument(**values)
+
+
+def _overlap(distance: Floats, filling: float) -> Floats:
+    """Return the overlap of two discs of radius 1 and ``filling``, over the area of the smaller, by their distance."""
+    far, near = 1 + filling, 1 - filling
+    if filling < 1e-9:
+        return np.where(distance < 1, 1.0, 0.0)
+    between_them = (distance > near) & (distance < far)
+    d = np.where(between_them, distance, 0.5 * (near + far))
+    large = np.arccos(np.clip((d * d + 1 - filling**2) / (2 * d), -1, 1))
+    small = np.arccos(np.clip((d * d + filling**2 - 1) / (2 * d * filling), -1, 1))
+    kite = 0.5 * np.sqrt(np.maximum((far - d) * (d - near) * (d + near) * (d + far), 0.0))
+    shared = (large + filling**2 * small - kite) / (np.pi * filling**2)
+    return np.where(between_them, shared, np.where(distance <= near, 1.0, 0.0))
+
+
+def _steps(heights: HeightMap) -> tuple[float, float]:
+    """Return the steps of a rectangular grid, y before x; infinite where it has one row. [mm]."""
+    heights.require_calibrated()
+    if heights.polar or heights.scattered or heights.x is None or heights.y is None:
+        raise InputError(
+            f"the map has {'a polar grid' if heights.polar else 'scattered points'}, an instrument sees a rectangular "
+            "grid: generate the surface on one"
+        )
+    steps = []
+    for name, axis in (("y", heights.y), ("x", heights.x)):
+        between_points = np.diff(axis)
+        if between_points.size and np.ptp(between_points) > 1e-6 * between_points.mean():
+            raise InputError(f"the steps of {name} are uneven, an instrument needs an even grid: interpolate the map")
+        steps.append(float(between_points.mean()) if between_points.size else np.inf)
+    return steps[0], steps[1]
+
+
+def _filled(z: Floats, missing: Bools) -> Floats:
+    """Return heights with the nearest valid one where they are missing."""
+    if not missing.any():
+        return z
+    from scipy import ndimage  # noqa: PLC0415 - only this needs it
+
+    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return np.asarray(z[tuple(nearest)])
+
+
+def _closing_line(z: Floats, axis: int) -> Floats:
+    """Return, along one axis, the line whose removal makes the mean heights of both ends meet. (ny, nx)."""
+    size = z.shape[axis]
+    if size < 3:
+        return np.zeros(z.shape)
+    rise = float((z.take(-1, axis) - z.take(0, axis)).mean()) / (size - 1)
+    line = rise * (np.arange(size) - (size - 1) / 2)
+    return np.broadcast_to(line[:, None] if axis == 0 else line[None], z.shape)
+
+
+def _rolled(z: Floats, missing: Bools, steps: tuple[float, float], radius: float) -> Floats:
+    """Return what a ball traces that is rolled over heights: its lowest point. Missing heights do not touch it."""
+    from scipy import ndimage  # noqa: PLC0415 - only this needs it
+
+    # A point further away than this cannot touch, as the ball there stands higher than the surface.
+    rise = float(np.nanmax(z) - np.nanmin(z))
+    reach = radius if rise >= radius else np.sqrt(rise * (2 * radius - rise))
+    away = []
+    for size, step in zip(z.shape, steps, strict=True):
+        count = min(int(reach / step), size - 1) if np.isfinite(step) else 0
+        away.append(np.arange(-count, count + 1) * (step if np.isfinite(step) else 0.0))
+    square = away[0][:, None] ** 2 + away[1] ** 2
+    if square.size > MOST_OFFSETS:
+        raise InputError(
+            f"the ball of {radius * 1e3:g} um covers {square.size:,} points of the surface, the limit is "
+            f"{MOST_OFFSETS:,}: generate it more coarsely"
+        )
+    under = square <= radius**2
+    ball = np.sqrt(np.where(under, radius**2 - square, 0.0)) - radius
+    traced: Floats = np.empty_like(z)
+    ndimage.grey_dilation(  # type: ignore[call-overload] # its stubs take no structure of floats
+        np.where(missing, -np.inf, z), footprint=under, structure=ball, output=traced, mode="constant", cval=-np.inf
+    )
+    return traced
+
+
+def _taken_at(seen: HeightMap | Profile, like: HeightMap | Profile) -> HeightMap | Profile:
+    """Return heights at the places of another profile or grid, by cubic splines between points."""
+    from scipy import ndimage  # noqa: PLC0415 - only this needs it
+
+    if isinstance(seen, Profile):
+        if not isinstance(like, Profile):
+            raise InputError("a profile is compared with a map: take a line of the map first (line_profile)")
+        axes, wanted, z = [seen.distance], [like.distance], seen.z
+    else:
+        if not isinstance(like, HeightMap) or like.x is None or like.y is None or like.scattered:
+            raise InputError("a map is seen at the places of a rectangular map: give one")
+        assert seen.x is not None  # noqa: S101 - a rectangular grid has x and y
+        assert seen.y is not None  # noqa: S101
+        axes, wanted, z = [seen.y, seen.x], [like.y, like.x], seen.z
+    places = []
+    for axis, at in zip(axes, wanted, strict=True):
+        step = (axis[-1] - axis[0]) / max(axis.size - 1, 1) or 1.0
+        place = (at - axis[0]) / step
+        if place.min() < -1e-6 or place.max() > axis.size - 1 + 1e-6:
+            raise InputError(
+                f"the measured places reach from {at[0]:g} to {at[-1]:g} mm, the surface from {axis[0]:g} to "
+                f"{axis[-1]:g} mm: generate more of it"
+            )
+        places.append(place)
+    missing = np.isnan(z)
+    grid = np.meshgrid(*places, indexing="ij")
+    found = ndimage.map_coordinates(_filled(z, missing), grid, order=3, mode="mirror")
+    if missing.any():
+        found[ndimage.map_coordinates(missing.astype(np.float64), grid, order=1, mode="nearest") > 1e-9] = np.nan
+    return replace(like, z=found, name=f"{seen.name} as seen".strip())

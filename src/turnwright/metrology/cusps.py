@@ -1,0 +1,353 @@
+r"""The cusps of a turned profile: their spacing, which is the feed, and their height.
+
+A crest is located by the parabola of best fit around it. In a stretch of constant feed the crests lie on a line over
+their number,
+
+.. math:: c_k = c_0 + f\,k + \varepsilon_k,
+
+so :math:`f` is the slope of the line of best fit, and its uncertainty falls with the number of cusps to the power of
+3/2. Residuals that hang together, as where the feed wanders, widen it by their correlation from cusp to cusp.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import Floats, Ints, frozen
+from turnwright._validate import positive
+from turnwright.errors import InputError
+from turnwright.metrology.spectrum import line_psd
+
+if TYPE_CHECKING:
+    from turnwright.profile import Profile
+
+__all__ = ["Cusps", "Stretch", "find_cusps"]
+
+NM = 1e6
+
+FORM = 4
+"""Degree of the polynomial that is taken off before the spectrum is searched."""
+
+FEWEST = 3
+"""Cusps in a profile, at least."""
+
+POINTS = 4
+"""Points in a cusp, at least."""
+
+BASE, SMOOTH = 0.5, 0.06
+"""Standard deviations of the Gaussians that take off what is longer than a cusp, and the noise, over the feed."""
+
+APART = 0.6
+"""Distance of two crests, over the feed, at least."""
+
+PROMINENCE = 0.25
+"""Height of a crest above its valleys, over the range of the heights, at least."""
+
+AROUND = 0.1
+"""Half the width over which a parabola finds a crest or a valley, over the feed."""
+
+OFF = 0.25
+"""Share of the feed by which the spacing of two crests may be off it, and they still be neighbours."""
+
+SHORTEST = 4
+"""Crests of a stretch, at least."""
+
+LOCATED = 5e-3
+"""Share of the feed to which a crest is located at best: its tip falls between points."""
+
+PENALTY = 4.0
+"""Times log(n): how much better another stretch must fit, in units of the crests' scatter."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """A stretch of a profile in which the feed does not change.
+
+    Parameters
+    ----------
+    start, end
+        Where its first and its last crest stand. [mm]
+    feed, feed_std
+        Spacing of its cusps, and its standard uncertainty from the scatter of the crests; that of the instrument's
+        lateral scale is not in it. [mm]
+    count
+        Number of its crests.
+    """
+
+    start: float
+    end: float
+    feed: float
+    feed_std: float
+    count: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cusps:
+    """The cusps of a profile. See `find_cusps`.
+
+    Parameters
+    ----------
+    crest, crest_z
+        Where each crest stands along the profile, and how high. (n,) [mm]
+    run
+        To which unbroken run of neighbours each crest belongs, from 0. (n,)
+    feed, feed_std
+        Spacing of the cusps over all runs, and its standard uncertainty; see `Stretch`. [mm]
+    stretches
+        Where the feed does not change: one for each run, several for one in which it does.
+    height_at, height_nm
+        Where each crest with a valley on either side stands [mm], and how high above the line between the valleys.
+        (m,) [nm]
+    """
+
+    crest: Floats
+    crest_z: Floats
+    run: Ints
+    feed: float
+    feed_std: float
+    stretches: tuple[Stretch, ...]
+    height_at: Floats
+    height_nm: Floats
+
+    @property
+    def spacing(self) -> Floats:
+        """From each crest to the next one of its run. [mm]."""
+        return np.asarray(np.diff(self.crest)[np.diff(self.run) == 0])
+
+    @property
+    def spacing_at(self) -> Floats:
+        """Middle of each `spacing`. [mm]."""
+        middle = (self.crest[1:] + self.crest[:-1]) / 2
+        return np.asarray(middle[np.diff(self.run) == 0])
+
+    @property
+    def scallop_mean_nm(self) -> float:
+        """Mean scallop height. [nm]."""
+        return float(self.height_nm.mean()) if self.height_nm.size else float("nan")
+
+    @property
+    def scallop_median_nm(self) -> float:
+        """Median scallop height. [nm]."""
+        return float(np.median(self.height_nm)) if self.height_nm.size else float("nan")
+
+    @property
+    def scallop_std_nm(self) -> float:
+        """Standard deviation of the scallop heights. [nm]."""
+        return float(self.height_nm.std(ddof=1)) if self.height_nm.size > 1 else float("nan")
+
+    def between(self, start: float, end: float) -> Cusps:
+        """Return the cusps whose crests stand from one distance to another, with their own feed. [mm].
+
+        Raises
+        ------
+        InputError
+            If fewer than three neighbours stand there.
+        """
+        chosen = (self.crest >= start) & (self.crest <= end)
+        higher = (self.height_at >= start) & (self.height_at <= end)
+        return _summed_up(
+            self.crest[chosen], self.crest_z[chosen], self.run[chosen], self.height_at[higher], self.height_nm[higher]
+        )
+
+
+def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | None = None) -> Cusps:
+    """Find the cusps of a profile across the lay, and measure their spacing and their height.
+
+    The strongest period of the slope's spectrum is the first guess of the feed; the crests themselves decide. Crests
+    whose spacing is off the median by more than a quarter are no neighbours: around the spindle axis, and at damage,
+    the run ends.
+
+    Parameters
+    ----------
+    profile
+        On even steps, at least four to a cusp and three cusps long. Missing heights are bridged for the search.
+    feed
+        First guess instead of that of the spectrum, where another period is stronger. [mm]
+    axis
+        Where the profile crosses the spindle axis: no run goes across it. [mm]
+
+    Raises
+    ------
+    InputError
+        If the profile is uneven, has too few points, or shows fewer than three neighbouring cusps.
+
+    >>> from turnwright.profile import Profile
+    >>> x = np.arange(2000) * 2e-4
+    >>> cut = ((x + 0.005) % 0.010 - 0.005) ** 2 / (2 * 0.5)   # 10 um/rev with a nose of 0.5 mm
+    >>> found = find_cusps(Profile(distance=x, z=cut, x=x, y=0 * x))
+    >>> round(found.feed, 6), round(found.scallop_median_nm, 1)
+    (0.01, 25.0)
+    """
+    from scipy import ndimage, signal  # noqa: PLC0415 - costly to import
+
+    step = profile.step
+    valid = ~np.isnan(profile.z)
+    if np.count_nonzero(valid) < POINTS * FEWEST:
+        raise InputError(
+            f"the profile has {np.count_nonzero(valid)} valid heights, cusps need {POINTS * FEWEST}: measure more of it"
+        )
+    z = np.interp(profile.distance, profile.distance[valid], profile.z[valid])
+    guess = _strongest_period(profile, z, step) if feed is None else positive(feed, "the feed", "mm")
+    if guess < POINTS * step or guess * FEWEST > np.ptp(profile.distance):
+        raise InputError(
+            f"the feed is {guess * 1e3:.3g} um, the limits are {POINTS} steps, {POINTS * step * 1e3:.3g} um, and the "
+            f"profile over {FEWEST}, {np.ptp(profile.distance) / FEWEST * 1e3:.3g} um: give another first guess, or "
+            "measure with smaller pixels"
+        )
+    # Where crests and valleys stand is looked for without form and waviness; how high they are is not.
+    z = z - np.polynomial.Legendre.fit(profile.distance, z, min(FORM, z.size // 8))(profile.distance)
+    level = z - ndimage.gaussian_filter1d(z, BASE * guess / step)
+    flat = ndimage.gaussian_filter1d(level, SMOOTH * guess / step)
+    least = PROMINENCE * float(np.ptp(np.percentile(flat, (5, 95))))
+    tops, _ = signal.find_peaks(flat, distance=max(int(APART * guess / step), 1), prominence=least)
+    places = [int(top) for top in tops[valid[tops]]]
+    half = max(int(AROUND * guess / step), 1)
+    crest = np.array([_turning_point(profile.distance, level, top, half)[0] for top in places])
+    # The tip of a crest is sharp: the highest point near it, not the parabola.
+    height = np.array([_turning_point(profile.distance, z, _highest(level, top, half), 1)[1] for top in places])
+    run = _runs(crest, guess, axis)
+    at, heights = _heights(profile.distance, z, level, crest, height, run, half)
+    return _summed_up(crest, height, run, at, heights)
+
+
+def _strongest_period(profile: Profile, z: Floats, step: float) -> float:
+    """Return the period of the strongest slopes, between four points and a third of the profile. [mm]."""
+    from dataclasses import replace  # noqa: PLC0415
+
+    spectrum = line_psd(replace(profile, z=z), form=min(FORM, z.size // 8), window="hann")
+    frequency = spectrum.frequency
+    score = spectrum.density * frequency**2
+    score[(frequency < FEWEST / np.ptp(profile.distance)) | (frequency > 1 / (POINTS * step))] = 0.0
+    top = int(np.argmax(score))
+    around = slice(max(top - 1, 0), top + 2)
+    if not score[top] > 0:
+        raise InputError("the profile is flat, it shows no cusps: give one across the lay")
+    return float(score[around].sum() / (score[around] @ frequency[around]))
+
+
+def _turning_point(at: Floats, z: Floats, index: int, half: int) -> tuple[float, float]:
+    """Return place and height of the vertex of a parabola around a point, or the point where it has none near."""
+    around = slice(max(index - half, 0), index + half + 1)
+    x = at[around] - at[index]
+    if x.size < 3:
+        return float(at[index]), float(z[index])
+    square, slope, height = np.polyfit(x, z[around], 2)
+    place = -slope / (2 * square) if square != 0 else 0.0
+    if abs(place) > np.ptp(x) / 2:
+        return float(at[index]), float(z[index])
+    return float(at[index] + place), float(height + place * slope / 2)
+
+
+def _highest(z: Floats, index: int, half: int) -> int:
+    first = max(index - half, 0)
+    return first + int(np.argmax(z[first : index + half + 1]))
+
+
+def _runs(crest: Floats, guess: float, axis: float | None) -> Ints:
+    """Return the number of the run of each crest: neighbours are about a feed apart, on one side of the axis."""
+    spacing = np.diff(crest)
+    near = spacing[np.abs(spacing / guess - 1) < 2 * OFF]
+    feed = float(np.median(near)) if near.size else guess
+    broken = np.abs(spacing / feed - 1) > OFF
+    if axis is not None:
+        broken |= (crest[:-1] < axis) & (crest[1:] >= axis)
+    return np.concatenate([[0], np.cumsum(broken)]).astype(np.int64)[: crest.size]
+
+
+def _heights(
+    at: Floats, z: Floats, level: Floats, crest: Floats, top: Floats, run: Ints, half: int
+) -> tuple[Floats, Floats]:
+    """Return the crests with a valley on either side, and their heights over the line between the valleys. [mm, nm]."""
+    valleys = {}
+    for k in map(int, np.flatnonzero(np.diff(run) == 0)):
+        inside = np.flatnonzero((at > crest[k]) & (at < crest[k + 1]))
+        lowest = int(inside[np.argmin(level[inside])])
+        place, drop = _turning_point(at, level, lowest, half)
+        valleys[k] = place, drop + float(np.interp(place, at, z - level))
+    places, heights = [], []
+    for k in range(1, crest.size - 1):
+        if k - 1 in valleys and k in valleys:
+            (before, low), (after, lower) = valleys[k - 1], valleys[k]
+            line = low + (lower - low) * (crest[k] - before) / (after - before)
+            places.append(crest[k])
+            heights.append((top[k] - line) * NM)
+    return np.array(places), np.array(heights)
+
+
+def _summed_up(crest: Floats, height: Floats, run: Ints, at: Floats, heights: Floats) -> Cusps:
+    """Return the cusps with the feed of all runs and of each stretch."""
+    runs = [np.flatnonzero(run == one) for one in np.unique(run)]
+    runs = [members for members in runs if members.size >= FEWEST]
+    if not runs:
+        raise InputError(
+            f"the profile shows {crest.size} crests and no {FEWEST} that are neighbours: give the feed as a first "
+            "guess, or a profile across the lay"
+        )
+    kept = np.concatenate(runs)
+    crest, height = crest[kept], height[kept]
+    run = np.repeat(np.arange(len(runs)), [members.size for members in runs])
+    lines = [crest[run == one] for one in range(len(runs))]
+    feed, feed_std, _ = _slope(lines)
+    # The second difference of positions that scatter by s alone scatters by the root of 6 s².
+    second = np.concatenate([np.diff(line, 2) for line in lines])
+    scatter = max(1.4826 * float(np.median(np.abs(second))) / np.sqrt(6), LOCATED * feed)
+    stretches = [one for line in lines for one in _stretches(line, scatter)]
+    return Cusps(
+        crest=frozen(crest, "crest"),
+        crest_z=frozen(height, "crest_z"),
+        run=run,
+        feed=feed,
+        feed_std=feed_std,
+        stretches=tuple(stretches),
+        height_at=frozen(at, "height_at"),
+        height_nm=frozen(heights, "height_nm"),
+    )
+
+
+def _slope(lines: list[Floats]) -> tuple[float, float, float]:
+    """Return the common slope of lines over their numbers, its standard uncertainty, and the sum of squares."""
+    number = np.concatenate([np.arange(line.size) - (line.size - 1) / 2 for line in lines])
+    place = np.concatenate([line - line.mean() for line in lines])
+    square = float(number @ number)
+    slope = float(number @ place / square)
+    residual = place - slope * number
+    freedom = place.size - len(lines) - 1
+    if freedom < 1:
+        return slope, float("nan"), float(residual @ residual)
+    variance = float(residual @ residual) / freedom
+    before, after = (
+        np.concatenate([part[side] for part in np.split(residual, np.cumsum([line.size for line in lines])[:-1])])
+        for side in (slice(None, -1), slice(1, None))
+    )
+    correlation = float(np.clip(before @ after / max(residual @ residual, 1e-300), 0.0, 0.9))
+    inflation = (1 + correlation) / (1 - correlation)
+    return slope, float(np.sqrt(variance * inflation / square)), float(residual @ residual)
+
+
+def _stretches(line: Floats, scatter: float) -> list[Stretch]:
+    """Part a run where its feed changes: the cheapest parting, each part with a line and a price of its own."""
+    size = line.size
+    price = PENALTY * np.log(size)
+    best: list[float] = [0.0] + [np.inf] * size
+    begin = [0] * (size + 1)
+    for end in range(1, size + 1):
+        for start in range(end):
+            count = end - start
+            if count < min(SHORTEST, size) or not np.isfinite(best[start]):
+                continue
+            cost = best[start] + _slope([line[start:end]])[2] / scatter**2 + price
+            if cost < best[end]:
+                best[end], begin[end] = cost, start
+    found = []
+    end = size
+    while end > 0:
+        part = line[begin[end] : end]
+        feed, feed_std, _ = _slope([part])
+        found.append(
+            Stretch(start=float(part[0]), end=float(part[-1]), feed=feed, feed_std=feed_std, count=int(part.size))
+        )
+        end = begin[end]
+    return found[::-1]

@@ -1,0 +1,487 @@
+r"""The edge that cut a turned surface, from its cusps.
+
+Between two crests one pass alone has left the surface, so a valley is a piece of the edge: over the distance
+:math:`u = s\,(r - X_k)` from the tip of pass k, with s the side of the axis,
+
+.. math:: h(r) = Z_k + e(u + \delta_k), \qquad X_k = m_k - R \sin\arctan h'(m_k),
+
+where :math:`m_k` is the middle between the crests, whose tangent says where on the nose of radius R the contact lies.
+The edge e is one spline for all valleys; heights :math:`Z_k` and small shifts :math:`\delta_k`, as large as the crests
+scatter, belong to each. On a curved part the contact rolls over the nose, so that the valleys overlap and show more of
+the edge than one cusp does.
+
+An instrument rounds the crests and lifts what is near them. So the surface that the estimate leaves is seen through the
+same instrument, and what it lacks is added to the estimate, until nothing changes (van Cittert's iteration).
+
+A height and a tilt of the edge do not show: they are a height and a shift of the tool. Both are taken off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._validate import positive
+from turnwright.errors import InputError
+from turnwright.heightmap import HeightMap
+from turnwright.metrology.cusps import find_cusps
+from turnwright.metrology.profile import line_profile
+from turnwright.profile import Profile
+from turnwright.tool import Tool, WavinessTable
+
+if TYPE_CHECKING:
+    from turnwright.instrument import Instrument
+    from turnwright.metrology.cusps import Cusps
+    from turnwright.surface import Surface
+
+__all__ = ["TurnedEdge", "edge_from_cusps"]
+
+NM = 1e6
+
+LINES = 24
+"""Radial lines of a map."""
+
+FORM = 6
+"""Degree of the polynomial whose slope says where the edge touches."""
+
+TRIM = 1.0
+"""Steps beside each crest that are left out, at least; and as many resolutions of the instrument."""
+
+PER_CUTOFF = 4
+"""Knots in a cutoff."""
+
+FINEST = 2.0
+"""Steps or resolutions in the cutoff unless another is asked for."""
+
+FEWEST = 4
+"""Valleys, at least; and valleys over which a place of the edge is known."""
+
+PASSES = 8
+"""Rounds of weighing and of seeing through the instrument."""
+
+FAR = 3.0
+"""Standard deviations at which the weight of a height begins to fall (Huber)."""
+
+FINE = 4
+"""Points of the surface that is seen, in a step of the measured one, at least."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TurnedEdge:
+    """The edge that cut a surface. See `edge_from_cusps`.
+
+    Parameters
+    ----------
+    tool
+        The nominal tool with the waviness found; held constant beyond ``reach``.
+    sweep, deviation, deviation_std
+        Its waviness and its standard uncertainty, from the scatter between valleys and that of the radius; that of the
+        instrument's scales is not in it. Each (n,) [rad], [mm], [mm]
+    reach
+        Distances from the tip toward +X between which the edge has shown. [mm]
+    radius, radius_std
+        Of the circle of best fit over the reach; a narrow reach says little of it. [mm]
+    residual_rms
+        Of the measured heights about the edge. [mm]
+    valleys
+        Number of cuts between crests that were used.
+    cutoff
+        Wavelength along the edge of which the waviness keeps half of the height. [mm]
+    """
+
+    tool: Tool
+    sweep: Floats
+    deviation: Floats
+    deviation_std: Floats
+    reach: tuple[float, float]
+    radius: float
+    radius_std: float
+    residual_rms: float
+    valleys: int
+    cutoff: float
+
+
+class _Line(NamedTuple):
+    """One profile across the cusps, with its form and on its own side of the axis."""
+
+    profile: Profile  # distance from the axis where that is known
+    form: Floats  # what was removed from it. (n,) [mm]
+    cusps: Cusps
+    slope: legendre.Legendre
+
+
+class _Valleys(NamedTuple):
+    """All heights between crests, one row each."""
+
+    line: Ints  # of which line
+    point: Ints  # which point of it
+    valley: Ints
+    u: Floats  # distance from the tip toward +X [mm]
+    inner: Bools  # whether it is further from both crests than the instrument resolves
+    tip: Floats  # where along the line, of each valley. (k,) [mm]
+    side: Floats  # +1 where u grows with the distance, else -1. (k,)
+    ends: Floats  # crests before and after each valley. (k, 2) [mm]
+    owner: Ints  # line of each valley. (k,)
+
+
+def edge_from_cusps(
+    measured: Profile | HeightMap,
+    tool: Tool,
+    *,
+    axis: float | tuple[float, float] | None = None,
+    removed: Surface | None = None,
+    instrument: Instrument | None = None,
+    feed: float | None = None,
+    cutoff: float | None = None,
+    toward_x: int = 1,
+) -> TurnedEdge:
+    """Reconstruct the edge that cut a turned surface from the valleys between its cusps.
+
+    Parameters
+    ----------
+    measured
+        A profile across the lay, or a map of a turned surface, of which radial lines are taken.
+    tool
+        The nominal tool: its radius places the contact, and is kept.
+    axis
+        Where the profile crosses the spindle axis [mm], or where that lies on the map (x, y) [mm]. On both sides of it
+        the same side of the edge points outward. A profile without it lies on one side; a map needs it.
+    removed
+        The form that the instrument has taken off the heights, as a surface of revolution about the axis; ``None``
+        where the heights still have their form. Without it the edge of a curved part is smeared.
+    instrument
+        Through which the surface was measured; without it what it rounds is taken for the edge.
+    feed
+        First guess, see `find_cusps`. [mm]
+    cutoff
+        Wavelength along the edge of which half is kept; twice the step or the instrument's resolution, whichever is
+        longer, by default. [mm]
+    toward_x
+        +1 if, without an axis, the distance grows toward the machine's +X, -1 if it falls.
+
+    Raises
+    ------
+    InputError
+        If there are too few valleys, a map has no axis, or the edge found is none that a tool can have.
+
+    Sources
+    -------
+    Oracle: surfaces cut by a brute-force minimum over the passes of a known wavy edge.
+    """
+    if toward_x not in (-1, 1):
+        raise InputError(f"toward_x is {toward_x!r}, it must be 1 or -1: say whether the distance grows toward +X")
+    lines = _lines(measured, axis, removed, feed)
+    finest = max(lines[0].profile.step, 0.0 if instrument is None else _resolution(instrument))
+    cutoff = FINEST * finest if cutoff is None else positive(cutoff, "cutoff", "mm")
+    # What is seen through an instrument is fitted up to the crests, but the edge is known where they do not blur it.
+    trim = TRIM * lines[0].profile.step if instrument is None else 0.0
+    clear = trim if instrument is None else finest
+    valleys = _valleys(lines, tool.nose_radius, (trim, clear), known=axis is not None, toward_x=toward_x)
+    if valleys.tip.size < FEWEST:
+        raise InputError(
+            f"the profile shows {valleys.tip.size} valleys between crests, an edge needs {FEWEST}: measure a longer one"
+        )
+    return _solve(lines, valleys, tool, instrument, cutoff)
+
+
+def _resolution(instrument: Instrument) -> float:
+    return max(instrument.pixel or 0.0, 1 / instrument.cutoff)
+
+
+def _lines(
+    measured: Profile | HeightMap, axis: float | tuple[float, float] | None, removed: Surface | None, feed: float | None
+) -> list[_Line]:
+    """Return the profiles across the cusps, their distances from the axis where it is known."""
+    if isinstance(measured, Profile):
+        if isinstance(axis, tuple):
+            raise InputError(
+                f"the axis of a profile is {axis}, it must be one distance: give where the profile crosses it"
+            )
+        at = measured.distance - (axis or 0.0)
+        return [_line(replace(measured, distance=at), removed, feed, known=axis is not None)]
+    if not isinstance(axis, tuple):
+        raise InputError(f"the axis of a map is {axis!r}, it must be (x, y): give where the spindle axis lies on it")
+    x, y = measured.points()
+    reach = np.arctan2(y - axis[1], x - axis[0])
+    low, high = (0.0, np.pi) if _holds(measured, axis) else (float(reach.min()), float(reach.max()))
+    if high - low > np.pi:  # a patch across the branch of the angle
+        reach = reach % (2 * np.pi)
+        low, high = float(reach.min()), float(reach.max())
+    found = []
+    for angle in low + (high - low) * (np.arange(LINES) + 0.5) / LINES:
+        try:
+            profile = line_profile(measured, axis, angle=float(angle), method="cubic")
+            found.append(_line(profile, removed, feed, known=True))
+        except InputError:  # a line through a corner of the map shows too little
+            continue
+    if not found:
+        raise InputError(
+            f"none of {LINES} lines through the axis at {axis} shows cusps: check the axis, or give the feed"
+        )
+    return found
+
+
+def _holds(heights: HeightMap, axis: tuple[float, float]) -> bool:
+    if heights.x is None or heights.y is None:
+        return True
+    inside_x = heights.x[0] <= axis[0] <= heights.x[-1]
+    return bool(inside_x and heights.y[0] <= axis[1] <= heights.y[-1])
+
+
+def _line(profile: Profile, removed: Surface | None, feed: float | None, *, known: bool) -> _Line:
+    cusps = find_cusps(profile, feed=feed, axis=0.0 if known else None)
+    at = profile.distance
+    form = np.zeros(at.size) if removed is None else removed.sag(at, np.zeros(at.size))
+    valid = ~np.isnan(profile.z)
+    shape = legendre.Legendre.fit(at[valid], (profile.z + form)[valid], FORM)
+    return _Line(profile, form, cusps, shape.deriv())
+
+
+def _valleys(lines: list[_Line], radius: float, away: tuple[float, float], *, known: bool, toward_x: int) -> _Valleys:
+    """Return the heights between crests, without those close to a crest."""
+    trim, clear = away
+    rows: list[tuple[Ints, Ints, Ints, Floats, Bools]] = []
+    tips: list[float] = []
+    sides: list[float] = []
+    ends: list[tuple[float, float]] = []
+    owners: list[int] = []
+    for owner, line in enumerate(lines):
+        at, crest = line.profile.distance, line.cusps.crest
+        for k in np.flatnonzero(np.diff(line.cusps.run) == 0):
+            before, after = float(crest[k]), float(crest[k + 1])
+            inside = np.flatnonzero((at > before + trim) & (at < after - trim) & ~np.isnan(line.profile.z))
+            if inside.size < FEWEST:
+                continue
+            middle = (before + after) / 2
+            tip = middle - radius * np.sin(np.arctan(line.slope(middle)))
+            side = (np.sign(middle) if known else 1.0) * (1.0 if known else toward_x)
+            number = len(tips)
+            place = at[inside]
+            inner = np.minimum(place - before, after - place) > clear
+            rows.append(
+                (np.full(inside.size, owner), inside, np.full(inside.size, number), side * (place - tip), inner)
+            )
+            tips.append(tip)
+            sides.append(side)
+            ends.append((before, after))
+            owners.append(owner)
+    if not rows:
+        none = np.zeros(0, dtype=np.int64)
+        rows = [(none, none, none, np.zeros(0), np.zeros(0, dtype=bool))]
+    line_of, point, valley, u, inside_of = (np.concatenate(part) for part in zip(*rows, strict=True))
+    return _Valleys(
+        line_of,
+        point,
+        valley,
+        u,
+        inside_of,
+        np.array(tips),
+        np.array(sides),
+        np.array(ends).reshape(-1, 2),
+        np.array(owners),
+    )
+
+
+def _solve(
+    lines: list[_Line], valleys: _Valleys, tool: Tool, instrument: Instrument | None, cutoff: float
+) -> TurnedEdge:
+    """Fit the edge, the heights and the shifts of the valleys, and what an instrument takes away."""
+    radius = tool.nose_radius
+    if np.abs(valleys.u).max() > 0.9 * radius:
+        raise InputError(
+            f"the valleys reach {np.abs(valleys.u).max():.4g} mm from the tip, the limit is 0.9 of the nose_radius, "
+            f"{0.9 * radius:.4g} mm: check nose_radius, axis and removed form"
+        )
+    knot = cutoff / PER_CUTOFF
+    first = np.floor(valleys.u.min() / knot) - 1
+    knots = knot * np.arange(first, np.ceil(valleys.u.max() / knot) + 2)
+    with_form = [line.profile.z + line.form for line in lines]
+    measured = np.concatenate([with_form[n][valleys.point[valleys.line == n]] for n in range(len(lines))])
+    circle = _circle(valleys.u, radius)
+    shift_std = _shift_std(lines)
+    penalty = _penalty(knots, valleys.u.size, cutoff)
+    target, weight, noise = measured - circle, np.ones(measured.size), float(np.std(measured - circle))
+    for _ in range(PASSES):
+        found = _fitted(valleys, knots, radius, target, weight, penalty, (noise / shift_std) ** 2)
+        model = found.at(valleys, knots, radius)
+        seen = model + circle if instrument is None else _as_seen(lines, valleys, knots, found, radius, instrument)
+        residual = measured - seen
+        if instrument is not None:
+            target = model + residual
+        noise = max(_scatter(residual), 1e-12)
+        weight = np.minimum(1.0, FAR * noise / np.maximum(np.abs(residual), 1e-300))
+    edge_std, known = _uncertainty(valleys, knots, residual)
+    return _as_tool(tool, knots, found.edge, edge_std, known, residual, valleys.tip.size, cutoff)
+
+
+class _Fit(NamedTuple):
+    """Heights and shifts of the valleys, each (k,) [mm], and the edge over its circle at the knots (n,). [mm]."""
+
+    height: Floats
+    shift: Floats
+    edge: Floats
+
+    def at(self, valleys: _Valleys, knots: Floats, radius: float) -> Floats:
+        """Return the heights over the nominal circle at all points."""
+        own = self.height[valleys.valley] + self.shift[valleys.valley] * valleys.u / radius
+        return np.asarray(own + np.interp(valleys.u, knots, self.edge))
+
+
+def _fitted(
+    valleys: _Valleys, knots: Floats, radius: float, target: Floats, weight: Floats, penalty: Floats, ridge: float
+) -> _Fit:
+    """Fit edge, heights and shifts by least squares; those of each valley are eliminated first."""
+    count, size, knot = valleys.tip.size, knots.size, knots[1] - knots[0]
+    place = np.clip(((valleys.u - knots[0]) / knot).astype(np.int64), 0, size - 2)
+    share = (valleys.u - knots[place]) / knot
+    across = valleys.u / radius
+    of_edge = penalty.copy()
+    right = np.zeros(size)
+    both: Floats = np.zeros((size, count, 2))
+    for at, part in ((place, 1 - share), (place + 1, share)):
+        for other, rest in ((place, 1 - share), (place + 1, share)):
+            np.add.at(of_edge, (at, other), weight * part * rest)
+        np.add.at(right, at, weight * part * target)
+        np.add.at(both[..., 0], (at, valleys.valley), weight * part)
+        np.add.at(both[..., 1], (at, valleys.valley), weight * part * across)
+    sums = [
+        np.bincount(valleys.valley, weights=weight * column, minlength=count)
+        for column in (np.ones(across.size), across, across * across, target, across * target)
+    ]
+    own = np.array([[sums[0], sums[1]], [sums[1], sums[2] + ridge]]).transpose(2, 0, 1)
+    own_right = np.stack(sums[3:], axis=1)
+    inverse = np.linalg.inv(own)
+    reduced = np.einsum("nki,kij->nkj", both, inverse).reshape(size, -1)
+    edge = np.linalg.solve(of_edge - reduced @ both.reshape(size, -1).T, right - reduced @ own_right.ravel())
+    solved = np.einsum("kij,kj->ki", inverse, own_right - np.einsum("nki,n->ki", both, edge))
+    return _Fit(height=solved[:, 0], shift=solved[:, 1], edge=edge)
+
+
+def _penalty(knots: Floats, points: int, cutoff: float) -> Floats:
+    """Return the penalty of the edge: a wave of the cutoff keeps half; height and tilt are those of the tool."""
+    size, knot = knots.size, knots[1] - knots[0]
+    stiff = points / size / (2 * np.sin(np.pi * knot / cutoff)) ** 4
+    second = np.diff(np.eye(size), 2, axis=0)
+    tilt = knots / np.abs(knots).max()
+    return np.asarray(stiff * second.T @ second + np.ones((size, size)) + np.outer(tilt, tilt))
+
+
+def _shift_std(lines: list[_Line]) -> float:
+    """Return how far the crests scatter, and so the passes. [mm]."""
+    feed = lines[0].cusps.feed
+    scatter = [float(np.std(np.diff(one.cusps.crest, 2)[np.diff(one.cusps.run, 2) == 0])) for one in lines]
+    scatter = [one for one in scatter if np.isfinite(one)] or [0.01 * feed]
+    return float(max(np.median(scatter) / np.sqrt(6), 1e-4 * feed))
+
+
+def _circle(u: Floats, radius: float) -> Floats:
+    """Return how high the nose stands above its tip. [mm]."""
+    return np.asarray(radius - np.sqrt(radius * radius - u * u))
+
+
+def _as_seen(
+    lines: list[_Line], valleys: _Valleys, knots: Floats, found: _Fit, radius: float, instrument: Instrument
+) -> Floats:
+    """Return the heights that the estimate would have as measured: the lowest pass, seen through the instrument."""
+    out = np.empty(valleys.u.size)
+    for n, line in enumerate(lines):
+        at = line.profile.distance
+        step = line.profile.step
+        many = max(FINE, int(np.ceil(2.5 * step / _resolution(instrument))))
+        fine = at[0] + step / many * np.arange(many * (at.size - 1) + 1)
+        valid = ~np.isnan(line.profile.z)
+        known = np.interp(fine, at[valid], line.profile.z[valid])
+        form = np.interp(fine, at, line.form)
+        lowest = np.full(fine.size, np.inf)
+        inside = np.zeros(fine.size, dtype=bool)
+        for k in np.flatnonzero(valleys.owner == n):
+            before, after = valleys.ends[k]
+            near = slice(*np.searchsorted(fine, (1.5 * before - 0.5 * after, 1.5 * after - 0.5 * before)))
+            u = valleys.side[k] * (fine[near] - valleys.tip[k])
+            edge = _circle(np.clip(u, -radius, radius), radius) + np.interp(u, knots, found.edge)
+            left = found.height[k] + edge + found.shift[k] * u / radius
+            lowest[near] = np.minimum(lowest[near], left)
+            inside[slice(*np.searchsorted(fine, (before, after)))] = True
+        surface = np.where(inside, lowest - form, known)
+        whole = Profile(distance=fine, z=surface, x=fine, y=np.zeros(fine.size))
+        chosen = valleys.line == n
+        seen = instrument.see(whole).z[::many]
+        out[chosen] = (seen + line.form)[valleys.point[chosen]]
+    return out
+
+
+def _scatter(values: Floats) -> float:
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+def _uncertainty(valleys: _Valleys, knots: Floats, residual: Floats) -> tuple[Floats, Bools]:
+    """Return the standard uncertainty of the edge at each knot, and where enough valleys show it.
+
+    Residuals of one valley hang together, those of different valleys do not: so their means at a knot count.
+    """
+    knot = knots[1] - knots[0]
+    std, seen = np.full(knots.size, np.nan), np.zeros(knots.size, dtype=bool)
+    place = np.rint((valleys.u - knots[0]) / knot).astype(np.int64)
+    for k in range(knots.size):
+        near = (np.abs(place - k) <= 1) & valleys.inner
+        count = np.bincount(valleys.valley[near], minlength=valleys.tip.size)
+        total = np.bincount(valleys.valley[near], weights=residual[near], minlength=valleys.tip.size)
+        means = total[count > 0] / count[count > 0]
+        if means.size >= FEWEST:
+            seen[k] = True
+            std[k] = means.std(ddof=1) / np.sqrt(means.size)
+    return std, seen
+
+
+def _as_tool(
+    tool: Tool, knots: Floats, edge: Floats, edge_std: Floats, seen: Bools, residual: Floats, count: int, cutoff: float
+) -> TurnedEdge:
+    """Return the edge as waviness of the nose, without what is a height or a shift of the tool."""
+    if np.count_nonzero(seen) < FEWEST:
+        raise InputError(
+            f"{np.count_nonzero(seen)} places of the edge show in {FEWEST} valleys or more, the limit is {FEWEST}: "
+            "measure a longer profile"
+        )
+    radius = tool.nose_radius
+    u, height, std = knots[seen], edge[seen], edge_std[seen]
+    # Height, shift and radius of the circle of best fit.
+    columns = np.column_stack([np.ones(u.size), u / radius, 1 - 1 / np.sqrt(1 - (u / radius) ** 2)])
+    weight = 1 / np.maximum(std, np.median(std))
+    held = np.linalg.lstsq(columns[:, :2] * weight[:, None], height * weight, rcond=None)[0]
+    best = np.linalg.lstsq(columns * weight[:, None], height * weight, rcond=None)[0]
+    off = height - columns @ best
+    covariance = np.linalg.pinv((columns * weight[:, None]).T @ (columns * weight[:, None]))
+    # The waves of the edge itself make its circle uncertain, and neighbouring knots hang together over a cutoff.
+    excess = max(1.0, float(np.mean((off * weight) ** 2))) * PER_CUTOFF
+    radius_std = float(np.sqrt(covariance[2, 2] * excess))
+    # How the edge bends over all valleys is known as well as the radius, beyond what shows at one place.
+    bend = columns[:, 2] - columns[:, :2] @ np.linalg.lstsq(columns[:, :2], columns[:, 2], rcond=None)[0]
+    std = np.hypot(std, bend * radius_std)
+    height = height - columns[:, :2] @ held
+    above = np.sqrt(radius * radius - u * u) - height
+    sweep, deviation = np.arctan2(u, above), np.hypot(u, above) - radius
+    low, high = tool.arc
+    chosen = (sweep > low) & (sweep < high)
+    try:
+        table = WavinessTable(sweep=sweep[chosen], deviation=deviation[chosen])
+        found = replace(tool, waviness=table)
+    except InputError as error:
+        raise InputError(
+            f"{count} valleys show an edge that no tool has ({error}): check nose_radius, axis and removed form"
+        ) from error
+    return TurnedEdge(
+        tool=found,
+        sweep=frozen(sweep[chosen], "sweep"),
+        deviation=frozen(deviation[chosen], "deviation"),
+        deviation_std=frozen(std[chosen], "deviation_std"),
+        reach=(float(u[chosen][0]), float(u[chosen][-1])),
+        radius=radius + float(best[2]),
+        radius_std=radius_std,
+        residual_rms=float(np.sqrt(np.mean(residual**2))),
+        valleys=count,
+        cutoff=cutoff,
+    )

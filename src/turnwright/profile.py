@@ -1,0 +1,135 @@
+"""Heights along a line: of a map, or as an instrument traced them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+from turnwright._arrays import Floats, frozen, same_length
+from turnwright._validate import check_numbers
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["Profile"]
+
+NM = 1e6
+MAX_DEGREE = 10
+EVEN = 1e-6
+"""Spread of the steps of an even profile, over the step."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Profile:
+    """Heights along a straight line, see `line_profile` and `read_profile`.
+
+    Parameters
+    ----------
+    distance
+        From the start, or from the point that the line goes through; ascending and even. (n,) [mm]
+    z
+        Heights; nan is missing. (n,) [mm]
+    x, y
+        Where they stand. (n,) [mm]
+    name
+        What the profile shows.
+    metadata
+        What the instrument's file says beside the heights, as text.
+
+    Raises
+    ------
+    InputError
+        If the arrays differ in length, or the distances do not ascend.
+    """
+
+    distance: Floats
+    z: Floats
+    x: Floats
+    y: Floats
+    name: str = ""
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_numbers(self, nan=("z",))
+        for name in ("distance", "z", "x", "y"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name, finite=name != "z"))
+        same_length((name, getattr(self, name)) for name in ("distance", "z", "x", "y"))
+        if not (np.diff(self.distance) > 0).all():
+            raise InputError("the distances of a profile do not ascend: sort them and drop repeated values")
+        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+
+    @property
+    def step(self) -> float:
+        """Distance from point to point. [mm].
+
+        Raises
+        ------
+        InputError
+            If there are fewer than two points, or they are not even.
+        """
+        steps = np.diff(self.distance)
+        if steps.size == 0 or np.ptp(steps) > EVEN * steps.mean():
+            raise InputError(
+                f"the profile has {self.distance.size} points{' in uneven steps' if steps.size else ''}, it needs two "
+                "or more in even steps: interpolate it first"
+            )
+        return float(steps.mean())
+
+    def between(self, start: float, end: float) -> Profile:
+        """Return the stretch from one distance to another. [mm].
+
+        Raises
+        ------
+        InputError
+            If it holds no point.
+        """
+        chosen = (self.distance >= start) & (self.distance <= end)
+        if not chosen.any():
+            raise InputError(
+                f"the profile has no point from {start:g} to {end:g} mm, it reaches from {self.distance[0]:g} to "
+                f"{self.distance[-1]:g} mm: choose a stretch of it"
+            )
+        parts = {name: getattr(self, name)[chosen] for name in ("distance", "z", "x", "y")}
+        return replace(self, **parts)
+
+    def without(self, degree: int) -> Profile:
+        """Return the profile without its polynomial of best fit: 0 takes off the mean, 1 a line.
+
+        Raises
+        ------
+        InputError
+            If the degree is not from 0 to 10, or there are too few valid heights.
+        """
+        if isinstance(degree, bool) or not isinstance(degree, int) or not 0 <= degree <= MAX_DEGREE:
+            raise InputError(
+                f"the degree of a profile's polynomial is {degree!r}, the limits are 0 to {MAX_DEGREE}: choose between"
+            )
+        valid = ~np.isnan(self.z)
+        if np.count_nonzero(valid) <= degree:
+            raise InputError(
+                f"the profile has {np.count_nonzero(valid)} valid heights, a polynomial of degree {degree} needs "
+                f"{degree + 1}: take a longer one"
+            )
+        low, high = self.distance[valid][[0, -1]]
+        terms: Floats = legvander((2 * self.distance - low - high) / ((high - low) or 1.0), degree)
+        return replace(self, z=self.z - terms @ np.linalg.lstsq(terms[valid], self.z[valid])[0])
+
+    @property
+    def pa_nm(self) -> float:
+        """Mean of the heights' sizes, from zero: take the line off first. [nm]."""
+        return float(np.nanmean(np.abs(self.z))) * NM
+
+    @property
+    def pq_nm(self) -> float:
+        """Root mean square of the heights, from zero: take the line off first. [nm]."""
+        return float(np.sqrt(np.nanmean(self.z**2))) * NM
+
+    @property
+    def pt_nm(self) -> float:
+        """Highest minus lowest. [nm]."""
+        return float(np.nanmax(self.z) - np.nanmin(self.z)) * NM
