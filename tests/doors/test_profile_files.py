@@ -1,0 +1,87 @@
+"""Slices of instruments: columns by name, units stated or given, gaps, several slices; nothing is guessed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from turnwright.errors import InputError, MapError
+from turnwright.files import read_profile, write_map
+from turnwright.heightmap import HeightMap
+
+ROOT = Path(__file__).parents[2]
+REAL = ROOT / "examples" / "real_part_1021"
+SLICE = "X   ,Y    ,Slice\n1.0,-0.5,Slice 1\n2.0,,Slice 1\n3.0,0.25,Slice 1\n5.0,0.5,Slice 1\n"
+
+
+def read(tmp_path, text, **options):
+    (tmp_path / "a.csv").write_text(text)
+    return read_profile(tmp_path / "a.csv", **options)
+
+
+def test_a_slice_has_its_height_in_y_and_its_unit_as_given(tmp_path):
+    found = read(tmp_path, SLICE, unit="um")
+    np.testing.assert_allclose(found.distance, 1e-3 * np.arange(1, 6), rtol=1e-12)
+    np.testing.assert_allclose(found.z, [-5e-4, np.nan, 2.5e-4, np.nan, 5e-4], rtol=1e-12)
+
+
+def test_columns_are_chosen_by_name_or_number(tmp_path):
+    text = "t [s];Position [mm];Raw [nm];Filtered [nm]\n0;0.1;10;1\n1;0.2;20;2\n2;0.3;30;3\n"
+    for options in (
+        {"distance": "position", "height": "Filtered"},
+        {"distance": "Position [mm]", "height": "FILTERED [nm]"},
+        {"distance": "2", "height": "4"},
+    ):
+        found = read(tmp_path, text, **options)
+        np.testing.assert_allclose(found.distance, [0.1, 0.2, 0.3], rtol=1e-12)
+        np.testing.assert_allclose(found.z, [1e-6, 2e-6, 3e-6], rtol=1e-12)
+    with pytest.raises(MapError, match=r"4 columns of numbers, 't \[s\]', .*name both"):
+        read(tmp_path, text)
+    with pytest.raises(MapError, match="0 columns 'Z' for the height"):
+        read(tmp_path, text, distance="position", height="Z")
+
+
+def test_a_falling_slice_is_turned_and_rounded_steps_are_even(tmp_path):
+    at = np.round(0.8711 * np.arange(400), 3)[::-1]
+    rows = "\n".join(f"{x} {x / 1000}" for x in at)
+    found = read(tmp_path, "x_um height_nm\n" + rows)
+    assert found.step == pytest.approx(0.8711e-3, rel=1e-4)
+    assert found.distance[0] == pytest.approx(-at.max() * 1e-3, rel=1e-9)
+    assert found.z[0] == pytest.approx(at.max() * 1e-9, rel=1e-9)
+
+
+def test_one_of_several_slices_is_asked_for(tmp_path):
+    text = SLICE + SLICE.split("\n", 1)[1].replace("Slice 1", "Slice 2").replace("0.5", "0.75")
+    with pytest.raises(MapError, match="holds 2 slices"):
+        read(tmp_path, text, unit="um")
+    assert read(tmp_path, text, unit="um", number=2).z[-1] == pytest.approx(7.5e-4)
+    with pytest.raises(InputError, match="1 to 2"):
+        read(tmp_path, text, unit="um", number=3)
+
+
+def test_units_are_never_guessed(tmp_path):
+    with pytest.raises(MapError, match="does not state the unit of x"):
+        read(tmp_path, SLICE)
+    with pytest.raises(MapError, match="states the unit of its heights"):
+        read(tmp_path, "x [um],z [nm]\n0.5,1\n1.5,2\n2.5,3\n", unit="mm")
+    mixed = read(tmp_path, "x,z [nm]\n0.5,1\n1.5,2\n2.5,3\n", lateral_unit="um")
+    assert mixed.step == pytest.approx(1e-3)
+
+
+def test_a_file_of_one_line_is_a_profile_and_a_map_is_none(tmp_path):
+    line = HeightMap(z=np.arange(5.0)[None] * 1e-6, x=0.1 * np.arange(5), y=[0.0])
+    write_map(line, tmp_path / "a.npz")
+    found = read_profile(tmp_path / "a.npz")
+    np.testing.assert_array_equal(found.z, line.z[0])
+    np.testing.assert_array_equal(found.distance, line.x)
+    with pytest.raises(MapError, match="do not give columns or units"):
+        read_profile(tmp_path / "a.npz", unit="um")
+    with pytest.raises(MapError, match="not a profile"):
+        read_profile(ROOT / "tests" / "data" / "measured" / "sdf-1_ascii.sdf")
+
+
+def test_the_slice_of_the_real_part_is_read():
+    found = read_profile(REAL / "measured_slice.csv")
+    assert found.z.size == 999
+    assert found.step * 1e3 == pytest.approx(0.8711, abs=2e-4)
+    assert np.ptp(found.z) * 1e6 == pytest.approx(1260, abs=30)
