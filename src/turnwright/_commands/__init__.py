@@ -5,6 +5,7 @@ from turnwright._commands import (  # noqa: F401 - each registers its commands
     _materials,
     _measuring,
     _serving,
+    _showing,
     _studies,
     _tiling,
     _tolerances,

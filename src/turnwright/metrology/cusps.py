@@ -222,6 +222,13 @@ def _strongest_period(profile: Profile, z: Floats, step: float) -> float:
     score = spectrum.density * frequency**2
     score[(frequency < FEWEST / np.ptp(profile.distance)) | (frequency > 1 / (POINTS * step))] = 0.0
     top = int(np.argmax(score))
+    # Sharp cusps have strong harmonics: where half or a third of the frequency is stronger, that is the feed.
+    for part in (3, 2):
+        low = top // part
+        lower = low - 1 + int(np.argmax(spectrum.density[low - 1 : low + 3])) if low > 1 else top
+        if score[lower] > 0 and spectrum.density[lower] > spectrum.density[top]:
+            top = lower
+            break
     around = slice(max(top - 1, 0), top + 2)
     if not score[top] > 0:
         raise InputError("the profile is flat, it shows no cusps: give one across the lay")

@@ -11,6 +11,7 @@ import math
 import re
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path as File
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib as mpl
@@ -20,10 +21,13 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
+from turnwright._whole import write_whole
 from turnwright.metrology import area_rms
+from turnwright.profile import Profile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from os import PathLike
 
     from matplotlib.axes import Axes
 
@@ -59,6 +63,7 @@ __all__ = [
     "spiral",
     "tool_moves",
     "view",
+    "write_picture",
     "z_over_turns",
 ]
 
@@ -506,13 +511,44 @@ def _resampled(heights: HeightMap) -> tuple[Floats, tuple[float, float, float, f
 def error_map(heights: HeightMap) -> Picture:
     """Draw cut minus design, colours centred at zero."""
     with _canvas(4.6, 3.7) as canvas:
-        axes = canvas.figure.add_subplot()
-        if heights.x is not None and heights.y is not None:
-            x, y, stride = heights.x, heights.y, math.ceil(max(heights.z.shape) / MOST_PIXELS)
-            image = heights.z[::stride, ::stride]
-            centre = (float(x[0] + x[-1]) / 2, float(y[0] + y[-1]) / 2)
-            factor, unit = _length(float(max(np.ptp(x), np.ptp(y))))
-            grown = float(x[1] - x[0]) / 2, float(y[1] - y[0]) / 2
+        _draw_map(canvas, heights, "cut minus design [nm]")
+    low, high = _range_nm(heights.z)
+    return Picture(canvas.svg, f"Map of cut minus design, from {low:.4g} to {high:.4g} nm.")
+
+
+def _range_nm(z: Floats) -> tuple[float, float]:
+    known = z[np.isfinite(z)]
+    return (float(known.min()) * NM, float(known.max()) * NM) if known.size else (0.0, 0.0)
+
+
+def _draw_map(canvas: _Canvas, heights: HeightMap, label: str) -> None:
+    """Draw heights over their grid, or scattered ones at their places, colours centred at zero."""
+    axes = canvas.figure.add_subplot()
+    sizes = np.abs(heights.z[np.isfinite(heights.z)]) * NM
+    limit = float(np.percentile(sizes, SPAN)) if sizes.size else 1.0
+    beyond = bool(sizes.size and sizes.max() > limit * 1.001)
+    limit = limit or 1e-3
+    colours: dict[str, Any] = {"cmap": ERRORS, "vmin": -limit, "vmax": limit}
+    if heights.polar:
+        image, extent = _resampled(heights)
+        drawn = _plan(axes, image * NM, float(extent[1]), **colours)
+    else:
+        assert heights.x is not None  # noqa: S101 - a map that is not polar has x and y
+        assert heights.y is not None  # noqa: S101
+        x, y = heights.x, heights.y
+        centre = (float(x.min() + x.max()) / 2, float(y.min() + y.max()) / 2)
+        factor, unit = _length(float(max(np.ptp(x), np.ptp(y)))) if heights.calibrated else (1.0, "pixels")
+        if heights.scattered:
+            few = heights.thinned(PIXELS**2 // 8)
+            across, along = few.points()
+            drawn = axes.scatter(
+                (across - centre[0]) * factor, (along - centre[1]) * factor, c=few.z * NM, s=2, rasterized=True,
+                **colours,
+            )  # fmt: skip
+            axes.set_aspect("equal")
+        else:
+            stride = math.ceil(max(heights.z.shape) / MOST_PIXELS)
+            grown = [float(np.diff(axis[:2]).sum()) / 2 or 0.5 / factor for axis in (x, y)]
             extent = tuple(
                 (end - middle) * factor
                 for end, middle in (
@@ -520,27 +556,46 @@ def error_map(heights: HeightMap) -> Picture:
                     (y[0] - grown[1], centre[1]), (y[-1] + grown[1], centre[1]),
                 )
             )  # fmt: skip
-        else:
-            image, extent = _resampled(heights)
-            centre, unit = (0.0, 0.0), "mm"
-        sizes = np.abs(heights.z[np.isfinite(heights.z)]) * NM
-        limit = float(np.percentile(sizes, SPAN)) if sizes.size else 1.0
-        beyond = bool(sizes.size and sizes.max() > limit * 1.001)
-        limit = limit or 1e-3
-        if heights.polar:
-            drawn = _plan(axes, image * NM, float(extent[1]), cmap=ERRORS, vmin=-limit, vmax=limit)
-        else:
             drawn = axes.imshow(
-                image * NM, origin="lower", extent=extent, cmap=ERRORS, vmin=-limit, vmax=limit,
-                interpolation="antialiased",
+                heights.z[::stride, ::stride] * NM, origin="lower", extent=extent, interpolation="antialiased",
+                **colours,
             )  # fmt: skip
-            axes.set(
-                xlabel=f"x from {round(centre[0], 9) + 0.0:.6g} mm [{unit}]",
-                ylabel=f"y from {round(centre[1], 9) + 0.0:.6g} mm [{unit}]",
-            )
-        _bar(canvas, axes, drawn, "cut minus design [nm]", extend="both" if beyond else "neither")
-    low, high = (float(end(heights.z)) * NM if sizes.size else 0.0 for end in (np.nanmin, np.nanmax))
-    return Picture(canvas.svg, f"Map of cut minus design, from {low:.4g} to {high:.4g} nm.")
+        shift = " mm" if heights.calibrated else ""
+        axes.set(
+            xlabel=f"x from {round(centre[0], 9) + 0.0:.6g}{shift} [{unit}]",
+            ylabel=f"y from {round(centre[1], 9) + 0.0:.6g}{shift} [{unit}]",
+        )
+    _bar(canvas, axes, drawn, label, extend="both" if beyond else "neither")
+
+
+def write_picture(shown: HeightMap | Profile, path: str | PathLike[str]) -> None:
+    """Write a picture of a map or a profile for other programs: ``.png``, ``.svg`` or ``.pdf``, by the suffix.
+
+    Parameters
+    ----------
+    shown
+        Heights, as they are to be drawn.
+    path
+        Of the file.
+
+    """
+    file = File(path)
+    kind = file.suffix.lower().removeprefix(".")
+    plain = {key: value for key, value in STYLE.items() if not key.endswith(("color", "labelcolor"))}
+    with mpl.rc_context({**plain, "figure.facecolor": "white", "savefig.facecolor": "white"}):
+        canvas = _Canvas(6.4, 3.2 if isinstance(shown, Profile) else 4.8, 160)
+        if isinstance(shown, Profile):
+            axes = canvas.figure.add_subplot()
+            factor, unit = _length(float(np.ptp(shown.distance)))
+            axes.plot(shown.distance * factor, shown.z * NM, linewidth=0.8)
+            axes.set(xlabel=f"distance [{unit}]", ylabel="height [nm]")
+            axes.grid(visible=True)
+            axes.margins(x=0)
+        else:
+            _draw_map(canvas, shown, "height [nm]")
+        picture = io.BytesIO()
+        canvas.figure.savefig(picture, format=kind, metadata={"Date": None} if kind == "svg" else None)
+    write_whole(file, picture.getvalue())
 
 
 def places_map(heights: HeightMap, radius: float, *, like: HeightMap | None = None) -> Picture:
