@@ -74,7 +74,7 @@ def test_a_profile_is_shown_with_its_feed_and_scallops(tmp_path, capsys):
     assert "size: 962 points, 871.1 nm apart, 837.1 um" in out
     assert "feed: 10.17 um" in out
     assert "median 58.51 nm" in out
-    assert "a perfect nose of 200 um leaves scallops of 64.62 nm" in out
+    assert "a perfect nose of 200 um leaves scallops of 64.63 nm" in out
     assert "as seen by zygo-nexview-10x" in out
     assert (tmp_path / "a.png").stat().st_size > 1000
 
