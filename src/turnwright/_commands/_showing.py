@@ -37,6 +37,7 @@ def show(
     distance: Annotated[str | None, typer.Option(help="Column of a profile's distance.")] = None,
     height: Annotated[str | None, typer.Option(help="Column of a profile's height.")] = None,
     number: Annotated[int | None, typer.Option(min=1, help="Which profile of several.")] = None,
+    cutoff: Annotated[str | None, typer.Option(help='L-filter of a profile\'s roughness, such as "0.08 mm".')] = None,
     feed: Annotated[str | None, typer.Option(help='First guess of a profile\'s feed, such as "10 um".')] = None,
     nose_radius: Annotated[
         str | None, typer.Option(help='Predict the scallops of a perfect nose, such as "0.2 mm".')
@@ -65,13 +66,13 @@ def show(
             door, line, kind, None if feed is None else parse(feed, "mm"),
             None if nose_radius is None else parse(nose_radius, "mm"), instrument,
         )  # fmt: skip
+        if cutoff is not None:
+            _say_roughness(door, line, parse(cutoff, "mm"))
     else:
         from turnwright.files import read_map  # noqa: PLC0415
 
-        if nose_radius is not None or instrument is not None or feed is not None:
-            raise InputError(
-                "scallops are predicted of a profile: add --profile, or leave feed, nose and instrument out"
-            )
+        if any(one is not None for one in (nose_radius, instrument, feed, cutoff)):
+            raise InputError("cutoff, feed, nose and instrument are for a profile: add --profile, or leave them out")
         heights = read_map(
             file, unit=unit, lateral_unit=lateral_unit,
             pixel_size=None if pixel_size is None else parse(pixel_size, "mm"),
@@ -133,6 +134,17 @@ def _show_profile(
     elif instrument is not None:
         raise InputError("an instrument sees a prediction: state --nose-radius too")
     return flat
+
+
+def _say_roughness(door: Door, line: Profile, cutoff: float) -> None:
+    from turnwright.metrology import profile_roughness  # noqa: PLC0415
+    from turnwright.units import say_length  # noqa: PLC0415
+
+    rough = profile_roughness(line, cutoff=cutoff)
+    door.say(
+        f"roughness over {rough.sections} sections of {say_length(cutoff)}: Ra {rough.ra_nm:.4g} nm, "
+        f"Rq {rough.rq_nm:.4g} nm, Rz {rough.rz_nm:.4g} nm, Rsk {rough.rsk:.3g}, RSm {rough.rsm * 1e3:.4g} um"
+    )
 
 
 def _predicted(line: Profile, feed: float, nose_radius: float, instrument: str | None) -> tuple[float, float]:

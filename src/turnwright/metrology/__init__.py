@@ -10,6 +10,7 @@ from turnwright.metrology.filters import Bands, Nesting, filter_map, separate_ba
 from turnwright.metrology.form import Form, remove_form
 from turnwright.metrology.lenslets import Lenslet, Lenslets, has_lenslets, lenslets
 from turnwright.metrology.profile import line_profile
+from turnwright.metrology.profile_roughness import ProfileRoughness, profile_roughness
 from turnwright.metrology.registration import PoseCandidate, Registration, Undetermined, register
 from turnwright.metrology.roughness import Roughness, roughness
 from turnwright.metrology.slope import Slopes, slope_error
@@ -31,6 +32,7 @@ __all__ = [
     "Lenslets",
     "Nesting",
     "PoseCandidate",
+    "ProfileRoughness",
     "Registration",
     "Roughness",
     "Slopes",
@@ -55,6 +57,7 @@ __all__ = [
     "lenslets",
     "line_profile",
     "line_psd",
+    "profile_roughness",
     "register",
     "remove_form",
     "roughness",
