@@ -6,6 +6,7 @@ from turnwright.metrology.bearing import Bearing, bearing
 from turnwright.metrology.best_fit import BestFit, best_fit, fizeau_view
 from turnwright.metrology.clean import Despiked, Filled, despike, fill_holes, keep_disc, trim_edge
 from turnwright.metrology.cusps import Cusps, Stretch, find_cusps
+from turnwright.metrology.features import Features, features
 from turnwright.metrology.filters import Bands, Nesting, filter_map, separate_bands
 from turnwright.metrology.form import Form, remove_form
 from turnwright.metrology.lenslets import Lenslet, Lenslets, has_lenslets, lenslets
@@ -26,6 +27,7 @@ __all__ = [
     "BestFit",
     "Cusps",
     "Despiked",
+    "Features",
     "Filled",
     "Form",
     "Lenslet",
@@ -47,6 +49,7 @@ __all__ = [
     "best_fit",
     "despike",
     "edge_from_cusps",
+    "features",
     "fill_holes",
     "filter_map",
     "find_cusps",
