@@ -20,7 +20,7 @@ def edge_height(u, nose=NOSE):
 def cut(tips, at, *, bend=0.0, wave=lambda u: 0.0 * u):
     """Heights over the design z = bend / 2 r² that passes at ``tips`` leave on both sides of the axis. (n,) [mm]"""
     lowest = np.full(at.size, np.inf)
-    reach = CONTACT[-1] + 3 * np.abs(np.diff(tips)).max()
+    reach = min(CONTACT[-1] + 3 * np.abs(np.diff(tips)).max(), 0.9 * NOSE)
     for tip in tips:
         z = np.max(bend / 2 * (tip + CONTACT) ** 2 - edge_height(CONTACT))  # the nominal nose touches the design
         for side in (-1, 1):

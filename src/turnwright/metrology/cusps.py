@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, Ints, frozen
+from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.metrology.spectrum import line_psd
@@ -36,6 +36,12 @@ FEWEST = 3
 
 POINTS = 4
 """Points in a cusp, at least."""
+
+LOWER = 0.6
+"""Height of every second crest over that of the others, below which it is none of a pass."""
+
+STRONGER = 3.0
+"""Density of the feed over that of its harmonic, at least; a sawtooth has 4 times that of its second."""
 
 BASE, SMOOTH = 0.5, 0.06
 """Standard deviations of the Gaussians that take off what is longer than a cusp, and the noise, over the feed."""
@@ -101,6 +107,9 @@ class Cusps:
     height_at, height_nm
         Where each crest with a valley on either side stands [mm], and how high above the line between the valleys.
         (m,) [nm]
+    axis
+        Where the profile crosses the spindle axis. A crest within half a feed of it stands between two sides of one
+        pass, and does not count for the feed. [mm]
     """
 
     crest: Floats
@@ -111,17 +120,23 @@ class Cusps:
     stretches: tuple[Stretch, ...]
     height_at: Floats
     height_nm: Floats
+    axis: float | None
+
+    @property
+    def _spaced(self) -> Bools:
+        """Whether each crest and the next one are a feed apart."""
+        regular = _off_axis(self.crest, self.run, self.axis)
+        return np.asarray((np.diff(self.run) == 0) & regular[:-1] & regular[1:])
 
     @property
     def spacing(self) -> Floats:
-        """From each crest to the next one of its run. [mm]."""
-        return np.asarray(np.diff(self.crest)[np.diff(self.run) == 0])
+        """From each crest to the next one of its run, but for the crest at the axis. [mm]."""
+        return np.asarray(np.diff(self.crest)[self._spaced])
 
     @property
     def spacing_at(self) -> Floats:
         """Middle of each `spacing`. [mm]."""
-        middle = (self.crest[1:] + self.crest[:-1]) / 2
-        return np.asarray(middle[np.diff(self.run) == 0])
+        return np.asarray(((self.crest[1:] + self.crest[:-1]) / 2)[self._spaced])
 
     @property
     def scallop_mean_nm(self) -> float:
@@ -149,8 +164,9 @@ class Cusps:
         chosen = (self.crest >= start) & (self.crest <= end)
         higher = (self.height_at >= start) & (self.height_at <= end)
         return _summed_up(
-            self.crest[chosen], self.crest_z[chosen], self.run[chosen], self.height_at[higher], self.height_nm[higher]
-        )
+            self.crest[chosen], self.crest_z[chosen], self.run[chosen], self.height_at[higher], self.height_nm[higher],
+            self.axis,
+        )  # fmt: skip
 
 
 def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | None = None) -> Cusps:
@@ -210,7 +226,19 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
     height = np.array([_turning_point(profile.distance, z, _highest(level, top, half), 1)[1] for top in places])
     run = _runs(crest, guess, axis)
     at, heights = _heights(profile.distance, z, level, crest, height, run, half)
-    return _summed_up(crest, height, run, at, heights)
+    if feed is None and _alternating(crest, run, at, heights):
+        return find_cusps(profile, feed=2 * guess, axis=axis)
+    return _summed_up(crest, height, run, at, heights, axis)
+
+
+def _alternating(crest: Floats, run: Ints, at: Floats, heights: Floats) -> bool:
+    """Return whether every second crest of the longest run is much lower: a wave of the edge within each cusp."""
+    longest = crest[run == np.argmax(np.bincount(run))] if run.size else crest
+    inside = heights[(at >= longest[0]) & (at <= longest[-1])] if longest.size else heights
+    if inside.size < 2 * SHORTEST:
+        return False
+    low, high = sorted((float(np.median(inside[::2])), float(np.median(inside[1::2]))))
+    return low < LOWER * high
 
 
 def _strongest_period(profile: Profile, z: Floats, step: float) -> float:
@@ -226,7 +254,7 @@ def _strongest_period(profile: Profile, z: Floats, step: float) -> float:
     for part in (3, 2):
         low = top // part
         lower = low - 1 + int(np.argmax(spectrum.density[low - 1 : low + 3])) if low > 1 else top
-        if score[lower] > 0 and spectrum.density[lower] > spectrum.density[top]:
+        if score[lower] > 0 and spectrum.density[lower] > STRONGER * spectrum.density[top]:
             top = lower
             break
     around = slice(max(top - 1, 0), top + 2)
@@ -284,7 +312,15 @@ def _heights(
     return np.array(places), np.array(heights)
 
 
-def _summed_up(crest: Floats, height: Floats, run: Ints, at: Floats, heights: Floats) -> Cusps:
+def _off_axis(crest: Floats, run: Ints, axis: float | None) -> Bools:
+    """Return which crests are further than half a feed from the axis."""
+    spacing = np.diff(crest)[np.diff(run) == 0]
+    if axis is None or not spacing.size:
+        return np.ones(crest.size, dtype=bool)
+    return np.asarray(np.abs(crest - axis) > float(np.median(spacing)) / 2)
+
+
+def _summed_up(crest: Floats, height: Floats, run: Ints, at: Floats, heights: Floats, axis: float | None) -> Cusps:
     """Return the cusps with the feed of all runs and of each stretch."""
     runs = [np.flatnonzero(run == one) for one in np.unique(run)]
     runs = [members for members in runs if members.size >= FEWEST]
@@ -296,7 +332,11 @@ def _summed_up(crest: Floats, height: Floats, run: Ints, at: Floats, heights: Fl
     kept = np.concatenate(runs)
     crest, height = crest[kept], height[kept]
     run = np.repeat(np.arange(len(runs)), [members.size for members in runs])
-    lines = [crest[run == one] for one in range(len(runs))]
+    regular = _off_axis(crest, run, axis)
+    lines = [crest[(run == one) & regular] for one in range(len(runs))]
+    lines = [line for line in lines if line.size >= FEWEST]
+    if not lines:
+        raise InputError(f"the profile shows no {FEWEST} neighbouring crests away from its axis: measure a longer one")
     feed, feed_std, _ = _slope(lines)
     # The second difference of positions that scatter by s alone scatters by the root of 6 s².
     second = np.concatenate([np.diff(line, 2) for line in lines])
@@ -311,6 +351,7 @@ def _summed_up(crest: Floats, height: Floats, run: Ints, at: Floats, heights: Fl
         stretches=tuple(stretches),
         height_at=frozen(at, "height_at"),
         height_nm=frozen(heights, "height_nm"),
+        axis=axis,
     )
 
 
