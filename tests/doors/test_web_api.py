@@ -327,6 +327,40 @@ def test_a_correction_plans_with_the_tool_as_it_was_found(client, measured, fold
     assert checked["errors"] == []
 
 
+def test_a_map_is_shown_without_a_job_and_not_kept(client, folder, tmp_path):
+    x = 0.002 * np.arange(80)
+    z = 1e-5 * np.cos(2 * np.pi * np.arange(80) / 20) + 0.01 * x + np.zeros((60, 1))
+    z[4, 5] = np.nan
+    tw.write_map(tw.HeightMap(z=z, x=x, y=0.002 * np.arange(60)), tmp_path / "a.npz")
+    before = sorted(folder.rglob("*.npz"))
+    answer = client.post(
+        "/api/measurements/show", params={"name": "../my map.npz"}, content=(tmp_path / "a.npz").read_bytes()
+    )
+    assert answer.status_code == 200, answer.text
+    header, arrays = unpack(answer.content)
+    rows = dict(header["rows"])
+    assert rows["size"] == "80 x 60 points, 2 um x 2 um apart, 158 um x 118 um"
+    assert rows["missing"] == "1 of 4,800 (0.0208 %)"
+    assert float(rows["Sq"].split()[0]) == pytest.approx(1e6 * 1e-5 / np.sqrt(2), rel=0.01)
+    assert arrays["values"].shape == (60, 80)
+    assert np.nanstd(arrays["values"]) == pytest.approx(1e6 * 1e-5 / np.sqrt(2), rel=0.01)
+    assert header["x"] == pytest.approx([0.0, 0.158])
+    assert sorted(folder.rglob("*.npz")) == before
+    radius, angle = np.linspace(0, 1, 20), np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    tw.write_map(tw.HeightMap(z=np.zeros((24, 20)), radius=radius, angle=angle), tmp_path / "a.npz")
+    answer = client.post("/api/measurements/show", params={"name": "a.npz"}, content=(tmp_path / "a.npz").read_bytes())
+    assert unpack(answer.content)[1]["values"].shape == (600, 600)
+    for name, content, sentence in (
+        ("my map.x3p", b"PK\x03\x04 cut", "my map.x3p is an archive"),
+        ("a.exe", b"MZ", "it can end in"),
+        ("a.npz", b"", "empty"),
+    ):
+        answer = client.post("/api/measurements/show", params={"name": name}, content=content)
+        assert answer.status_code == 422
+        assert sentence in answer.json()["detail"]
+        assert str(folder) not in answer.json()["detail"]
+
+
 def test_a_damaged_file_ends_its_own_process_only(client, dish):
     answer = client.post(
         "/api/measurements", params={"run": dish[0], "name": "../my measured.x3p"}, content=b"PK\x03\x04 cut"

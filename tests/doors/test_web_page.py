@@ -685,6 +685,23 @@ def test_lines_of_the_program_lead_to_the_part(bench, motion):
 # ------------------------------------------------------------------------------------------------ measure and correct
 
 
+def test_a_map_is_shown_without_a_job(bench, tmp_path):
+    x = 0.002 * np.arange(120)
+    z = 1e-5 * np.cos(2 * np.pi * np.arange(120) / 40) * np.cos(2 * np.pi * np.arange(90) / 45)[:, None]
+    tw.write_map(tw.HeightMap(z=z, x=x, y=0.002 * np.arange(90)), tmp_path / "alone.npz")
+    one = bench()
+    page = one.page
+    page.keyboard.press("6")
+    with page.expect_file_chooser() as chosen:
+        page.get_by_role("button", name="Show a map without a job").click()
+    chosen.value.set_files(tmp_path / "alone.npz")
+    page.locator("#lone").wait_for()
+    assert "120 x 90 points" in page.locator("#lone dl").inner_text()
+    one.drawn("#lone canvas.mapcanvas", colours=40)
+    page.get_by_role("button", name="Show another map").click()
+    page.get_by_role("button", name="Show a map without a job").wait_for()
+
+
 @pytest.mark.usefixtures("measured")
 def test_a_measurement_tells_the_injected_offset_and_becomes_a_better_program(bench, folder, tmp_path):
     one = bench().look_at("measure")

@@ -178,7 +178,8 @@ def _plain(path: str) -> str:
 
 
 def _limit(scope: Scope) -> int:
-    limits = {"/api/measurements": UPLOAD_BYTES, "/api/files": FILE_BYTES, "/api/files/archive": FILE_BYTES}
+    files = dict.fromkeys(("/api/files", "/api/files/archive", "/api/measurements/show"), FILE_BYTES)
+    limits = {"/api/measurements": UPLOAD_BYTES, **files}
     return limits.get(scope["path"], 2 * BODY_BYTES if scope["path"] in WITH_TEXT else BODY_BYTES)
 
 

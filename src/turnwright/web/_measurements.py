@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import secrets
 import shutil
 from contextlib import suppress
 from pathlib import Path as File
@@ -13,7 +14,7 @@ from fastapi.responses import FileResponse, Response
 
 from turnwright.web._files import RAW_BODY, stored
 from turnwright.web._guard import UPLOAD_BYTES
-from turnwright.web._limits import MAP_TYPES
+from turnwright.web._limits import FILE_BYTES, FILE_S, MAP_TYPES
 from turnwright.web._models import Causes, Id, Measurement
 from turnwright.web._packed import MEDIA_TYPE
 from turnwright.web._queue import Run, Runs
@@ -25,7 +26,24 @@ __all__ = ["router"]
 router = APIRouter(prefix="/api/measurements", tags=["measurements"])
 
 Pixels = Annotated[int, Query(ge=2, le=2048)]
+PACKED = "TW01, the length of a JSON header (uint32, little-endian), the header, float32 arrays."
 PICTURES = {"measured": "error.npz", "residual": "left-1.npz", "predicted": "predicted.npz"}
+
+
+def _map_suffix(name: str) -> str:
+    """Return the ending of the name of a map's file.
+
+    Raises
+    ------
+    HTTPException
+        If no map ends so.
+    """
+    suffix = File(name.replace("\\", "/")).suffix.lower()
+    if suffix not in MAP_TYPES:
+        raise HTTPException(
+            422, f"the file ends in {suffix[:12]!r}, it can end in {', '.join(MAP_TYPES)}: bring one of these"
+        )
+    return suffix
 
 
 @router.post(
@@ -43,11 +61,7 @@ async def bring(
     cut = the_run(request, run, "run", "correct")
     if cut.state != "done":
         raise HTTPException(409, f"the run is {cut.state}: measure a part whose run is done")
-    suffix = File(name.replace("\\", "/")).suffix.lower()
-    if suffix not in MAP_TYPES:
-        raise HTTPException(
-            422, f"the file ends in {suffix[:12]!r}, it can end in {', '.join(MAP_TYPES)}: bring one of these"
-        )
+    suffix = _map_suffix(name)
     with runs.new_folder() as folder:
         # Whatever the file is called, its place and name on this disk are the server's own.
         file = folder / f"measured{suffix}"
@@ -57,6 +71,30 @@ async def bring(
             file=file.name, called=shown_name(name),
         )  # fmt: skip
     return Id(id=measured.id)
+
+
+@router.post(
+    "/show",
+    response_class=Response,
+    openapi_extra=RAW_BODY,
+    responses={
+        200: {"description": PACKED, "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}}
+    },
+)
+async def show(
+    request: Request,
+    name: Annotated[str, Query(min_length=1, max_length=200, description="What the file is called.")],
+) -> Response:
+    """Return the picture of an instrument's map without a job, and what can be said of it; nothing is kept."""
+    state = request.app.state
+    suffix = _map_suffix(name)
+    file = state.folder / "files" / f".{secrets.token_hex(16)}{suffix}"
+    try:
+        await stored(request, file, FILE_BYTES)
+        packed = await state.workers.ask("_shown:lone_map", str(file), shown_name(name), limit_s=FILE_S)
+    finally:
+        file.unlink(missing_ok=True)
+    return Response(packed, media_type=MEDIA_TYPE)
 
 
 @router.get("/{id}")
@@ -90,7 +128,7 @@ def _correction(runs: Runs, run: Run) -> Run | None:
     response_class=Response,
     responses={
         200: {
-            "description": "TW01, the length of a JSON header (uint32, little-endian), the header, float32 arrays.",
+            "description": PACKED,
             "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
         }
     },

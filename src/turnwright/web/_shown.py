@@ -12,6 +12,7 @@ import numpy as np
 from turnwright.errors import InputError
 from turnwright.files import read_map
 from turnwright.metrology import area_psd
+from turnwright.metrology.overview import level, overview
 from turnwright.web._jobs import plain, require
 from turnwright.web._packed import pack
 
@@ -20,7 +21,10 @@ if TYPE_CHECKING:
     from turnwright.diagnosis import Diagnosis
     from turnwright.job import Correction, Measured
 
-__all__ = ["picture", "shown_map", "write_predicted", "write_shown"]
+__all__ = ["lone_map", "picture", "shown_map", "write_predicted", "write_shown"]
+
+PIXELS = 600
+"""Longest side of a map that is shown without its job."""
 
 PERCENT = (0.5, 99.5)
 """Of the heights that colours tell apart; a few spikes must not take all of them."""
@@ -107,6 +111,49 @@ def write_predicted(better: Correction, out: Path) -> None:
 def shown_map(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) -> bytes:
     """Return `picture` of a map of a job's part."""
     return picture(file, require(data, folder).part.radius, nx, ny)
+
+
+def lone_map(file: str, name: str) -> bytes:
+    """Return a measured map without its job as a packed picture, with what `turnwright show` says of it.
+
+    Parameters
+    ----------
+    file
+        As the instrument wrote it.
+    name
+        What it is called where it comes from.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read; the message has that name.
+    """
+    try:
+        heights = read_map(file)
+        rows = overview(heights)
+        flat = level(heights) if np.isfinite(heights.z).any() else heights
+    except InputError as error:
+        raise InputError(str(error).replace(file, name)) from None
+    if flat.x is None or flat.y is None or flat.scattered:
+        x, y = (axis.ravel() for axis in flat.points())
+        middle = [float(axis.min() + axis.max()) / 2 for axis in (x, y)]
+        reach = max(float(np.ptp(axis)) for axis in (x, y)) / 2 or 1.0
+        values = _means(x - middle[0], y - middle[1], flat.z.ravel(), np.sqrt(2) * reach, PIXELS, PIXELS)
+        reach *= float(np.sqrt(2))
+        ends = [[at - reach, at + reach] for at in middle]
+    else:
+        stride = -(-max(flat.z.shape) // PIXELS)
+        values = flat.z[::stride, ::stride]
+        ends = [[float(axis[::stride][0]), float(axis[::stride][-1])] for axis in (flat.x, flat.y)]
+        ends = [[low, high] if high > low else [low - 0.5, low + 0.5] for low, high in ends]
+    values = values * 1e6
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, PERCENT) if known.size else (0.0, 0.0)
+    header = {
+        "name": name, "rows": rows, "unit": "nm", "x": ends[0], "y": ends[1], "low": float(low), "high": float(high),
+        "diverging": True, "points": int(np.isfinite(heights.z).sum()),
+    }  # fmt: skip
+    return pack(header, {"values": values})
 
 
 def picture(file: str, radius: float, nx: int, ny: int) -> bytes:

@@ -90,6 +90,12 @@ export async function postPacked(path, body, { signal } = {}) {
   return unpack(await (await answer(address(path), asked(body, signal, "POST"))).arrayBuffer());
 }
 
+/** POST the bytes of a file, answer packed arrays. */
+export async function sendForPacked(path, query, file) {
+  const options = { method: "POST", body: file, headers: { "Content-Type": "application/octet-stream" } };
+  return unpack(await (await answer(address(path, query), options)).arrayBuffer());
+}
+
 /** Hear the events of a run: call.progress({stage, step, steps, fraction, left_s}), call.state({state, sentence}); return how to stop. */
 export function events(id, call) {
   const source = new EventSource(address(`/runs/${id}/events`));

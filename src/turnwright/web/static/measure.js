@@ -1,7 +1,7 @@
 /* A measurement brought back: where it lies on the part, how far off it is and why, and the job without that. */
 
 import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
-import { get, getPacked, post, upload } from "./api.js";
+import { get, getPacked, post, sendForPacked, upload } from "./api.js";
 import { say, set, state } from "./state.js";
 import { chart } from "./charts.js";
 import { editAgain, refresh } from "./runs.js";
@@ -13,6 +13,7 @@ const GOING = new Set(["queued", "running"]);
 let timer = 0;
 let wanted = null; // id of the measurement that was asked for last
 let sending = () => {};
+let showing = () => {};
 
 /** Take an instrument's file, for the part of the run looked at. */
 export async function take(file, of = measuredRun()) {
@@ -27,6 +28,18 @@ export async function take(file, of = measuredRun()) {
   try {
     const { id } = await upload("/measurements", { run, name: file.name }, file, (sent, total) => sending({ name: file.name, share: sent / total }));
     await Promise.all([follow(id), refresh()]);
+  } catch (error) {
+    say(error.message, "bad");
+  } finally {
+    sending(null);
+  }
+}
+
+/** Show an instrument's file by itself: nothing of it is kept. */
+async function look(file) {
+  sending({ name: file.name, share: 1 });
+  try {
+    showing(await sendForPacked("/measurements/show", { name: file.name }, file));
   } catch (error) {
     say(error.message, "bad");
   } finally {
@@ -69,6 +82,7 @@ function Drop({ sent, types }) {
   const [over, setOver] = useState(false);
   const { runs } = useStore(["runs", "run"]);
   const input = useRef(null);
+  const alone = useRef(null);
   const fit = runs.filter((run) => run.state === "done" && ["run", "correct"].includes(run.kind));
   const [chosen, choose] = useState(null);
   const run = chosen ?? measuredRun();
@@ -81,6 +95,8 @@ function Drop({ sent, types }) {
         <p><button type="button" class="button accent" onClick=${() => input.current.click()}><${Icon} name="open" />Choose a file</button>
         <input type="file" hidden ref=${input} accept=${(types ?? []).join(",")} onChange=${(event) => event.target.files[0] && take(event.target.files[0], run)} /></p>`
       : html`<p><strong>Run the job first:</strong> a measurement is judged against the part that a run has planned.</p>`}
+    <p><button type="button" class="button" onClick=${() => alone.current.click()}>Show a map without a job</button>
+      <input type="file" hidden ref=${alone} accept=${(types ?? []).join(",")} onChange=${(event) => event.target.files[0] && look(event.target.files[0])} /></p>
     ${types && html`<p><small>${types.join(" ")}</small></p>`}
   </div>`;
 }
@@ -193,6 +209,29 @@ function Map_({ measurement }) {
   </div>`;
 }
 
+/** A map without its job: header, size, missing heights, Sq, and its picture. */
+function Lone({ packed }) {
+  const { header } = packed;
+  const box = useRef(null);
+  useEffect(() => {
+    let view = null;
+    let gone = false;
+    import("./mapview.js").then(({ MapView }) => {
+      if (gone) return;
+      view = new MapView(box.current, { load: async () => packed, finer: false, label: "height without its plane", calls: { pointed: (cursor) => set({ cursor }) } });
+      view.open();
+    });
+    return () => {
+      gone = true;
+      view?.destroy();
+    };
+  }, [packed]);
+  return html`<div class="measure" id="lone"><div><div class="panehead"><strong>${header.name}</strong><span class="gap"></span><${Tool} icon="close" name="Show another map" onClick=${() => showing(null)} /></div>
+    <div class="scroll" role="region" tabindex="0" aria-label="What the file says"><div class="cards"><${Numbers} title="The map" rows=${header.rows} /></div></div></div>
+    <div><div class="panehead"><strong>Without its plane</strong></div><div class="map" ref=${box}></div></div>
+  </div>`;
+}
+
 // ------------------------------------------------------------------------------------------------------- the findings
 
 function Findings({ measurement }) {
@@ -288,11 +327,14 @@ function Lenslets({ lenslets }) {
 function Panel() {
   const { measurement, about } = useStore(["measurement", "about"]);
   const [sent, setSent] = useState(null);
+  const [lone, setLone] = useState(null);
   useEffect(() => {
     sending = setSent;
-    return () => (sending = () => {});
+    showing = setLone;
+    return () => (sending = showing = () => {});
   }, []);
   const types = about?.limits.map_types;
+  if (lone && !sent && !measurement) return html`<${Lone} packed=${lone} />`;
   if (!measurement || sent || measurement.state === "failed") return html`<${Drop} sent=${sent} types=${types} />`;
   if (GOING.has(measurement.state)) {
     const { progress } = measurement;
