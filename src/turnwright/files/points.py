@@ -416,7 +416,8 @@ def _columns(path: Path, names: list[str] | None, width: int) -> dict[str, int] 
         return places
     if names is not None and places:
         raise MapError(
-            f"{path} names its columns {', '.join(names)}, x, y and z (or x and z alone) are needed: name them so"
+            f"{path} names its columns {', '.join(names)}, x, y and z (or x and z alone) are needed: "
+            "name them so, or read a profile (read_profile)"
         )
     if width == 3:
         return {"x": 0, "y": 1, "z": 2}
