@@ -6,7 +6,6 @@ import pytest
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import (
-    Profile,
     area_psd,
     bearing,
     best_fit,
@@ -16,6 +15,7 @@ from turnwright.metrology import (
     line_psd,
     slope_error,
 )
+from turnwright.profile import Profile
 from turnwright.surface import Plane
 
 X = np.linspace(-1, 1, 21)
