@@ -50,6 +50,8 @@ SPREAD = tw.Spread(kind="normal", numbers=(0.0, 1e-6), source="assumed")
 SPECTRUM = np.linspace(0, 310, 32)
 
 EXAMPLES = [
+    tw.Instrument(pixel=1e-3, numerical_aperture=0.3, wavelength=5e-4, filling=0.5, stylus_radius=1e-3, noise=1e-6),
+    tw.Instrument(resolution=1e-3),
     PLANE, TOOL, MACHINE, LOBES, MILL, SLOW, ADAPTIVE, ARC, tw.SlowToolServo(feed=0.01, chord=1e-6),
     tw.Tool(nose_radius=0.5, waviness=tw.WavinessTable(sweep=[-1, 0, 0.5, 1], deviation=[0, 1e-6, 0, 1e-6])),
     tw.WavinessTable(sweep=[-1, 0, 0.5, 1], deviation=[0, 1e-6, 0, 1e-6]),
@@ -140,11 +142,11 @@ MAY = {
 
 ANSWERS = """
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
-    Comparison Correction CuttingForces Despiked Diagnosis DuctileGate EdgeFit Estimate Experiment FastToolFiles
-    Filled Finding Finish ForceAverage IntactShare LearnedMaterial Lenslet Lenslets Limits Measured Move Outcome
-    PartShape Pass Plan PoseCandidate Prediction Preview ProgramFiles ProgramInfo ProgramPass Registration Result
-    Roughness Sensitivity Shares Slopes Spectrum Tightening TiledMap ToleranceStudy Trial Undetermined Verdict
-    ZernikeFit
+    Comparison Correction Cusps CuttingForces Despiked Diagnosis DuctileGate EdgeFit Estimate Experiment
+    FastToolFiles Features Filled Finding Finish ForceAverage IntactShare LearnedMaterial Lenslet Lenslets Limits
+    Measured Move Outcome PartShape Pass Plan PoseCandidate Prediction Preview ProfileRoughness ProgramFiles
+    ProgramInfo ProgramPass Registration Result Roughness Sensitivity Shares Slopes Spectrum Stretch Tightening
+    TiledMap ToleranceStudy Trial TurnedEdge Undetermined Verdict ZernikeFit
 """
 """Classes that only functions make: there nan and infinity say what could not be found."""
 
