@@ -69,7 +69,8 @@ def test_maps_of_every_kind_are_shown_and_drawn(tmp_path, capsys):
 def test_a_profile_is_shown_with_its_feed_and_scallops(tmp_path, capsys):
     out = shown(
         capsys, REAL / "measured_slice_1016.csv", "--profile", "--nose-radius", "0.2 mm",
-        "--instrument", "zygo-nexview-10x", "--cutoff", "0.08 mm", "--picture", tmp_path / "a.png",
+        "--instrument", "zygo-nexview-10x", "--cutoff", "0.08 mm", "--axis", "0.415 mm",
+        "--picture", tmp_path / "a.png",
     )  # fmt: skip
     assert "size: 962 points, 871.1 nm apart, 837.1 um" in out
     assert "feed: 10.17 um" in out

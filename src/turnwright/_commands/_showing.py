@@ -39,6 +39,9 @@ def show(
     number: Annotated[int | None, typer.Option(min=1, help="Which profile of several.")] = None,
     cutoff: Annotated[str | None, typer.Option(help='L-filter of a profile\'s roughness, such as "0.08 mm".')] = None,
     feed: Annotated[str | None, typer.Option(help='First guess of a profile\'s feed, such as "10 um".')] = None,
+    axis: Annotated[
+        str | None, typer.Option(help='Where a profile crosses the spindle axis, such as "0.4 mm".')
+    ] = None,
     nose_radius: Annotated[
         str | None, typer.Option(help='Predict the scallops of a perfect nose, such as "0.2 mm".')
     ] = None,
@@ -56,6 +59,10 @@ def show(
             raise InputError(f"the picture is {picture.name!r}, it can end in {', '.join(PICTURES)}: name it so")
         require_new(picture)
     kind = int(form) if form.isdigit() else form
+
+    def stated(length: str | None) -> float | None:
+        return None if length is None else parse(length, "mm")
+
     if profile or distance is not None or height is not None or number is not None:
         from turnwright.files import read_profile  # noqa: PLC0415
 
@@ -63,19 +70,20 @@ def show(
             raise InputError("a profile has distances, not pixels: leave --pixel-size out, or state --lateral-unit")
         line = read_profile(file, distance=distance, height=height, unit=unit, lateral_unit=lateral_unit, number=number)
         drawn: HeightMap | Profile = _show_profile(
-            door, line, kind, None if feed is None else parse(feed, "mm"),
-            None if nose_radius is None else parse(nose_radius, "mm"), instrument,
+            door, line, kind, stated(feed), stated(axis), stated(nose_radius), instrument,
         )  # fmt: skip
         if cutoff is not None:
             _say_roughness(door, line, parse(cutoff, "mm"))
     else:
         from turnwright.files import read_map  # noqa: PLC0415
 
-        if any(one is not None for one in (nose_radius, instrument, feed, cutoff)):
-            raise InputError("cutoff, feed, nose and instrument are for a profile: add --profile, or leave them out")
+        if any(one is not None for one in (nose_radius, instrument, feed, axis, cutoff)):
+            raise InputError(
+                "axis, cutoff, feed, nose and instrument are for a profile: add --profile, or leave them out"
+            )
         heights = read_map(
             file, unit=unit, lateral_unit=lateral_unit,
-            pixel_size=None if pixel_size is None else parse(pixel_size, "mm"),
+            pixel_size=stated(pixel_size),
         )  # fmt: skip
         door.say(heights.name)
         for name, value in overview(heights, kind):
@@ -89,7 +97,13 @@ def show(
 
 
 def _show_profile(
-    door: Door, line: Profile, form: str | int, feed: float | None, nose_radius: float | None, instrument: str | None
+    door: Door,
+    line: Profile,
+    form: str | int,
+    feed: float | None,
+    axis: float | None,
+    nose_radius: float | None,
+    instrument: str | None,
 ) -> Profile:
     """Say what a profile shows, and return it without its form."""
     import numpy as np  # noqa: PLC0415
@@ -111,7 +125,7 @@ def _show_profile(
     door.say(f"missing: {missing} of {line.z.size} ({100 * missing / line.z.size:.3g} %)")
     door.say(f"Pq: {flat.pq_nm:.4g} nm, Pt: {flat.pt_nm:.4g} nm")
     try:
-        cusps = find_cusps(line, feed=feed)
+        cusps = find_cusps(line, feed=feed, axis=axis)
     except InputError as error:
         door.say(f"cusps: none ({error})")
         if feed is not None or nose_radius is not None:
