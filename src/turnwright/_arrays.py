@@ -28,6 +28,16 @@ def _read_only(plain: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 copyreg.pickle(MappingProxyType, lambda one: (_read_only, (dict(one),)))
 
 
+EVEN = 1e-6
+"""Spread of even steps, over the step."""
+
+
+def is_even(axis: Floats) -> bool:
+    """Say whether two or more places that ascend stand in even steps."""
+    steps = np.diff(axis)
+    return bool(steps.size) and bool(np.ptp(steps) <= EVEN * steps.mean())
+
+
 def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool = True) -> Floats:
     """Return ``values`` as a read-only float64 array without copying where none is needed.
 

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats
+from turnwright._arrays import Bools, Floats, is_even
 from turnwright._toml import read_toml
 from turnwright._validate import between, check_numbers, positive, whole
 from turnwright.errors import InputError, shown
@@ -305,10 +305,9 @@ def _steps(heights: HeightMap) -> tuple[float, float]:
         )
     steps = []
     for name, axis in (("y", heights.y), ("x", heights.x)):
-        between_points = np.diff(axis)
-        if between_points.size and np.ptp(between_points) > 1e-6 * between_points.mean():
+        if axis.size > 1 and not is_even(axis):
             raise InputError(f"the steps of {name} are uneven, an instrument needs an even grid: interpolate the map")
-        steps.append(float(between_points.mean()) if between_points.size else np.inf)
+        steps.append(float(np.diff(axis).mean()) if axis.size > 1 else np.inf)
     return steps[0], steps[1]
 
 

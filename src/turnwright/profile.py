@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from turnwright._arrays import Floats, frozen, same_length
+from turnwright._arrays import Floats, frozen, is_even, same_length
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 
@@ -20,8 +20,6 @@ __all__ = ["Profile"]
 
 NM = 1e6
 MAX_DEGREE = 10
-EVEN = 1e-6
-"""Spread of the steps of an even profile, over the step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,13 +70,12 @@ class Profile:
         InputError
             If there are fewer than two points, or they are not even.
         """
-        steps = np.diff(self.distance)
-        if steps.size == 0 or np.ptp(steps) > EVEN * steps.mean():
+        if not is_even(self.distance):
             raise InputError(
-                f"the profile has {self.distance.size} points{' in uneven steps' if steps.size else ''}, it needs two "
-                "or more in even steps: interpolate it first"
+                f"the profile has {self.distance.size} points{' in uneven steps' if self.distance.size > 1 else ''}, "
+                "it needs two or more in even steps: interpolate it first"
             )
-        return float(steps.mean())
+        return float(np.diff(self.distance).mean())
 
     def between(self, start: float, end: float) -> Profile:
         """Return the stretch from one distance to another. [mm].

@@ -109,13 +109,10 @@ def _show_profile(
     import numpy as np  # noqa: PLC0415
 
     from turnwright.metrology import find_cusps  # noqa: PLC0415
+    from turnwright.metrology.profile import without_form  # noqa: PLC0415
     from turnwright.units import say_length  # noqa: PLC0415
 
-    degrees = {"mean": 0, "plane": 1}
-    if isinstance(form, str) and form not in {"none", *degrees}:
-        raise InputError(f'the form of a profile is {form!r}, it can be "none", "mean", "plane" or a degree: choose')
-    degree = degrees.get(form) if isinstance(form, str) else form
-    flat = line if degree is None else line.without(degree)
+    flat = without_form(line, form)
     missing = int(np.count_nonzero(np.isnan(line.z)))
     length = float(np.ptp(line.distance))
     door.say(line.name)

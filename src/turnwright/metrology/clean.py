@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints
+from turnwright._arrays import Bools, Floats, Ints, is_even
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure, valid_points
@@ -31,7 +31,7 @@ QUIET = 1e-9
 """Least deviation that counts as noise: a picometre, below what any instrument reads. [mm]"""
 
 UNEVEN = 1e-6
-"""Spread of the steps of an even grid, over the step."""
+"""Rounding of a length, over it."""
 
 CHUNK = 1 << 16
 """Points that a thread judges at a time."""
@@ -316,7 +316,7 @@ def _distance(heights: HeightMap, targets: Bools, *, padded: bool = False) -> Fl
     if not targets.any():
         return np.full(heights.z.shape, np.inf)
     steps = [np.diff(axis) for axis in axes]
-    if not heights.polar and all(np.ptp(step) <= UNEVEN * step.mean() for step in steps):
+    if not heights.polar and all(is_even(axis) for axis in axes):
         sampling = float(steps[1].mean()), float(steps[0].mean())
         return np.asarray(ndimage.distance_transform_edt(~targets, sampling=sampling))[1:-1, 1:-1]
     if grid.closed:
@@ -445,7 +445,7 @@ def fill_holes(heights: HeightMap, largest: float) -> Filled:
     valid = valid_points(heights, 1, "filling holes")
     grid = measure(heights)
     steps = [np.diff(axis) for axis in (grid.columns, grid.rows)]
-    if heights.polar or any(step.size < 2 or np.ptp(step) > UNEVEN * step.mean() for step in steps):
+    if heights.polar or any(axis.size < 3 or not is_even(axis) for axis in (grid.columns, grid.rows)):
         raise InputError(
             "holes are filled on even rectangular grids of at least 3 x 3 points, and the map has another: bring it to "
             "such a grid first"

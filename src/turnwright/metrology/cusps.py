@@ -11,7 +11,7 @@ so :math:`f` is the slope of the line of best fit, and its uncertainty falls wit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -243,8 +243,6 @@ def _alternating(crest: Floats, run: Ints, at: Floats, heights: Floats) -> bool:
 
 def _strongest_period(profile: Profile, z: Floats, step: float) -> float:
     """Return the period of the strongest slopes, between four points and a third of the profile. [mm]."""
-    from dataclasses import replace  # noqa: PLC0415
-
     spectrum = line_psd(replace(profile, z=z), form=min(FORM, z.size // 8), window="hann")
     frequency = spectrum.frequency
     score = spectrum.density * frequency**2

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints
+from turnwright._arrays import Bools, Floats, Ints, is_even
 from turnwright._validate import between
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure, valid_points
@@ -28,9 +28,6 @@ NM = 1e6
 
 FIVE = 5
 """Peaks, and pits, that the height parameters average."""
-
-EVEN = 1e-6
-"""Spread of the steps of an even grid, over the step."""
 
 SECTOR = np.deg2rad(1.0)
 """Width of the sectors of the angular spectrum."""
@@ -120,10 +117,9 @@ def features(heights: HeightMap, *, form: Form = "plane", pruning: float = 0.05,
     grid = measure(heights)
     if heights.polar:
         raise InputError("the map has a polar grid, its features need a rectangular one: take a rectangular patch")
-    steps = [np.diff(axis) for axis in (grid.columns, grid.rows)]
-    if any(step.size < 2 or np.ptp(step) > EVEN * step.mean() for step in steps):
+    if any(axis.size < 3 or not is_even(axis) for axis in (grid.columns, grid.rows)):
         raise InputError("the map is no even grid of at least 3 x 3 points, features need one: interpolate it first")
-    dx, dy = (float(step.mean()) for step in steps)
+    dx, dy = (float(np.diff(axis).mean()) for axis in (grid.columns, grid.rows))
     z = remove_form(heights, form).z
     valid = ~np.isnan(z)
     z = z - z[valid].mean()

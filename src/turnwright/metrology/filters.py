@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats
+from turnwright._arrays import Bools, Floats, is_even
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure, valid_points
@@ -35,7 +35,7 @@ FINEST = 5
 4 steps 0.501), and ISO 25178-3 asks for as many."""
 
 UNEVEN = 1e-6
-"""Spread of the steps of an even grid, over the step."""
+"""Rounding of a length, over it."""
 
 BOUND = 4.4478
 """Tukey's bound over the median of the residuals, three standard deviations of Gaussian noise; ISO 16610-31."""
@@ -171,7 +171,7 @@ def _steps(heights: HeightMap, along: str | None) -> tuple[float, ...]:
                 raise InputError(f"the map has 1 value of {name}, a filter along it needs 2: filter along the other")
             found.append(np.inf)
             continue
-        if np.ptp(steps) > UNEVEN * steps.mean():
+        if not is_even(axes[name]):
             raise InputError(
                 f"the steps of {name} are {steps.min():g} to {steps.max():g} mm, a filter needs them even to 1e-6: "
                 "bring the map to an even grid first"

@@ -14,13 +14,30 @@ from turnwright.profile import Profile
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
+    from turnwright.metrology.form import Form
 
-__all__ = ["Method", "line_profile"]
+__all__ = ["Method", "line_profile", "without_form"]
 
 Method: TypeAlias = Literal["linear", "cubic"]
 
 NODES = {"linear": 2, "cubic": 4}
 MAX_POINTS = 10_000_000
+
+
+def without_form(profile: Profile, form: Form) -> Profile:
+    """Return a profile without what `remove_form` would take off a map: of a profile nothing, a mean, a line, a degree.
+
+    Raises
+    ------
+    InputError
+        If a profile has no such form.
+    """
+    if form == "none":
+        return profile
+    degree = {"mean": 0, "plane": 1}.get(form) if isinstance(form, str) else form
+    if degree is None:
+        raise InputError(f'the form of a profile is {form!r}, it can be "none", "mean", "plane" or a degree: choose')
+    return profile.without(degree)
 
 
 def line_profile(

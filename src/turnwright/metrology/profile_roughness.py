@@ -136,7 +136,7 @@ def profile_roughness(
     # Whole sections in the middle: the filters are least sure at the ends.
     many = round(cutoff / step)
     first = (z.size - wanted * many) // 2
-    parts = z[max(first, 0) :][: wanted * many].reshape(-1)
+    parts = z[max(first, 0) :][: wanted * many]
     counts = np.array_split(parts, wanted)
     valid = parts[~np.isnan(parts)]
     filled = [one[~np.isnan(one)] for one in counts]

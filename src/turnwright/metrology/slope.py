@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen
+from turnwright._arrays import Floats, frozen, is_even
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import Grid, mean, measure, valid_points
@@ -120,13 +120,12 @@ def slope_error(heights: HeightMap, *, integration_length: float) -> Slopes:
 
 
 def _step(axis: Floats) -> float:
-    steps = np.diff(axis)
-    if steps.size < 1 or np.ptp(steps) > 1e-6 * steps.mean():
+    if not is_even(axis):
         raise InputError(
-            f"the {axis.size} points of an axis are {'not even' if steps.size else 'too few'}, slopes over a length "
+            f"the {axis.size} points of an axis are {'not even' if axis.size > 1 else 'too few'}, slopes over a length "
             "need at least 2 in even steps: bring the map to an even grid first"
         )
-    return float(steps.mean())
+    return float(np.diff(axis).mean())
 
 
 def _count(length: float, step: float, size: int, name: str) -> int:

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen
+from turnwright._arrays import Floats, frozen, is_even
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure, valid_points
 from turnwright.metrology.form import Form, remove_form
+from turnwright.metrology.profile import without_form
 from turnwright.profile import Profile
 from turnwright.progress import cores
 
@@ -205,7 +206,7 @@ def line_psd(
     """
     _require(window, missing)
     if isinstance(heights, Profile):
-        profile = heights if form == "none" else heights.without(_degree(form))
+        profile = without_form(heights, form)
         z, step = profile.z[None], _even(profile.distance, "the profile")
         if along is not None:
             raise InputError(f"along is {along!r}, a profile has one direction: leave it out")
@@ -310,21 +311,13 @@ def _require_band(low: float, high: float) -> None:
         raise InputError(f"the band is {low:g} to {high:g} /mm, it must rise from 0 /mm or more: correct it")
 
 
-def _degree(form: Form) -> int:
-    degree = {"mean": 0, "plane": 1}.get(form) if isinstance(form, str) else form
-    if degree is None:
-        raise InputError(f'the form of a profile is {form!r}, it can be "none", "mean", "plane" or a degree: choose')
-    return degree
-
-
 def _even(axis: Floats, what: str) -> float:
-    steps = np.diff(axis)
-    if axis.size < FEWEST or np.ptp(steps) > 1e-6 * steps.mean():
+    if axis.size < FEWEST or not is_even(axis):
         raise InputError(
             f"{what} has {axis.size} points{'' if axis.size < FEWEST else ' in uneven steps'}, a spectrum needs at "
             f"least {FEWEST} in even steps: bring it to an even grid first"
         )
-    return float(steps.mean())
+    return float(np.diff(axis).mean())
 
 
 def _taper(size: int, window: str) -> Floats:

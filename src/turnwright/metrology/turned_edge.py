@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
 __all__ = ["TurnedEdge", "edge_from_cusps"]
 
-NM = 1e6
-
 LINES = 24
 """Radial lines of a map."""
 
