@@ -256,12 +256,14 @@ def _diagnosis_numbers(measured: Sequence[Measured], found: Diagnosis) -> dict[s
     return {
         "measured": [_measured_numbers(one) for one in measured],
         "findings": list(found),
+        "contributions": list(found.contributions),
         "names": found.names,
         "correlation": found.correlation.tolist(),
         "measured_rms_nm": found.measured_rms_nm,
         "explained_rms_nm": found.explained_rms_nm,
         "unexplained_rms_nm": found.unexplained_rms_nm,
         "noise_nm": found.noise_nm,
+        "repeatability_nm": found.repeatability_nm,
     }
 
 
@@ -280,7 +282,13 @@ def write_correction(
     folder = Path(folder)
     write_map(better.simulated if better.predicted is None else better.predicted, folder / "predicted.npz")
     numbers = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
-    _write_json(folder / "correction.json", {"cutoff": better.cutoff, **numbers, **_diagnosis_numbers(measured, found)})
+    told = {
+        "cutoff": better.cutoff,
+        "sources": better.sources,
+        "proof": better.proof,
+        "sentences": better.sentences,
+    }
+    _write_json(folder / "correction.json", {**told, **numbers, **_diagnosis_numbers(measured, found)})
 
 
 def _write_json(file: Path, numbers: Mapping[str, object]) -> None:

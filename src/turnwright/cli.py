@@ -1,9 +1,9 @@
 """The door of the command line: it hears a wish to stop from the first moment, and says how the work ended.
 
 Exit codes: 0 done and every stated tolerance kept, 1 a defect of Turnwright (the traceback is kept in a file), 2 bad
-input, a limit that cannot be kept or an output that cannot be written, 4 done and written but a stated tolerance is
-missed, 128 and the number of the signal that stopped it (130 for Ctrl-C, 143 for SIGTERM). A reader of the output that
-goes away (as ``head`` does) changes nothing.
+input, a limit that cannot be kept or an output that cannot be written, 3 a correction that is not written because it
+would not certainly help, 4 done and written but a stated tolerance is missed, 128 and the number of the signal that
+stopped it (130 for Ctrl-C, 143 for SIGTERM). A reader of the output that goes away (as ``head`` does) changes nothing.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 INTERRUPTED = 130
+NOT_CERTAIN = 3
 DONE = (0, 4)
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
@@ -122,7 +123,7 @@ def _carry_out(arguments: Sequence[str] | None, door: Door) -> int:
     import typer  # noqa: PLC0415
 
     from turnwright._commands import app, tell  # noqa: PLC0415
-    from turnwright.errors import InputError, Stopped  # noqa: PLC0415
+    from turnwright.errors import CorrectionError, InputError, Stopped  # noqa: PLC0415
 
     try:
         with warnings.catch_warnings():
@@ -131,6 +132,9 @@ def _carry_out(arguments: Sequence[str] | None, door: Door) -> int:
             return command.main(arguments, prog_name="turnwright", standalone_mode=False, obj=door) or 0
     except (KeyboardInterrupt, typer.Abort, Stopped):
         return INTERRUPTED  # some versions of typer end so by themselves, with the same code
+    except CorrectionError as error:
+        _say(str(error))
+        return NOT_CERTAIN
     except InputError as error:
         _say(str(error))
     except MemoryError as error:

@@ -12,6 +12,7 @@
     │   ├── ProgramError      a lathe program that cannot be written or read
     │   ├── MapError          a file of a measured map that cannot be written or read
     │   └── StudyError        many cases that cannot go on; what is finished is kept
+    ├── CorrectionError       a correction that is not written because it would not certainly help
     └── Stopped               the user asked for an end
 
 Every message is one sentence: what, how much, the limit, the remedy; or a few, each on a line of its own. However long
@@ -21,6 +22,7 @@ an input is that a message shows, its lines stay within `LONGEST` letters and it
 import math
 
 __all__ = [
+    "CorrectionError",
     "DomainError",
     "GougeError",
     "InputError",
@@ -121,6 +123,10 @@ class MapError(InputError):
 
 class StudyError(InputError):
     """Many cases cannot go on, such as on a full disk; what is finished is kept."""
+
+
+class CorrectionError(TurnwrightError):
+    """A correction is not written because it would not certainly help."""
 
 
 class Stopped(TurnwrightError):  # noqa: N818 - an end that was asked for is not an error

@@ -14,7 +14,6 @@ from turnwright.surface import Surface
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
     from turnwright.surface._smoothing import Smooth
-    from turnwright.surface.gridded import Gridded
 
 __all__ = ["Blank", "Part", "correction_of"]
 
@@ -140,12 +139,10 @@ class Part:
         return self if smooth.cutoff is None else replace(self, surface=self.surface + smooth.table)
 
 
-def correction_of(
-    part: Part, error: HeightMap, *, cutoff: float, beyond: float, before: Gridded | None = None
-) -> Smooth:
+def correction_of(part: Part, error: HeightMap, *, cutoff: float, beyond: float) -> Smooth:
     """Return what to add to a part so that an error that repeats does not come back, and the cutoff that was chosen.
 
-    See `Part.corrected`; with ``before``, what was added already when the error was measured, the table holds both.
+    See `Part.corrected`.
     """
     from turnwright.surface._smoothing import smooth_table  # noqa: PLC0415 - scipy is costly to import
 
@@ -163,4 +160,4 @@ def correction_of(
             f"a correction needs {FEWEST}: register the map to the part first, or measure more of it"
         )
     reach = part.radius + positive(beyond, "beyond", "mm") + cutoff
-    return smooth_table(x[used], y[used], -error.z[used], cutoff=cutoff, reach=reach, before=before)
+    return smooth_table(x[used], y[used], -error.z[used], cutoff=cutoff, reach=reach)

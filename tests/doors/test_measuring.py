@@ -22,6 +22,7 @@ DISH = (
     ("strategy.points_per_rev", 360),
     ("strategy.spindle_speed", "60 rpm"),
     ("simulation.patches", []),
+    ("measurement.plausible", {"squareness": "5 urad"}),  # else the slide may be what the tool seems to be
 )
 
 
@@ -105,11 +106,14 @@ def test_diagnose_finds_what_was_injected(shop, tmp_path, capsys):
     assert "\ncorrect: offset x is +" in capsys.readouterr().out
     assert files_of(out) == {"report.html", "diagnosis.json", "left-1.npz"}
     found = {one["name"]: one for one in strict(out / "diagnosis.json")["findings"]}
-    assert found["offset x"]["simplest"] == pytest.approx(OFFSET, abs=1e-4)
+    low, high = found["offset x"]["interval"]
+    assert 0 < low < OFFSET < high
+    assert {one["name"] for one in strict(out / "diagnosis.json")["contributions"]} >= {"drift of Z", "low form"}
     assert tw.read_map(out / "left-1.npz").z.size > 1000
     page = (out / "report.html").read_text(encoding="utf-8")
     (move,) = re.findall(r">X</th><td[^>]*>([^<]*)</td>", page)
-    assert float(move.replace("\u2212", "-")) == pytest.approx(-OFFSET * 1e3, abs=0.1)  # [um], back to where it belongs
+    # Back to where it belongs, as near as a drift that looks alike lets. [um]
+    assert float(move.replace("\u2212", "-")) == pytest.approx(-OFFSET * 1e3, abs=0.5)
     assert "The rule of the handbook" in page  # the dish is a sphere
 
 
@@ -117,7 +121,7 @@ def test_correct_writes_a_job_that_runs(shop, corrected, tmp_path):
     """Oracle: what the corrected job leaves, cut by the tool as it is, judged by the design."""
     assert {"report.html", "correction.json", "job.toml", "predicted.npz"} <= files_of(corrected)
     better = Job.load(corrected / "job.toml")
-    assert better.tool.tool.offset[0] == pytest.approx(OFFSET, abs=1e-4)
+    assert better.tool.tool.offset[0] == pytest.approx(OFFSET, abs=5e-4)
     assert better.part.part.surface == Job.load(shop / "job.toml").part.part.surface
     out = tmp_path / "run"
     assert main(["run", str(corrected / "job.toml"), "--out", str(out)]) == 0
@@ -132,13 +136,28 @@ def test_correct_writes_a_job_that_runs(shop, corrected, tmp_path):
     assert before > 2 * after
 
 
-def test_a_second_map_counts_with_the_first(shop, corrected, tmp_path):
+def test_a_corrected_part_is_not_corrected_again(shop, corrected, tmp_path, capsys):
+    """What is left of the second part are cusps and noise: no job is written, whatever map stands beside it."""
     second = seen(corrected / "job.toml", tmp_path / "again.npz")
-    out = tmp_path / "out"
     jobs = ["--job", str(corrected / "job.toml"), "--job", str(shop / "job.toml")]
-    assert main(["correct", str(second), str(shop / "dish.x3p"), *jobs, "--out", str(out)]) == 0
-    assert Job.load(out / "job.toml").tool.tool.offset[0] == pytest.approx(OFFSET, abs=1e-4)
-    assert len(strict(out / "correction.json")["measured"]) == 2
+    there = sorted(tmp_path.iterdir())
+    for maps, its in (([str(second)], jobs[:2]), ([str(second), str(shop / "dish.x3p")], jobs)):
+        assert main(["correct", *maps, *its, "--out", str(tmp_path / "out")]) == 3
+        assert "no correction is written" in told_once(capsys)
+        assert sorted(tmp_path.iterdir()) == there
+    out = tmp_path / "why"
+    assert main(["diagnose", str(second), str(shop / "dish.x3p"), *jobs, "--out", str(out)]) == 0
+    told = strict(out / "diagnosis.json")
+    assert len(told["measured"]) == 2
+    assert told["repeatability_nm"] < 5
+
+
+def test_a_map_is_not_corrected_twice(shop, corrected, tmp_path, capsys):
+    """The map of the first part, given with the job that was corrected by it, would be corrected again."""
+    first, job = str(shop / "dish.x3p"), str(corrected / "job.toml")
+    assert main(["correct", first, "--job", job, "--out", str(tmp_path / "out")]) == 2
+    assert "earlier correction of this job" in told_once(capsys)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_artefacts_correct_the_job_of_the_part(shop, tmp_path, capsys):
@@ -152,7 +171,7 @@ def test_artefacts_correct_the_job_of_the_part(shop, tmp_path, capsys):
     assert main(["correct", *maps, *jobs, "--of", str(shop / "job.toml"), "--out", str(out)]) == 0
     better = Job.load(out / "job.toml")
     assert better.part.part.surface == Job.load(shop / "job.toml").part.part.surface
-    assert better.tool.tool.offset[0] == pytest.approx(OFFSET, abs=1e-4)
+    assert better.tool.tool.offset[0] == pytest.approx(OFFSET, abs=5e-4)
     assert better.part.correction is None
     capsys.readouterr()
     assert main(["artefact", str(shop / "job.toml"), "--kind", "cube", "--out", str(tmp_path / "cube.toml")]) == 2
@@ -184,6 +203,9 @@ spindle_speed = "60 rpm"
 
 [simulation]
 whole_part = { radii = 41, angles = 24 }
+
+[measurement]
+plausible = { squareness = "5 urad" } # certificate of the slide
 """
 
 
@@ -202,7 +224,7 @@ def test_a_correction_keeps_what_a_person_wrote(shop, tmp_path):
     assert lost == []
     assert any(line.startswith("offset = ") for line in new)
     moved = out.rename(tmp_path / "moved")  # files beside the job are named so that the folder can move
-    assert Job.load(moved / "job.toml").tool.tool.offset[0] == pytest.approx(OFFSET, abs=1e-4)
+    assert Job.load(moved / "job.toml").tool.tool.offset[0] == pytest.approx(OFFSET, abs=5e-4)
     again = tmp_path / "again"
     command = ["correct", str(shop / "dish.x3p"), "--job", str(job), "--of", str(job), "--out", str(again)]
     assert main(command) == 0
@@ -301,7 +323,7 @@ def test_a_correction_goes_into_any_folder(shop, tmp_path, monkeypatch, relative
     )  # a form that no cause explains, so a table is written
     measured = tw.measure(job, replace(seen_map, z=seen_map.z + bump))
     out = Path("better") if relative else tmp_path / "not" / "there yet"
-    better = tw.correct(job, tw.explain(measured), measured, out=out)
+    better = tw.correct(job, tw.diagnose(measured), measured, out=out)
     assert better.file.samefile(out / "job.toml")
     assert better.job.part.correction is not None
     assert Job.load(out / "job.toml") == better.job

@@ -710,15 +710,15 @@ def test_a_measurement_tells_the_injected_offset_and_becomes_a_better_program(be
     value, doubt = figures(cause.locator(".number").inner_text())
     assert plain(cause.locator(".number").inner_text()).endswith(" \u00b5m")
     assert abs(value - OFFSET * 1e3) <= doubt
-    # Squareness would do as well, which makes the doubt a large one; the offset itself is found.
-    assert figures(cause.locator("p").inner_text())[0] == pytest.approx(OFFSET * 1e3, abs=0.1)
+    # A drift of Z would do as well, which makes the doubt a large one.
+    assert figures(cause.locator("p").inner_text())[0] == pytest.approx(OFFSET * 1e3, abs=doubt)
     assert figures(cause.locator("p").inner_text())[:3] == [value, doubt, 95]  # number and sentence say the same
     # A dish of revolution has no azimuth, so that part of the pose is held: nothing was found of it.
     assert page.locator("dt", has_text="rotation").locator("+ dd").inner_text() == "held"
     one.drawn("#measured .map canvas.mapcanvas", colours=60)
     for box in page.locator(".cause input").all():
         box.set_checked(False)
-    expect(page.locator("#correct")).to_be_disabled()
+    expect(page.locator("#correct")).to_have_text("Correct the form")
     cause.get_by_role("checkbox").check()
     name = one.answer("/correct", page.locator("#correct").click).json()["id"]
     after = page.get_by_role("tab", name="After correction")
@@ -744,9 +744,12 @@ def test_a_measurement_tells_the_injected_offset_and_becomes_a_better_program(be
     program = one.download(links.get_by_role("link", name="Program", exact=True))
     assert program == (out / "part.nc").read_bytes()
     (tmp_path / "job.toml").write_bytes(one.download(links.get_by_role("link", name="Job", exact=True)))
+    # What is not certain of the offset is compensated as form, by a table beside the job.
+    table = one.download(links.get_by_role("link", name="Correction", exact=True))
+    (tmp_path / "correction.npz").write_bytes(table)
     assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "part.nc").read_bytes() == program
-    assert tw.Job.load(tmp_path / "job.toml").tool.tool.offset[0] == pytest.approx(OFFSET, abs=1e-4)
+    assert tw.Job.load(tmp_path / "job.toml").tool.tool.offset[0] == pytest.approx(OFFSET, abs=doubt * 1e-3)
     page.get_by_role("button", name="Take the corrected job into the fields").click()
     page.locator("#pill.good").wait_for()
 

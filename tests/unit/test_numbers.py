@@ -142,11 +142,11 @@ MAY = {
 
 ANSWERS = """
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
-    Comparison Correction Cusps CuttingForces Despiked Diagnosis DuctileGate EdgeFit Estimate Experiment
-    FastToolFiles Features Filled Finding Finish ForceAverage IntactShare LearnedMaterial Lenslet Lenslets Limits
-    Measured Move Outcome PartShape Pass Plan PoseCandidate Prediction Preview ProfileRoughness ProgramFiles
-    ProgramInfo ProgramPass Registration Result Roughness Sensitivity Shares Slopes Spectrum Stretch Tightening
-    TiledMap ToleranceStudy Trial TurnedEdge Undetermined Verdict ZernikeFit
+    Comparison Contribution Correction Cusps CuttingForces Despiked Diagnosis DrawnCut Draws DuctileGate EdgeFit
+    Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage IntactShare LearnedMaterial
+    Lenslet Lenslets Limits Measured Move Outcome PartShape Pass Plan PoseCandidate Prediction Preview
+    ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness Sensitivity Shares
+    Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge Undetermined Verdict ZernikeFit
 """
 """Classes that only functions make: there nan and infinity say what could not be found."""
 

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 
 __all__: list[str] = []
 
+SAID = 0.1
+"""Share of what was measured from which a source is named that is not corrected."""
+
 HEIGHT_BYTES = 8
 """Of a height in a file, usually."""
 
@@ -124,10 +127,10 @@ def diagnose(
         new_folder(out, door, force=force) as folder,
         progress_of(door.stop, steps_of_diagnosis(_heights(files))) as progress,
     ):
-        from turnwright.job import explain  # noqa: PLC0415
+        from turnwright.job import diagnose  # noqa: PLC0415
 
         measured = _measured(files, job, progress, unit)
-        found = explain(measured, progress=progress)
+        found = diagnose(measured, progress=progress)
         progress("report", 0, 1)
         from turnwright.archive import write_diagnosis as write_numbers  # noqa: PLC0415
         from turnwright.report import write_diagnosis  # noqa: PLC0415
@@ -161,14 +164,14 @@ def correct(
         new_folder(out, door, force=force) as folder,
         progress_of(door.stop, steps_of_correction(_heights(files))) as progress,
     ):
-        from turnwright.job import Job, correct, explain  # noqa: PLC0415
+        from turnwright.job import Job, correct, diagnose  # noqa: PLC0415
 
         measured = _measured(files, job, progress, unit)
-        found = explain(measured, progress=progress)
+        found = diagnose(measured, progress=progress)
         if of is None:
             better = correct(measured[0].job, found, measured, out=folder, source=job[0], progress=progress)
         else:
-            better = correct(Job.load(of), found, out=folder, source=of, progress=progress)
+            better = correct(Job.load(of), found, measured, out=folder, source=of, progress=progress)
         progress("report", 0, 1)
         from turnwright.archive import write_correction as write_numbers  # noqa: PLC0415
         from turnwright.report import write_correction  # noqa: PLC0415
@@ -178,6 +181,8 @@ def correct(
         progress("report", 1, 1)
     _say_measured(door, measured)
     _say_causes(door, found)
+    for sentence in better.sentences:
+        door.say(sentence)
     for name, (pv, rms) in better.numbers_nm.items():
         door.say(f"{name}: PV {pv:.4g} nm, rms {rms:.4g} nm")
     for verdict in better.verdicts:
@@ -219,8 +224,11 @@ def _say_measured(door: Door, measured: Sequence[Measured]) -> None:
 
 def _say_causes(door: Door, found: Diagnosis) -> None:
     for one in found:
-        if one.called_for:
+        if one.verdict == "correct" or one.rms_nm > SAID * found.measured_rms_nm:
             door.say(f"{one.verdict}: {one.why}")
+    for term in found.contributions:
+        if term.rms_nm > SAID * found.measured_rms_nm:
+            door.say(term.why)
     door.say(
         f"off by {found.measured_rms_nm:.4g} nm rms, of it explained {found.explained_rms_nm:.4g} nm, left "
         f"{found.unexplained_rms_nm:.4g} nm"

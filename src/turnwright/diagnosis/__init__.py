@@ -2,9 +2,10 @@
 
 from turnwright.diagnosis._causes import CAUSES, DEFAULT, Cause
 from turnwright.diagnosis._diagnose import diagnose
-from turnwright.diagnosis._findings import Diagnosis, Finding
-from turnwright.diagnosis._fit import FREE
+from turnwright.diagnosis._findings import Contribution, Diagnosis, DrawnCut, Draws, Finding
+from turnwright.diagnosis._proof import Proof, prove
 from turnwright.diagnosis._setup import CentreDefect, Move, centre_defect, handbook_offset, moves
+from turnwright.diagnosis._sight import FREE
 
 __all__ = [
     "CAUSES",
@@ -12,11 +13,16 @@ __all__ = [
     "FREE",
     "Cause",
     "CentreDefect",
+    "Contribution",
     "Diagnosis",
+    "DrawnCut",
+    "Draws",
     "Finding",
     "Move",
+    "Proof",
     "centre_defect",
     "diagnose",
     "handbook_offset",
     "moves",
+    "prove",
 ]

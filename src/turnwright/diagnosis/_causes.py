@@ -21,7 +21,7 @@ class Known(NamedTuple):
     """What is known of a cause beforehand."""
 
     unit: str
-    typical: float  # the largest that is plausible, in its unit
+    typical: float  # how large it plausibly is, one standard deviation, in its unit
     where: str  # where to look when nothing in the map tells it apart
     mount: bool = False  # made by the mount, not by the cut
 
@@ -33,7 +33,7 @@ CAUSES: Mapping[str, Known] = MappingProxyType(
         "offset z": Known("mm", 0.05, "measure the height from a reference, and leave the piston out of what is free"),
         "radius error": Known("mm", 0.02, "cut a sphere and measure its radius as well as its form"),
         "waviness": Known("mm/rad^k", 0.005, "cut an artefact whose slopes use more of the nose"),
-        "squareness": Known("rad", 1e-3, "cut an artefact with another slope, such as a flat"),
+        "squareness": Known("rad", 1e-4, "cut an artefact with another slope, such as a flat"),
         "straightness": Known("mm", 0.002, "cut a flat"),
         "servo lag": Known("rad", 0.02, "put a fiducial on the part, and leave the clocking out of what is free"),
         "servo amplitude": Known("rad^2", 1e-3, "cut a part whose height changes more often in a turn"),
@@ -50,15 +50,14 @@ DEFAULT = (
     "waviness",
     "squareness",
     "servo lag",
-    "astigmatism",
 )
-"""Those that are looked for if nobody says otherwise."""
+"""Those that are looked for if nobody says otherwise. A bent mount looks like low form, which always is looked for."""
 
 STEEP = 0.02
-"""Slope of the waviness against the nose that is plausible at most. [rad]"""
+"""Slope of the waviness against the nose that is plausible. [rad]"""
 
-BENT = 0.5
-"""Change of the nose's own radius by a wave that is plausible at most, as a share of it."""
+BENT = 0.1
+"""Change of the nose's own radius by a wave that is plausible, as a share of it: near 1 it would have a flat."""
 
 HARMONIC = MappingProxyType({"astigmatism": 2, "trefoil": 3})
 
@@ -75,7 +74,7 @@ class Cause:
         From how the points were cut by the planned tool (the fields x, y, tip_radius, tip_angle, sweep, z, zx, zy, each
         (n,) in mm and rad) to the height that one unit of the cause adds there. (n,) [mm per unit]
     typical
-        The largest magnitude that is plausible. [unit]
+        How large it plausibly is, one standard deviation. [unit]
     unit
         Of the value.
 
@@ -123,6 +122,8 @@ class Columns:
         Largest sweep used [rad], and radius of the part [mm].
     nose
         Radius of the tool's nose. [mm]
+    plausible
+        Size of a cause where it is not the usual one, one standard deviation. [unit of the cause]
     """
 
     causes: Sequence[str | Cause]
@@ -130,6 +131,7 @@ class Columns:
     knots: Floats
     reach: tuple[float, float]
     nose: float
+    plausible: Mapping[str, float]
 
     @property
     def all(self) -> list[Column]:
@@ -139,26 +141,25 @@ class Columns:
             if isinstance(cause, Cause):
                 columns.append(Column(cause.name, cause.name, cause.unit, cause.typical, 0))
                 continue
-            known = CAUSES[cause]
+            known, stated = CAUSES[cause], self.plausible.get(cause)
+            typical = known.typical if stated is None else stated
             if cause == "waviness" and isinstance(self.basis, Powers):
                 for k in self.basis.powers:
                     unit = "mm/rad" if k == 1 else f"mm/rad^{k}"
                     # Over a short sweep a wave as high as elsewhere would be steeper than an edge can be.
-                    size = min(known.typical, STEEP * self.nose * self.reach[0] / k)
-                    if k > 1:  # nor can it bend so much that the nose is no longer round
+                    size = typical if stated is not None else min(typical, STEEP * self.nose * self.reach[0] / k)
+                    if stated is None and k > 1:  # nor can it bend so much that the nose is no longer round
                         size = min(size, BENT * self.nose * self.reach[0] ** 2 / (k * (k - 1)))
                     columns.append(Column(f"waviness c{k}", cause, unit, size / self.reach[0] ** k, k))
             elif cause == "waviness":
-                columns += [
-                    Column(f"waviness b{k + 1}", cause, "mm", known.typical, 0) for k in range(self.basis.count)
-                ]
+                columns += [Column(f"waviness b{k + 1}", cause, "mm", typical, 0) for k in range(self.basis.count)]
             elif cause == "straightness":
                 inner = self.knots[1:-1]
-                columns += [Column(f"straightness at {at:.4g} mm", cause, "mm", known.typical, 0) for at in inner]
+                columns += [Column(f"straightness at {at:.4g} mm", cause, "mm", typical, 0) for at in inner]
             elif cause in HARMONIC:
-                columns += [Column(f"{cause} {part}", cause, "mm", known.typical, 0) for part in ("cos", "sin")]
+                columns += [Column(f"{cause} {part}", cause, "mm", typical, 0) for part in ("cos", "sin")]
             else:
-                columns.append(Column(cause, cause, known.unit, known.typical, 0))
+                columns.append(Column(cause, cause, known.unit, typical, 0))
         return columns
 
     def deviations(self, values: Floats) -> Deviations:

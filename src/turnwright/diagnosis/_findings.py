@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, NamedTuple, overload
+
+import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.diagnosis._causes import CAUSES, Column
@@ -16,9 +18,15 @@ from turnwright.pose import Pose
 
 if TYPE_CHECKING:
     from turnwright.machine import Machine
+    from turnwright.part import Part
     from turnwright.tool import Tool
 
-__all__ = ["Diagnosis", "Finding", "Said", "around", "judge"]
+__all__ = ["Contribution", "Diagnosis", "DrawnCut", "Draws", "Finding", "Said", "around", "judge"]
+
+NM = 1e6
+
+IMPLAUSIBLE = 3.0
+"""A source of so many times what was held plausible is another one."""
 
 SHOWN = MappingProxyType({"mm": ("um", 1e3), "rad": ("urad", 1e6), "rad^2": ("1e-6 rad^2", 1e6)})
 
@@ -39,12 +47,7 @@ REMEDY = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One number that says why a part is off, beyond what the plan took into account.
-
-    Two statements are made of each. With *all* causes that were looked for at work, ``value`` lies in ``interval``:
-    wide where causes leave nearly the same mark. If only the *fewest* causes are at work that explain the maps,
-    ``simplest`` lies in ``simplest_interval``, which holds what all explanations say that need one number more at most:
-    narrow, and right as long as nature is as simple.
+    """One number of an error source.
 
     Parameters
     ----------
@@ -53,49 +56,38 @@ class Finding:
     cause
         That it belongs to, such as ``"waviness"``.
     value, unit
-        Of the real tool or machine minus what was planned. [unit]
+        Of the real tool or machine minus what was planned; of several maps what they share. [unit]
+    plausible
+        How large it was held to be beforehand, one standard deviation. [unit]
     standard_uncertainty
-        Of the value, which takes into account how far the residual hangs together; infinite if a free pose hides it.
-        [unit]
+        Of the value, beside all other sources and terms. [unit]
     interval
         That holds the true value in 95 of 100 cases (low, high). [unit]
-    p_value
-        Chance that noise alone would make the value as large, by the F-test.
-    simplest, simplest_interval
-        The same in the fewest causes that explain the maps; 0 if it is none of them. [unit]
-    called_for
-        Whether it is one of the fewest.
     rms_nm, pv_nm
-        What the simplest value makes of the form, beyond what a change of pose would take away.
-    rivals
-        Causes that could take its place among the fewest.
+        What the value makes of the form, beyond what a change of pose would take away.
     correlated_with
         Findings that it is hard to tell from, each with its correlation.
     determined
-        Whether the maps tell it apart from the pose and from all other causes.
+        Whether the maps tell it: its uncertainty is below half of what was plausible.
     verdict
         ``"correct"`` or ``"do not correct"``.
     why
         One sentence.
     repeatable
-        Whether it is the same in all maps; ``None`` where there is only one.
+        Whether it is the same in all maps, within what matters on the part; ``None`` where there is only one.
     each
-        The simplest value in each map where it does not repeat, else empty. (maps,) [unit]
+        The value in each map where it does not repeat, else empty. (maps,) [unit]
     """
 
     name: str
     cause: str
     value: float
     unit: str
+    plausible: float
     standard_uncertainty: float
     interval: tuple[float, float]
-    p_value: float
-    simplest: float
-    simplest_interval: tuple[float, float]
-    called_for: bool
     rms_nm: float
     pv_nm: float
-    rivals: tuple[str, ...]
     correlated_with: tuple[tuple[str, float], ...]
     determined: bool
     verdict: Literal["correct", "do not correct"]
@@ -103,47 +95,154 @@ class Finding:
     repeatable: bool | None = None
     each: tuple[float, ...] = ()
 
+    @property
+    def implausible(self) -> bool:
+        """Whether it is so far beyond what was held plausible that the cause is likely another one."""
+        return abs(self.value) > IMPLAUSIBLE * self.plausible
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contribution:
+    """What lobes, drift, tilt of the spindle or low form make of the form.
+
+    Parameters
+    ----------
+    name
+        Of the group of terms, such as ``"axial error motion of the spindle"``.
+    rms_nm, uncertainty_nm
+        Beyond what a change of pose would take away, most probable, and one standard deviation of the whole.
+    common_nm
+        Of it what several maps of one part share; ``None`` where there is only one.
+    why
+        One sentence.
+    """
+
+    name: str
+    rms_nm: float
+    uncertainty_nm: float
+    common_nm: float | None
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DrawnCut:
+    """One draw of all that is not certain, as it can be simulated in full.
+
+    Parameters
+    ----------
+    tool, machine
+        That really cut.
+    tip_motion
+        From radius, azimuth and height of the tip, each (n,) [mm, rad], to how far it is off along X and Z. [mm]
+    rest
+        What no motion of the tip along X and Z makes, at the places of the draws. (n,) [mm]
+    """
+
+    tool: Tool
+    machine: Machine
+    tip_motion: Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
+    rest: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Draws:
+    """How a part may really be off, and what the corrected sources leave of it, in draws of all that is not certain.
+
+    Parameters
+    ----------
+    x, y
+        Places on the part. (n,) [mm]
+    before
+        Cut minus design of a further part that is cut as planned. (draws, n) [mm]
+    after
+        The same if the sources that are called for are corrected. (draws, n) [mm]
+    fickle
+        What of ``before`` only a single map shows to repeat: drift, form, sources that are not certain. (draws, n) [mm]
+    pose
+        What a change of the free directions adds. (n, j) [mm]
+    cases
+        The first of the draws, to be simulated in full.
+    """
+
+    x: Floats
+    y: Floats
+    before: Floats
+    after: Floats
+    fickle: Floats
+    pose: Floats
+    cases: tuple[DrawnCut, ...]
+
+    def rms_nm(self, heights: Floats) -> Floats:
+        """Return root mean squares beyond a change of pose. (draws,) of (draws, n) [nm]."""
+        q, _ = np.linalg.qr(self.pose)
+        left = heights - (heights @ q) @ q.T
+        return np.asarray(np.sqrt((left**2).mean(axis=1)) * NM)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Diagnosis(Sequence[Finding]):
-    """All findings, and what they leave unexplained.
+    """All findings, and what they leave.
 
     Parameters
     ----------
     findings
-        Those called for first, each group by what it makes of the form.
+        Those to be corrected first, each by what it makes of the form.
+    contributions
+        Of the terms that have no single cause, the largest first.
     names, correlation
-        Of the numbers that were fitted together; (k, k).
+        Of the numbers of the sources; (k, k).
     residuals
-        What no cause explains, on the grid of each map. [mm]
+        What neither sources nor terms explain, on the grid of each map. [mm]
+    remainders
+        What the corrected sources leave to a compensation of the form: all else that is found to repeat. [mm]
+    fields
+        The same if no source is corrected. [mm]
     poses
         How each map sat off its design, as far as that was left free.
     measured_rms_nm, explained_rms_nm, unexplained_rms_nm
-        Departure from the design beyond a change of pose; of what the causes make of it; and of what is left.
+        Departure from the design beyond a change of pose; of what sources and terms make of it; and of what is left.
     noise_nm, together
         Of each map: what is left scatters by the one from point to point, and this many points count as one.
-    left_out
+    repeatability_nm
+        What differs from one map of a part to another, rms beyond a change of pose, of one map; ``None`` without two.
+    rejected
         Points of each map that stand out of the rest by so much that the fit leaves them out.
     signatures
-        The mark of every finding in each map, as large as found. [mm]
+        What every finding and contribution makes of each map. [mm]
+    draws
+        Of each map: how a further part may be off.
     tool, machine
-        The planned ones with all that is worth correcting: plan with these.
+        The planned ones with all that is to be corrected: plan with these.
+    likely_tool, likely_machine
+        The planned ones with every source as it most probably is, certain or not. What they do together is known where
+        each of them is not.
+    on
+        From another part to draws of how it may be off by the sources alone, and of what planning with the likely tool
+        and machine leaves.
     """
 
     findings: tuple[Finding, ...]
+    contributions: tuple[Contribution, ...]
     names: tuple[str, ...]
     correlation: Floats
     residuals: tuple[HeightMap, ...]
+    remainders: tuple[HeightMap, ...]
+    fields: tuple[HeightMap, ...]
     poses: tuple[Pose, ...]
     measured_rms_nm: float
     explained_rms_nm: float
     unexplained_rms_nm: float
     noise_nm: tuple[float, ...]
     together: tuple[float, ...]
-    left_out: tuple[int, ...]
+    repeatability_nm: float | None
+    rejected: tuple[int, ...]
     signatures: tuple[Mapping[str, HeightMap], ...]
+    draws: tuple[Draws, ...]
     tool: Tool
     machine: Machine
+    likely_tool: Tool
+    likely_machine: Machine
+    on: Callable[[Part], Draws]
 
     @property
     def residual(self) -> HeightMap:
@@ -196,16 +295,17 @@ class Said(NamedTuple):
     """What the sentence of a finding rests on."""
 
     column: Column
-    simplest: str  # the value and its half width in the fewest causes
-    whole: str  # the same with all causes
     value: float
-    called: bool
+    whole: str  # the value and half the width of its interval
     seen: bool
-    rivals: Sequence[str]
-    each: Sequence[float]
+    determined: bool
+    significant: bool  # its interval does not hold 0
+    certain: bool  # what its cause makes of the form is known to a half
     rms_nm: float  # of the whole cause
     worth_nm: float
-    determined: bool
+    each: Sequence[float]
+    allowed: bool  # to be corrected by tool or machine, if it is certain
+    steady: bool  # what changes from map to map makes less of the form than what they share
 
 
 def judge(said: Said) -> tuple[Literal["correct", "do not correct"], str]:
@@ -213,25 +313,41 @@ def judge(said: Said) -> tuple[Literal["correct", "do not correct"], str]:
     column, name = said.column, said.column.name
     known = CAUSES.get(column.cause)
     where = known.where if known else "measure another part, on which it shows otherwise"
-    if not said.seen:
-        return "do not correct", f"{name} leaves nothing that a change of pose, which is free, would not leave: {where}"
-    if not said.called:
-        why = f"the maps are explained without {name}: leave it"
-        if not said.determined:
-            why = f"the maps are explained without {name}, but hardly tell it from other causes ({said.whole}): {where}"
-        return "do not correct", why
-    if said.each:
-        each = ", ".join(shown(one, column.unit) for one in said.each)
-        return "do not correct", f"{name} differs between the maps ({each}): find what moved, it cannot be planned away"
-    made = f"{name} is {said.simplest} and makes {said.rms_nm:.3g} nm rms"
+    unknown = _unknown(said, where)
+    if unknown:
+        return "do not correct", unknown
+    made = f"{name} is {said.whole}, the {column.cause} makes {said.rms_nm:.3g} nm rms"
+    if name == column.cause:
+        made = f"{name} is {said.whole} and makes {said.rms_nm:.3g} nm rms"
+    left = ""
     if known and known.mount:
-        return "do not correct", f"{made}, as a mount does that bends the part: {where}"
-    if said.rms_nm < said.worth_nm:
-        return "do not correct", f"{made}, less than the {said.worth_nm:g} nm that are worth it: leave it"
+        left = f"{made}, as a mount does that bends the part: {where}"
+    elif said.each and not said.steady:
+        each = ", ".join(shown(one, column.unit) for one in said.each)
+        left = f"{name} differs between the maps ({each}): find what moved, it cannot be planned away"
+    elif not said.allowed:
+        left = f"{made}: it is left to the form, as was asked"
+    elif said.rms_nm < said.worth_nm:
+        left = f"{made}, less than the {said.worth_nm:g} nm that are worth it: leave it"
+    elif not said.certain:
+        left = f"{made}, which is known to less than a half: {where}"
+    if left:
+        return "do not correct", left
     remedy = REMEDY.get(column.cause, "take it out where it comes from")
-    doubt = ""
-    if said.rivals:
-        doubt = f"; {' or '.join(said.rivals)} would do as well on this part, so for others {where}"
-    elif not said.determined:
-        doubt = f"; with all causes looked for it could be {said.whole}, so for other parts {where}"
-    return "correct", f"{made}: {remedy.format(back=shown(-said.value, column.unit))}{doubt}"
+    return "correct", f"{made}: {remedy.format(back=shown(-said.value, column.unit))}"
+
+
+def _unknown(said: Said, where: str) -> str:
+    """Return why a number is not known, or nothing if it is."""
+    column, name = said.column, said.column.name
+    if not said.seen:
+        return f"{name} leaves nothing that a change of pose, which is free, would not leave: {where}"
+    if abs(said.value) > IMPLAUSIBLE * column.typical:
+        key = f"measurement.plausible.{column.cause.replace(' ', '_')}"
+        return (
+            f"{name} would be {said.whole}, {shown(IMPLAUSIBLE * column.typical, column.unit)[1:]} is the largest that "
+            f"is plausible: look for another cause, or state a larger {key}"
+        )
+    if not said.determined:
+        return f"the maps hardly tell {name} ({said.whole}): {where}"
+    return "" if said.significant else f"{name} is {said.whole}, which may be nothing: leave it"

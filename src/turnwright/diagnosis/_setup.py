@@ -72,10 +72,10 @@ def moves(diagnosis: Diagnosis) -> tuple[Move, ...]:
         if finding.name not in axes or finding.verdict != "correct":
             continue
         axis, words = axes[finding.name]
-        low, high = finding.simplest_interval
-        half = max(high - finding.simplest, finding.simplest - low)
-        sentence = f"move the tool by {shown(-finding.simplest, 'mm')} {words}, known within {shown(half, 'mm')[1:]}"
-        out.append(Move(axis=axis, by=-finding.simplest, uncertainty=half, sentence=sentence))
+        low, high = finding.interval
+        half = max(high - finding.value, finding.value - low)
+        sentence = f"move the tool by {shown(-finding.value, 'mm')} {words}, known within {shown(half, 'mm')[1:]}"
+        out.append(Move(axis=axis, by=-finding.value, uncertainty=half, sentence=sentence))
     return tuple(out)
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from turnwright.job._artefacts import Artefact, artefact
     from turnwright.job._compare import Candidate, Comparison, compare
     from turnwright.job._correct import Correction, correct
-    from turnwright.job._measure import Measured, explain, measure, read_measurement
+    from turnwright.job._measure import Measured, diagnose, measure, read_measurement
     from turnwright.job._plan import Plan, Trial, plan
     from turnwright.job._result import Pass, Prediction, Preview, Result
     from turnwright.job._run import (
@@ -53,7 +53,7 @@ _HOMES = {
     "_artefacts": ("Artefact", "artefact"),
     "_compare": ("Candidate", "Comparison", "compare"),
     "_correct": ("Correction", "correct"),
-    "_measure": ("Measured", "explain", "measure", "read_measurement"),
+    "_measure": ("Measured", "diagnose", "measure", "read_measurement"),
     "_plan": ("Plan", "Trial", "plan"),
     "_result": ("Pass", "Prediction", "Preview", "Result"),
     "_run": ("finishing_motion", "predict", "predicted_motion", "preview", "program_shares", "run"),
@@ -88,8 +88,8 @@ __all__ = [
     "artefact",
     "compare",
     "correct",
+    "diagnose",
     "edited",
-    "explain",
     "faults",
     "finish",
     "finishing_motion",

@@ -171,7 +171,7 @@ def steps_of_correction(heights: Sequence[float]) -> tuple[Step, ...]:
         Of each map, about.
     """
     *steps, report = steps_of_diagnosis(heights)
-    return (*steps, Step(stage="correct the part", work=2.0), Step(stage="simulate", work=2.0), report)
+    return (*steps, Step(stage="prove the correction", work=8.0), Step(stage="simulate", work=3.0), report)
 
 
 def _placed(job: Job, points: float) -> Iterator[Step]:

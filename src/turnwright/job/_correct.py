@@ -2,37 +2,46 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turnwright._whole import write_whole
-from turnwright.errors import InputError
+from turnwright.contact import place
+from turnwright.diagnosis import Proof, prove
+from turnwright.errors import CorrectionError, InputError
 from turnwright.files import write_map
+from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
 from turnwright.job._finish import finished
-from turnwright.job._measure import Measured, cutoff_of, same_part
+from turnwright.job._measure import OF_POSE, Measured, cutoff_of, same_part
 from turnwright.job._schema import Job
 from turnwright.job._shares import pv_nm_of, rms_nm_of
 from turnwright.job._text import edited
 from turnwright.job._verdict import Verdict, judge_form
+from turnwright.motion import drive
 from turnwright.part import correction_of
+from turnwright.surface._smoothing import Smooth, sum_tables
 from turnwright.tool import WavinessTable
 from turnwright.units import write
 
 if TYPE_CHECKING:
     from os import PathLike
 
-    from turnwright._arrays import Floats, Ints
-    from turnwright.diagnosis import Diagnosis
+    from turnwright._arrays import Floats
+    from turnwright.diagnosis import Diagnosis, DrawnCut, Draws
     from turnwright.machine import Machine
     from turnwright.part import Part
+    from turnwright.path import Motion
     from turnwright.progress import StageProgress
+    from turnwright.surface import Gridded
     from turnwright.tool import Tool
 
 __all__ = ["Correction", "correct"]
@@ -43,8 +52,25 @@ SHOWN = 40_000
 PLANNED = frozenset({"offset x", "offset y", "offset z", "radius error", "waviness", "squareness", "straightness"})
 """Causes that planning with the real tool and machine takes care of."""
 
-MOUNT = frozenset({"astigmatism", "trefoil"})
-"""Causes that are not in the cut."""
+PLACES = 600
+"""Places at which draws are simulated in full."""
+
+ACROSS = 8
+"""Places across a feed, whose mean has no cusps."""
+
+SMALL = 3.0
+"""What is off by less than this many times what is worth correcting is good."""
+
+LINEAR, LINEAR_NM = 0.1, 1.0
+"""A draw that is simulated in full may differ from the linear model by this share of it, or by this."""
+
+SIMULATED, SIMULATED_NM = 0.3, 3.0
+"""What a correction changes by simulation may differ from what is intended by this share of it, or by this."""
+
+EXPLAINED = 1.1
+"""What is explained may be larger than what was measured by this factor."""
+
+NM = 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,10 +88,16 @@ class Correction:
     measured
         Cut minus design as it was measured, at some points; ``None`` if the part itself was not. [mm]
     predicted
-        The same after the correction, if all that was found repeats: what the corrected job leaves by simulation, and
-        what of the measurement no correction reaches, its noise among it. [mm]
+        The same after the correction, if all that was found repeats: what was measured, its cusps and noise among it,
+        and what the correction changes by simulation, beyond a change of pose. [mm]
     simulated
         Cut minus design of the corrected job by simulation, if the causes are as found. [mm]
+    proof
+        What the correction does in draws of all that is not certain.
+    sources
+        The findings that are planned with, by name; none where only the form is compensated.
+    sentences
+        What is corrected, how surely, and what is at stake.
     """
 
     job: Job
@@ -74,6 +106,9 @@ class Correction:
     measured: HeightMap | None
     predicted: HeightMap | None
     simulated: HeightMap
+    proof: Proof
+    sources: tuple[str, ...]
+    sentences: tuple[str, ...]
 
     @property
     def numbers_nm(self) -> dict[str, tuple[float, float]]:
@@ -99,18 +134,22 @@ def correct(
 ) -> Correction:
     """Write the job that takes what was found into account, and predict what it leaves.
 
-    Tool and machine become what they were found to be, as far as that is worth correcting. What is left of the measured
-    part, if it repeats from one half of the points to the other, is taken off the surface that is aimed at; the design
-    stays what everything is judged by. What a mount does to the part while it is measured or held is not corrected.
+    Tool and machine become what they were found to be, as far as that is certain. What else repeats is taken off the
+    surface that is aimed at, smoothly and where it was measured; the design stays what everything is judged by. What a
+    mount does to the part while it is measured or held is not corrected.
+
+    Before anything is written the correction is proved on draws of all that is not certain: 95 of 100 must become
+    better by more than ``measurement.worth`` and none worse by more, five of them are simulated in full. If that fails,
+    a correction of the form alone is tried.
 
     Parameters
     ----------
     job
         To be corrected: that of the measured part, or of another that is cut with this tool on this machine.
     found
-        Why measured parts were off, see `explain`.
+        Why measured parts were off, see `diagnose`.
     measured
-        What was explained, if the part that the job has cut was among it and was the first; the part as earlier jobs
+        What was diagnosed, if the part that the job has cut was among it and was the first; the part as earlier jobs
         have cut it counts with it. Without it only tool and machine are corrected.
     out
         Folder for ``job.toml`` and the files that it names; it is made if there is none.
@@ -122,42 +161,67 @@ def correct(
     Raises
     ------
     InputError
-        If the job was not planned with the tool and machine of the measured parts.
+        If the job was not planned with the tool and machine of the measured parts, or was corrected by a map already.
+    CorrectionError
+        If no correction is certain to help; nothing is written then.
     """
     report = progress or (lambda _stage, _done, _total: None)
     _check(job, found)
+    every = [measured] if isinstance(measured, Measured) else list(measured or ())
+    own = [same_part(one.job, job) for one in every]
+    _check_new(job, every, own)
+    _check_sane(found)
+    report("prove the correction", 0, 2)
+    plan = _proved(job, found, own)
+    report("prove the correction", 1, 2)
+    for number, one in enumerate(every):
+        if number == plan.map:
+            _check_linear(one.job, found.draws[number])
+    report("prove the correction", 2, 2)
     text, beside = ("", File()) if source is None else (File(source).read_bytes().decode(), File(source).parent)
     out = File(out).resolve()  # the job names its files beside itself, wherever it is read from
+    names = tuple(
+        one.name for one in found if one.cause in PLANNED and (one.verdict == "correct" or (plan.likely and one.value))
+    )
+    names = names if plan.sources else ()
+    report("simulate", 0, 2)
+    if any(own):
+        with TemporaryDirectory(prefix="turnwright-") as folder:
+            _check_simulated(job, _better(job, found, plan, (), File(folder)), found.draws[plan.map], plan)
+    report("simulate", 1, 2)
     out.mkdir(parents=True, exist_ok=True)
-    part = job.part.part
-    table = tomllib.loads(job.to_toml())
-    _put_tool(table["tool"], found.tool, job.tool.tool, out)
-    _put_machine(table["machine"], found.machine, job.machine.machine, out)
-    table.pop("actual", None)  # the correction is its prediction now
-    cutoff, left = None, None
-    report("correct the part", 0, 1)
-    every = [measured] if isinstance(measured, Measured) else list(measured or ())
-    if every:
-        left = _left(found, [same_part(one.job, job) for one in every])
-        cutoff = _put_correction(table["part"], job, part, left, out)
-    report("correct the part", 1, 1)
-    better = Job.read(table, folder=out)
+    better = _better(job, found, plan, [(one, _entry(one, names, plan)) for one in every], out)
     file = out / "job.toml"
     write_whole(file, edited(text, job, better, folder=beside, into=out))
-    report("simulate", 0, 1)
-    x, y = _places(job.part.part, left)
+    cutoff = None if plan.smooth is None else plan.smooth.cutoff
+    before = predicted = None
+    if not any(own):
+        x, y = _evenly(job.part.part)
+    else:
+        error = every[0].error
+        step = -(-error.z.size // SHOWN)
+        x, y = (one[::step] for one in error.points())
+        before = HeightMap(x=x, y=y, z=error.z[::step], name="measured error")
+        # What the real tool leaves by the corrected job, less what it left by this one.
+        change, was = (finished(one, better, x, y) for one in (better, job))
+        predicted = replace(before, z=_beyond_pose(job, x, y, before.z + change - was), name="predicted error")
     simulated = _simulated(better, x, y)
-    report("simulate", 1, 1)
-    if left is None:
-        return Correction(job=better, file=file, cutoff=cutoff, measured=None, predicted=None, simulated=simulated)
-    # What is left was measured beside what was added already, which the simulation of the new aim has in it.
-    again = 0.0 if job.part.added is None else job.part.added.evaluate(x, y, 0)[0]
-    predicted = replace(simulated, z=simulated.z + left.z[:: _step(left)] - again, name="predicted error")
-    error = every[0].error
-    step = _step(error)
-    x, y = error.points()
-    before = HeightMap(x=x[::step], y=y[::step], z=error.z[::step], name="measured error")
-    return Correction(job=better, file=file, cutoff=cutoff, measured=before, predicted=predicted, simulated=simulated)
+    simulated = replace(simulated, z=_beyond_pose(job, x, y, simulated.z))
+    report("simulate", 2, 2)
+    return Correction(
+        job=better, file=file, cutoff=cutoff, measured=before, predicted=predicted, simulated=simulated,
+        proof=plan.proof, sources=names, sentences=_sentences(found, plan, names, sum(own), job),
+    )  # fmt: skip
+
+
+class _Plan(NamedTuple):
+    """A correction that may be written."""
+
+    likely: bool  # whether every source is planned with as it most probably is, not only those that are certain
+    sources: bool  # whether tool and machine are planned as they were found
+    smooth: Smooth | None
+    map: int  # by whose draws it is proved
+    proof: Proof
 
 
 def _check(job: Job, found: Diagnosis) -> None:
@@ -175,48 +239,284 @@ def _check(job: Job, found: Diagnosis) -> None:
         )
 
 
-def _left(found: Diagnosis, own: Sequence[bool]) -> HeightMap:
-    """Return what neither tool nor machine takes care of, but repeats, in those maps that are of the part. [mm]."""
-    also = [
-        finding.name
-        for finding in found
-        if finding.verdict == "correct" and finding.cause not in PLANNED and finding.cause not in MOUNT
+def _better(
+    job: Job, found: Diagnosis, plan: _Plan, ledger: Sequence[tuple[Measured, str]], out: File
+) -> Job:  # fmt: skip
+    """Return the corrected job; the files that it names are written."""
+    table = tomllib.loads(job.to_toml())
+    kept = [line for line in job.measurement.corrected if not any(one.fingerprint in line for one, _ in ledger)]
+    if ledger:
+        table.setdefault("measurement", {})["corrected"] = [*kept, *(line for _, line in ledger)]
+    table.pop("actual", None)  # the correction is its prediction now
+    if plan.sources:
+        tool, machine = (found.likely_tool, found.likely_machine) if plan.likely else (found.tool, found.machine)
+        _put_tool(table["tool"], tool, job.tool.tool, out)
+        _put_machine(table["machine"], machine, job.machine.machine, out)
+    if plan.smooth is not None and plan.smooth.cutoff is not None:
+        file, new = out / "correction.npz", plan.smooth.table
+        write_map(HeightMap(x=new.x, y=new.y, z=new.z, name="correction"), file)
+        table["part"]["correction"] = str(file)
+    return Job.read(table, folder=out)
+
+
+def _check_new(job: Job, every: Sequence[Measured], own: Sequence[bool]) -> None:
+    """Raise if a job that is corrected was corrected by one of the maps already."""
+    for one, part in zip(every, own, strict=True):
+        noted = (one.job if part else job).measurement.corrected
+        if any(one.fingerprint in line for line in noted):
+            raise InputError(
+                f"the map {one.heights.name!r} was taken into account by an earlier correction of this job: measure a "
+                "part that this job has cut, or give the map with the job that cut it"
+            )
+
+
+def _check_sane(found: Diagnosis) -> None:
+    """Raise if a diagnosis cannot be right."""
+    for one in found:
+        if one.determined and one.implausible:
+            raise CorrectionError(f"nothing is corrected: {one.why}")
+    if found.explained_rms_nm > EXPLAINED * found.measured_rms_nm + 1.0:
+        raise CorrectionError(
+            f"nothing is corrected: the diagnosis explains {found.explained_rms_nm:.3g} nm rms of "
+            f"{found.measured_rms_nm:.3g} nm that were measured, at most {EXPLAINED:g} times as much can be right: "
+            "measure an artefact, which tells the causes apart"
+        )
+
+
+def _proved(job: Job, found: Diagnosis, own: Sequence[bool]) -> _Plan:
+    """Return the first correction that is certain to help."""
+    plans = list(_plans(job, found, own))
+    for plan in plans:
+        if plan.proof.ok:
+            return plan
+    raise CorrectionError(_refusal(found, plans[0].proof, sum(own)))
+
+
+def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
+    """Yield the corrections that may be written, the best first."""
+    worth_nm = job.measurement.worth * NM
+    worth = any(one.verdict == "correct" and one.cause in PLANNED for one in found)
+    if not any(own):
+        draws = found.on(job.part.part)
+        proof = prove(draws, np.zeros(draws.x.size), worth_nm=worth_nm)
+        yield _Plan(likely=True, sources=True, smooth=None, map=0, proof=proof)
+        return
+    first = list(own).index(True)
+    draws, known = found.draws[first], _added(job, found.draws[first].x, found.draws[first].y)
+    residuals = [left for left, part in zip(found.residuals, own, strict=True) if part]
+    beyond = _beyond(job, residuals, draws)
+    # What no term of the diagnosis has is smoothed out of its noise.
+    rest = _smooth(job, _joined(job, residuals)) if job.measurement.repeats else None
+    for sources, maps in ((True, found.remainders), (False, found.fields)):
+        if not sources and not worth:
+            return
+        form = _smooth(job, _joined(job, [one for one, part in zip(maps, own, strict=True) if part]))
+        smooth = _together([one for one in (form, rest) if one is not None and one.cutoff is not None], job.part.added)
+        added = np.zeros(draws.x.size)
+        if smooth is not None:
+            added = smooth.table.evaluate(draws.x, draws.y, 0)[0] - known
+        proof = prove(draws, added, sources=sources, beyond=beyond, worth_nm=worth_nm)
+        yield _Plan(likely=False, sources=sources, smooth=smooth, map=first, proof=proof)
+
+
+def _together(parts: Sequence[Smooth], before: Gridded | None) -> Smooth | None:
+    """Return what is added to a part in all, ``None`` if nothing is new."""
+    if not parts:
+        return None
+    tables = [one.table for one in parts] + ([] if before is None else [before])
+    table = reduce(sum_tables, tables)
+    return Smooth(table, min(one.cutoff for one in parts if one.cutoff is not None))
+
+
+def _beyond(job: Job, residuals: Sequence[HeightMap], draws: Draws) -> Floats:
+    """Return what a further part has beyond all that a diagnosis knows, in draws. (draws, n) [mm].
+
+    What the residuals of several maps share comes back; by as much as they differ, so does the next part.
+    """
+    smooth = [
+        -one.table.evaluate(draws.x, draws.y, 0)[0]
+        for one in (_smooth(job, _joined(job, [left])) for left in residuals)
     ]
-    points = []
-    for residual, signatures, counts in zip(found.residuals, found.signatures, own, strict=True):
-        if not counts:
-            continue
-        z, x, y = (one.ravel() for one in (residual.z, *residual.points()))
-        if also:
-            # The marks are known at some of the points.
-            marks = [signatures[name] for name in also]
-            at = _among(marks[0], residual)
-            z, x, y = z[at] + sum(mark.z.ravel() for mark in marks), x[at], y[at]
-        known = ~np.isnan(z)
-        points.append((x[known], y[known], z[known]))
-    x, y, z = (np.concatenate(one) for one in zip(*points, strict=True))
-    return HeightMap(x=x, y=y, z=z, name="left to correct")
+    count, random = len(smooth), np.random.default_rng(2)
+    mean: Floats = np.mean(smooth, axis=0)
+    if count == 1:
+        sign = np.ones(draws.before.shape[0])
+        if not job.measurement.repeats:
+            sign = random.normal(size=sign.size)
+        return np.asarray(sign[:, None] * mean)
+    off = np.stack(smooth) - mean
+    weight = random.normal(size=(draws.before.shape[0], count)) * math.sqrt((1 + 1 / count) / (count - 1))
+    return np.asarray(mean + weight @ off)
 
 
-def _step(many: HeightMap) -> int:
-    """Return which so-manieth of many points are shown."""
-    return -(-many.z.size // SHOWN)
-
-
-def _among(few: HeightMap, many: HeightMap) -> Ints:
-    """Return which points of a map those of a part of it are, in order of rows on a grid. (n,)."""
-    if many.scattered:
-        return _found(*(x + 1j * y for x, y in (few.points(), many.points())))
-    rows, columns = (
-        _found(getattr(few, name), getattr(many, name)) for name in (("angle", "radius") if many.polar else ("y", "x"))
+def _refusal(found: Diagnosis, proof: Proof, parts: int) -> str:
+    """Return why nothing is corrected, and what measurement would decide it."""
+    if proof.before_nm < SMALL * proof.worth_nm:
+        return (
+            f"no correction is written: the next part is off by {proof.before_nm:.2g} nm rms beyond cusps and noise, "
+            f"too little to become better by {proof.worth_nm:g} nm for certain: cut on, or lower measurement.worth"
+        )
+    why = (
+        f"no correction is written: of {proof.draws} draws of what is not certain, 95 % become better by "
+        f"{proof.gain_nm:.2g} nm rms or more, the worst by {-proof.worst_nm:.2g} nm, of {proof.before_nm:.3g} nm; more "
+        f"than {proof.worth_nm:g} nm is the limit, and none worse by that"
     )
-    return np.asarray((rows[:, None] * many.z.shape[1] + columns).ravel())
+    scatter = found.repeatability_nm
+    if scatter is not None and scatter > 1:
+        shared = math.sqrt(max(found.explained_rms_nm**2 - scatter**2, 0.0))
+        more = math.ceil(4 * (scatter / shared) ** 2) - parts if shared > scatter / 4 else 0
+        remedy = f"measure {more} more" if more > 0 else "find what moves from part to part"
+        return f"{why}. The maps differ by {scatter:.3g} nm rms: {remedy}"
+    hidden = next((one for one in found if one.verdict != "correct" and one.rms_nm > 1), None)
+    return f"{why}. {hidden.why if hidden else 'Measure more points, or more parts'}"
 
 
-def _found(few: NDArray[Any], many: NDArray[Any]) -> Ints:
-    """Return where values stand among others, which hold each of them. (n,)."""
-    order = np.argsort(many, kind="stable")
-    return np.asarray(order[np.searchsorted(many, few, sorter=order)])
+def _check_linear(job: Job, draws: Draws) -> None:
+    """Raise if some draws, simulated in full, are not what the linear model makes of them."""
+    some, places = _cuspless(job, draws)
+    motion = replace(_motion(job), velocity=None)
+    tool, machine = job.tool.tool, job.machine.machine
+    clean = _means(motion, tool, machine, places)
+    for number, case in enumerate(draws.cases):
+        made = _means(_off(motion, case), case.tool, case.machine, places) - clean + case.rest[some]
+        known = np.isfinite(made)
+        linear = draws.before[number][some]
+        rest = replace(draws, pose=draws.pose[some][known])
+        off, size = (float(rest.rms_nm(one[None, known])[0]) for one in (made - linear, linear))
+        if off > max(LINEAR * size, LINEAR_NM):
+            raise CorrectionError(
+                f"nothing is corrected: a draw of the errors makes {size:.3g} nm rms by the model that they were found "
+                f"with and differs by {off:.3g} nm in full simulation, {LINEAR:.0%} is the limit: correct the largest "
+                "at the machine first, then measure again"
+            )
+
+
+def _check_simulated(job: Job, better: Job, draws: Draws, plan: _Plan) -> None:
+    """Raise if the corrected job does not change the part as it is meant to."""
+    some, places = _cuspless(job, draws)
+    after, before = (_means(_motion(one), one.tool.tool, one.machine.machine, places) for one in (better, job))
+    now, then = (_added(one, draws.x[some], draws.y[some]) for one in (better, job))
+    known = np.isfinite(after - before)
+    rest = replace(draws, pose=draws.pose[some][known])
+    meant = now - then
+    off, size = (float(rest.rms_nm(one[None, known])[0]) for one in (after - before - meant, meant))
+    if off > max(SIMULATED * size, SIMULATED_NM):
+        cutoff = None if plan.smooth is None else plan.smooth.cutoff
+        remedy = f"raise measurement.cutoff above {cutoff:g} mm" if cutoff else "look at the job with turnwright check"
+        raise CorrectionError(
+            f"nothing is corrected: the corrected job should change the part by {size:.3g} nm rms and is {off:.3g} nm "
+            f"off that by simulation, the limit is {SIMULATED:.0%} and {SIMULATED_NM:g} nm: {remedy}"
+        )
+
+
+def _added(job: Job, x: Floats, y: Floats) -> Floats:
+    """Return what a job adds to its design at some places. (n,) [mm]."""
+    return np.zeros(x.size) if job.part.added is None else job.part.added.evaluate(x, y, 0)[0]
+
+
+def _motion(job: Job) -> Motion:
+    """Return the motion of the finishing pass."""
+    aim, tool = job.part.aimed, job.tool.tool
+    servo = job.servo(job.passes[-1])
+    path = place(servo.spiral(aim, tool), aim, tool, along=job.strategy.along)
+    return drive(path, servo, job.machine.machine, profile=job.strategy.profile(job.passes[-1]))
+
+
+def _off(motion: Motion, case: DrawnCut) -> Motion:
+    """Return the motion of a tip that is moved as in a draw."""
+    along_x, along_z = case.tip_motion(*(motion.axes[letter] for letter in "XCZ"))
+    return replace(motion, axes={**motion.axes, "X": motion.axes["X"] + along_x, "Z": motion.axes["Z"] + along_z})
+
+
+def _cuspless(job: Job, draws: Draws) -> tuple[slice, tuple[Floats, Floats]]:
+    """Return which of the places of some draws are simulated, and the places across a feed around each. (n, ACROSS)."""
+    some = slice(None, None, -(-draws.x.size // PLACES))
+    x, y = draws.x[some], draws.y[some]
+    radius, angle = np.hypot(x, y), np.arctan2(y, x)
+    feed = getattr(job.passes[-1], "feed", None) or getattr(job.strategy, "feed", None) or 0.0
+    across = np.abs(radius[:, None] + feed * ((np.arange(ACROSS) + 0.5) / ACROSS - 0.5))
+    return some, (across * np.cos(angle)[:, None], across * np.sin(angle)[:, None])
+
+
+def _means(motion: Motion, tool: Tool, machine: Machine, places: tuple[Floats, Floats]) -> Floats:
+    """Return mean heights across a feed. (n,) [mm]."""
+    x, y = (one.ravel() for one in places)
+    return np.asarray(generate_points(motion, tool, x=x, y=y, machine=machine).reshape(places[0].shape).mean(axis=1))
+
+
+def _entry(one: Measured, names: Sequence[str], plan: _Plan) -> str:
+    """Return what a job notes of a map that it was corrected by."""
+    what = [*names, *(["form"] if plan.smooth is not None and plan.smooth.cutoff else [])]
+    return f"{one.heights.name[:NAMED] or 'map'} ({one.fingerprint}): {', '.join(what)}"
+
+
+NAMED = 60
+"""Letters of the name of a map that a job notes."""
+
+
+def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str], parts: int, job: Job) -> tuple[str, ...]:
+    """Return what is corrected, how surely, and what is at stake."""
+    proof, told = plan.proof, []
+    form = plan.smooth is not None and plan.smooth.cutoff is not None
+    told.append(
+        f"corrected: {', '.join(names) or 'no source'} by tool and machine"
+        + (", all else that repeats by the surface that is aimed at" if form else "")
+    )
+    told.append(
+        f"of {proof.draws} draws of what is not certain, 95 % become better by {proof.gain_nm:.3g} nm rms or more and "
+        f"none becomes worse by more than {max(proof.worst_nm, 0.0):.2g} nm: {proof.before_nm:.3g} nm become "
+        f"{proof.after_nm:.3g} nm"
+    )
+    if found.repeatability_nm is not None:
+        told.append(f"the maps differ by {found.repeatability_nm:.3g} nm rms; only what they share is corrected")
+    elif form and parts == 1 and job.measurement.repeats and proof.at_stake_nm > 1:
+        told.append(
+            f"one map cannot show what repeats: if this {proof.at_stake_nm:.3g} nm of form does not, the next part is "
+            f"off by up to {proof.if_not_repeated_nm:.3g} nm, {proof.at_stake_nm:.3g} nm more than without; a second "
+            "part decides"
+        )
+    return tuple(told)
+
+
+def _joined(job: Job, maps: Sequence[HeightMap]) -> HeightMap:
+    """Return all heights of some maps, scattered."""
+    points = [tuple(one.ravel() for one in (*heights.points(), heights.z)) for heights in maps]
+    x, y, z = (np.concatenate(one) for one in zip(*points, strict=True))
+    known = ~np.isnan(z)
+    x, y = x[known], y[known]
+    return HeightMap(x=x, y=y, z=_beyond_pose(job, x, y, z[known]), name="left to correct")
+
+
+def _beyond_pose(job: Job, x: Floats, y: Floats, z: Floats) -> Floats:
+    """Return errors beyond a change of pose that the measurement leaves open. (n,) [mm]."""
+    zx, zy = job.part.part.surface.gradient(x, y)
+    one, asked = np.ones_like(x), job.measurement
+    marks = {"z": one, "tilt_x": y, "tilt_y": x, "x": zx, "y": zy, "rotation": y * zx - x * zy}
+    known = {name for fixed in asked.fixed for name in OF_POSE[fixed]}
+    columns = [mark for name, mark in marks.items() if name in asked.free and name not in known]
+    if not columns:
+        return z
+    rows = np.stack(columns, axis=1)
+    rows = rows / np.maximum(np.sqrt((rows**2).mean(axis=0)), FLAT)
+    seen = np.isfinite(z)
+    return np.asarray(z - rows @ np.linalg.lstsq(rows[seen], z[seen], rcond=RANK)[0])
+
+
+FLAT, RANK = 1e-12, 1e-6
+"""Marks of a pose that are smaller than this are none, and those that others make but for this share."""
+
+
+def _smooth(job: Job, left: HeightMap) -> Smooth:
+    """Return what is to be added to a part so that an error does not come back."""
+    strategy, last = job.strategy, job.passes[-1]
+
+    def stated(name: str) -> float:
+        return getattr(last, name, None) or getattr(strategy, name, None) or 0.0
+
+    tool = job.tool.tool
+    half = np.pi / 2 if tool.included is None else tool.included / 2
+    beyond = stated("lead_in") + stated("overrun") + tool.actual_radius * float(np.sin(half))
+    return correction_of(job.part.part, left, cutoff=cutoff_of(job), beyond=beyond)
 
 
 def _put_tool(table: dict[str, Any], tool: Tool, planned: Tool, out: File) -> None:
@@ -246,33 +546,8 @@ def _columns(file: File, head: str, one: Floats, other: Floats) -> File:
     return file
 
 
-def _put_correction(table: dict[str, Any], job: Job, part: Part, left: HeightMap, out: File) -> float | None:
-    """Aim at the part without what repeats; return the wavelength from which it is corrected now, or ``None``."""
-    strategy, last = job.strategy, job.passes[-1]
-
-    def stated(name: str) -> float:
-        return getattr(last, name, None) or getattr(strategy, name, None) or 0.0
-
-    cutoff = cutoff_of(job)
-    tool = job.tool.tool
-    half = np.pi / 2 if tool.included is None else tool.included / 2
-    beyond = stated("lead_in") + stated("overrun") + tool.actual_radius * float(np.sin(half))
-    smooth = correction_of(part, left, cutoff=cutoff, beyond=beyond, before=job.part.added)
-    if smooth.cutoff is None:
-        return None
-    new = smooth.table
-    file = out / "correction.npz"
-    write_map(HeightMap(x=new.x, y=new.y, z=new.z, name="correction"), file)
-    table["correction"] = str(file)
-    return smooth.cutoff
-
-
-def _places(part: Part, left: HeightMap | None) -> tuple[Floats, Floats]:
-    """Return where the corrected part is predicted: some of the measured points, or evenly over the part."""
-    if left is not None:
-        x, y = left.points()
-        return x[:: _step(left)], y[:: _step(left)]
-    # Sunflower seeds: as many to every area.
+def _evenly(part: Part) -> tuple[Floats, Floats]:
+    """Return places evenly over a part, as sunflower seeds: as many to every area."""
     count = np.arange(SHOWN) + 0.5
     radius, angle = part.radius * np.sqrt(count / SHOWN), np.pi * (1 + np.sqrt(5)) * count
     return radius * np.cos(angle), radius * np.sin(angle)

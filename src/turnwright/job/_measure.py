@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from turnwright.diagnosis import DEFAULT, FREE, Diagnosis, diagnose
+from turnwright.diagnosis import DEFAULT, FREE, Diagnosis
+from turnwright.diagnosis import diagnose as attribute
 from turnwright.errors import InputError, MapError
 from turnwright.files import read_map
 from turnwright.heightmap import HeightMap
@@ -35,17 +37,18 @@ from turnwright.metrology import (
 )
 from turnwright.metrology.registration import EDGE
 from turnwright.pose import Pose
-from turnwright.surface._smoothing import beside_form, smooth_table
 
 if TYPE_CHECKING:
     from os import PathLike
 
     from turnwright._arrays import Floats, Ints
     from turnwright.job._schema import Job
+    from turnwright.machine import Machine
     from turnwright.part import Part
     from turnwright.progress import StageProgress
+    from turnwright.tool import Tool
 
-__all__ = ["Measured", "cutoff_of", "explain", "measure", "read_measurement", "same_part"]
+__all__ = ["Measured", "cutoff_of", "diagnose", "measure", "read_measurement", "same_part"]
 
 FIRST = 100_000
 """Points by which a map is found on the part before its spikes are known."""
@@ -69,8 +72,8 @@ OF_POSE = MappingProxyType(
 )
 """What a registration calls that which a diagnosis leaves open."""
 
-FORM_ROUNDS = 2
-"""How often causes and a form that none explains are found in turn."""
+FINGERPRINT = 16
+"""Letters by which a map is known again."""
 
 TERMS = 37
 """Fringe Zernike terms that the form is told in."""
@@ -102,6 +105,8 @@ class Measured:
         Of what the terms leave, in the map's own grid; ``None`` for scattered points.
     lenslets
         Every lenslet's place and form, if the part has some.
+    fingerprint
+        Of the map as it was given, by which a job knows again that it was corrected by it.
     """
 
     job: Job
@@ -115,6 +120,7 @@ class Measured:
     zernike: ZernikeFit | None
     roughness: Roughness | None
     lenslets: Lenslets | None
+    fingerprint: str
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
@@ -176,6 +182,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     """
     report = progress or (lambda _stage, _done, _total: None)
     asked, part = job.measurement, job.part.part
+    fingerprint = hashlib.sha256(np.ascontiguousarray(heights.z).tobytes()).hexdigest()[:FINGERPRINT]
     # What a fiducial fixes is not fitted away beforehand.
     known = {name for one in asked.fixed for name in OF_POSE[one]}
     free = tuple(name for name in asked.free if name not in known)
@@ -219,13 +226,31 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         form_pv_nm=pv_nm_of(inside.z), form_rms_nm=area_rms(inside, like=registration.error) * NM, zernike=terms,
         roughness=rough,
         lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
+        fingerprint=fingerprint,
     )  # fmt: skip
     report("judge", 1, 1)
     return measured
 
 
-def explain(measured: Measured | Sequence[Measured], *, progress: StageProgress | None = None) -> Diagnosis:
-    """Say why measured parts are off. See `turnwright.diagnose`.
+@overload
+def diagnose(
+    measured: Measured | Sequence[Measured], *, progress: StageProgress | None = None
+) -> Diagnosis: ...  # fmt: skip
+@overload
+def diagnose(
+    measured: HeightMap | Sequence[HeightMap], parts: Part | Sequence[Part], tool: Tool, machine: Machine,
+    *, progress: StageProgress | None = None, **asked: Any,
+) -> Diagnosis: ...  # fmt: skip
+def diagnose(
+    measured: Measured | HeightMap | Sequence[Measured] | Sequence[HeightMap],
+    parts: Part | Sequence[Part] | None = None,
+    tool: Tool | None = None,
+    machine: Machine | None = None,
+    *,
+    progress: StageProgress | None = None,
+    **asked: Any,
+) -> Diagnosis:
+    """Say why measured parts are off. See `turnwright.diagnosis.diagnose`.
 
     Errors are averaged over small cells first, so every height of a map counts. A part that was cut by an earlier job,
     before a correction, counts as well: by simulation its errors are turned into those that the first of the jobs would
@@ -235,9 +260,13 @@ def explain(measured: Measured | Sequence[Measured], *, progress: StageProgress 
     ----------
     measured
         Of the part, or of artefacts, all cut with one tool on one machine: what they share is found together. The first
-        of them says what was planned.
+        of them says what was planned. Bare maps, registered and clean, need ``parts``, ``tool`` and ``machine`` too.
+    parts, tool, machine
+        What was to be cut, with which tool on which machine, of bare maps.
     progress
         Called with (stage, done, total).
+    asked
+        Of bare maps: what else `turnwright.diagnosis.diagnose` takes. Of measured parts their job says it.
 
     Raises
     ------
@@ -245,7 +274,22 @@ def explain(measured: Measured | Sequence[Measured], *, progress: StageProgress 
         If jobs of different parts were planned with different tools or machines.
     """
     report = progress or (lambda _stage, _done, _total: None)
-    every = [measured] if isinstance(measured, Measured) else list(measured)
+    every = [measured] if isinstance(measured, Measured | HeightMap) else list(measured)
+    if parts is not None and tool is not None and machine is not None:
+        report("diagnose", 0, 1)
+        found = attribute([one for one in every if isinstance(one, HeightMap)], parts, tool, machine, **asked)
+        report("diagnose", 1, 1)
+        return found
+    samples = [one for one in every if isinstance(one, Measured)]
+    if len(samples) < len(every) or asked:
+        raise InputError(
+            "a bare map does not say what was cut: give part, tool and machine with it, or measure it by its job"
+        )
+    return _diagnosed(samples, report)
+
+
+def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
+    """Return why measured parts are off."""
     if not every:
         raise InputError("0 measured parts are given, a diagnosis needs at least 1: measure one")
     first = every[0].job
@@ -255,74 +299,27 @@ def explain(measured: Measured | Sequence[Measured], *, progress: StageProgress 
                 f"{one.job.part.name!r} and {first.part.name!r} were planned with different tools or machines, one "
                 "diagnosis takes 1 of each: diagnose them apart"
             )
-    report("diagnose", 0, 2)
+    report("diagnose", 0, 1)
     asked = first.measurement
-    maps = [_gathered(one, first) for one in every]
-
-    def judged(maps: Sequence[HeightMap]) -> Diagnosis:
-        return diagnose(
-            maps,
-            [one.job.part.part for one in every],
-            first.tool.tool,
-            first.machine.machine,
-            causes=asked.causes or DEFAULT,
-            reference=asked.reference,
-            free=[one for one in FREE if one not in asked.fixed],
-            waviness=asked.waviness,
-            sense=first.strategy.sense,
-            feed=_feed(first),
-            worth_nm=asked.worth * NM,
-            points=2 * CELLS,
-        )
-
-    found = judged(maps)
-    report("diagnose", 1, 2)
-    forms = _forms(found, every)
-    if forms is not None:
-        # Causes that were bent to resemble the form are judged anew without it.
-        again = judged([replace(one, z=one.z - form) for one, form in zip(maps, forms, strict=True)])
-        left = [replace(one, z=one.z + form) for one, form in zip(again.residuals, forms, strict=True)]
-        rms = float(np.sqrt(np.nanmean(np.concatenate([one.z for one in left]) ** 2))) * NM
-        found = replace(again, residuals=tuple(left), measured_rms_nm=found.measured_rms_nm, unexplained_rms_nm=rms)
-    report("diagnose", 2, 2)
+    found = attribute(
+        [_gathered(one, first) for one in every],
+        [one.job.part.part for one in every],
+        first.tool.tool,
+        first.machine.machine,
+        causes=asked.causes or DEFAULT,
+        reference=asked.reference,
+        free=[one for one in FREE if one not in asked.fixed],
+        waviness=asked.waviness,
+        sense=first.strategy.sense,
+        feed=_feed(first),
+        worth_nm=asked.worth * NM,
+        points=2 * CELLS,
+        plausible=asked.plausible.stated,
+        repeats=asked.repeats,
+        correct=asked.correct,
+    )
+    report("diagnose", 1, 1)
     return found
-
-
-def _forms(found: Diagnosis, every: Sequence[Measured]) -> list[Floats] | None:
-    """Return the smooth form of each map that no cause explains, ``None`` if there is none beside causes. [mm].
-
-    Causes and form are found in turn: the form by smoothing what the causes leave, the causes by what no smooth form
-    has. A cause that has nothing of the kind stays as it was found.
-    """
-    called = [finding.name for finding in found if finding.called_for]
-    if not called:
-        return None
-    points, marks = [], []
-    for residual, signatures in zip(found.residuals, found.signatures, strict=True):
-        points.append((*residual.points(), residual.z))
-        marks.append(np.stack([signatures[name].z for name in called]))
-    share: Floats = np.ones(len(called))
-    forms: list[Floats] | None = None
-    for _ in range(FORM_ROUNDS):
-        product, target = np.zeros((len(called), len(called))), np.zeros(len(called))
-        forms, seen = [], False
-        for one, noise, (x, y, z), own in zip(every, found.noise_nm, points, marks, strict=True):
-            known = ~np.isnan(z + own.sum(axis=0))
-            left = z + (1 - share) @ own
-            cutoff, reach = cutoff_of(one.job), one.job.part.part.radius
-            smooth = smooth_table(x[known], y[known], left[known], cutoff=cutoff, reach=reach + cutoff)
-            forms.append(smooth.table.sag(x, y))
-            seen |= smooth.cutoff is not None
-            products = beside_form(
-                x[known], y[known], (z + own.sum(axis=0))[known], own[:, known], cutoff=smooth.cutoff or 2 * reach
-            )
-            product += products[0] * (NM / noise) ** 2
-            target += products[1] * (NM / noise) ** 2
-        if not seen:
-            return None
-        # Held at what was found as if it were known within its own size.
-        share = np.asarray(np.linalg.solve(product + np.eye(share.size), target + 1.0), dtype=np.float64)
-    return forms
 
 
 def cutoff_of(job: Job) -> float:

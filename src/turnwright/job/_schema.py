@@ -465,6 +465,45 @@ class RoughnessTable(Table):
     form: Annotated[int | str, PlainValidator(_form)] = "plane"
 
 
+class PlausibleTable(Table):
+    """How large causes plausibly are, each one standard deviation.
+
+    Parameters
+    ----------
+    offset_x
+        By how much the tip stands beside its place along X. [mm]
+    offset_y
+        By how much it stands above or below the centre. [mm]
+    offset_z
+        By how much it was touched off wrongly. [mm]
+    radius_error
+        Of the nose. [mm]
+    waviness
+        Of the edge where it is used farthest from the tip. [mm]
+    squareness
+        Of the X slide to the spindle. [rad]
+    straightness
+        Of the X slide. [mm]
+    servo_lag
+        Angle by which Z comes late. [rad]
+    """
+
+    offset_x: Size | None = None
+    offset_y: Size | None = None
+    offset_z: Size | None = None
+    radius_error: Size | None = None
+    waviness: Size | None = None
+    squareness: Annotated[float, unit("rad", above=0.0)] | None = None
+    straightness: Size | None = None
+    servo_lag: Annotated[float, unit("rad", above=0.0)] | None = None
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """What is stated, by the name of the cause."""
+        sizes = {name.replace("_", " "): getattr(self, name) for name in type(self).model_fields}
+        return {name: size for name, size in sizes.items() if size is not None}
+
+
 class MeasurementTable(Table):
     """What is known of the instrument that measures the part, and what its map may be off by: see `turnwright.measure`.
 
@@ -511,9 +550,18 @@ class MeasurementTable(Table):
     waviness
         Powers of the sweep that the waviness of the edge is found in.
     worth
-        Least effect on the form for which a cause is corrected. [mm]
+        Least rms by which a correction must make the form better for certain, and least effect of a cause. [mm]
     cutoff
         Shortest wavelength to which the part itself is corrected; found from part and feed if left out. [mm]
+    plausible
+        How large causes plausibly are, where they are not as large as usual.
+    correct
+        Which causes tool and machine are corrected for if they are certain, all if left out; the rest is compensated as
+        form of the part.
+    repeats
+        Whether drift, and form without a cause, that a single map shows are taken to come back on the next part.
+    corrected
+        Maps that this job was corrected by, as `correct` notes them, so that none is taken into account twice.
     """
 
     pixel_size: Size | tuple[Size, Size] | None = None
@@ -536,8 +584,12 @@ class MeasurementTable(Table):
     causes: tuple[Text, ...] | None = None
     fixed: tuple[Literal["piston", "tilt", "decentre", "clocking"], ...] = ()
     waviness: tuple[Annotated[int, Strict(), Ge(1), Le(9)], ...] = (3, 4, 5, 6)
-    worth: Thickness = 1e-7
+    worth: Thickness = 1e-6
     cutoff: Size | None = None
+    plausible: PlausibleTable = PlausibleTable()
+    correct: tuple[Text, ...] | None = None
+    repeats: Annotated[bool, Strict()] = True
+    corrected: tuple[Text, ...] = ()
 
     @property
     def pose(self) -> Pose | None:
@@ -550,9 +602,10 @@ class MeasurementTable(Table):
     def _is_known(self) -> Self:
         from turnwright.diagnosis import CAUSES  # noqa: PLC0415 - the stage, which data does not need
 
-        for cause in self.causes or ():
-            if cause not in CAUSES:
-                raise JobError(f"causes has {cause!r}, it can have {', '.join(CAUSES)}: name one of them")
+        for key in ("causes", "correct"):
+            for cause in getattr(self, key) or ():
+                if cause not in CAUSES:
+                    raise JobError(f"{key} has {cause!r}, it can have {', '.join(CAUSES)}: name one of them")
         if (self.quantity == "height") != (self.departure_from is None):
             raise JobError(
                 f"quantity is {self.quantity!r} and departure_from is "

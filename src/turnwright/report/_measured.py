@@ -30,8 +30,8 @@ MARKS = 6
 """Causes whose marks are drawn."""
 
 FORETOLD = (
-    "The prediction is what the corrected job leaves by simulation plus what of this measurement no correction "
-    "reaches, the noise of the instrument among it. It holds if all that was found repeats."
+    "The prediction is what was measured, cusps and noise of the instrument among it, and what the correction changes "
+    "by simulation. It holds if all that was found repeats."
 )
 
 ON_PURPOSE = (
@@ -50,10 +50,12 @@ CORE = 0.05
 SHARP = 8
 """Half pixels on its radius from which a core is more than a blurred tip of the surface."""
 
-BOTH = (
-    "With only the fewest causes at work that explain the maps, each number lies in the second column; with all causes "
-    "that were looked for, in the third, in 95 of 100 cases."
+ALL = (
+    "Each number lies in the interval in 95 of 100 cases, whatever the others are, and whatever lobes of the spindle, "
+    "drift and low form share in it. Where the interval is as wide as what was plausible, the maps tell nothing."
 )
+
+TERMS = "What has no single cause: with several maps of a part, of it that which they share."
 
 
 class _Number(NamedTuple):
@@ -135,7 +137,7 @@ def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | 
     measured
         What the diagnosis rests on.
     found
-        From `turnwright.explain`.
+        From `turnwright.diagnose`.
     path
         Where to; in a folder that exists the page is called ``report.html``.
     """
@@ -153,7 +155,7 @@ def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | 
             _number("Left", found.unexplained_rms_nm, f"rms, noise {max(found.noise_nm):.3g} nm from point to point"),
         ],
         notes=[note for one in measured for note in _open_questions(one)],
-        sections=[_causes(found), *_setup(measured, found), _marks(measured, found)],
+        sections=[_causes(found), _terms(found), *_setup(measured, found), _marks(measured, found)],
         job=measured[0].job.to_toml(),
     )  # fmt: skip
     return set_page("sheet.html.j2", sheet, path)
@@ -200,12 +202,13 @@ def write_correction(
         sections=[
             _Section(
                 title="Before and after",
-                text=[FORETOLD, *([ON_PURPOSE] if better.job.part.correction is not None else [])],
+                text=[*better.sentences, FORETOLD, *([ON_PURPOSE] if better.job.part.correction is not None else [])],
                 pictures=[
                     (names[name], draw.places_map(one, radius)) for name, one in before.items() if one is not None
                 ],
             ),
             _causes(found),
+            _terms(found),
         ],
         job=better.job.to_toml(),
     )  # fmt: skip
@@ -306,21 +309,49 @@ def _causes(found: Diagnosis) -> _Section:
     """Return the table of causes."""
     return _Section(
         title="Causes",
-        text=[BOTH],
-        columns=("cause", "fewest causes", "all causes", "rms [nm]", "verdict", "why"),
+        text=[ALL],
+        columns=("source", "value", "interval", "plausible", "rms [nm]", "verdict", "why"),
         rows=[
             (
                 one.name,
-                _between(one, one.simplest_interval) if one.called_for else "none",
+                _quantity(one, one.value),
                 _between(one, one.interval),
+                _quantity(one, one.plausible),
                 f"{one.rms_nm:.3g}",
                 one.verdict,
                 one.why,
             )
             for one in found
         ],
-        numeric=frozenset({3}),
+        numeric=frozenset({4}),
     )
+
+
+def _terms(found: Diagnosis) -> _Section:
+    """Return the table of what has no single cause."""
+    return _Section(
+        title="Spindle, drift and form",
+        text=[TERMS, *_repeatability(found)],
+        columns=("term", "rms [nm]", "uncertainty [nm]", "shared [nm]", "why"),
+        rows=[
+            (
+                one.name,
+                f"{one.rms_nm:.3g}",
+                f"{one.uncertainty_nm:.2g}",
+                "" if one.common_nm is None else f"{one.common_nm:.3g}",
+                one.why,
+            )
+            for one in found.contributions
+        ],
+        numeric=frozenset({1, 2, 3}),
+    )
+
+
+def _repeatability(found: Diagnosis) -> list[str]:
+    """Return by how much the maps of a part differ."""
+    if found.repeatability_nm is None:
+        return []
+    return [f"Repeatability: the maps of a part differ from cut to cut by {found.repeatability_nm:.3g} nm rms."]
 
 
 def _setup(measured: Sequence[Measured], found: Diagnosis) -> list[_Section]:
@@ -353,7 +384,7 @@ def _handbook(sample: Measured, found: Diagnosis) -> list[str]:
     from turnwright.metrology import best_fit  # noqa: PLC0415
     from turnwright.surface import Sphere  # noqa: PLC0415
 
-    surface, exact = sample.job.part.part.surface, [one.simplest for one in found if one.name == "offset x"]
+    surface, exact = sample.job.part.part.surface, [one.value for one in found if one.name == "offset x"]
     if not isinstance(surface, Sphere) or not exact:
         return []
     pv_nm = best_fit(sample.placed, "sphere").pv_nm
@@ -381,21 +412,30 @@ def _centre(sample: Measured) -> list[str]:
 
 def _between(finding: Finding, interval: tuple[float, float]) -> str:
     """Return an interval as people read it."""
-    unit, factor = (
-        ("µm", 1e3) if finding.unit.startswith("mm") else ("µrad", 1e6) if finding.unit == "rad" else ("", 1.0)
-    )
-    rest = finding.unit.removeprefix("mm") if finding.unit.startswith("mm") else "" if unit else finding.unit
+    unit, factor = _unit(finding)
     low, high = (one * factor for one in interval)
-    if not np.isfinite([low, high]).all():
-        return "open"
-    return f"{low:.4g} to {high:.4g} {unit}{rest}".strip()
+    return f"{low:.4g} to {high:.4g} {unit}".strip() if np.isfinite([low, high]).all() else "open"
+
+
+def _quantity(finding: Finding, value: float) -> str:
+    """Return a value as people read it."""
+    unit, factor = _unit(finding)
+    return f"{value * factor:.4g} {unit}".strip()
+
+
+def _unit(finding: Finding) -> tuple[str, float]:
+    """Return the unit that people read a finding in, and what its values are multiplied by."""
+    if finding.unit.startswith("mm"):
+        return f"µm{finding.unit.removeprefix('mm')}", 1e3
+    return ("µrad", 1e6) if finding.unit == "rad" else (finding.unit, 1.0)
 
 
 def _marks(measured: Sequence[Measured], found: Diagnosis) -> _Section:
     """Return the marks of the causes that matter most, and what is left."""
     from turnwright.report import _figures as draw  # noqa: PLC0415
 
-    called = [one for one in found if one.called_for][:MARKS]
+    called = sorted(found, key=lambda one: -one.rms_nm)[:MARKS]
+    called = [one for one in called if one.rms_nm > 0]
     pictures = [
         (f"{one.name}, {sample.job.part.part.name or 'part'}", draw.places_map(marks[one.name], sample.job.part.radius))
         for sample, marks in zip(measured, found.signatures, strict=True)

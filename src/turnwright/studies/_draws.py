@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from turnwright.diagnosis import DEFAULT, FREE, diagnose
+from turnwright.diagnosis import DEFAULT, FREE, diagnose, prove
 from turnwright.heightmap import HeightMap
 from turnwright.job import Job, artefact
 from turnwright.metrology import remove_form
@@ -132,19 +132,18 @@ def residual(real: Real, tool: Tool, machine: Machine, found: Diagnosis) -> Real
     A part planned with the found tool and cut with the real one leaves, but for products of small errors, what one
     planned with the nominal tool leaves when it is cut with the nominal tool and the difference of the two.
     """
-    x, y, z = (
-        plan + is_ - was for plan, is_, was in zip(tool.offset, real.tool.offset, found.tool.offset, strict=True)
-    )
-    radius = tool.radius_error + real.tool.radius_error - found.tool.radius_error
+    known, slide_known = found.likely_tool, found.likely_machine
+    x, y, z = (plan + is_ - was for plan, is_, was in zip(tool.offset, real.tool.offset, known.offset, strict=True))
+    radius = tool.radius_error + real.tool.radius_error - known.radius_error
     left = replace(real.tool, offset=(x, y, z), radius_error=radius)
-    if found.tool.waviness is not tool.waviness:
+    if known.waviness is not tool.waviness:
         sweep = np.linspace(*tool.arc, EDGE)
-        rest = tool.deviation(sweep) + real.tool.deviation(sweep) - found.tool.deviation(sweep)
+        rest = tool.deviation(sweep) + real.tool.deviation(sweep) - known.deviation(sweep)
         left = replace(left, waviness=WavinessTable(sweep=sweep, deviation=rest))
-    square = machine.squareness + real.machine.squareness - found.machine.squareness
+    square = machine.squareness + real.machine.squareness - slide_known.squareness
     slide = replace(real.machine, squareness=square)
-    if found.machine.straightness is not None and found.machine.straightness is not machine.straightness:
-        at, wrong = found.machine.straightness
+    if slide_known.straightness is not None and slide_known.straightness is not machine.straightness:
+        at, wrong = slide_known.straightness
         own_at, own = real.machine.straightness or (at, np.zeros_like(wrong))
         plan_at, plan = machine.straightness or (at, np.zeros_like(wrong))
         every = np.unique(np.concatenate([at, own_at, plan_at]))
@@ -340,7 +339,7 @@ class Bench:
             maps, parts, job.tool.tool, job.machine.machine,
             causes=asked.causes or DEFAULT, free=[one for one in FREE if one not in asked.fixed],
             waviness=asked.waviness, sense=job.strategy.sense, feed=next(iter(self.cuts.values())).feed,
-            worth_nm=asked.worth * NM,
+            worth_nm=asked.worth * NM, plausible=asked.plausible.stated,
         )  # fmt: skip
 
 
@@ -403,7 +402,11 @@ def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store |
     if data["correction"]:
         job = bench.cuts[""].job
         found = bench.found(draw, data["seed"])
-        better, form = bench.judged(residual(real, job.tool.tool, job.machine.machine, found))
+        # Where `turnwright.correct` would write nothing the part is cut as it was planned.
+        draws = found.on(job.part.part)
+        certain = prove(draws, np.zeros(draws.x.size), worth_nm=job.measurement.worth * NM).ok
+        left = residual(real, job.tool.tool, job.machine.machine, found) if certain else real
+        better, form = bench.judged(left)
         row |= {f"corrected {name}": value for name, value in better.items()}
         row["corrected map"] = store.put_array("form", form)
     return row

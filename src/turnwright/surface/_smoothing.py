@@ -5,8 +5,9 @@ Among tensor products of cubic B-splines, the one that minimises
 .. math:: \sum_i (s(x_i, y_i) - z_i)^2 + \mu \iint s_{xx}^2 + 2 s_{xy}^2 + s_{yy}^2
 
 Where n points stand on a unit of area, a wave of angular frequency k keeps :math:`1/(1 + k^4 \mu / n)` of its height:
-half at the cutoff, and never more than all of it, so that noise is not amplified. Missing places, a round border and
-what lies beyond it cost nothing: the plate runs on as straight as it can.
+half at the cutoff, and never more than all of it, so that noise is not amplified. Small missing places, a round
+border and what lies just beyond it cost nothing: there the plate runs on as straight as it can. Farther from the points
+it goes to zero.
 
 Sources
 -------
@@ -27,7 +28,7 @@ from turnwright.surface.gridded import Gridded
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["Smooth", "beside_form", "smooth_table"]
+__all__ = ["Smooth", "smooth_table", "sum_tables"]
 
 PER_CUTOFF = 5
 """Steps of the grid in the wavelength of the cutoff."""
@@ -43,6 +44,10 @@ COSTLY = 2.5
 
 WORTH = 2.0
 """Standard errors by which a shorter cutoff must foretell the half of the points that it has not seen better."""
+
+
+BRIDGED, FADED = 0.75, 1.5
+"""Cutoffs away from the nearest point to which a plate runs on, and from which nothing of it is left."""
 
 
 class Smooth(NamedTuple):
@@ -111,11 +116,12 @@ def smooth_table(
     if best is None:
         flat = np.linspace(-reach, reach, 6)
         return Smooth(Gridded(x=flat, y=flat, z=np.zeros((6, 6))), None)
-    table = _smoothed(_binned(x, y, z, cell, reach), best, reach)
-    return Smooth(table if before is None else _both(table, before), best)
+    means = _binned(x, y, z, cell, reach)
+    table = _faded(_smoothed(means, best, reach), means.x, means.y, best)
+    return Smooth(table if before is None else sum_tables(table, before), best)
 
 
-def _both(table: Gridded, before: Gridded) -> Gridded:
+def sum_tables(table: Gridded, before: Gridded) -> Gridded:
     """Return the sum of two tables over the reach of the first, as fine as the finer of them."""
     step = min(float(np.diff(one.x).min()) for one in (table, before))
     low, high = float(table.x[0]), float(table.x[-1])
@@ -125,35 +131,14 @@ def _both(table: Gridded, before: Gridded) -> Gridded:
     return Gridded(x=axis, y=axis, z=table.evaluate(x, y, 0)[0] + known)
 
 
-def beside_form(x: Floats, y: Floats, z: Floats, marks: Floats, *, cutoff: float) -> tuple[Floats, Floats]:
-    r"""Return the product of marks (k, k), and that of marks and heights (k,), where a smooth form hides nothing.
+def _faded(table: Gridded, x: Floats, y: Floats, cutoff: float) -> Gridded:
+    """Return a table that goes to zero away from the points: what was not measured is not changed."""
+    from scipy.spatial import KDTree  # noqa: PLC0415 - scipy is costly to import
 
-    What a plate of the cutoff takes for form is taken off heights and marks alike, so that marks of known shape are
-    told from a smooth form of unknown shape by what they have and it cannot: kinks, steps and the tip at the axis.
-
-    Parameters
-    ----------
-    x, y, z
-        Points. Each (n,) [mm]
-    marks
-        (k, n)
-    cutoff
-        Of the form. [mm]
-
-    Sources
-    -------
-    [Speckman1988]_: so the marks are not biased by the form to first order.
-    """
-    reach = float(max(np.abs(x).max(), np.abs(y).max())) + cutoff
-    rows = np.concatenate([marks, z[None]])
-    points = _Points(x, y, z, np.ones(x.size))
-    off = np.stack(
-        [
-            row - plate.evaluate(x, y, 0)[0]
-            for row, plate in zip(rows, _plates(points, rows, cutoff, reach), strict=True)
-        ]
-    )
-    return off[:-1] @ off[:-1].T, off[:-1] @ off[-1]
+    at = np.stack([one.ravel() for one in np.meshgrid(table.x, table.y)], axis=1)
+    away = np.asarray(KDTree(np.stack([x, y], axis=1)).query(at)[0]).reshape(table.z.shape) / cutoff
+    share = np.clip((away - BRIDGED) / (FADED - BRIDGED), 0.0, 1.0)
+    return Gridded(x=table.x, y=table.y, z=table.z * np.cos(np.pi / 2 * share) ** 2)
 
 
 def _losses(halves: Sequence[_Points], off: Sequence[Floats], scale: float) -> Floats:

@@ -166,15 +166,14 @@ async def correct(id: RunId, chosen: Causes, request: Request) -> Id:  # noqa: A
     told = json.loads((runs.folder_of(run) / "out" / "shown.json").read_text(encoding="utf-8"))
     known = list(dict.fromkeys(one["cause"] for one in told["findings"]))
     wrong = [cause for cause in chosen.causes if cause not in known]
-    if wrong or not chosen.causes:
+    if wrong:
         raise HTTPException(
-            422, f"the causes to correct can be {', '.join(known)}, {wrong or 'none'} was chosen: choose at least one"
+            422, f"the causes to correct can be {', '.join(known)}, {wrong} was chosen: choose of these"
         )
     data = runs.data(run)
     before = [cause for cause in known if cause in chosen.causes]
-    if len(before) < len(known):
-        # As somebody would at the command line: the job states which causes are looked for.
-        data = {**data, "measurement": {**(data.get("measurement") or {}), "causes": before}}
+    # As at the command line: the job states which causes are corrected, the rest is compensated as form.
+    data = {**data, "measurement": {**(data.get("measurement") or {}), "correct": before}}
     with runs.new_folder() as folder:
         try:
             (folder / run.file).hardlink_to(runs.folder_of(run) / run.file)

@@ -293,6 +293,7 @@ class Measurement(Model):
     psd: dict[str, Any] | None = None
     lenslets: list[dict[str, Any]] = []
     findings: list[dict[str, Any]] = []
+    contributions: list[dict[str, Any]] = []
     correction: str | None = Field(default=None, description="The last run that corrects by it.")
     predicted: dict[str, Any] | None = Field(
         default=None, description="What is left by prediction, by simulation alone, and which tolerances it misses."

@@ -30,8 +30,8 @@ PERCENT = (0.5, 99.5)
 """Of the heights that colours tell apart; a few spikes must not take all of them."""
 
 FIELDS = (
-    "name", "cause", "value", "unit", "standard_uncertainty", "simplest", "interval", "simplest_interval", "called_for",
-    "rms_nm", "pv_nm", "determined", "verdict", "why", "repeatable", "rivals", "correlated_with",
+    "name", "cause", "value", "unit", "plausible", "standard_uncertainty", "interval", "rms_nm", "pv_nm", "determined",
+    "verdict", "why", "repeatable", "correlated_with",
 )  # fmt: skip
 LENSLET = (
     "number", "design", "centre", "centre_std", "height", "height_std", "radius", "radius_error", "radius_std", "tilt",
@@ -75,13 +75,16 @@ def write_shown(measured: Measured, found: Diagnosis, out: Path) -> None:
         "findings": [
             {
                 **{name: getattr(one, name) for name in FIELDS},
-                # As its sentence says: the farther side.
-                "uncertainty": max(one.simplest_interval[1] - one.simplest, one.simplest - one.simplest_interval[0]),
+                "uncertainty": one.interval[1] - one.value,
                 "sentence": one.why,
                 "correctable": one.verdict == "correct",
                 "chosen": one.verdict == "correct",
             }
             for one in found
+        ],
+        "contributions": [
+            {name: getattr(one, name) for name in ("name", "rms_nm", "uncertainty_nm", "common_nm", "why")}
+            for one in found.contributions
         ],
         "measured_rms_nm": found.measured_rms_nm,
         "explained_rms_nm": found.explained_rms_nm,
@@ -105,7 +108,8 @@ def write_predicted(better: Correction, out: Path) -> None:
     """Write the sizes of what a correction leaves and which tolerances that misses, for the page."""
     sizes = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
     missed = [one.sentence for one in better.verdicts if one.kept is False]
-    (out / "shown.json").write_text(json.dumps(plain(sizes | {"missed": missed})), encoding="utf-8")
+    told = sizes | {"missed": missed, "sentences": better.sentences}
+    (out / "shown.json").write_text(json.dumps(plain(told)), encoding="utf-8")
 
 
 def shown_map(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) -> bytes:

@@ -15,6 +15,7 @@ import threading
 import time
 import traceback
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -221,7 +222,7 @@ def _measured(run: Path, server: Path, tell: _Teller, record: dict[str, Any]) ->
             called = record["called"] or file.name
             raise InputError(str(error).replace(str(file), file.name).replace(file.name, called)) from None
     tell(READ.stage, 1, 1)
-    return measure(recipe, heights, progress=tell)
+    return measure(recipe, replace(heights, name=record["called"] or heights.name), progress=tell)
 
 
 def _steps(job: Job, file: Path, kind: str) -> tuple[Step, ...]:
@@ -255,11 +256,11 @@ def _deadline(seconds: float, sentence: str) -> Iterator[None]:
 def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright diagnose``, and what the page shows of it."""
     from turnwright import archive, report  # noqa: PLC0415
-    from turnwright.job import explain, missed  # noqa: PLC0415
+    from turnwright.job import diagnose, missed  # noqa: PLC0415
     from turnwright.web._shown import write_shown  # noqa: PLC0415
 
     measured = [_measured(run, server, tell, record)]
-    found = explain(measured, progress=tell)
+    found = diagnose(measured, progress=tell)
     tell("report", 0, 1)
     archive.write_measured(measured[0], out)
     archive.write_diagnosis(measured, found, out)
@@ -275,11 +276,11 @@ def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], tell: 
 def _correct(run: Path, server: Path, out: Path, record: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright correct``, then as ``turnwright run`` of the job that it wrote."""
     from turnwright import archive, report  # noqa: PLC0415
-    from turnwright.job import Job, correct, explain, missed  # noqa: PLC0415
+    from turnwright.job import Job, correct, diagnose, missed  # noqa: PLC0415
     from turnwright.web._shown import write_predicted  # noqa: PLC0415
 
     measured = [_measured(run, server, tell, record)]
-    found = explain(measured, progress=tell)
+    found = diagnose(measured, progress=tell)
     better_folder = run / CORRECTION
     shutil.rmtree(better_folder, ignore_errors=True)
     better_folder.mkdir()

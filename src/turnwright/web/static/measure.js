@@ -235,7 +235,7 @@ function Lone({ packed }) {
 // ------------------------------------------------------------------------------------------------------- the findings
 
 function Findings({ measurement }) {
-  const { findings, lenslets, predicted, correction } = measurement;
+  const { findings, contributions, lenslets, predicted, correction } = measurement;
   const [chosen, choose] = useState(() => new Set(findings.filter((one) => one.chosen).map((one) => one.cause)));
   const [all, showAll] = useState(false);
   const { runs } = useStore(["runs"]);
@@ -267,21 +267,22 @@ function Findings({ measurement }) {
     }
   };
   const going = run && GOING.has(run.state);
-  const called = findings.filter((one) => one.called_for);
+  const called = findings.filter((one) => one.correctable || one.rms_nm > 0.1 * measurement.measured_rms_nm);
   return html`<div>
     <div class="panehead"><strong>Why it is off</strong><span class="gap"></span>${findings.length > called.length && html`<label class="flag"><input type="checkbox" checked=${all} onChange=${(event) => showAll(event.target.checked)} />all that was looked for</label>`}</div>
     <div class="scroll pad">
-      ${!called.length && html`<p class="quiet">No cause is called for: what is left is not of tool, machine or mount.</p>`}
-      ${called.length > 0 && html`<p class="quiet" id="doubts">After ±: how far it may be off, in 95 of 100 cases, if there is no other cause than these. Where a sentence says “with all causes looked for”, all that was looked for may share in it.</p>`}
+      ${!called.length && html`<p class="quiet">No source is certain: what is left is compensated as form, as far as it is certain.</p>`}
+      ${called.length > 0 && html`<p class="quiet" id="doubts">After ±: how far it may be off, in 95 of 100 cases, whatever the other sources, lobes of the spindle, drift and form share in it.</p>`}
       ${(all ? findings : called).map((one) => html`<div class="cause" key=${one.name}>
-        <input type="checkbox" id=${`cause-${one.name}`} checked=${chosen.has(one.cause)} disabled=${!one.correctable && !one.called_for} onChange=${() => flip(one.cause)} aria-describedby=${`why-${one.name}`} title="Correct this" />
+        <input type="checkbox" id=${`cause-${one.name}`} checked=${chosen.has(one.cause)} disabled=${!one.correctable} onChange=${() => flip(one.cause)} aria-describedby=${`why-${one.name}`} title="Correct this" />
         <label for=${`cause-${one.name}`}>${one.name}</label>
-        <span class="number">${doubted(one.simplest, one.uncertainty, one.unit)}</span>
+        <span class="number">${doubted(one.value, one.uncertainty, one.unit)}</span>
         <p id=${`why-${one.name}`}>${one.sentence}</p></div>`)}
+      ${contributions.filter((one) => all || one.rms_nm > 0.1 * measurement.measured_rms_nm).map((one) => html`<p class="quiet" key=${one.name}>${one.why}</p>`)}
       ${lenslets.length > 0 && html`<${Lenslets} lenslets=${lenslets} />`}
     </div>
     <div class="decide">
-      <div class="bar"><button type="button" class="button accent" id="correct" disabled=${!chosen.size || going || asking} onClick=${correct}>${chosen.size > 1 ? `Correct these ${chosen.size}` : "Correct this"}</button>
+      <div class="bar"><button type="button" class="button accent" id="correct" disabled=${going || asking} onClick=${correct}>${chosen.size ? `Correct ${chosen.size > 1 ? `these ${chosen.size}` : "this"} and the form` : "Correct the form"}</button>
       ${going && html`<span class="quiet" role="status">${run.progress ? `${run.progress.stage}, ${percent(run.progress.done / (run.progress.total || 1))}` : "waits"}</span>`}
       ${predicted && run?.state === "done" && html`<${Predicted} predicted=${predicted} measured=${measurement.form_rms_nm} />`}</div>
       ${run?.state === "done" && html`<${Fragment}><${Downloads} path=${`/runs/${run.id}`} files=${files} only=${["job", "program", "table", "report", "correction"]} />
@@ -295,9 +296,9 @@ function Findings({ measurement }) {
 function Predicted({ predicted, measured }) {
   const name = predicted.predicted ? "predicted" : "simulated";
   const { pv_nm, rms_nm } = predicted[name];
-  const { missed } = predicted;
+  const { missed, sentences = [] } = predicted;
   const better = rms_nm < measured;
-  return html`<span><${Mark} ok=${better && !missed.length} warn /> then ${name}: PV ${height(pv_nm)}, RMS ${height(rms_nm)}${better ? "" : `, no less than the ${height(measured)} that were measured`}${missed.map((sentence) => html`<p class="wrong">${sentence}</p>`)}</span>`;
+  return html`<span><${Mark} ok=${better && !missed.length} warn /> then ${name}: PV ${height(pv_nm)}, RMS ${height(rms_nm)}${better ? "" : `, no less than the ${height(measured)} that were measured`}${missed.map((sentence) => html`<p class="wrong">${sentence}</p>`)}${sentences.map((sentence) => html`<p class="quiet">${sentence}</p>`)}</span>`;
 }
 
 /** Where each lens sits against where it should: a table, and arrows drawn large. */

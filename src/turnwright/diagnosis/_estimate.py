@@ -1,0 +1,397 @@
+"""One least squares of sources, poses and terms, with priors; sizes of the terms and noise from the maps themselves."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats
+from turnwright.diagnosis._causes import Column, Columns
+from turnwright.diagnosis._posterior import Posterior, Scaled, posterior
+from turnwright.diagnosis._sight import CENTRE, Sight
+from turnwright.diagnosis._terms import GROUPS, columns, lobes_by_angle
+from turnwright.errors import InputError
+
+__all__ = ["FLOOR", "LOOSE", "Estimate", "Look"]
+
+LOOSE = np.array([0.1, 0.1, 1.0, 0.1, 0.01, 0.01, 0.01, 0.01, 1e-3])
+"""How far a registered map may still be off its place, one standard deviation: shift x, y, z [mm], rotation and tilts
+[rad], slopes [1] and curvature [1/mm] of a sphere. It holds those in place that the surface does not determine."""
+
+CANNOT = 1e-8
+"""A mark whose plausible size, less what the pose explains of it, is smaller than this is none. [mm]"""
+
+FLOOR = 1e-8
+"""The model is no truer than this. [mm]"""
+
+OUTSIDE = 6.0
+"""Points this many standard deviations off, as the median sees it, are left out: beside a seam of the design a chord of
+the program or a pixel of the instrument makes micrometres."""
+
+BETWEEN = (0.003, 1e-6, 1.0)
+"""Change of a source from map to map in plausible units: where its search begins, and its limits."""
+
+SAME = 2e-3
+"""Terms of two cuts of a part may differ by as little as this share of where the search for their size begins."""
+
+MOST = 2.0
+"""The largest of the terms of a group is at most so many standard deviations: a few may stand out of many."""
+
+LARGEST = 30.0
+"""A group of terms is at most so many times larger than where its search begins."""
+
+ROUGH = 0.3
+"""Noise as a share of the residual, before anything is known."""
+
+STEPS = 12
+"""Gauss-Newton steps at most."""
+
+SETTLED = 1e-2
+"""A step that moves the fit by less than this of the noise of a single number is the last."""
+
+SIZED = 0.03
+"""Sizes that change by less than this share are found."""
+
+SEARCHES = 60
+
+SQUARES = ((4, 4), (8, 8), (16, 16))
+CELLS = ((48, 1), (1, 64), *SQUARES)
+"""Rings and sectors over which residuals are averaged to see how far they hang together."""
+
+HANGS = 1.5
+"""From so many points that count as one on it is no chance of the sample."""
+
+TERMS = sum(group.relative.size for group in GROUPS)
+PLACES = tuple(
+    slice(end - group.relative.size, end)
+    for group, end in zip(GROUPS, itertools.accumulate(group.relative.size for group in GROUPS), strict=True)
+)
+"""Where the terms of each group are."""
+
+
+class Look(NamedTuple):
+    """One map at the present numbers: what each number adds at its points, and what is measured beyond them all.
+
+    The columns are the free numbers of the pose in units of `LOOSE`, the sources in plausible units, the terms, and the
+    residual.
+    """
+
+    rows: Floats  # (n, j + k + g + 1) [mm]
+    root: Floats  # the same in few rows, upper triangular: with the same products
+    numbers: list[int]  # of the pose that are free
+    good: Bools
+    turned: Floats  # what the offset along Y adds by turning the lobes, which is in the rows too (n,) [mm]
+
+    @property
+    def poses(self) -> int:
+        """How many numbers the pose has."""
+        return len(self.numbers)
+
+
+class _Split(NamedTuple):
+    """What the numbers of a map's columns are made of: c = own o + shared s, of unit prior."""
+
+    own: Floats  # (c, o)
+    shared: Floats  # (c, s)
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Estimate:
+    """Maps, sources, and what is known of them so far."""
+
+    sights: list[Sight]
+    columns: Columns
+    sense: int
+    radius: Sequence[float]  # of the part of each map [mm]
+    kinds: Sequence[int | None]  # which set of maps of one part each map belongs to, if there are several of it
+    values: Floats  # of the sources in each map (maps, k)
+    scale: Floats  # of the noise of each map, so that points count as if they were independent [mm]
+    together: Floats  # points of each map that count as one
+    own: Floats = field(init=False)  # variances of the groups of terms in each map (groups,) [mm² or rad²]
+    common: Floats = field(init=False)  # of those that all maps of a part share (groups,)
+    between: Floats = field(init=False)  # of the causes from map to map, in plausible units (causes,)
+    terms: list[Floats] = field(init=False)  # of each map, as last found (groups' terms,)
+    seen: Bools = field(init=False)  # which numbers leave something that no change of pose would (k,)
+    looks: list[Look] = field(init=False, default_factory=list)
+    posterior: Posterior = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.own = np.array([group.size**2 for group in GROUPS])
+        self.common = self.own.copy()
+        self.between = np.full(len(self.causes), BETWEEN[0] ** 2)
+        self.terms = [np.zeros(TERMS) for _ in self.sights]
+        self.seen = np.ones(len(self.names), dtype=np.bool_)
+
+    @property
+    def several(self) -> bool:
+        """Whether every map is one of several of its part."""
+        return all(kind is not None for kind in self.kinds)
+
+    @property
+    def names(self) -> list[Column]:
+        """All numbers of the sources."""
+        return self.columns.all
+
+    @property
+    def causes(self) -> list[str]:
+        """What the numbers belong to."""
+        return list(dict.fromkeys(column.cause for column in self.names))
+
+    @property
+    def typical(self) -> Floats:
+        """Plausible size of each number. (k,)."""
+        return np.array([column.typical for column in self.names])
+
+    def of_cause(self, cause: str) -> list[int]:
+        """Return which numbers belong to a cause."""
+        return [k for k, column in enumerate(self.names) if column.cause == cause]
+
+    def solve(self) -> None:
+        """Find all numbers, the poses, the noise and the sizes of the terms."""
+        for step in range(STEPS):
+            self.looks = [self._look(m) for m in range(len(self.sights))]
+            if step == 0:
+                self.seen = self._seen()
+                self.looks = [self._look(m) for m in range(len(self.sights))]
+                for m, look in enumerate(self.looks):
+                    self.scale[m] = max(ROUGH * float(np.std(look.rows[:, -1])), FLOOR)
+            self._settle()
+            self._measure_noise()
+            if not self._reject() and self._move() < SETTLED:
+                break
+        self.looks = [self._look(m) for m in range(len(self.sights))]
+        self._settle()
+
+    def _look(self, m: int) -> Look:
+        """Take one map at the present numbers."""
+        sight, values, typical = self.sights[m], self.values[m], self.typical
+        residual, cutting = sight.cut(self.columns.deviations(values))
+        marks = self.columns.slopes(cutting, sight.added, self.sense, sight.cusp)
+        for cause, mark in sight.added.items():
+            residual = residual - values[self.of_cause(cause)] @ mark
+        good = sight.usable & ~sight.apart & np.isfinite(residual) & (cutting.tip_radius >= 0)
+        sight.good = good
+        nuisances, numbers = sight.nuisances(cutting)
+        if (points := int(np.count_nonzero(good))) < (needed := len(numbers) + typical.size + 3):
+            raise InputError(
+                f"{points} points of the map can be used, {typical.size} numbers and a pose need at least {needed}: "
+                "measure more of the part, or look for fewer causes"
+            )
+        marks[:, ~self.seen] = 0.0
+        marks *= typical
+        turned: Floats = np.zeros(residual.size)
+        for k in self.of_cause("offset y"):
+            away = np.maximum(np.hypot(cutting.x, cutting.y), CENTRE)
+            turned = -lobes_by_angle(cutting, self.terms[m]) / away * typical[k]
+            marks[:, k] += turned
+        rows = np.column_stack([-nuisances * LOOSE[numbers], marks, columns(cutting, self.radius[m]), residual])[good]
+        if sight.stands is not None:  # the instrument's noise is along the normal
+            rows /= np.sqrt(1 + cutting.zx[good] ** 2 + cutting.zy[good] ** 2)[:, None]
+        return Look(rows, np.asarray(np.linalg.qr(rows, mode="r")), numbers, good, turned[good])
+
+    def _seen(self) -> Bools:
+        """Say of which numbers anything is left that a change of pose cannot explain."""
+        k = self.typical.size
+        squares, points = np.zeros(k), 0
+        for look in self.looks:
+            squares += (look.root[look.poses :, look.poses : look.poses + k] ** 2).sum(axis=0)
+            points += look.rows.shape[0]
+        return np.asarray(np.sqrt(squares / points) > CANNOT)
+
+    def split(self, m: int) -> _Split:
+        """Return what the numbers of a map are made of, at the present sizes."""
+        j, k = self.looks[m].poses, self.typical.size
+        many = len(self.sights) > 1
+        kinds = 1 + max((kind for kind in self.kinds if kind is not None), default=-1)
+        own = np.zeros((j + k + TERMS, j + many * k + TERMS))
+        own[:j, :j] = np.eye(j)
+        if many:
+            own[j : j + k, j : j + k] = np.diag(np.sqrt(self.between_numbers()))
+        own[j + k :, -TERMS:] = np.diag(_spread(self.own))
+        shared = np.zeros((j + k + TERMS, k + kinds * TERMS))
+        shared[j : j + k, :k] = np.eye(k)
+        if (kind := self.kinds[m]) is not None:
+            shared[j + k :, k + kind * TERMS : k + (kind + 1) * TERMS] = np.diag(_spread(self.common))
+        return _Split(own, shared)
+
+    def between_numbers(self) -> Floats:
+        """Return the variance of each number from map to map. (k,)."""
+        causes = self.causes
+        return self.between[[causes.index(column.cause) for column in self.names]]
+
+    def target(self, m: int) -> Floats:
+        """Return what there is to explain, in the rows of the root: the residual if all numbers but the pose were 0."""
+        look = self.looks[m]
+        j, k = look.poses, self.typical.size
+        return np.asarray(look.root[:, -1] + look.root[:, j : j + k] @ (self.values[m] / self.typical))
+
+    def numbers(self, m: int) -> Floats:
+        """Return the numbers of a map's columns. (j + k + g,)."""
+        split = self.split(m)
+        return np.asarray(split.own @ self.posterior.own(m) + split.shared @ self.posterior.shared)
+
+    def _posterior(self) -> Posterior:
+        scaled, begun = [], []
+        for m, (look, scale) in enumerate(zip(self.looks, self.scale, strict=True)):
+            split, columns = self.split(m), look.root[:, :-1] / scale
+            scaled.append(Scaled(columns @ split.own, columns @ split.shared, self.target(m) / scale))
+            mean = np.zeros(split.own.shape[1])
+            sight = self.sights[m]
+            mean[: look.poses] = (sight.begun - sight.pose)[look.numbers] / LOOSE[look.numbers]
+            begun.append(mean)
+        return posterior(scaled, begun)
+
+    def _settle(self) -> None:
+        """Find noise and sizes of the terms under which the maps are most probable."""
+        for _ in range(SEARCHES):
+            self.posterior = self._posterior()
+            changes = [*self._scales(), *self._sizes()]
+            if max(changes, default=0.0) < SIZED:
+                break
+
+    def _scales(self) -> list[float]:
+        """Set the noise of each map to what is left; return by how much that changes its logarithm."""
+        changes = []
+        for m, look in enumerate(self.looks):
+            left = self.target(m) - look.root[:, :-1] @ self.numbers(m)
+            points = look.rows.shape[0] / self.together[m]
+            free = max(points - self._spent(m), 1.0)
+            scale = max(float(np.sqrt(left @ left / free)), FLOOR)
+            changes.append(abs(float(np.log(scale / self.scale[m]))))
+            self.scale[m] = scale
+        return changes
+
+    def _spent(self, m: int) -> float:
+        """Return how many numbers a map has told of its own."""
+        roots = self.posterior.roots(m)
+        shared = self.posterior.shared.size
+        told = 1 - (roots**2).sum(axis=1)
+        return float(told[:-shared].sum() + told[-shared:].sum() / len(self.sights))
+
+    def _sizes(self) -> list[float]:
+        """Set the sizes of the groups to what the terms are; return by how much that changes their logarithms."""
+        changes: list[float] = []
+        roots = [self.posterior.roots(m) for m in range(len(self.sights))]
+        own = [self.posterior.own(m) for m in range(len(self.sights))]
+        k = self.typical.size
+        for g, (group, place) in enumerate(zip(GROUPS, PLACES, strict=True)):
+            limits = group.least**2, (LARGEST * group.size) ** 2
+            values = np.stack([one[-TERMS:][place] for one in own])
+            spread = np.stack(
+                [(root[: one.size][-TERMS:][place] ** 2).sum(axis=1) for root, one in zip(roots, own, strict=True)]
+            )
+            # How a cut differs from another of the same part hides in nothing, so that its size is always found.
+            least = SAME**2 * group.size**2 if self.several else limits[0]
+            if self.several or group.least < group.size:
+                self.own[g], change = _resized(self.own[g], values, spread, (least, limits[1]))
+                changes.append(change)
+            if group.least == group.size:
+                continue
+            if any(kind is not None for kind in self.kinds):
+                rest = self.posterior.shared[k:].reshape(-1, TERMS)[:, place]
+                spread = (self.posterior.root[k:] ** 2).sum(axis=1).reshape(-1, TERMS)[:, place]
+                self.common[g], change = _resized(self.common[g], rest, spread, limits)
+                changes.append(change)
+        if len(self.sights) > 1:
+            for c, cause in enumerate(self.causes):
+                numbers = self.of_cause(cause)
+                at = [look.poses + np.array(numbers) for look in self.looks]
+                values = np.stack([one[where] for one, where in zip(own, at, strict=True)])
+                spread = np.stack([(root[where] ** 2).sum(axis=1) for root, where in zip(roots, at, strict=True)])
+                self.between[c], change = _resized(self.between[c], values, spread, (BETWEEN[1] ** 2, BETWEEN[2] ** 2))
+                changes.append(change)
+        return changes
+
+    def left(self, m: int) -> Floats:
+        """Return what is left at the points of a map. (n,) [mm]."""
+        look = self.looks[m]
+        j, k = look.poses, self.typical.size
+        numbers = self.numbers(m)
+        numbers[j : j + k] -= self.values[m] / self.typical
+        return np.asarray(look.rows[:, -1] - look.rows[:, :-1] @ numbers)
+
+    def _measure_noise(self) -> None:
+        """Find how far what is left hangs together in each map."""
+        for m, look in enumerate(self.looks):
+            split, roots = self.split(m), self.posterior.roots(m)
+            spread = np.hstack([split.own, split.shared]) @ roots
+            sight = self.sights[m]
+            self.together[m] = _together(
+                self.left(m), look.rows[:, :-1], spread / self.scale[m], sight.x[look.good], sight.y[look.good]
+            )
+
+    def _move(self) -> float:
+        """Take the numbers and poses as found; return how far that led, in noise."""
+        moved = 0.0
+        for m, look in enumerate(self.looks):
+            j, k = look.poses, self.typical.size
+            numbers = self.numbers(m)
+            step = numbers[: j + k].copy()
+            step[j:] -= self.values[m] / self.typical
+            moved += float(np.sum((look.root[:, : j + k] @ step / self.scale[m]) ** 2))
+            self.sights[m].pose[look.numbers] += LOOSE[look.numbers] * numbers[:j]
+            self.values[m] = numbers[j : j + k] * self.typical
+            self.terms[m] = numbers[j + k :]
+        return float(np.sqrt(moved))
+
+    def _reject(self) -> bool:
+        """Leave out points that stand out of the rest; say whether there were new ones."""
+        new = False
+        for m, look in enumerate(self.looks):
+            off = self.left(m)
+            off = np.abs(off - np.median(off))
+            out = off > max(OUTSIDE * 1.4826 * float(np.median(off)), OUTSIDE * FLOOR)
+            self.sights[m].apart[np.flatnonzero(look.good)[out]] = True
+            new |= bool(out.any())
+        return new
+
+
+def _spread(sizes: Floats) -> Floats:
+    """Return the standard deviation of every term. (g,)."""
+    return np.concatenate([np.sqrt(size * group.relative) for size, group in zip(sizes.tolist(), GROUPS, strict=True)])
+
+
+def _resized(size: float, values: Floats, variance: Floats, limits: tuple[float, float]) -> tuple[float, float]:
+    """Return the variance under which some numbers of unit prior are most probable, and its change as a logarithm."""
+    determined = max(float((1 - variance).sum()), 1e-9)
+    likely = max(float((values**2).sum()) / determined, float((values**2).max()) / MOST**2)
+    new = float(np.clip(size * likely, *limits))
+    return new, abs(float(np.log(new / size))) / 2
+
+
+def _together(left: Floats, rows: Floats, spread: Floats, x: Floats, y: Floats) -> float:
+    """Return how many points count as one.
+
+    If the residual were independent from point to point, means over cells of n points would scatter by 1/sqrt(n); by
+    how much more they scatter is how many points count as one. What the fit has taken from them is accounted for.
+    """
+    from scipy.sparse import csr_array  # noqa: PLC0415 - costly to import
+
+    taken_all = float(((rows.T @ rows @ spread) * spread).sum())
+    variance = max(float(left @ left) / max(left.size - taken_all, 1.0), FLOOR**2)
+    radius, angle = np.hypot(x, y), np.arctan2(y, x)
+    order = np.argsort(np.argsort(radius)) / radius.size  # rings of equal numbers of points
+    over: dict[tuple[int, int], float] = {}
+    for rings, sectors in CELLS:
+        cell = np.minimum((order * rings).astype(np.int64), rings - 1) * sectors
+        cell += np.minimum(((angle / (2 * np.pi) + 0.5) * sectors).astype(np.int64), sectors - 1)
+        number = np.bincount(cell, minlength=rings * sectors)
+        filled = number > 3
+        weight = np.where(filled, 1 / np.sqrt(np.maximum(number, 1)), 0.0)
+        means = csr_array((weight[cell], (cell, np.arange(cell.size))), shape=(rings * sectors, cell.size))
+        sums, taken = means @ left, float(((means @ rows @ spread) ** 2).sum())
+        free = np.count_nonzero(filled) - taken
+        if free > 4:
+            over[rings, sectors] = float(sums @ sums) / free / variance
+    together = max(1.0, *over.values()) if over else 1.0
+    if together > HANGS:
+        # Cells that are not far larger than what hangs together see too little of it, by a share as their outline is
+        # to their area: twice as long sides miss half as much.
+        for large, small in itertools.pairwise(SQUARES):
+            if large in over and small in over:
+                together = max(together, 2 * over[large] - over[small])
+    return min(together, left.size / 4)

@@ -1,0 +1,99 @@
+r"""The most probable numbers of a linear model with priors, how far they may be off, and draws of them.
+
+Map m shows :math:`y_m = A_m o_m + B_m s + \varepsilon_m`: numbers o of its own, numbers s of all maps, each with a
+normal prior, and noise. All is solved by orthogonal triangles, the own numbers first:
+
+.. math:: Q^T \begin{pmatrix} A_m & B_m & y_m \\ I & 0 & \mu_m \end{pmatrix} =
+   \begin{pmatrix} R_m & S_m & c_m \\ 0 & T_m & d_m \end{pmatrix}
+
+in units of noise and prior. The sizes of groups of terms are those under which the maps are most probable
+[MacKay1992]_.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from turnwright._arrays import Floats
+
+__all__ = ["Posterior", "Scaled", "posterior"]
+
+
+class Scaled(NamedTuple):
+    """A map in few rows, in units of its noise."""
+
+    own: Floats  # (r, o)
+    shared: Floats  # (r, s)
+    target: Floats  # (r,)
+
+
+class _Own(NamedTuple):
+    """The numbers of one map, given those of all."""
+
+    inverse: Floats  # of R (o, o)
+    by_shared: Floats  # S (o, s)
+    right: Floats  # c (o,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Posterior:
+    """Numbers of all maps and of each, in units of their priors."""
+
+    shared: Floats  # (s,)
+    root: Floats  # (s, s): the covariance is its product with its transpose
+    owns: tuple[_Own, ...]
+
+    def own(self, m: int) -> Floats:
+        """Return the numbers of a map. (o,)."""
+        one = self.owns[m]
+        return np.asarray(one.inverse @ (one.right - one.by_shared @ self.shared))
+
+    def roots(self, m: int) -> Floats:
+        """Return a root of the covariance of a map's numbers and, behind them, those of all maps. (o + s, *)."""
+        one = self.owns[m]
+        size = one.inverse.shape[0]
+        upper = np.hstack([one.inverse, -one.inverse @ (one.by_shared @ self.root)])
+        lower = np.hstack([np.zeros((self.shared.size, size)), self.root])
+        return np.vstack([upper, lower])
+
+    def draws(self, count: int, random: np.random.Generator) -> tuple[Floats, list[Floats]]:
+        """Return draws of the numbers of all maps (count, s), and of those of each. (count, o) each."""
+        shared = self.shared + random.normal(size=(count, self.shared.size)) @ self.root.T
+        own = []
+        for one in self.owns:
+            noise = random.normal(size=(count, one.right.size))
+            own.append((one.right - shared @ one.by_shared.T + noise) @ one.inverse.T)
+        return shared, own
+
+
+def posterior(maps: Sequence[Scaled], begun: Sequence[Floats]) -> Posterior:
+    """Return the posterior of numbers of unit prior.
+
+    Parameters
+    ----------
+    maps
+        In columns of unit prior.
+    begun
+        Means of the priors of the own numbers of each map. (o,) each
+    """
+    from scipy.linalg import qr, solve_triangular  # noqa: PLC0415 - costly to import
+
+    owns, below, right = [], [np.eye(maps[0].shared.shape[1])], [np.zeros(maps[0].shared.shape[1])]
+    for one, mean in zip(maps, begun, strict=True):
+        size, rest = one.own.shape[1], one.shared.shape[1]
+        stack = np.vstack([
+            np.hstack([one.own, one.shared, one.target[:, None]]),
+            np.hstack([np.eye(size), np.zeros((size, rest)), mean[:, None]]),
+        ])  # fmt: skip
+        r = qr(stack, mode="r", overwrite_a=True, check_finite=False)[0]
+        inverse = solve_triangular(r[:size, :size], np.eye(size), check_finite=False)
+        owns.append(_Own(inverse, r[:size, size:-1], r[:size, -1]))
+        below.append(r[size : size + rest + 1, size:-1])
+        right.append(r[size : size + rest + 1, -1])
+    q, r = np.linalg.qr(np.vstack(below))
+    root = solve_triangular(r, np.eye(r.shape[0]), check_finite=False)
+    return Posterior(shared=root @ (q.T @ np.concatenate(right)), root=root, owns=tuple(owns))

@@ -1,0 +1,82 @@
+"""A correction never harms: errors that every lathe has, cut by brute force. See `tests.proof.proof_loop`."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import turnwright as tw
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from tests.loop import blind_parts as blind
+from tests.proof.proof_loop import Sample, commander, outcome
+
+TOROID = {"family": "toroid", "radius_x": "15 mm", "radius_y": "25 mm"}
+
+
+def sample(*errors):
+    """Aperture radius 2.5 mm, nose 1 mm, feed 10 um, 5 nm of noise; the errors of each cut."""
+    return Sample(
+        design=blind.toroid(15.0, 25.0), table=TOROID, radius=2.5, nose=1.0, feed=0.01, noise=5e-6,
+        errors=list(errors), phases=np.array([0.3, 0.6, 0.1]),
+    )  # fmt: skip
+
+
+def drift(size):
+    return blind.Errors(drift_z=lambda share: size * (1 - np.exp(-3 * share)))
+
+
+def measured(part, count):
+    random = np.random.default_rng(1)
+    return [tw.measure(part.job, part.map(k, random)) for k in range(count)]
+
+
+LOBED = blind.Errors(axial={2: (80e-6 * np.cos(1), -80e-6 * np.sin(1))})
+
+
+@pytest.mark.parametrize("errors", [LOBED, drift(200e-6)], ids=["lobes", "drift"])
+def test_an_error_that_is_no_source_passes_for_none(errors):
+    """Oracle: nothing is wrong with the tool. The part that is cut again is half as far off, at most."""
+    part = sample(errors, errors)
+    maps = measured(part, 1)
+    found = tw.diagnose(maps)
+    for name in ("offset x", "radius error", "squareness"):
+        low, high = found[name].interval
+        assert low < 0 < high, found[name].why
+    one, _ = outcome(part, maps, found, 0.0, anew=False)
+    assert one.written
+    assert one.after < 0.5 * one.before
+
+
+def test_a_drift_that_comes_anew_is_not_corrected(tmp_path):
+    """Of two maps of which each shows another drift nothing is written; of one, not more harm than was announced."""
+    part = sample(drift(200e-6), drift(-120e-6), drift(-120e-6))
+    maps = measured(part, 2)
+    with pytest.raises(tw.CorrectionError, match="maps differ"):
+        tw.correct(part.job, tw.diagnose(maps), maps, out=tmp_path / "better")
+    assert not (tmp_path / "better").exists()
+    better = tw.correct(part.job, tw.diagnose(maps[:1]), maps[:1], out=tmp_path / "better")
+    assert any("second part decides" in sentence for sentence in better.sentences)
+    assert part.judged(commander(better.job)) < part.judged() + better.proof.at_stake_nm + 1
+
+
+def test_what_does_not_repeat_can_be_left_out(tmp_path):
+    """With ``repeats = false`` the drift of a single map is left alone."""
+    part = sample(drift(200e-6), drift(200e-6))
+    measurement = part.job.measurement.model_copy(update={"repeats": False})
+    job = part.job.model_copy(update={"measurement": measurement})
+    maps = [tw.measure(job, part.map(0, np.random.default_rng(1)))]
+    with pytest.raises(tw.CorrectionError):
+        tw.correct(job, tw.diagnose(maps), maps, out=tmp_path / "better")
+
+
+def test_a_source_beyond_belief_stops_a_correction(tmp_path):
+    """An offset of 4 um where 1 um is plausible: the sentence names the key that widens it."""
+    part = sample(blind.Errors(offset=(4e-3, 0.0, 0.0)))
+    plausible = part.job.measurement.plausible.model_copy(update={"offset_x": 1e-3})
+    measurement = part.job.measurement.model_copy(update={"plausible": plausible})
+    job = part.job.model_copy(update={"measurement": measurement})
+    maps = [tw.measure(job, part.map(0, np.random.default_rng(1)))]
+    with pytest.raises(tw.CorrectionError, match=r"measurement\.plausible\.offset_x"):
+        tw.correct(job, tw.diagnose(maps), maps, out=tmp_path / "better")
