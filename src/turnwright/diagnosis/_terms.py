@@ -31,7 +31,7 @@ RAMP = 15.0
 """Size of the ramp of a drift, which squareness hides, over that of its bends, which less hides: what comes to rest
 within a cut has 4 to 10 times as much ramp as bend."""
 
-DEGREE = 12
+DEGREE = 10
 """Zernike degree up to which the form may err."""
 
 
