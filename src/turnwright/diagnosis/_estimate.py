@@ -175,7 +175,8 @@ class Estimate:
             residual = residual - values[self.of_cause(cause)] @ mark
         good = sight.usable & ~sight.apart & np.isfinite(residual) & (cutting.tip_radius >= 0)
         sight.good = good
-        nuisances, numbers = sight.nuisances(cutting)
+        by_angle = lobes_by_angle(cutting, self.terms[m])
+        nuisances, numbers = sight.nuisances(cutting, by_angle)
         if (points := int(np.count_nonzero(good))) < (needed := len(numbers) + typical.size + 3):
             raise InputError(
                 f"{points} points of the map can be used, {typical.size} numbers and a pose need at least {needed}: "
@@ -186,7 +187,7 @@ class Estimate:
         turned: Floats = np.zeros(residual.size)
         for k in self.of_cause("offset y"):
             away = np.maximum(np.hypot(cutting.x, cutting.y), CENTRE)
-            turned = -lobes_by_angle(cutting, self.terms[m]) / away * typical[k]
+            turned = -by_angle / away * typical[k]
             marks[:, k] += turned
         rows = np.column_stack([-nuisances * LOOSE[numbers], marks, columns(cutting, self.radius[m]), residual])[good]
         if sight.stands is not None:  # the instrument's noise is along the normal

@@ -333,7 +333,7 @@ def _elsewhere(estimate: Estimate, asked: Asked, part: Part) -> Draws:
     found = estimate.posterior.shared[:k]
     _, cutting = sight.cut(estimate.columns.deviations(found * estimate.typical))
     marks = estimate.columns.slopes(cutting, sight.added, estimate.sense, 0.0) * estimate.typical
-    nuisances, _ = sight.nuisances(cutting)
+    nuisances, _ = sight.nuisances(cutting, np.zeros(cutting.x.size))
     known = sight.usable & np.isfinite(marks).all(axis=1) & np.isfinite(nuisances).all(axis=1)
     marks = marks[known] * _of_the_cut(estimate)
     random = np.random.default_rng(1)

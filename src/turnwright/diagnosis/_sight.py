@@ -79,12 +79,15 @@ class Sight:
             self.stands = self.z - np.nan_to_num(residual) / np.sqrt(1 + cutting.zx**2 + cutting.zy**2)
         return residual, cutting
 
-    def nuisances(self, cutting: Cutting) -> tuple[Floats, list[int]]:
-        """Return the derivative of the residual by each free number of the pose (n, j), and which they are."""
-        x, y = cutting.x, cutting.y
-        # Slopes of the design: those of the errors would let a pose that the design does not determine follow them.
-        with np.errstate(all="ignore"):
-            z, zx, zy = self.swept.surface.evaluate(x, y, 1)
+    def nuisances(self, cutting: Cutting, by_angle: Floats) -> tuple[Floats, list[int]]:
+        """Return the derivative of the residual by each free number of the pose (n, j), and which they are.
+
+        ``by_angle`` is that of the lobes by the azimuth. (n,) [mm/rad]
+        """
+        x, y, z = cutting.x, cutting.y, cutting.z
+        # Slopes of what was cut, errors and lobes included: they too show where the axis of turning is.
+        away = np.maximum(x * x + y * y, CENTRE**2)
+        zx, zy = cutting.zx - by_angle * y / away, cutting.zy + by_angle * x / away
         rows = {
             0: -zx, 1: -zy, 2: np.ones_like(x), 3: y * zx - x * zy,
             4: y + zy * z, 5: -x - zx * z,
