@@ -15,7 +15,7 @@ from turnwright.errors import InputError
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-__all__ = ["EdgeProfile", "EdgeTable", "Tool", "WavinessTable"]
+__all__ = ["LARGEST_ERROR", "EdgeProfile", "EdgeTable", "Tool", "WavinessTable"]
 
 HALF_CIRCLE = np.pi / 2 - 1e-3
 """Half of the included angle of a nose whose maker states none: the arc ends just before its wall is vertical. [rad]"""
@@ -25,6 +25,9 @@ STEEPEST = np.deg2rad(80)
 """Largest rake and clearance. [rad]"""
 NARROW = 1e-3
 """A certificate that covers less is none. [rad]"""
+LARGEST_ERROR = 0.1
+"""Error of the nose radius at most, as a share of it."""
+
 PIECES = 8192
 """Cubic pieces that the profile of a wavy edge has, or a few more."""
 
@@ -167,7 +170,7 @@ class Tool(Value):
                 f"radius_error is {self.radius_error:g} mm on a nose_radius of {self.nose_radius:g} mm, nothing is "
                 "left of the nose: give actual minus nominal radius"
             )
-        most = 0.1 * self.nose_radius
+        most = LARGEST_ERROR * self.nose_radius
         between(self.radius_error, "radius_error", -most, most, "mm (a tenth of the nose_radius)")
         object.__setattr__(self, "offset", finite_tuple(self.offset, "offset (dx, dy, dz)", 3))
         if not isinstance(self.waviness, WavinessTable):

@@ -47,7 +47,7 @@ class Sample:
                 "tool": {"nose_radius": f"{self.nose!r} mm", "included": "120 deg", "clearance": "15 deg"},
                 "machine": {"name": "generic"},
                 "strategy": {
-                    "kind": "slow tool servo", "feed": f"{self.feed!r} mm/rev", "points_per_rev": 360,
+                    "kind": "slow tool servo", "feed": f"{self.feed!r} mm/rev", "points_per_rev": 1440,
                     "spindle_speed": "20 rpm",
                 },
                 "measurement": {"waviness": [3, 4]},

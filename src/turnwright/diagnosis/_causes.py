@@ -56,6 +56,9 @@ DEFAULT = (
 STEEP = 0.02
 """Slope of the waviness against the nose that is plausible. [rad]"""
 
+MISMEASURED = 0.03
+"""Error of the nose radius that is plausible, as a share of it."""
+
 BENT = 0.1
 """Change of the nose's own radius by a wave that is plausible, as a share of it: near 1 it would have a flat."""
 
@@ -159,6 +162,8 @@ class Columns:
             elif cause in HARMONIC:
                 columns += [Column(f"{cause} {part}", cause, "mm", typical, 0) for part in ("cos", "sin")]
             else:
+                if cause == "radius error" and stated is None:
+                    typical = min(typical, MISMEASURED * self.nose)
                 columns.append(Column(cause, cause, known.unit, typical, 0))
         return columns
 

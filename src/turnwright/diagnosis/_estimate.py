@@ -38,7 +38,7 @@ BETWEEN = (0.003, 1e-6, 1.0)
 SAME = 2e-3
 """Terms of two cuts of a part may differ by as little as this share of where the search for their size begins."""
 
-MOST = 2.0
+MOST = 1.4
 """The largest of the terms of a group is at most so many standard deviations: a few may stand out of many."""
 
 LARGEST = 30.0

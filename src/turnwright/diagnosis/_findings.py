@@ -156,8 +156,8 @@ class Draws:
         Cut minus design of a further part that is cut as planned. (draws, n) [mm]
     after
         The same if the sources that are called for are corrected. (draws, n) [mm]
-    fickle
-        What of ``before`` only a single map shows to repeat: drift, form, sources that are not certain. (draws, n) [mm]
+    single
+        Whether a single map shows all this, so that nothing says what of it repeats.
     pose
         What a change of the free directions adds. (n, j) [mm]
     cases
@@ -168,7 +168,7 @@ class Draws:
     y: Floats
     before: Floats
     after: Floats
-    fickle: Floats
+    single: bool
     pose: Floats
     cases: tuple[DrawnCut, ...]
 

@@ -33,8 +33,8 @@ class Proof:
     worth_nm
         What the gain must exceed, and the worst draw must not.
     at_stake_nm
-        Root mean square of what is corrected although only a single map shows it: drift, form, sources that are not
-        certain.
+        Root mean square of what is corrected although only a single map shows it: if none of it comes back, the next
+        part is off by so much more, at most.
     """
 
     draws: int
@@ -77,10 +77,8 @@ def prove(
     before = draws.rms_nm(draws.before + beyond)
     after = draws.rms_nm((draws.after if sources else draws.before) + beyond + added)
     gain = before - after
-    stake = 0.0
-    if draws.fickle.any():
-        rest = np.broadcast_to(beyond, draws.before.shape)
-        stake = float(draws.rms_nm((draws.fickle + rest).mean(axis=0, keepdims=True))[0])
+    change = (draws.after - draws.before if sources else np.zeros_like(draws.before)) + added
+    stake = float(draws.rms_nm(change.mean(axis=0, keepdims=True))[0]) if draws.single else 0.0
     return Proof(
         draws=before.size, before_nm=float(np.median(before)), after_nm=float(np.median(after)),
         gain_nm=float(np.quantile(gain, REACHED)), worst_nm=float(-gain.min()), worth_nm=worth_nm, at_stake_nm=stake,

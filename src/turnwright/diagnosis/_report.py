@@ -19,7 +19,7 @@ from turnwright.diagnosis._sight import Sight, mark, sights_of, valid
 from turnwright.diagnosis._terms import GROUPS, columns, described, tip_motion
 from turnwright.heightmap import HeightMap
 from turnwright.pose import Pose
-from turnwright.tool import Tool, WavinessTable
+from turnwright.tool import LARGEST_ERROR, Tool, WavinessTable
 
 if TYPE_CHECKING:
     from turnwright.machine import Machine
@@ -299,16 +299,13 @@ def _draws(estimate: Estimate, m: int, corrected: Bools, asked: Asked) -> Draws:
     numbers[:, look.poses : first] *= _of_the_cut(estimate)
     bent = every - planned - rows[:, look.poses : first] @ (own_values / estimate.typical)
     before = numbers @ rows.T + turning * look.turned[some] + bent
-    fickle = np.zeros_like(before)
-    if estimate.kinds[m] is None:
+    single = estimate.kinds[m] is None
+    if single and not asked.repeats:  # the next part has another drift and form of the same size
         at = np.append(look.poses + np.flatnonzero(~corrected), first + np.flatnonzero(~LASTING))
-        fickle = numbers[:, at] @ rows[:, at].T
-        if not asked.repeats:  # then the next part has another of the same size
-            before += fickle * (random.normal(size=(DRAWS, 1)) - 1)
-            fickle = np.zeros_like(before)
+        before += (numbers[:, at] @ rows[:, at].T) * (random.normal(size=(DRAWS, 1)) - 1)
     return Draws(
         x=sight.moved()[0][look.good][some], y=sight.moved()[1][look.good][some], before=before,
-        after=before - (taken - planned), fickle=fickle, pose=rows[:, : look.poses],
+        after=before - (taken - planned), single=single, pose=rows[:, : look.poses],
         cases=tuple(_case(estimate, m, one, rows, asked) for one in numbers[:CASES]),
     )  # fmt: skip
 
@@ -347,7 +344,7 @@ def _elsewhere(estimate: Estimate, asked: Asked, part: Part) -> Draws:
     after = (values - found) @ marks.T
     before = after + every - planned
     return Draws(
-        x=x[known], y=y[known], before=before, after=after, fickle=np.zeros_like(before),
+        x=x[known], y=y[known], before=before, after=after, single=len(estimate.sights) == 1,
         pose=nuisances[known], cases=(),
     )  # fmt: skip
 
@@ -522,7 +519,9 @@ def _as_found(estimate: Estimate, values: Floats, asked: Asked) -> tuple[Tool, M
     tool, machine = asked.tool, asked.machine
     real = estimate.columns.deviations(values)
     x, y, z = (own + more for own, more in zip(tool.offset, real.offset, strict=True))
-    tool = replace(tool, offset=(x, y, z), radius_error=tool.radius_error + real.radius)
+    most = tool.nose_radius * LARGEST_ERROR
+    radius_error = float(np.clip(tool.radius_error + real.radius, -most, most))  # beyond it is another tool
+    tool = replace(tool, offset=(x, y, z), radius_error=radius_error)
     if real.waviness.any():
         tool = replace(tool, waviness=_certificate(estimate, real, tool))
     machine = replace(machine, squareness=machine.squareness + real.squareness)

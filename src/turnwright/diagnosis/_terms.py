@@ -24,8 +24,10 @@ AXIAL = tuple(range(1, 13))
 RADIAL = tuple(range(2, 13))
 """Per revolution: once is an offset along X that the axis of turning takes up."""
 
-KNOTS = 8
-"""Pieces of a drift over the time of a cut."""
+NODES = np.array([0.0, 0.03, 0.08, 0.16, 0.28, 0.45, 0.65, 0.82, 1.0])
+"""Shares of a cut at which a drift bends: what comes to rest does most of it at the beginning."""
+
+KNOTS = NODES.size - 1
 
 RAMP = 15.0
 """Size of the ramp of a drift, which squareness hides, over that of its bends, which less hides: what comes to rest
@@ -57,8 +59,8 @@ GROUPS = (
     Group("axial error motion of the spindle", 30e-6, 30e-6, np.ones(2), lasting=True),
     Group("axial error motion of the spindle", 20e-6, 0.2e-6, np.ones(2 * len(AXIAL) - 2), lasting=True),
     Group("radial error motion of the spindle", 20e-6, 0.2e-6, np.ones(2 * len(RADIAL)), lasting=True),
-    Group("drift of Z", 10e-6, 3e-6, _DRIFT, lasting=False),
-    Group("drift of X", 10e-6, 3e-6, _DRIFT, lasting=False),
+    Group("drift of Z", 12e-6, 8e-6, _DRIFT, lasting=False),
+    Group("drift of X", 12e-6, 8e-6, _DRIFT, lasting=False),
     Group("tilt of the spindle", 1e-4, 1e-4, np.ones(3), lasting=True),
     Group("low form", 30e-6, 0.2e-6, _FALLING, lasting=False),
 )
@@ -119,7 +121,7 @@ def _lobes_by_angle(angle: Floats) -> Floats:
 def _drift(share: Floats) -> Floats:
     """Return a ramp from the rim to the axis and the bends on it, at a share of the radius. (g, n)."""
     gone = np.clip(1 - share, 0.0, 1.0)
-    bends = np.maximum(1 - np.abs(gone * KNOTS - np.arange(1, KNOTS)[:, None]), 0.0)
+    bends = np.stack([np.interp(gone, NODES, hat) for hat in np.eye(NODES.size)[1:-1]])
     return np.concatenate([gone[None], bends])
 
 

@@ -20,7 +20,7 @@ from turnwright.errors import CorrectionError, InputError
 from turnwright.files import write_map
 from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
-from turnwright.job._finish import finished
+from turnwright.job._finish import across_feed, finished
 from turnwright.job._measure import OF_POSE, Measured, cutoff_of, same_part
 from turnwright.job._schema import Job
 from turnwright.job._shares import pv_nm_of, rms_nm_of
@@ -54,9 +54,6 @@ PLANNED = frozenset({"offset x", "offset y", "offset z", "radius error", "wavine
 
 PLACES = 600
 """Places at which draws are simulated in full."""
-
-ACROSS = 8
-"""Places across a feed, whose mean has no cusps."""
 
 SMALL = 3.0
 """What is off by less than this many times what is worth correcting is good."""
@@ -210,7 +207,7 @@ def correct(
     report("simulate", 2, 2)
     return Correction(
         job=better, file=file, cutoff=cutoff, measured=before, predicted=predicted, simulated=simulated,
-        proof=plan.proof, sources=names, sentences=_sentences(found, plan, names, sum(own), job),
+        proof=plan.proof, sources=names, sentences=_sentences(found, plan, names),
     )  # fmt: skip
 
 
@@ -431,11 +428,7 @@ def _off(motion: Motion, case: DrawnCut) -> Motion:
 def _cuspless(job: Job, draws: Draws) -> tuple[slice, tuple[Floats, Floats]]:
     """Return which of the places of some draws are simulated, and the places across a feed around each. (n, ACROSS)."""
     some = slice(None, None, -(-draws.x.size // PLACES))
-    x, y = draws.x[some], draws.y[some]
-    radius, angle = np.hypot(x, y), np.arctan2(y, x)
-    feed = getattr(job.passes[-1], "feed", None) or getattr(job.strategy, "feed", None) or 0.0
-    across = np.abs(radius[:, None] + feed * ((np.arange(ACROSS) + 0.5) / ACROSS - 0.5))
-    return some, (across * np.cos(angle)[:, None], across * np.sin(angle)[:, None])
+    return some, across_feed(job, draws.x[some], draws.y[some])
 
 
 def _means(motion: Motion, tool: Tool, machine: Machine, places: tuple[Floats, Floats]) -> Floats:
@@ -454,7 +447,7 @@ NAMED = 60
 """Letters of the name of a map that a job notes."""
 
 
-def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str], parts: int, job: Job) -> tuple[str, ...]:
+def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str]) -> tuple[str, ...]:
     """Return what is corrected, how surely, and what is at stake."""
     proof, told = plan.proof, []
     form = plan.smooth is not None and plan.smooth.cutoff is not None
@@ -469,11 +462,11 @@ def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str], parts: int, 
     )
     if found.repeatability_nm is not None:
         told.append(f"the maps differ by {found.repeatability_nm:.3g} nm rms; only what they share is corrected")
-    elif form and parts == 1 and job.measurement.repeats and proof.at_stake_nm > 1:
+    elif proof.at_stake_nm > 1:
         told.append(
-            f"one map cannot show what repeats: if this {proof.at_stake_nm:.3g} nm of form does not, the next part is "
-            f"off by up to {proof.if_not_repeated_nm:.3g} nm, {proof.at_stake_nm:.3g} nm more than without; a second "
-            "part decides"
+            f"one map cannot show what repeats: if the {proof.at_stake_nm:.3g} nm rms that are corrected do not, the "
+            f"next part is off by up to {proof.if_not_repeated_nm:.3g} nm, at most {proof.at_stake_nm:.3g} nm more than "
+            "without; a second part decides"
         )
     return tuple(told)
 

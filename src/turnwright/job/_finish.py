@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from turnwright.contact import place
 from turnwright.generation import generate_points
 from turnwright.motion import drive
@@ -12,7 +14,10 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.job._schema import Job
 
-__all__ = ["finished"]
+__all__ = ["across_feed", "finished"]
+
+ACROSS = 8
+"""Places across a feed, whose mean has no cusps."""
 
 
 def finished(job: Job, real: Job, x: Floats, y: Floats) -> Floats:
@@ -32,3 +37,12 @@ def finished(job: Job, real: Job, x: Floats, y: Floats) -> Floats:
     path = place(servo.spiral(aim, tool), aim, tool, along=job.strategy.along)
     motion = drive(path, servo, job.machine.machine, profile=job.strategy.profile(job.passes[-1]))
     return generate_points(motion, real.tool.tool, x=x, y=y, machine=real.machine.machine)
+
+
+def across_feed(job: Job, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return places across a feed around some points, over which cusps have their mean. Each (n, ACROSS) [mm]."""
+    radius, angle = np.hypot(x, y), np.arctan2(y, x)
+    feed = getattr(job.passes[-1], "feed", None) or getattr(job.strategy, "feed", None) or 0.0
+    inside = np.minimum(radius, job.part.part.radius - feed / 2)  # the surface may end at the rim
+    across = np.abs(inside[:, None] + feed * ((np.arange(ACROSS) + 0.5) / ACROSS - 0.5))
+    return across * np.cos(angle)[:, None], across * np.sin(angle)[:, None]

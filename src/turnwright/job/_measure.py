@@ -16,7 +16,7 @@ from turnwright.errors import InputError, MapError
 from turnwright.files import read_map
 from turnwright.heightmap import HeightMap
 from turnwright.job._advice import open_questions
-from turnwright.job._finish import finished
+from turnwright.job._finish import across_feed, finished
 from turnwright.job._prescriptions import with_keys
 from turnwright.job._shares import pv_nm_of
 from turnwright.job._verdict import Verdict, judge_form
@@ -311,7 +311,6 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
         free=[one for one in FREE if one not in asked.fixed],
         waviness=asked.waviness,
         sense=first.strategy.sense,
-        feed=_feed(first),
         worth_nm=asked.worth * NM,
         points=2 * CELLS,
         plausible=asked.plausible.stated,
@@ -335,13 +334,13 @@ def same_part(one: Job, other: Job) -> bool:
 
 
 def _gathered(measured: Measured, job: Job) -> HeightMap:
-    """Return a part's errors averaged over small cells, on the design, as if the job had cut it. Scattered. [mm]."""
+    """Return a part's errors averaged over small cells, on the design, as if the job had cut it. Scattered. [mm].
+
+    They are without the cusps and the chords that the plan has: neither is a fault of tool or machine.
+    """
     part = measured.job.part.part
     x, y = measured.error.points()
     error = measured.error.z
-    if measured.job != job and same_part(measured.job, job):
-        after, before = (finished(one, job, x, y) for one in (job, measured.job))
-        error = error + after - before
     inside = np.hypot(x, y) <= part.radius
     x, y, error = x[inside], y[inside], error[inside]
     cell = min(part.radius * np.sqrt(np.pi / CELLS), part.surface.feature_size / FINE)
@@ -355,6 +354,11 @@ def _gathered(measured: Measured, job: Job) -> HeightMap:
     count = np.bincount(at, minlength=which.size)
     few = slice(None, None, -(-which.size // (2 * CELLS)) or 1)
     x, y, error = ((np.bincount(at, weights=one, minlength=which.size) / count)[few] for one in (x, y, error))
+    real = job if same_part(measured.job, job) else measured.job
+    across = across_feed(measured.job, x, y)
+    flat = [one.ravel() for one in across]
+    planned = finished(measured.job, real, *flat) - real.part.aimed.surface.sag(*flat)
+    error -= planned.reshape(across[0].shape).mean(axis=1)
     return HeightMap(x=x, y=y, z=part.surface.sag(x, y) + error, name=measured.heights.name)
 
 
