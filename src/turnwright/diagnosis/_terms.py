@@ -33,7 +33,7 @@ RAMP = 15.0
 """Size of the ramp of a drift, which squareness hides, over that of its bends, which less hides: what comes to rest
 within a cut has 4 to 10 times as much ramp as bend."""
 
-DEGREE = 10
+DEGREE = 14
 """Zernike degree up to which the form may err."""
 
 

@@ -465,8 +465,8 @@ def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str]) -> tuple[str
     elif proof.at_stake_nm > 1:
         told.append(
             f"one map cannot show what repeats: if the {proof.at_stake_nm:.3g} nm rms that are corrected do not, the "
-            f"next part is off by up to {proof.if_not_repeated_nm:.3g} nm, at most {proof.at_stake_nm:.3g} nm more than "
-            "without; a second part decides"
+            f"next part is off by up to {proof.if_not_repeated_nm:.3g} nm, {proof.at_stake_nm:.3g} nm more than without "
+            "at most; a second part decides"
         )
     return tuple(told)
 

@@ -55,7 +55,7 @@ FIRST = 100_000
 
 NM = 1e6
 
-CELLS = 60_000
+CELLS = 20_000
 """Cells of a map whose mean errors are explained."""
 
 FINE = 5
