@@ -18,7 +18,7 @@ from turnwright.errors import InputError
 
 __all__ = ["FLOOR", "LOOSE", "Estimate", "Look"]
 
-LOOSE = np.array([0.1, 0.1, 1.0, 0.1, 0.01, 0.01, 0.01, 0.01, 1e-3])
+LOOSE = np.array([0.05, 0.05, 1.0, 0.05, 0.01, 0.01, 0.01, 0.01, 1e-3])
 """How far a registered map may still be off its place, one standard deviation: shift x, y, z [mm], rotation and tilts
 [rad], slopes [1] and curvature [1/mm] of a sphere. It holds those in place that the surface does not determine."""
 
@@ -38,6 +38,9 @@ BETWEEN = (0.003, 1e-6, 1.0)
 SAME = 2e-3
 """Terms of two cuts of a part may differ by as little as this share of where the search for their size begins."""
 
+BEGUN = 0.05
+"""Where the search for the size of what differs from cut to cut begins, as a share of that for what they share."""
+
 MOST = 1.4
 """The largest of the terms of a group is at most so many standard deviations: a few may stand out of many."""
 
@@ -50,7 +53,13 @@ ROUGH = 0.3
 STEPS = 12
 """Gauss-Newton steps at most."""
 
-SETTLED = 1e-2
+WHOLE, DAMPED = 3, 0.5
+"""After so many steps only this share of each is gone: where numbers hardly matter, whole steps overshoot."""
+
+LAST = (0.5, 0.5, 0.5, 1.0)
+"""Shares of the steps at the end, with the sizes of all terms held."""
+
+SETTLED = 0.3
 """A step that moves the fit by less than this of the noise of a single number is the last."""
 
 SIZED = 0.03
@@ -122,6 +131,8 @@ class Estimate:
     def __post_init__(self) -> None:
         self.own = np.array([group.size**2 for group in GROUPS])
         self.common = self.own.copy()
+        if self.several:  # or what all cuts share may be found as what each of them has of its own
+            self.own *= BEGUN**2
         self.between = np.full(len(self.causes), BETWEEN[0] ** 2)
         self.terms = [np.zeros(TERMS) for _ in self.sights]
         self.seen = np.ones(len(self.names), dtype=np.bool_)
@@ -161,10 +172,12 @@ class Estimate:
                     self.scale[m] = max(ROUGH * float(np.std(look.rows[:, -1])), FLOOR)
             self._settle()
             self._measure_noise()
-            if not self._reject() and self._move() < SETTLED:
+            if not self._reject() and self._move(1.0 if step < WHOLE else DAMPED) < SETTLED:
                 break
-        self.looks = [self._look(m) for m in range(len(self.sights))]
-        self._settle()
+        for share in LAST:  # with all sizes held, so that sources, terms and poses belong together
+            self.looks = [self._look(m) for m in range(len(self.sights))]
+            self.posterior = self._posterior()
+            self._move(share)
 
     def _look(self, m: int) -> Look:
         """Take one map at the present numbers."""
@@ -325,15 +338,15 @@ class Estimate:
                 self.left(m), look.rows[:, :-1], spread / self.scale[m], sight.x[look.good], sight.y[look.good]
             )
 
-    def _move(self) -> float:
-        """Take the numbers and poses as found; return how far that led, in noise."""
+    def _move(self, share: float) -> float:
+        """Go a share of the way to the numbers and poses as found; return how far that led, in noise."""
         moved = 0.0
         for m, look in enumerate(self.looks):
             j, k = look.poses, self.typical.size
-            numbers = self.numbers(m)
-            step = numbers[: j + k].copy()
-            step[j:] -= self.values[m] / self.typical
-            moved += float(np.sum((look.root[:, : j + k] @ step / self.scale[m]) ** 2))
+            here = np.concatenate([np.zeros(j), self.values[m] / self.typical, self.terms[m]])
+            step = share * (self.numbers(m) - here)
+            numbers = here + step
+            moved += float(np.sum((look.root[:, :-1] @ step / self.scale[m]) ** 2))
             self.sights[m].pose[look.numbers] += LOOSE[look.numbers] * numbers[:j]
             self.values[m] = numbers[j : j + k] * self.typical
             self.terms[m] = numbers[j + k :]

@@ -130,6 +130,8 @@ class DrawnCut:
 
     Parameters
     ----------
+    number
+        Of the draw.
     tool, machine
         That really cut.
     tip_motion
@@ -138,6 +140,7 @@ class DrawnCut:
         What no motion of the tip along X and Z makes, at the places of the draws. (n,) [mm]
     """
 
+    number: int
     tool: Tool
     machine: Machine
     tip_motion: Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
@@ -161,7 +164,7 @@ class Draws:
     pose
         What a change of the free directions adds. (n, j) [mm]
     cases
-        The first of the draws, to be simulated in full.
+        Some of the draws, to be simulated in full.
     """
 
     x: Floats
@@ -210,7 +213,7 @@ class Diagnosis(Sequence[Finding]):
     signatures
         What every finding and contribution makes of each map. [mm]
     draws
-        Of each map: how a further part may be off.
+        From the number of a map to draws of how a further part may be off.
     tool, machine
         The planned ones with all that is to be corrected: plan with these.
     likely_tool, likely_machine
@@ -237,7 +240,7 @@ class Diagnosis(Sequence[Finding]):
     repeatability_nm: float | None
     rejected: tuple[int, ...]
     signatures: tuple[Mapping[str, HeightMap], ...]
-    draws: tuple[Draws, ...]
+    draws: Callable[[int], Draws]
     tool: Tool
     machine: Machine
     likely_tool: Tool

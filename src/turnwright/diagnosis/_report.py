@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
@@ -14,9 +16,10 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright.diagnosis._estimate import PLACES, TERMS, Estimate
 from turnwright.diagnosis._findings import NM, Contribution, Diagnosis, DrawnCut, Draws, Finding, Said, around, judge
-from turnwright.diagnosis._model import Deviations
+from turnwright.diagnosis._model import Deviations, Sweeps
 from turnwright.diagnosis._sight import Sight, mark, sights_of, valid
 from turnwright.diagnosis._terms import GROUPS, columns, described, tip_motion
+from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.pose import Pose
 from turnwright.tool import LARGEST_ERROR, Tool, WavinessTable
@@ -40,8 +43,11 @@ CERTAIN = 0.5
 """What a cause makes of the form is known if its uncertainty is below this share of it."""
 
 DRAWS = 200
-DRAWN = 6_000
+DRAWN = 2_000
 """Places at which a further part is drawn."""
+
+BACK = 3
+"""Steps back to what a map allows."""
 
 CASES = 5
 """Draws that can be simulated in full."""
@@ -89,8 +95,10 @@ def reported(
     effect = [float(one.rms_nm) for one in findings]
     order = sorted(range(len(findings)), key=lambda k: (not certain[k], -effect[k], k))
     likely = np.where(_of_the_cut(estimate), numbers.value, 0.0)
-    likely_tool, likely_machine = _as_found(estimate, likely, asked)
     real_tool, real_machine = _as_found(estimate, np.where(corrected, numbers.value, 0.0), asked)
+    likely_tool, likely_machine = real_tool, real_machine
+    with suppress(InputError):  # an edge that no tool can have
+        likely_tool, likely_machine = _as_found(estimate, likely, asked)
     whole = [
         _Whole.of(estimate, m, one, few, part, corrected, asked.repeats)
         for m, (one, few, part) in enumerate(zip(maps, thin, parts, strict=True))
@@ -112,7 +120,7 @@ def reported(
         repeatability_nm=_repeatability_nm(estimate),
         rejected=tuple(int(np.count_nonzero(sight.apart)) for sight in estimate.sights),
         signatures=tuple(_signatures(estimate, m, one) for m, one in enumerate(thin)),
-        draws=tuple(_draws(estimate, m, corrected, asked) for m in range(len(maps))),
+        draws=lambda m: _draws(estimate, m, corrected, asked),
         tool=real_tool, machine=real_machine, likely_tool=likely_tool, likely_machine=likely_machine,
         on=partial(_elsewhere, estimate, asked),
     )  # fmt: skip
@@ -280,33 +288,89 @@ def _draws(estimate: Estimate, m: int, corrected: Bools, asked: Asked) -> Draws:
     """Return how a further part, cut like that of a map, may be off."""
     look, k = estimate.looks[m], estimate.typical.size
     random = np.random.default_rng(1)
-    shared, owns = estimate.posterior.draws(DRAWS, random)
-    split = estimate.split(m)
-    numbers = _further(estimate, m, owns[m], random) @ split.own.T + shared @ split.shared.T
-    some = slice(None, None, -(-look.rows.shape[0] // DRAWN))
-    rows = look.rows[some, :-1].copy()
-    first = look.poses + k
-    turning: Floats = np.zeros((numbers.shape[0], 1))
-    for i in estimate.of_cause("offset y"):
-        # Only what differs from the offset at which the lobes were found turns them.
-        rows[:, look.poses + i] -= look.turned[some]
-        turning = numbers[:, look.poses + i, None] - estimate.values[m][i] / estimate.typical[i]
-    sight, own_values = estimate.sights[m], np.where(_of_the_cut(estimate), estimate.values[m], 0.0)
+    some = np.flatnonzero(look.good)[:: -(-look.rows.shape[0] // DRAWN)]
+    sight = _some_of(estimate.sights[m], some)
+    rows = look.rows[:: -(-look.rows.shape[0] // DRAWN), :-1]
+    turned = look.turned[:: -(-look.rows.shape[0] // DRAWN)]
+    cut, first = _of_the_cut(estimate), look.poses + k
     found = np.where(corrected, estimate.posterior.shared[:k] * estimate.typical, 0.0)
-    planned, taken, every = (
-        _made(estimate, sight, values)[look.good][some] for values in (np.zeros(k), found, own_values)
-    )
-    numbers[:, look.poses : first] *= _of_the_cut(estimate)
-    bent = every - planned - rows[:, look.poses : first] @ (own_values / estimate.typical)
-    before = numbers @ rows.T + turning * look.turned[some] + bent
+    planned, taken = (_made(estimate, sight, values) for values in (np.zeros(k), found))
+
+    def off(numbers: Floats) -> Floats:
+        """Return cut minus design of draws: sources in full, terms in proportion. (draws, n) [mm]."""
+        values = numbers[:, look.poses : first] * np.where(cut, estimate.typical, 0.0)
+        made = np.stack([_made(estimate, sight, one) for one in values]) - planned
+        for i in estimate.of_cause("offset y"):  # only what differs from that at which the lobes were found turns them
+            turn = numbers[:, look.poses + i, None] - estimate.values[m][i] / estimate.typical[i]
+            made += turn * turned
+        return np.asarray(made + numbers[:, first:] @ rows[:, first:].T)
+
+    numbers, lacking = _drawn(estimate, m, off, rows, random)
+    before = np.nan_to_num(off(numbers)) + lacking  # the tool of a draw may leave a point out
     single = estimate.kinds[m] is None
     if single and not asked.repeats:  # the next part has another drift and form of the same size
-        at = np.append(look.poses + np.flatnonzero(~corrected), first + np.flatnonzero(~LASTING))
+        at = np.append(look.poses + np.flatnonzero(~corrected & cut), first + np.flatnonzero(~LASTING))
         before += (numbers[:, at] @ rows[:, at].T) * (random.normal(size=(DRAWS, 1)) - 1)
+    x, y, _ = sight.moved()
     return Draws(
-        x=sight.moved()[0][look.good][some], y=sight.moved()[1][look.good][some], before=before,
-        after=before - (taken - planned), single=single, pose=rows[:, : look.poses],
-        cases=tuple(_case(estimate, m, one, rows, asked) for one in numbers[:CASES]),
+        x=x, y=y, before=before, after=before - (taken - planned), single=single, pose=rows[:, : look.poses],
+        cases=tuple(itertools.islice(_cases(estimate, m, numbers, lacking, rows, asked), CASES)),
+    )  # fmt: skip
+
+
+def _cases(
+    estimate: Estimate, m: int, numbers: Floats, lacking: Floats, rows: Floats, asked: Asked
+) -> Iterator[DrawnCut]:
+    """Yield draws that can be simulated in full: of those that lack the least."""
+    size = (lacking**2).sum(axis=1)
+    for number in np.flatnonzero(size <= np.median(size)).tolist():
+        with suppress(InputError):  # an edge that no tool can have
+            yield _case(estimate, m, number, numbers[number], rows, asked)
+
+
+def _drawn(
+    estimate: Estimate, m: int, off: Callable[[Floats], Floats], rows: Floats, random: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Return draws of the numbers of a further part that is cut like that of a map, and what these lack. (draws, *).
+
+    Where sources may be large, their heights bend away from their marks, and by that much a draw would miss the map.
+    Steps of least squares, from what it misses, take it back to what the map allows. What they cannot take back is what
+    the draw lacks: heights at the places of the rows. [mm]
+    """
+    look, split, k = estimate.looks[m], estimate.split(m), estimate.typical.size
+    shared, owns = estimate.posterior.draws(DRAWS, random)
+    own = owns[m]
+    found, first = estimate.numbers(m), look.poses + k
+    found[look.poses : first] = estimate.values[m] / estimate.typical
+    cut = np.r_[np.zeros(look.poses, dtype=np.bool_), _of_the_cut(estimate), np.ones(TERMS, dtype=np.bool_)]
+    drawn = own @ split.own.T + shared @ split.shared.T
+    wanted = off(found[None]) + ((drawn - found) * cut) @ rows.T
+    columns = rows @ np.hstack([split.own, split.shared]) / estimate.scale[m]
+    root, weight = estimate.posterior.roots(m), look.rows.shape[0] / rows.shape[0]
+    alike = sum(kind is not None and kind == estimate.kinds[m] for kind in estimate.kinds)
+    pose = np.linalg.qr(rows[:, : look.poses])[0]
+    best, lacking = (own, shared), np.full(wanted.shape, np.inf)
+    for _ in range(BACK + 1):
+        lack = wanted - off(own @ split.own.T + shared @ split.shared.T)
+        lack = np.where(np.isfinite(lack), lack, wanted)
+        lack -= (lack @ pose) @ pose.T
+        nearer = (lack**2).sum(axis=1) < (lacking**2).sum(axis=1)
+        best = np.where(nearer[:, None], own, best[0]), np.where(nearer[:, None], shared, best[1])
+        lacking = np.where(nearer[:, None], lack, lacking)
+        back = (lack / estimate.scale[m] * weight) @ columns @ root @ root.T
+        if not alike:
+            own = own + back[:, : own.shape[1]]
+        shared = shared + max(alike, 1) * back[:, own.shape[1] :]  # maps of one part bend alike
+    own, shared = best
+    return _further(estimate, m, own, random) @ split.own.T + shared @ split.shared.T, lacking
+
+
+def _some_of(sight: Sight, some: Ints) -> Sight:
+    """Return a map with some of its points."""
+    return replace(
+        sight, x=sight.x[some], y=sight.y[some], z=sight.z[some], sweeps=Sweeps(*(one[some] for one in sight.sweeps)),
+        added={cause: one[:, some] for cause, one in sight.added.items()}, usable=sight.usable[some],
+        good=sight.good[some], apart=sight.apart[some], stands=None if sight.stands is None else sight.stands[some],
     )  # fmt: skip
 
 
@@ -353,7 +417,7 @@ ELSEWHERE = 3_000
 """Places on another part."""
 
 
-def _case(estimate: Estimate, m: int, numbers: Floats, rows: Floats, asked: Asked) -> DrawnCut:
+def _case(estimate: Estimate, m: int, number: int, numbers: Floats, rows: Floats, asked: Asked) -> DrawnCut:
     """Return one draw as it can be simulated."""
     k, j = estimate.typical.size, estimate.looks[m].poses
     values = numbers[j : j + k] * estimate.typical
@@ -367,7 +431,7 @@ def _case(estimate: Estimate, m: int, numbers: Floats, rows: Floats, asked: Aske
     rest[j + k :][: across.start] = 0.0
     terms[form], terms[across] = 0.0, 0.0
     return DrawnCut(
-        tool=tool, machine=machine, rest=rows @ rest,
+        number=number, tool=tool, machine=machine, rest=rows @ rest,
         tip_motion=lambda radius, angle, z: tip_motion(terms, radius, angle, z, estimate.radius[m]),
     )  # fmt: skip
 

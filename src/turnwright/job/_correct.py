@@ -171,9 +171,8 @@ def correct(
     report("prove the correction", 0, 2)
     plan = _proved(job, found, own)
     report("prove the correction", 1, 2)
-    for number, one in enumerate(every):
-        if number == plan.map:
-            _check_linear(one.job, found.draws[number])
+    if any(own):
+        _check_linear(every[plan.map].job, plan.draws)
     report("prove the correction", 2, 2)
     text, beside = ("", File()) if source is None else (File(source).read_bytes().decode(), File(source).parent)
     out = File(out).resolve()  # the job names its files beside itself, wherever it is read from
@@ -184,7 +183,7 @@ def correct(
     report("simulate", 0, 2)
     if any(own):
         with TemporaryDirectory(prefix="turnwright-") as folder:
-            _check_simulated(job, _better(job, found, plan, (), File(folder)), found.draws[plan.map], plan)
+            _check_simulated(job, _better(job, found, plan, (), File(folder)), plan)
     report("simulate", 1, 2)
     out.mkdir(parents=True, exist_ok=True)
     better = _better(job, found, plan, [(one, _entry(one, names, plan)) for one in every], out)
@@ -218,6 +217,7 @@ class _Plan(NamedTuple):
     sources: bool  # whether tool and machine are planned as they were found
     smooth: Smooth | None
     map: int  # by whose draws it is proved
+    draws: Draws
     proof: Proof
 
 
@@ -296,10 +296,11 @@ def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
     if not any(own):
         draws = found.on(job.part.part)
         proof = prove(draws, np.zeros(draws.x.size), worth_nm=worth_nm)
-        yield _Plan(likely=True, sources=True, smooth=None, map=0, proof=proof)
+        yield _Plan(likely=True, sources=True, smooth=None, map=0, draws=draws, proof=proof)
         return
     first = list(own).index(True)
-    draws, known = found.draws[first], _added(job, found.draws[first].x, found.draws[first].y)
+    draws = found.draws(first)
+    known = _added(job, draws.x, draws.y)
     residuals = [left for left, part in zip(found.residuals, own, strict=True) if part]
     beyond = _beyond(job, residuals, draws)
     # What no term of the diagnosis has is smoothed out of its noise.
@@ -313,7 +314,7 @@ def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
         if smooth is not None:
             added = smooth.table.evaluate(draws.x, draws.y, 0)[0] - known
         proof = prove(draws, added, sources=sources, beyond=beyond, worth_nm=worth_nm)
-        yield _Plan(likely=False, sources=sources, smooth=smooth, map=first, proof=proof)
+        yield _Plan(likely=False, sources=sources, smooth=smooth, map=first, draws=draws, proof=proof)
 
 
 def _together(parts: Sequence[Smooth], before: Gridded | None) -> Smooth | None:
@@ -374,10 +375,10 @@ def _check_linear(job: Job, draws: Draws) -> None:
     motion = replace(_motion(job), velocity=None)
     tool, machine = job.tool.tool, job.machine.machine
     clean = _means(motion, tool, machine, places)
-    for number, case in enumerate(draws.cases):
+    for case in draws.cases:
         made = _means(_off(motion, case), case.tool, case.machine, places) - clean + case.rest[some]
         known = np.isfinite(made)
-        linear = draws.before[number][some]
+        linear = draws.before[case.number][some]
         rest = replace(draws, pose=draws.pose[some][known])
         off, size = (float(rest.rms_nm(one[None, known])[0]) for one in (made - linear, linear))
         if off > max(LINEAR * size, LINEAR_NM):
@@ -388,8 +389,9 @@ def _check_linear(job: Job, draws: Draws) -> None:
             )
 
 
-def _check_simulated(job: Job, better: Job, draws: Draws, plan: _Plan) -> None:
+def _check_simulated(job: Job, better: Job, plan: _Plan) -> None:
     """Raise if the corrected job does not change the part as it is meant to."""
+    draws = plan.draws
     some, places = _cuspless(job, draws)
     after, before = (_means(_motion(one), one.tool.tool, one.machine.machine, places) for one in (better, job))
     now, then = (_added(one, draws.x[some], draws.y[some]) for one in (better, job))
@@ -464,9 +466,9 @@ def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str]) -> tuple[str
         told.append(f"the maps differ by {found.repeatability_nm:.3g} nm rms; only what they share is corrected")
     elif proof.at_stake_nm > 1:
         told.append(
-            f"one map cannot show what repeats: if the {proof.at_stake_nm:.3g} nm rms that are corrected do not, the "
-            f"next part is off by up to {proof.if_not_repeated_nm:.3g} nm, {proof.at_stake_nm:.3g} nm more than without "
-            "at most; a second part decides"
+            f"one map cannot show what repeats: if the {proof.at_stake_nm:.3g} nm rms that are corrected do not, "
+            f"the next part is off by up to {proof.if_not_repeated_nm:.3g} nm, {proof.at_stake_nm:.3g} nm more than "
+            "without at most; a second part decides"
         )
     return tuple(told)
 
