@@ -293,17 +293,19 @@ def _draws(estimate: Estimate, m: int, corrected: Bools, asked: Asked) -> Draws:
     rows = look.rows[:: -(-look.rows.shape[0] // DRAWN), :-1]
     turned = look.turned[:: -(-look.rows.shape[0] // DRAWN)]
     cut, first = _of_the_cut(estimate), look.poses + k
+    moving = np.array([column.cause in MOVING for column in estimate.names])
+    others = np.append(look.poses + np.flatnonzero(cut & ~moving), np.arange(first, rows.shape[1]))
     found = np.where(corrected, estimate.posterior.shared[:k] * estimate.typical, 0.0)
     planned, taken = (_made(estimate, sight, values) for values in (np.zeros(k), found))
 
     def off(numbers: Floats) -> Floats:
-        """Return cut minus design of draws: sources in full, terms in proportion. (draws, n) [mm]."""
-        values = numbers[:, look.poses : first] * np.where(cut, estimate.typical, 0.0)
+        """Return cut minus design of draws: what moves the edge in full, all else in proportion. (draws, n) [mm]."""
+        values = numbers[:, look.poses : first] * np.where(moving, estimate.typical, 0.0)
         made = np.stack([_made(estimate, sight, one) for one in values]) - planned
         for i in estimate.of_cause("offset y"):  # only what differs from that at which the lobes were found turns them
             turn = numbers[:, look.poses + i, None] - estimate.values[m][i] / estimate.typical[i]
             made += turn * turned
-        return np.asarray(made + numbers[:, first:] @ rows[:, first:].T)
+        return np.asarray(made + numbers[:, others] @ rows[:, others].T)
 
     numbers, lacking = _drawn(estimate, m, off, rows, random)
     before = np.nan_to_num(off(numbers)) + lacking  # the tool of a draw may leave a point out
