@@ -44,9 +44,6 @@ BEGUN = 0.05
 MOST = 1.4
 """The largest of the terms of a group is at most so many standard deviations: a few may stand out of many."""
 
-LARGEST = 30.0
-"""A group of terms is at most so many times larger than where its search begins."""
-
 ROUGH = 0.3
 """Noise as a share of the residual, before anything is known."""
 
@@ -293,7 +290,7 @@ class Estimate:
         own = [self.posterior.own(m) for m in range(len(self.sights))]
         k = self.typical.size
         for g, (group, place) in enumerate(zip(GROUPS, PLACES, strict=True)):
-            limits = group.least**2, (LARGEST * group.size) ** 2
+            limits = group.least**2, group.most**2
             values = np.stack([one[-TERMS:][place] for one in own])
             spread = np.stack(
                 [(root[: one.size][-TERMS:][place] ** 2).sum(axis=1) for root, one in zip(roots, own, strict=True)]

@@ -43,6 +43,7 @@ class Group(NamedTuple):
     name: str
     size: float  # where the search for it begins, and what it is if that is stated [mm or rad]
     least: float  # that the search may find
+    most: float  # and the largest
     relative: Floats  # variances of the terms, in squares of the size. (g,)
     lasting: bool  # whether it comes back on the next part by its nature
 
@@ -56,13 +57,13 @@ _DRIFT = np.append(RAMP**2, np.ones(KNOTS - 1))
 _FALLING = np.array([1 / (n - 1) ** 3 for n, _ in _indices()])
 
 GROUPS = (
-    Group("axial error motion of the spindle", 30e-6, 30e-6, np.ones(2), lasting=True),
-    Group("axial error motion of the spindle", 20e-6, 0.2e-6, np.ones(2 * len(AXIAL) - 2), lasting=True),
-    Group("radial error motion of the spindle", 20e-6, 0.2e-6, np.ones(2 * len(RADIAL)), lasting=True),
-    Group("drift of Z", 12e-6, 8e-6, _DRIFT, lasting=False),
-    Group("drift of X", 12e-6, 8e-6, _DRIFT, lasting=False),
-    Group("tilt of the spindle", 1e-4, 1e-4, np.ones(3), lasting=True),
-    Group("low form", 30e-6, 0.2e-6, _FALLING, lasting=False),
+    Group("axial error motion of the spindle", 30e-6, 30e-6, 1e-3, np.ones(2), lasting=True),
+    Group("axial error motion of the spindle", 20e-6, 0.2e-6, 6e-4, np.ones(2 * len(AXIAL) - 2), lasting=True),
+    Group("radial error motion of the spindle", 20e-6, 0.2e-6, 6e-4, np.ones(2 * len(RADIAL)), lasting=True),
+    Group("drift of Z", 12e-6, 8e-6, 40e-6, _DRIFT, lasting=False),
+    Group("drift of X", 12e-6, 8e-6, 20e-6, _DRIFT, lasting=False),
+    Group("tilt of the spindle", 1e-4, 1e-4, 3e-3, np.ones(3), lasting=True),
+    Group("low form", 30e-6, 0.2e-6, 1e-3, _FALLING, lasting=False),
 )
 
 
