@@ -41,8 +41,9 @@ SAME = 2e-3
 BEGUN = 0.05
 """Where the search for the size of what differs from cut to cut begins, as a share of that for what they share."""
 
-MOST = 1.4
-"""The largest of the terms of a group is at most so many standard deviations: a few may stand out of many."""
+FEW, MANY = 1.4, 1.7
+"""The largest of the terms of a group is at most so many standard deviations: a few lobes may stand out of many, but
+not a term of form."""
 
 ROUGH = 0.3
 """Noise as a share of the residual, before anything is known."""
@@ -290,7 +291,7 @@ class Estimate:
         own = [self.posterior.own(m) for m in range(len(self.sights))]
         k = self.typical.size
         for g, (group, place) in enumerate(zip(GROUPS, PLACES, strict=True)):
-            limits = group.least**2, group.most**2
+            limits, apart = (group.least**2, group.most**2), MANY if group.name == "low form" else FEW
             values = np.stack([one[-TERMS:][place] for one in own])
             spread = np.stack(
                 [(root[: one.size][-TERMS:][place] ** 2).sum(axis=1) for root, one in zip(roots, own, strict=True)]
@@ -298,14 +299,14 @@ class Estimate:
             # How a cut differs from another of the same part hides in nothing, so that its size is always found.
             least = SAME**2 * group.size**2 if self.several else limits[0]
             if self.several or group.least < group.size:
-                self.own[g], change = _resized(self.own[g], values, spread, (least, limits[1]))
+                self.own[g], change = _resized(self.own[g], values, spread, (least, limits[1]), apart)
                 changes.append(change)
             if group.least == group.size:
                 continue
             if any(kind is not None for kind in self.kinds):
                 rest = self.posterior.shared[k:].reshape(-1, TERMS)[:, place]
                 spread = (self.posterior.root[k:] ** 2).sum(axis=1).reshape(-1, TERMS)[:, place]
-                self.common[g], change = _resized(self.common[g], rest, spread, limits)
+                self.common[g], change = _resized(self.common[g], rest, spread, limits, apart)
                 changes.append(change)
         if len(self.sights) > 1:
             for c, cause in enumerate(self.causes):
@@ -366,10 +367,15 @@ def _spread(sizes: Floats) -> Floats:
     return np.concatenate([np.sqrt(size * group.relative) for size, group in zip(sizes.tolist(), GROUPS, strict=True)])
 
 
-def _resized(size: float, values: Floats, variance: Floats, limits: tuple[float, float]) -> tuple[float, float]:
-    """Return the variance under which some numbers of unit prior are most probable, and its change as a logarithm."""
+def _resized(
+    size: float, values: Floats, variance: Floats, limits: tuple[float, float], apart: float = FEW
+) -> tuple[float, float]:
+    """Return the variance under which some numbers of unit prior are most probable, and its change as a logarithm.
+
+    The largest of the numbers is at most ``apart`` standard deviations.
+    """
     determined = max(float((1 - variance).sum()), 1e-9)
-    likely = max(float((values**2).sum()) / determined, float((values**2).max()) / MOST**2)
+    likely = max(float((values**2).sum()) / determined, float((values**2).max()) / apart**2)
     new = float(np.clip(size * likely, *limits))
     return new, abs(float(np.log(new / size))) / 2
 

@@ -288,15 +288,18 @@ def _draws(estimate: Estimate, m: int, corrected: Bools, asked: Asked) -> Draws:
     """Return how a further part, cut like that of a map, may be off."""
     look, k = estimate.looks[m], estimate.typical.size
     random = np.random.default_rng(1)
-    some = np.flatnonzero(look.good)[:: -(-look.rows.shape[0] // DRAWN)]
-    sight = _some_of(estimate.sights[m], some)
-    rows = look.rows[:: -(-look.rows.shape[0] // DRAWN), :-1]
-    turned = look.turned[:: -(-look.rows.shape[0] // DRAWN)]
+    found = np.where(corrected, estimate.posterior.shared[:k] * estimate.typical, 0.0)
+    some = np.arange(0, look.rows.shape[0], -(-look.rows.shape[0] // DRAWN))
+    sight = _some_of(estimate.sights[m], np.flatnonzero(look.good)[some])
+    ends = [_made(estimate, sight, values) for values in (np.zeros(k), found, estimate.values[m])]
+    known = np.isfinite(ends).all(axis=0)  # one of the tools may leave a point out
+    some = some[known]
+    planned, taken = ends[0][known], ends[1][known]
+    sight = _some_of(estimate.sights[m], np.flatnonzero(look.good)[some])
+    rows, turned = look.rows[some, :-1], look.turned[some]
     cut, first = _of_the_cut(estimate), look.poses + k
     moving = np.array([column.cause in MOVING for column in estimate.names])
     others = np.append(look.poses + np.flatnonzero(cut & ~moving), np.arange(first, rows.shape[1]))
-    found = np.where(corrected, estimate.posterior.shared[:k] * estimate.typical, 0.0)
-    planned, taken = (_made(estimate, sight, values) for values in (np.zeros(k), found))
 
     def off(numbers: Floats) -> Floats:
         """Return cut minus design of draws: what moves the edge in full, all else in proportion. (draws, n) [mm]."""
