@@ -32,8 +32,11 @@ OUTSIDE = 6.0
 """Points this many standard deviations off, as the median sees it, are left out: beside a seam of the design a chord of
 the program or a pixel of the instrument makes micrometres."""
 
-BETWEEN = (0.003, 1e-6, 1.0)
+BETWEEN = (0.003, 1e-6, 0.1)
 """Change of a source from map to map in plausible units: where its search begins, and its limits."""
+
+EDGE = frozenset({"radius error", "waviness"})
+"""Causes that are the same in all cuts with a tool."""
 
 SAME = 2e-3
 """Terms of two cuts of a part may differ by as little as this share of where the search for their size begins."""
@@ -131,7 +134,7 @@ class Estimate:
         self.common = self.own.copy()
         if self.several:  # or what all cuts share may be found as what each of them has of its own
             self.own *= BEGUN**2
-        self.between = np.full(len(self.causes), BETWEEN[0] ** 2)
+        self.between = np.array([BETWEEN[1 if cause in EDGE else 0] ** 2 for cause in self.causes])
         self.terms = [np.zeros(TERMS) for _ in self.sights]
         self.seen = np.ones(len(self.names), dtype=np.bool_)
 
@@ -310,6 +313,8 @@ class Estimate:
                 changes.append(change)
         if len(self.sights) > 1:
             for c, cause in enumerate(self.causes):
+                if cause in EDGE:
+                    continue
                 numbers = self.of_cause(cause)
                 at = [look.poses + np.array(numbers) for look in self.looks]
                 values = np.stack([one[where] for one, where in zip(own, at, strict=True)])
