@@ -48,6 +48,12 @@ FEW, MANY = 1.4, 1.7
 """The largest of the terms of a group is at most so many standard deviations: a few lobes may stand out of many, but
 not a term of form."""
 
+DRIFTS = np.geomspace(0.3e-6, 40e-6, 9)
+"""Sizes of a drift that are tried. [mm]"""
+
+EXCLUDED = 3.0
+"""A size under which the maps are less probable than under another, by so much in the logarithm, is excluded."""
+
 ROUGH = 0.3
 """Noise as a share of the residual, before anything is known."""
 
@@ -175,6 +181,7 @@ class Estimate:
             self._measure_noise()
             if not self._reject() and self._move(1.0 if step < WHOLE else DAMPED) < SETTLED:
                 break
+        self._widen()
         for share in LAST:  # with all sizes held, so that sources, terms and poses belong together
             self.looks = [self._look(m) for m in range(len(self.sights))]
             self.posterior = self._posterior()
@@ -267,6 +274,19 @@ class Estimate:
             changes = [*self._scales(), *self._sizes()]
             if max(changes, default=0.0) < SIZED:
                 break
+
+    def _widen(self) -> None:
+        """Give a drift the largest size that the maps do not exclude: sources may have taken what shows of it."""
+        for g, group in enumerate(GROUPS):
+            if not group.name.startswith("drift"):
+                continue
+            sizes = self.common if self.several else self.own
+            found, evidence = sizes[g], []
+            for size in DRIFTS:
+                sizes[g] = size**2
+                evidence.append(self._posterior().evidence)
+            likely = np.flatnonzero(np.array(evidence) >= max(evidence) - EXCLUDED)
+            sizes[g] = max(found, DRIFTS[likely[-1]] ** 2)
 
     def _scales(self) -> list[float]:
         """Set the noise of each map to what is left; return by how much that changes its logarithm."""

@@ -46,6 +46,7 @@ class Posterior:
     shared: Floats  # (s,)
     root: Floats  # (s, s): the covariance is its product with its transpose
     owns: tuple[_Own, ...]
+    evidence: float  # logarithm of the probability of the maps, but for a constant
 
     def own(self, m: int) -> Floats:
         """Return the numbers of a map. (o,)."""
@@ -83,6 +84,7 @@ def posterior(maps: Sequence[Scaled], begun: Sequence[Floats]) -> Posterior:
     from scipy.linalg import qr, solve_triangular  # noqa: PLC0415 - costly to import
 
     owns, below, right = [], [np.eye(maps[0].shared.shape[1])], [np.zeros(maps[0].shared.shape[1])]
+    evidence = 0.0
     for one, mean in zip(maps, begun, strict=True):
         size, rest = one.own.shape[1], one.shared.shape[1]
         stack = np.vstack([
@@ -90,10 +92,14 @@ def posterior(maps: Sequence[Scaled], begun: Sequence[Floats]) -> Posterior:
             np.hstack([np.eye(size), np.zeros((size, rest)), mean[:, None]]),
         ])  # fmt: skip
         r = qr(stack, mode="r", overwrite_a=True, check_finite=False)[0]
+        evidence -= float(np.log(np.abs(np.diag(r)[:size])).sum())
         inverse = solve_triangular(r[:size, :size], np.eye(size), check_finite=False)
         owns.append(_Own(inverse, r[:size, size:-1], r[:size, -1]))
         below.append(r[size : size + rest + 1, size:-1])
         right.append(r[size : size + rest + 1, -1])
     q, r = np.linalg.qr(np.vstack(below))
     root = solve_triangular(r, np.eye(r.shape[0]), check_finite=False)
-    return Posterior(shared=root @ (q.T @ np.concatenate(right)), root=root, owns=tuple(owns))
+    every = np.concatenate(right)
+    seen = q.T @ every
+    evidence -= float(np.log(np.abs(np.diag(r))).sum() + (every @ every - seen @ seen) / 2)
+    return Posterior(shared=root @ seen, root=root, owns=tuple(owns), evidence=evidence)

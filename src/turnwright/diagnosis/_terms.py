@@ -60,8 +60,8 @@ GROUPS = (
     Group("axial error motion of the spindle", 30e-6, 30e-6, 1e-3, np.ones(2), lasting=True),
     Group("axial error motion of the spindle", 20e-6, 0.2e-6, 6e-4, np.ones(2 * len(AXIAL) - 2), lasting=True),
     Group("radial error motion of the spindle", 20e-6, 0.2e-6, 6e-4, np.ones(2 * len(RADIAL)), lasting=True),
-    Group("drift of Z", 12e-6, 8e-6, 40e-6, _DRIFT, lasting=False),
-    Group("drift of X", 12e-6, 8e-6, 20e-6, _DRIFT, lasting=False),
+    Group("drift of Z", 12e-6, 0.3e-6, 40e-6, _DRIFT, lasting=False),
+    Group("drift of X", 12e-6, 0.3e-6, 20e-6, _DRIFT, lasting=False),
     Group("tilt of the spindle", 1e-4, 1e-4, 3e-3, np.ones(3), lasting=True),
     Group("low form", 30e-6, 0.2e-6, 1e-3, _FALLING, lasting=False),
 )
