@@ -318,7 +318,21 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
         correct=asked.correct,
     )
     report("diagnose", 1, 1)
-    return found
+    return _stated(found, every) if asked.reference == "true form" else found
+
+
+def _stated(found: Diagnosis, every: Sequence[Measured]) -> Diagnosis:
+    """Return a diagnosis that states the form error as the measurement does: noise that cells average out is residual.
+
+    Maps whose errors were turned into those of another job have no such number.
+    """
+    if any(one.job != every[0].job for one in every):
+        return found
+    measured = float(np.sqrt(np.mean([one.form_rms_nm**2 for one in every])))
+    noise = max(measured**2 - found.measured_rms_nm**2, 0.0)
+    return replace(
+        found, measured_rms_nm=measured, unexplained_rms_nm=float(np.hypot(found.unexplained_rms_nm, noise**0.5))
+    )
 
 
 def cutoff_of(job: Job) -> float:

@@ -1,4 +1,4 @@
-"""Where a map may lie on a part: level it, correlate it with a table of the design, and keep every peak."""
+"""Where a map may lie on a part: laid on a table of the design at every place, the best slide into their valleys."""
 
 from __future__ import annotations
 
@@ -7,16 +7,36 @@ from typing import NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Bools, Floats
 from turnwright.metrology._rigid import Fit, Problem, fit, residuals, rows, turns
+from turnwright.pose import Pose
 from turnwright.progress import run_chunks
 from turnwright.surface import LensArray, Placed, Sum, Surface
 
-__all__ = ["Lattice", "lattice_of", "mostly_on_part", "search"]
+__all__ = ["Lattice", "axisymmetric", "costs", "lattice_of", "ranked", "search"]
 
-LARGEST_TABLE = 1500
-PEAKS = 12
-"""How many places of the correlation are refined; with a full turn of clocking twice as many."""
+SMALLEST_TABLE, LARGEST_TABLE = 256, 1000
+
+STEP_IN_FEATURES = 1.0
+"""Distance of places of the search over the feature size of a surface: an eighth of a wave."""
+
+STEPS_ON_RADIUS = 5
+"""Places on the radius at least."""
+
+SETTLED = 60
+"""Places that slide into their valleys; with a full turn of clocking twice as many."""
+
+REFINED = 8
+"""Valleys that are fitted to the surface itself."""
+
+SLIDES = 40
+"""Most steps into a valley."""
+
+PASSES = 2
+"""Times that a place is levelled before its misfit counts: the first has to take the tilt that goes with its place."""
+
+FEWEST = 150
+"""Points that a place is judged by at least."""
 
 FOLDS = (2, 3, 4, 5, 6, 8, 12)
 """Symmetries about the axis that parts have."""
@@ -24,17 +44,14 @@ FOLDS = (2, 3, 4, 5, 6, 8, 12)
 QUIET = 1e-6
 """Misfit below which nothing is poor. [mm]."""
 
-WRONG = 5e-3
-"""Residual rms beyond which something else than the part may have been measured too. [mm]."""
-
-SURE = 4
-"""So many are refined, however poor they are beside the best."""
+CALM = 4.0
+"""Median residuals beyond which a point does not pull where something else than the part may be in the map."""
 
 POOR = 4.0
 """Mean square over the best one's at which a place is not refined."""
 
-MOST_LOOKUPS = 50_000_000
-"""Points times places of a correlation; beyond it points are left out."""
+MOST_LOOKUPS = 30_000_000
+"""Points times places of the search; beyond it points are left out, down to the fewest."""
 
 MOST_REPEATS = 60
 PLACES_AT_A_TIME = 64
@@ -43,6 +60,12 @@ COVER = 0.95
 
 LEAST = 0.5
 """Share of the points that must lie on the part, of those that can."""
+
+TRUNCATION = 7.5
+"""Median residuals, five standard deviations, beyond which a point costs no more; one off the part costs as much."""
+
+RIM = 0.01
+"""Share of the radius by which a point may lie beyond the part and not cost: the rim is not known to better."""
 
 
 class _Tabled(NamedTuple):
@@ -53,6 +76,7 @@ class _Tabled(NamedTuple):
     table: Floats
     low: float
     step: float
+    moves: Bools  # which of shift (x, y, z) and turns about x, y, z may move
 
 
 class Lattice(NamedTuple):
@@ -73,7 +97,7 @@ def lattice_of(surface: Surface) -> Lattice:
         patterns = [one for one in found if one.steps is not None]
         steps = patterns[0].steps if len(patterns) == 1 else None
     elif isinstance(inner, LensArray):
-        fine = 2 * inner.feature_size if inner.aperture is None else min(2 * inner.feature_size, inner.aperture / 2)
+        fine = inner.feature_size if inner.aperture is None else min(inner.feature_size, inner.aperture / 4)
         steps = _repeat(inner.centres)
     else:
         return Lattice(None, inner.feature_size)
@@ -116,7 +140,7 @@ def axisymmetric(surface: Surface, radius: float) -> bool:
 
 
 def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach: float, clocking: float) -> list[Fit]:
-    """Return fits to the problem's (few) points from every place where the correlation peaks, the best first.
+    """Return fits to the problem's (few) points from every valley within reach, the best first: see `costs`.
 
     Parameters
     ----------
@@ -126,16 +150,16 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
     pattern = lattice_of(problem.surface)
     start = level(problem, state, free, size)
     lateral = [k for k in (0, 1, 3) if k in free]
-    if not lateral or (reach == 0 and clocking == 0):
-        return [fit(problem, start, free, size, close=1e-9)]
-    points = _levelled(problem, start)
+    points = _levelled(problem, start) if lateral and (reach > 0 or clocking > 0) else None
     if points is None:
         return [fit(problem, start, free, size, close=1e-9)]
     a = min(1 / size[3], problem.within)
-    step = min(pattern.fine / 2 if np.isfinite(pattern.fine) else np.inf, a / 5)
-    if axisymmetric(problem.surface, problem.within) or 3 not in free:
+    step = min(pattern.fine * STEP_IN_FEATURES if np.isfinite(pattern.fine) else np.inf, a / STEPS_ON_RADIUS)
+    if 3 not in free:
         clocking = 0.0
-    tabled = _Tabled(points, start, *_table(problem.surface, problem.within, step))
+    tabled = _Tabled(points, start, *_table(problem.surface, problem.within, step), _moves(free))
+    # A turn about the middle of the map moves the frame that the reach is stated in.
+    reach += 2 * np.sin(min(clocking, np.pi) / 2) * min(float(np.hypot(*state[:2])), a) if reach > 0 else 0.0
     turn_step = min(step / a * 1.5, 0.35)
     angles = _turns(clocking, turn_step)
     along = [_axis(reach, step) if k in free else np.zeros(1) for k in (0, 1)]
@@ -150,21 +174,50 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
         x, y = np.meshgrid(*along)
         cell = np.stack([x.ravel(), y.ravel()], axis=-1)
     places = np.concatenate([np.repeat(cell, angles.size, axis=0), np.tile(angles, cell.shape[0])[:, None]], axis=1)
-    thin = max(points.shape[1] * places.shape[0] // MOST_LOOKUPS, 1)
-    score = _scores(tabled, places + np.array([start[0], start[1], 0.0]), thin=thin)
-    peaks = _peaks(places, score, 1.6 * step, 1.6 * turn_step, PEAKS * (2 if clocking > 0.5 else 1))
-    peaks.append((np.zeros(3), np.inf))  # the start itself
-    fits = [one for place, _ in peaks if (one := _refined(problem, start, place, free, size)) is not None]
-    if fits and min(one.rms for one in fits) > WRONG:
-        calm = (_refined(problem, start, place, free, size, calm=True) for place, _ in peaks)
-        fits += [one for one in calm if one is not None]
+    places += np.array([start[0], start[1], 0.0])
+    scores = _scores(tabled, places)
+    chosen = _peaks(places, scores[0], 1.6 * step, 1.6 * turn_step, SETTLED * (2 if clocking > 1.0 else 1))
+    begin = np.concatenate([places, scores[1:].T], axis=1)[chosen]
+    begin = np.concatenate([begin, [[start[0], start[1], 0.0, start[2], 0.0, 0.0]]])
+    fits = []
+    for width in (np.inf, CALM):
+        # Calm, for what is no part of the part, such as a flange beyond its rim, must not pull.
+        states = [start, *_valleys(tabled, begin, step, problem, free, width)]
+        found = (_refined(problem, each, free, size, calm=width < np.inf) for each in states)
+        fits += [one for one in found if one is not None]
     if pattern.steps is not None and fits:
-        fits += _repeats(problem, fits, pattern.steps, state, reach, free, size, tabled, peaks[0][1])
+        fits += _repeats(problem, fits, pattern.steps, state, reach, free, size, tabled)
     if fits:
-        fits += _twins(problem, min(fits, key=lambda one: one.cost), state, free, size, clocking)
-    fits = _covering(sorted(fits, key=lambda one: one.cost))
+        fits += _twins(problem, ranked(problem, fits)[0], state, free, size, clocking)
+    fits = _covering(problem, fits)
     near = [one for one in fits if np.abs(one.state[:2] - state[:2]).max() <= reach + step / 2]
     return near if near and near[0].cost <= POOR * fits[0].cost + QUIET**2 else fits
+
+
+def costs(problem: Problem, fits: list[Fit]) -> Floats:
+    """Return what each fit costs: the mean square over *all* points, each at most that of an outlier. (m,) [mm²].
+
+    A point that does not come to lie on the part costs as much as an outlier, so that no pose gains by losing it. What
+    an outlier is, the fit with the least median residual says, that of the points that can lie on the part.
+    """
+    if not fits:
+        return np.empty(0)
+    sizes = []
+    most = max(*(one.used for one in fits), 1)
+    for one in fits:
+        off = np.abs(residuals(problem, one.state))
+        beyond = np.isnan(off)
+        at = turns(one.state)[0][:2] @ problem.points[:, beyond] + one.state[:2, None]
+        off[beyond] = np.where(np.hypot(*at) > problem.within * (1 + RIM), np.inf, np.nan)
+        sizes.append(off)
+    least = min(float(np.partition(np.where(np.isnan(off), 0.0, off), most // 2)[most // 2]) for off in sizes)
+    limit = TRUNCATION * max(least, QUIET / 100)
+    return np.array([np.nanmean(np.minimum(off, limit) ** 2) for off in sizes])
+
+
+def ranked(problem: Problem, fits: list[Fit]) -> list[Fit]:
+    """Return the fits, the one that costs least first."""
+    return [fits[k] for k in np.argsort(costs(problem, fits), kind="stable")]
 
 
 def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Floats, clocking: float) -> list[Fit]:
@@ -189,21 +242,10 @@ def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Fl
     return found
 
 
-def mostly_on_part(fits: list[Fit]) -> list[Fit]:
-    """Return the fits that bring at least half of the points to the part that any of them brings there.
-
-    The fewer points lie on the part, the better they fit, so a poor map would else slide off it.
-    """
-    most = max((one.used for one in fits), default=0)
-    return [one for one in fits if one.used >= LEAST * most]
-
-
-def _covering(fits: list[Fit]) -> list[Fit]:
-    """Return the fits that leave no more of the map beyond the part than others that fit as well."""
-    fits = mostly_on_part(fits)
-    good = [one for one in fits if one.cost <= POOR * fits[0].cost + QUIET**2]
-    most = max((one.used for one in good), default=0)
-    return [one for one in fits if one.used >= COVER * most]
+def _covering(problem: Problem, fits: list[Fit]) -> list[Fit]:
+    """Return the fits, the best first, that leave no more of the map beyond the part than the best one does."""
+    fits = ranked(problem, fits)
+    return [one for one in fits if one.used >= COVER * fits[0].used]
 
 
 def level(problem: Problem, state: Floats, free: list[int], size: Floats) -> Floats:
@@ -230,7 +272,6 @@ def _levelled(problem: Problem, state: Floats) -> Floats | None:
     limit = 4 * np.quantile(np.abs(found.residual), 0.95) + 1e-9
     bad = found.which[np.abs(found.residual) > limit]
     arm = turns(state)[0] @ problem.points
-    arm[2] += state[2]
     return np.ascontiguousarray(np.delete(arm, bad, axis=1))
 
 
@@ -247,9 +288,14 @@ def _turns(clocking: float, step: float) -> Floats:
     return np.linspace(-np.pi, np.pi, int(np.ceil(2 * np.pi / step)), endpoint=False)
 
 
+def _moves(free: list[int]) -> Bools:
+    """Return which of shift (x, y, z) and turns about x, y, z the kernels may move."""
+    return np.array([k in free for k in (0, 1, 2, 4, 5, 3)])
+
+
 def _table(surface: Surface, within: float, step: float) -> tuple[Floats, float, float]:
     """Tabulate the surface over the part, nan outside; return its lower corner and its step too."""
-    count = int(min(max(2 * within / (step / 4), 64), LARGEST_TABLE))
+    count = int(min(max(2 * within / (step / 4), SMALLEST_TABLE), LARGEST_TABLE))
     axis = np.linspace(-within, within, count)
     x, y = np.meshgrid(axis, axis)
     table = np.full(x.shape, np.nan)
@@ -261,55 +307,88 @@ def _table(surface: Surface, within: float, step: float) -> tuple[Floats, float,
     return table, -within, float(axis[1] - axis[0])
 
 
-def _scores(tabled: _Tabled, places: Floats, *, thin: int = 1, share: float = LEAST) -> Floats:
-    """Return the misfit at each place, inf where too few points lie on the part. (m,)."""
+def _scores(tabled: _Tabled, places: Floats, *, share: float = LEAST) -> Floats:
+    """Return the misfit at each place, inf where too few points lie on the part, and what levels it there. (4, m)."""
     from turnwright._kernels.registration import misfit  # noqa: PLC0415 - numba is costly to import
 
-    x, y, z = (np.ascontiguousarray(row[::thin]) for row in tabled.points)
+    count = tabled.points.shape[1]
+    keep = max(MOST_LOOKUPS // (PASSES * max(places.shape[0], 1)), FEWEST)
+    x, y, z = (np.ascontiguousarray(row[:: -(-count // keep)]) for row in tabled.points)
     places = np.ascontiguousarray(places)
-    out = np.empty((2, places.shape[0]))
+    out = np.empty((5, places.shape[0]))
 
     def work(start: int, stop: int) -> None:
-        part = np.empty((2, stop - start))
-        misfit(x, y, z, places[start:stop], tabled.table, tabled.low, tabled.step, part)
+        part = np.empty((5, stop - start))
+        misfit(
+            x, y, z, places[start:stop], float(tabled.start[2]), tabled.table, tabled.low, tabled.step, tabled.moves,
+            PASSES, part,
+        )  # fmt: skip
         out[:, start:stop] = part
 
     run_chunks(work, places.shape[0], PLACES_AT_A_TIME)
     most = max(out[0].max(), 1.0)
     # A flat valley is the same everywhere: there the more of the map lies on the part, the better.
-    return np.where(out[0] >= share * most, out[1] * (most / np.maximum(out[0], 1)) ** 2, np.inf)
+    score = np.where(out[0] >= share * most, out[1] * (most / np.maximum(out[0], 1)) ** 2, np.inf)
+    return np.concatenate([score[None], out[2:]])
 
 
-def _peaks(places: Floats, score: Floats, apart: float, turn_apart: float, most: int) -> list[tuple[Floats, float]]:
-    """Return the best places that are not on the flank of a better one, with their scores."""
-    kept: list[tuple[Floats, float]] = []
-    left = np.isfinite(score)
-    order = np.argsort(score)
-    places, left, score = places[order], left[order], score[order]
-    while left.any() and len(kept) < most:
-        first = int(np.argmax(left))
-        if len(kept) >= SURE and score[first] > POOR * score[0]:
-            break
-        best = places[first]
-        kept.append((best, float(score[first])))
-        turn = np.abs((places[:, 2] - best[2] + np.pi) % (2 * np.pi) - np.pi)
-        left &= (np.hypot(places[:, 0] - best[0], places[:, 1] - best[1]) > apart) | (turn > turn_apart)
+def _peaks(places: Floats, score: Floats, apart: float, turn_apart: float, most: int) -> list[int]:
+    """Return the best places that are not on the flank of a better one."""
+    kept: list[int] = []
+    order = np.argsort(score)[: np.count_nonzero(np.isfinite(score))]
+    sorted_places = places[order]
+    open_ = np.ones(order.size, dtype=np.bool_)
+    while len(kept) < most and open_.any():
+        first = int(np.argmax(open_))
+        kept.append(int(order[first]))
+        best = sorted_places[first]
+        turn = np.abs((sorted_places[:, 2] - best[2] + np.pi) % (2 * np.pi) - np.pi)
+        open_ &= (np.hypot(sorted_places[:, 0] - best[0], sorted_places[:, 1] - best[1]) > apart) | (turn > turn_apart)
     return kept
 
 
-def _refined(
-    problem: Problem, start: Floats, place: Floats, free: list[int], size: Floats, *, calm: bool = False
-) -> Fit | None:
-    """Fit from a place of the correlation: turned and shifted as it says, levelled, then all at once.
+def _valleys(
+    tabled: _Tabled, begin: Floats, step: float, problem: Problem, free: list[int], width: float
+) -> list[Floats]:  # fmt: skip
+    """Return the states of the best valleys that these places slide into, each once."""
+    from turnwright._kernels.registration import settle  # noqa: PLC0415 - numba is costly to import
 
-    Calm, by Tukey's loss first: what is no part of the part, such as a flange beyond its rim, then does not pull.
-    """
-    state = start.copy()
-    state[:2] += place[:2]
-    state[3] += place[2]
-    tilts = [k for k in (2, 4, 5) if k in free]
+    x, y, z = (np.ascontiguousarray(row) for row in tabled.points)
+    out = np.empty((begin.shape[0], 14))
+    bends = problem.bends if tabled.moves[:5].all() else np.full(6, np.nan)
+
+    def work(start: int, stop: int) -> None:
+        part = np.empty((stop - start, 14))
+        settle(
+            x, y, z, np.ascontiguousarray(begin[start:stop]), bends, tabled.table, tabled.low, tabled.step,
+            tabled.moves, SLIDES, width, part,
+        )  # fmt: skip
+        out[start:stop] = part
+
+    begin = begin.copy()
+    run_chunks(work, begin.shape[0], 2)
+    most = max(out[:, 0].max(), 1.0)
+    cost = np.where(out[:, 0] >= LEAST * most, out[:, 1] * (most / np.maximum(out[:, 0], 1)) ** 2, np.inf)
+    levelled = turns(tabled.start)[0]
+    states: list[Floats] = []
+    for k in np.argsort(cost):
+        if not np.isfinite(cost[k]) or len(states) >= REFINED:
+            break
+        pose = Pose.of(out[k, 5:].reshape(3, 3) @ levelled, (0.0, 0.0, 0.0))
+        state = tabled.start.copy()
+        found = np.array([*out[k, 2:5], pose.rotation, *pose.tilt])
+        pose_numbers = [one for one in free if one < 6]
+        state[pose_numbers] = found[pose_numbers]
+        state[3] = tabled.start[3] + (state[3] - tabled.start[3] + np.pi) % (2 * np.pi) - np.pi
+        gaps = [np.abs(state[:6] - other[:6]) for other in states]
+        if all(max(gap[:2].max(), problem.within * gap[3:].max()) > step / 20 for gap in gaps):
+            states.append(state)
+    return states
+
+
+def _refined(problem: Problem, state: Floats, free: list[int], size: Floats, *, calm: bool = False) -> Fit | None:
+    """Fit from a valley of the table; calm, by Tukey's loss first."""
     pose = [k for k in free if k < 6]
-    state = fit(problem, state, tilts, size, steps=1).state if not calm else level(problem, state, free, size)
     if calm:
         state = fit(replace(problem, loss="tukey"), state, pose, size, steps=25, close=1e-7).state
     found = fit(problem, state, pose, size, steps=25, close=1e-7)
@@ -321,19 +400,12 @@ def _refined(
 
 
 def _repeats(
-    problem: Problem,
-    fits: list[Fit],
-    steps: Floats,
-    state: Floats,
-    reach: float,
-    free: list[int],
-    size: Floats,
+    problem: Problem, fits: list[Fit], steps: Floats, state: Floats, reach: float, free: list[int], size: Floats,
     tabled: _Tabled,
-    lowest: float,
-) -> list[Fit]:
+) -> list[Fit]:  # fmt: skip
     """Return fits from every repeat of the pattern within reach of the best that was found."""
     start = tabled.start
-    base = min(fits, key=lambda one: one.cost)
+    base = ranked(problem, fits)[0]
     most = int(np.ceil((2 * reach) / np.sqrt(abs(np.linalg.det(steps))))) + 1
     i, j = np.meshgrid(np.arange(-most, most + 1), np.arange(-most, most + 1))
     at = base.state[:2] + np.stack([i.ravel(), j.ravel()], axis=-1) @ steps
@@ -341,8 +413,23 @@ def _repeats(
     places = np.concatenate([at, np.full((at.shape[0], 1), base.state[3] - start[3])], axis=1)
     if not places.size:
         return []
-    score = _scores(tabled, places, share=COVER)
-    most_score = POOR * min(lowest, float(score.min()))
-    order = [int(k) for k in np.argsort(score)[:MOST_REPEATS] if score[k] <= most_score]
-    refined = [_refined(problem, start, places[k] - np.array([start[0], start[1], 0.0]), free, size) for k in order]
-    return [one for one in refined if one is not None]
+    scores = _scores(tabled, places, share=COVER)
+    most_score = POOR * float(scores[0].min())
+    chosen = [int(k) for k in np.argsort(scores[0])[:MOST_REPEATS] if scores[0][k] <= most_score]
+    found = []
+    for k in chosen:
+        # Where a repeat is another cell of the pattern, the tilt that goes with its place is another.
+        turn = _matrix_of(scores[2, k], scores[3, k], places[k, 2]) @ turns(start)[0]
+        pose = Pose.of(turn, (0.0, 0.0, 0.0))
+        moved = start.copy()
+        numbers = [one for one in free if one < 6]
+        moved[numbers] = np.array([*places[k, :2], scores[1, k], pose.rotation, *pose.tilt])[numbers]
+        found.append(_refined(problem, moved, free, size))
+    return [one for one in found if one is not None]
+
+
+def _matrix_of(a: float, b: float, turn: float) -> Floats:
+    """Return the matrix of a turn about z and then about the axis (a, b, 0) by its length. (3, 3)."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - scipy is costly to import
+
+    return np.asarray((Rotation.from_rotvec([a, b, 0.0]) * Rotation.from_rotvec([0.0, 0.0, turn])).as_matrix())

@@ -32,15 +32,27 @@ FINEST = 1e-9
 FOOT_STEPS = 3
 """Steps to the foot of a perpendicular; each gains a factor of distance times curvature."""
 
-SETTLED = 1e-3
-"""A step this far below the standard error of a mean height is the last."""
+SETTLED = 0.01
+"""A step this far below the standard error of where it leads, by what it changes of the heights, is the last."""
+
+DAMPED = 1e-3
+"""Damping from which a step says nothing of how far the end is."""
+
+EXACT = 1e-13
+"""Change of the heights, rms, below which a step is rounding. [mm]."""
 
 MAX_STEPS = 60
+WHOLE = 0.98
+"""Points on the part, as a share of the most that lay there, from which those exchanged at the rim go for nothing."""
+
+NO_EFFECT = 1e-11
+"""Heights that a number changes, over those of the one that changes most, below which that is rounding."""
+
 STEEPEST = 1.5
 """Tilt beyond which no map shows the front of a part. [rad]"""
 
 LEAST_SHARE = 0.5
-"""A step that leaves fewer of the points on the part than this share of the most that lay there is not taken."""
+"""Points on the part, as a share of the most that lay there, below which a search is on a way off it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +61,8 @@ class Problem:
 
     ``points`` is (3, n); ``area`` is what each of them stands for (n,), its mean 1, or ``None`` where all stand for as
     much; ``within`` is the radius about the part's axis inside which points count [mm]; ``whole`` says that the
-    surface is known to be defined all over it.
+    surface is known to be defined all over it. ``bends`` (6,) says where the
+    centres of its principal curvatures lie, see `turnwright._kernels.registration.bend`.
     """
 
     points: Floats
@@ -60,6 +73,7 @@ class Problem:
     whole: bool
     normal: bool
     loss: Loss
+    bends: Floats
 
     def only(self, index: Ints) -> Problem:
         """Return the problem of some of the points."""
@@ -262,48 +276,52 @@ def fit(
     *,
     steps: int = MAX_STEPS,
     close: float = 1e-14,
+    least: float = LEAST_SHARE,
 ) -> Fit:
     """Minimise the loss over the free numbers of the state by Levenberg-Marquardt.
 
     ``size`` (6 + terms,) says by how much each number must change to move a point of the map by 1 mm; a step that
-    moves none by more than ``close`` mm is the last. A robust loss is scaled by the scatter anew until that settles.
+    moves none by more than ``close`` mm is the last; one that leaves fewer of the points on the part than the share
+    ``least`` of the most that lay there is not taken. A robust loss is scaled by the scatter anew until that settles.
     """
     if problem.loss == "linear":
-        return _march(problem, state, free, size, 1.0, steps, close)
+        return _march(problem, state, free, size, 1.0, steps, close, least)
     scale, taken = np.inf, 0
     for _ in range(12):
         new = scatter(residuals(problem, state))
         if new > 0.98 * scale:  # it shrinks as outliers lose their pull
             break
         scale = new
-        found = _march(problem, state, free, size, scale, steps, close)
+        found = _march(problem, state, free, size, scale, steps, close, least)
         state, taken = found.state, taken + found.steps
     return found._replace(steps=taken)
 
 
 def _march(
-    problem: Problem, state: Floats, free: Sequence[int], size: Floats, scale: float, steps: int, close: float
-) -> Fit:
+    problem: Problem, state: Floats, free: Sequence[int], size: Floats, scale: float, steps: int, close: float,
+    least: float,
+) -> Fit:  # fmt: skip
     """Levenberg-Marquardt with the loss scaled once; undamped as long as that helps."""
     chosen = np.asarray(free, dtype=np.int64)
     here = _sums(problem, state, scale)
-    damping, taken, most = 0.0, 0, here.used
+    damping, taken, most, begun = 0.0, 0, here.used, here.cost / max(here.area, 1e-300)
     while taken < steps and here.used > 0 and chosen.size:
         taken += 1
         unit = size[chosen]
         normal = here.normal[np.ix_(chosen, chosen)] * np.outer(unit, unit)
         right = here.right[chosen] * unit
         step = _solve(normal, right, damping)
-        trial = state.copy()
-        trial[chosen] -= step * unit
+        trial = _moved(problem, state, chosen, -step * unit)
         moved = float(np.abs(step).max(initial=0.0))
+        changed = float(np.sqrt(max(step @ normal @ step, 0.0) / max(here.weight, 1e-300)))
         leans = float(np.abs(trial[4:6]).max())
         there = _sums(problem, trial, scale) if moved < 1e3 and leans < STEEPEST else None
-        better = (
-            there is not None
-            and there.used >= max(LEAST_SHARE * most, chosen.size + 1)
-            and there.cost / there.area <= here.cost / here.area
-        )
+        better = False
+        if there is not None and there.used >= max(least * most, chosen.size + 1):
+            slack = chance(problem, trial - state, here.used, there.used)
+            better = there.cost / there.area <= here.cost / here.area * (1 + slack)
+            if there.used < WHOLE * most:  # each point that leaves the part costs what one cost at the start
+                better &= there.cost - begun * there.area <= here.cost - begun * here.area
         if better and there is not None:
             state, here, most = trial, there, max(most, there.used)
             damping = 0.0 if damping < 1e-6 else damping / 10
@@ -313,15 +331,62 @@ def _march(
             damping = max(10 * damping, 1e-6)
             if damping > 1e8:
                 break
-        if moved <= max(close, SETTLED * np.sqrt(here.square / max(here.weight, 1e-300) / here.used)):
+        sure = np.sqrt(here.square / max(here.weight, 1e-300) / here.used)
+        if damping < DAMPED and (moved <= close or changed <= max(EXACT, SETTLED * sure)):
             break
     square = here.square / max(here.weight, 1e-300)
     return Fit(state, here.normal, here.used, square, here.cost / max(here.area, 1e-300), scale, taken)
 
 
+def _moved(problem: Problem, state: Floats, chosen: Ints, step: Floats) -> Floats:
+    """Return the state after a step of its chosen numbers, turned about the centres of curvature of the design.
+
+    A shift hardly differs there from a tilt: such a valley is bent in these numbers, and straight in turns about that
+    centre. Numbers that are not chosen stay; of a rotation the part is turned back about its axis.
+    """
+    from turnwright._kernels.registration import bend  # noqa: PLC0415 - numba is costly to import
+
+    trial = state.copy()
+    trial[chosen] += step
+    if not {0, 1} & set(chosen.tolist()) or not {4, 5} <= set(chosen.tolist()):
+        return trial
+    matrix, axes = turns(state)
+    turn = (trial - state)[3:6] @ axes
+    beyond = np.empty(3)
+    bend(state[:3], turn, problem.bends, beyond)
+    at = trial[:3] + beyond
+    pose = Pose.of(_about(turn) @ matrix, (0.0, 0.0, 0.0))
+    gap = (np.array([pose.rotation, *pose.tilt]) - state[3:6] + np.pi) % (2 * np.pi) - np.pi
+    if 3 not in chosen:
+        c, s = np.cos(gap[0]), np.sin(gap[0])
+        at[:2] = c * at[0] + s * at[1], c * at[1] - s * at[0]
+    pose_numbers = chosen[chosen < 6]
+    trial[pose_numbers] = np.array([*at, *(state[3:6] + gap)])[pose_numbers]
+    return trial
+
+
+def _about(turn: Floats) -> Floats:
+    """Return the matrix that turns about a vector by its length. (3, 3)."""
+    angle = float(np.sqrt(turn @ turn))
+    if angle == 0:
+        return np.eye(3)
+    x, y, z = turn / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+
+
+def chance(problem: Problem, step: Floats, used: int, other: int) -> float:
+    """Return by what share the mean cost may differ because a step exchanges points at the rim of the part."""
+    if min(used, other) == problem.points.shape[1]:
+        return 0.0
+    exchanged = 2 * float(np.hypot(step[0], step[1])) / problem.within * used + abs(used - other)
+    return 3 * float(np.sqrt(2 * exchanged)) / max(used, 1)
+
+
 def _solve(normal: Floats, right: Floats, damping: float) -> Floats:
     """Solve the damped equations; a direction that nothing fixes takes no step."""
     width = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    width = np.maximum(width, NO_EFFECT * width.max())
     scaled = normal / np.outer(width, width)
     scaled[np.diag_indices_from(scaled)] += damping
     values, vectors = np.linalg.eigh(scaled)

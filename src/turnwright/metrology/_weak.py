@@ -85,7 +85,7 @@ def doubt(
         spread = np.eye(chosen.size)
         spread[np.ix_(fixed, fixed)] = (points[:, fixed].T * problem.area[at.which]) @ points[:, fixed]
         variance = (vectors.T * std) @ spread @ (vectors.T * std).T
-    if not white and fixed.all():
+    if not white and problem.surface.in_pieces and fixed.all():
         variance = _widened(problem.surface, variance, share, at, singular, vectors, points * root[:, None])
     if form == 0:
         return Doubt(variance, np.zeros_like(variance))

@@ -14,7 +14,8 @@ from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import between, check_angle, positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import EVEN, point_areas, valid_points
-from turnwright.metrology._pose_search import mostly_on_part, search
+from turnwright.metrology._noise import MapNoise, map_noise
+from turnwright.metrology._pose_search import COVER, axisymmetric, costs, ranked, search
 from turnwright.metrology._rigid import (
     FINEST,
     NAMES,
@@ -22,15 +23,16 @@ from turnwright.metrology._rigid import (
     Fit,
     Loss,
     Problem,
+    chance,
     fit,
     pose_of,
     residuals,
-    rows,
     scatter,
     state_of,
+    turns,
     weights,
 )
-from turnwright.metrology._weak import ENDLESS, Doubt, doubt, held, plausible
+from turnwright.metrology._weak import ENDLESS, Doubt, doubt, held
 from turnwright.pose import Pose
 from turnwright.surface import Surface
 from turnwright.units import say_length
@@ -39,7 +41,7 @@ if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap
     from turnwright.part import Part
 
-DoubtKind: TypeAlias = Literal["undetermined", "tails", "held", "ambiguous", "symmetric"]
+DoubtKind: TypeAlias = Literal["undetermined", "tails", "held", "lost", "ambiguous", "symmetric"]
 """What may put a pose in doubt."""
 
 __all__ = ["PoseCandidate", "Registration", "Undetermined", "register"]
@@ -50,20 +52,25 @@ FEW = 3000
 SOME = 20_000
 """Points that uncertainties and candidates are judged by."""
 
+ROTATION = NAMES.index("rotation")
+
 LIMIT = 0.1
 """Uncertainty of the rim's place beyond which a direction counts as undetermined: a dial gauge does better. [mm]."""
 
 FORM_ERROR = 1e-3
 """What the form of a part may be off if the caller says nothing. [mm]."""
 
-FULL = 0.999
-"""Share of the points that a pose must explain to be preferred, of those that one that fits as well explains."""
-
 NEARLY = 1.44
 """Ratio of mean squares up to which another pose fits nearly as well; it stands for a fifth more rms."""
 
 EQUAL = 10.0
 """Difference in chi-square up to which two poses fit equally well; noise alone gives more once in 650 times."""
+
+CENTRING, LEAST_MOVE = 200, 1e-4
+"""Steps, and their least length [mm], by which a map is brought onto a part whose place only the edge tells."""
+
+SAID = 0.01
+"""Share of the points beyond the part from which a report says so."""
 
 QUIETEST = 1e-6
 """Noise and form together are never taken to be less than this where poses are compared. [mm]."""
@@ -73,6 +80,9 @@ FAINTEST = 1e-7
 
 SAME = 1e-7
 """Height by which a part may differ from itself moved and still be called symmetric. [mm]."""
+
+FEWEST, FARTHEST = 10, 1e4
+"""Points that a centre of curvature needs, and how far it may be. [mm]."""
 
 MOST_CANDIDATES = 50
 TAILED = 3.0
@@ -85,7 +95,8 @@ EDGE = 1e-6
 """Share of the part's radius by which a point on its rim may lie outside: a pose is not known to better."""
 
 NM = 1e6
-RIGHT_ANGLE = np.deg2rad(5)
+CLOCKING = np.deg2rad(30)
+"""Turn from the start within which a map is looked for if the caller says nothing. [rad]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,8 +110,8 @@ class PoseCandidate:
     rms_nm
         Root mean square of the residual there, along z or the normal as fitted. [nm]
     ratio
-        Mean square of what remains there over that at `Registration.pose`, the plausible errors of form taken off
-        both: 1 fits as well; with white noise alone it has an F distribution.
+        Mean square of the residual there over that at `Registration.pose`: 1 fits as well; with white noise alone it
+        has an F distribution.
     symmetric
         Whether the design moved from the one pose to the other is the same surface, so that the two are equivalent and
         no measurement of the surface tells them apart.
@@ -151,9 +162,9 @@ class Registration:
     pivot
         The point of the map, in its own frame, that the map was turned about: the middle of its valid points. [mm]
     covariance
-        Of the fitted numbers from noise alone. Stated noise is independent from point to point; without, it is the
-        scatter of the residual, and residuals that hang together within a lenslet, or an eighth of the map, count as
-        they do. (k, k) [mm, rad]
+        Of the fitted numbers from noise alone. Stated noise is independent from point to point; without, it is that of
+        ``noise_nm`` and, counted by its independent cells, ``correlated_nm``; on a lens array residuals that hang
+        together within a lenslet, or an eighth of the map, count as they do. (k, k) [mm, rad]
     form_covariance
         Of the same from errors of form of the size ``form_error``. (k, k) [mm, rad]
     form_error
@@ -171,18 +182,27 @@ class Registration:
     candidates
         Other poses that fit as well or nearly so, the best first. Empty if the pose stands alone within the search.
     undetermined
-        Directions of the pose that the surface does not fix.
+        Directions of the pose in which the rim may be off by more than 0.1 mm, by noise or by an error of form that
+        passes for a move. They are fitted nevertheless where the noise fixes them.
     held
-        Numbers that were left where ``start`` has them because of those directions. Every other number, and its
-        uncertainty, is for these as they are.
+        Numbers that were left where ``start`` has them, or where the edge of the part leaves room for the map, because
+        nothing fixes them. Every other number, and its uncertainty, is for these as they are.
     start
-        The pose that the search started from, and that ``held`` numbers have.
+        The pose that the search started from.
     outliers
         Points that a robust loss flagged, six times the scatter or more away. The shape of the map.
     count
         Points that were fitted.
+    lost
+        Points of the map that come to lie beyond the part and so do not count.
     rms_nm
-        Root mean square of ``residual`` over its area, outliers left out. [nm]
+        Root mean square of ``residual`` over its area, outliers left out: the form error where nothing is held. [nm]
+    noise_nm
+        Standard deviation of what is independent from point to point: as stated, or from the differences of
+        neighbours, along the direction of cutting where the grid allows it, so that cusps are not in it. [nm]
+    correlated_nm, correlation_length
+        Standard deviation of what smooth terms of degree 6 leave beyond that, and the radius within which it errs
+        together: one independent cell is a circle of that radius. 0 where the noise is stated. [nm], [mm]
     iterations
         Steps of least squares over all points.
     distance
@@ -205,7 +225,11 @@ class Registration:
     start: Pose
     outliers: Bools
     count: int
+    lost: int
     rms_nm: float
+    noise_nm: float
+    correlated_nm: float
+    correlation_length: float
     iterations: int
     distance: str
 
@@ -259,7 +283,10 @@ class Registration:
                 )
             )
         if self.held:
-            found.append(("held", f"Left where the start has it, and no result of the fit: {', '.join(self.held)}."))
+            found.append(("held", f"{self._held_where}, and no result of the fit: {', '.join(self.held)}."))
+        if self.lost > SAID * (self.count + self.lost):
+            total = np.count_nonzero(self.outliers) + self.count + self.lost
+            found.append(("lost", f"{self.lost} of the map's {total} points lie beyond the part and do not count."))
         near = self.rivals
         if near:
             first = ", ".join(f"{one:.4g}" for one in near[0].pose.shift)
@@ -292,6 +319,13 @@ class Registration:
         return tuple(found)
 
     @property
+    def _held_where(self) -> str:
+        """Say where the held numbers are."""
+        at, start = (np.array(pose.apply(*self.pivot)[:2]) for pose in (self.pose, self.start))
+        moved = any(name in self.held and abs(at[k] - start[k]) > 1e-9 for k, name in enumerate("xy"))
+        return "Left where the map lies within the edge of the part" if moved else "Left where the start has it"
+
+    @property
     def rivals(self) -> tuple[PoseCandidate, ...]:
         """Other poses that fit nearly as well and are not equivalent by symmetry, the best first."""
         return tuple(other for other in self.candidates if not other.symmetric)
@@ -305,9 +339,10 @@ class _Task(NamedTuple):
     start: Floats
     free: list[int]
     size: Floats
-    noise: float | None
+    noise: float | None  # as stated
     form: float
     which: Ints
+    seen: MapNoise | None = None  # as the map shows it
 
 
 def register(
@@ -320,20 +355,21 @@ def register(
     loss: Loss = "linear",
     start: Pose | None = None,
     reach: float = 5.0,
-    clocking: float = RIGHT_ANGLE,
+    clocking: float = CLOCKING,
     within: float | None = None,
     mask: ArrayLike | None = None,
     noise_nm: float | None = None,
     form_error: float | None = None,
-    weak: Literal["hold", "fit", "raise"] = "hold",
+    weak: Literal["fit", "hold", "raise"] = "fit",
 ) -> Registration:
     r"""Find where a measured map lies on a part: least squares of its distance to the exact prescription.
 
-    The heights are levelled at the start, correlated with the design at every lateral place within ``reach`` and every
-    turn within ``clocking`` (over one cell of a lens pattern first, then over its repeats), and every peak is fitted
-    with the exact gradients. The best is fitted to all points, each counting with the area that it stands for on the
-    grid of the map; scattered ones count alike. Others that fit nearly as well are listed, and directions that the
-    surface cannot fix are named and held at the start.
+    The heights are laid on the design at every lateral place within ``reach`` and every turn within ``clocking`` (over
+    one cell of a lens pattern first, then over its repeats), levelled at each, and the best places slide into their
+    valleys. Valleys are compared with the number of points held: one that does not come to lie on the part costs as
+    much as an outlier. The best is fitted to all points, each counting with the area that it stands for on the grid of
+    the map; scattered ones count alike. Every direction is fitted that the heights fix at their noise. Others that fit
+    nearly as well are listed, and directions that an error of form could pass for are named.
 
     Parameters
     ----------
@@ -355,23 +391,23 @@ def register(
         Roughly where the map lies. By default the frame of the map is taken as that of the part; if then part of the
         map lies beyond the part and the reach, its middle is put on the part's axis.
     reach
-        How far the map's middle may be from the start along x and along y; 0 with ``clocking=0`` skips the search. [mm]
+        How far the map may be from the start along x and along y; 0 with ``clocking=0`` skips the search. [mm]
     clocking
-        How far its rotation may be from the start, π for any. [rad]
+        How far its rotation may be from the start, 30 degrees by default, π for any. [rad]
     within
         Radius about the part's axis inside which points count; by default that of the part. [mm]
     mask
         True where heights count. The shape of the map.
     noise_nm
-        Standard deviation of a height; by default the scatter of the residual. [nm]
+        Standard deviation of a height, independent from point to point; by default the map tells it, see
+        `Registration.noise_nm`. [nm]
     form_error
-        Height at the rim by which each low form (Zernike degrees 2 to 4) may be off. Poses that such a form passes for
-        are not trusted further than that. By default 1 um, or the scatter
-        of what the pose leaves if that is more; give 0 where ``terms`` are all that the form may be. [mm]
+        Height at the rim by which each low form (Zernike degrees 2 to 4) may be off: what it does to the pose is
+        stated, and not what the part is off. By default 1 um; give 0 where ``terms`` are all that the form may be. [mm]
     weak
-        What to do with directions in which the rim may be off by more than 0.1 mm: leave as many numbers where the
-        start has them ("hold"), fit them all the same and say so ("fit"), or "raise". Where the start contradicts the
-        surface a number is fitted in any case.
+        What to do with directions in which a form error may move the rim by more than 0.1 mm: fit them and say so
+        ("fit"), leave as many numbers where the start has them ("hold"), or "raise". Directions that the noise leaves
+        open by as much are left where the start has them in any case, unless the heights contradict it there.
 
     Raises
     ------
@@ -394,20 +430,23 @@ def register(
     if weak not in ("hold", "fit", "raise"):
         raise InputError(f'weak is {weak!r}, it can be "hold", "fit" or "raise": choose one of them')
     few, some = (task.problem.only(_sample(task.problem.points.shape[1], count)) for count in (FEW, SOME))
-    found = [one for one in search(few, task.start, task.free, task.size, reach, clocking) if _enough(one)]
+    # What nothing fixes is not looked for.
+    alike = not task.problem.terms and axisymmetric(part.surface, task.problem.within)
+    sought = [k for k in task.free if k != ROTATION or not alike]
+    found = [one for one in search(few, task.start, sought, task.size, reach, clocking) if _enough(one)]
     if not found:
         raise InputError(
             f"of the map's {task.which.size} heights fewer than {len(task.free) + 2} come to lie within "
             f"{task.problem.within:g} mm of the part's axis from this start: check units and start, or give a larger "
             "reach"
         )
-    best = fit(some, found[0].state, task.free, task.size, close=1e-10)
-    if form_error is None:
-        task = task._replace(form=max(task.form, scatter(residuals(some, best.state))))
-    kept, fixed, directions = _decide(task, some, few, best, weak)
-    fits = _distinct(task, few, some, found, kept, fixed)
+    best = fit(some, found[0].state, sought, task.size, close=1e-10, least=COVER)
+    if task.noise is None:
+        task = task._replace(seen=map_noise(task.problem, some, best.state, heights, task.which))
+    kept, fixed, directions = _decide(task, some, best, weak)
+    fits = _distinct(task, few, some, found, best, kept, fixed)
     chosen, candidates = _candidates(task, some, fits, kept)
-    final = fit(task.problem, chosen.state, kept, task.size)
+    final = fit(task.problem, chosen.state, kept, task.size, least=COVER)
     return _answer(task, heights, final, some, kept, fixed, directions, candidates)
 
 
@@ -473,6 +512,7 @@ def _task(
             whole=radius <= part.radius,
             normal=distance == "normal",
             loss=loss,
+            bends=_bends(part.surface, radius),
         ),
         pivot=pivot,
         start=state_of(start, pivot, len(terms)),
@@ -482,6 +522,32 @@ def _task(
         form=form,
         which=index,
     )
+
+
+def _bends(surface: Surface, radius: float) -> Floats:
+    """Return where the centres of curvature of a surface lie, see `turnwright._kernels.registration.bend`. (6,)."""
+    axis = np.linspace(-radius, radius, 41)
+    x, y = np.meshgrid(axis, axis)
+    disc = x * x + y * y <= radius * radius
+    if (inside := surface.inside(x, y)) is not None:
+        disc &= inside
+    x, y = x[disc], y[disc]
+    z = surface.evaluate(x, y, 0)[0]
+    known = np.isfinite(z)
+    x, y, z = x[known], y[known], z[known]
+    found = np.full(6, np.nan)
+    if z.size < FEWEST:
+        return found
+    columns = np.stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2], axis=1)
+    height, along_x, along_y, xx, xy, yy = np.linalg.lstsq(columns, z, rcond=None)[0]
+    curvatures, ways = np.linalg.eigh([[xx, xy], [xy, yy]])
+    found[:2] = ways[:, 0]
+    across = np.array([-ways[1, 0], ways[0, 0]])
+    for k, way in enumerate((ways[:, 0], across)):
+        if abs(curvatures[k]) * FARTHEST > 1:
+            slope = along_x * way[0] + along_y * way[1]
+            found[2 + 2 * k : 4 + 2 * k] = -slope / curvatures[k], height + 1 / curvatures[k]
+    return found
 
 
 def _largest(term: Surface, radius: float) -> float:
@@ -513,23 +579,34 @@ def _enough(one: Fit) -> bool:
     return one.used > one.state.size + 1
 
 
-def _noise(task: _Task, one: Fit) -> float:
-    """Return the standard deviation of a height. [mm]."""
+def _noise(task: _Task) -> float:
+    """Return the standard deviation of a height as independent ones would have it. [mm]."""
     if task.noise is not None:
         return task.noise
-    return max(one.rms if task.problem.loss == "linear" else one.scale, FAINTEST)
+    if task.seen is None:
+        return FAINTEST
+    if task.problem.surface.in_pieces:  # what errs together there is counted piece by piece
+        return max(float(np.hypot(task.seen.white, task.seen.correlated)), FAINTEST)
+    return max(task.seen.effective, FAINTEST)
+
+
+def _doubt(task: _Task, some: Problem, one: Fit, free: list[int], count: int) -> Doubt:
+    """Return how uncertain the free numbers are at a pose."""
+    return doubt(
+        some, one, free, task.size, noise=_noise(task), count=count, form=task.form, white=task.noise is not None
+    )
 
 
 def _decide(
-    task: _Task, some: Problem, few: Problem, best: Fit, weak: str
-) -> tuple[list[int], list[int], list[tuple[Floats, float, str]]]:
-    """Return the numbers to fit, those to hold, and the directions that are not fixed (6 numbers, std, cause)."""
+    task: _Task, some: Problem, best: Fit, weak: str
+) -> tuple[list[int], dict[int, float], list[tuple[Floats, float, str]]]:
+    """Return the numbers to fit, those to hold and where, and the directions that are not fixed.
+
+    A direction is six numbers, their standard deviation and the cause.
+    """
     pose = [k for k in task.free if k < 6]
     count = int(task.which.size * best.used / some.points.shape[1])
-    noise = _noise(task, best)
-    unsure = doubt(
-        some, best, task.free, task.size, noise=noise, count=count, form=task.form, white=task.noise is not None
-    )
+    unsure = _doubt(task, some, best, task.free, count)
     parts = Doubt(*(one[: len(pose), : len(pose)] for one in unsure))
     vectors, pivots = held(parts.total, LIMIT)
     directions: list[tuple[Floats, float, str]] = []
@@ -546,18 +623,58 @@ def _decide(
             + f", the limit is {LIMIT:g} mm: leave numbers out of free, give terms or a smaller form_error, or measure "
             "a fiducial"
         )
-    # What nothing fixes cannot be fitted; the rest is held unless the start contradicts the surface.
-    wanted = [pose[k] for k, one in zip(pivots, directions, strict=True) if weak == "hold" or one[2] == "surface"]
-    believed = 2 * best.cost + 9 * max(min(task.form, FORM_ERROR), noise if task.noise else 0) ** 2
+    lateral = [k for k in (0, 1, ROTATION) if k in task.free]
+    levelled = fit(some, task.start, [k for k in task.free if k not in lateral], task.size, close=1e-9)
+    if _enough(levelled) and np.argmin(costs(some, [best, levelled])) == 1:
+        # Nothing fits so well that it would make up for the points that a shift loses.
+        return (
+            [k for k in task.free if k not in lateral],
+            {k: float(task.start[k]) for k in lateral},
+            directions,
+        )
+    # What noise leaves open cannot be fitted; what form may pass for is held only where that is asked for.
+    if weak == "fit":
+        pivots = held(parts.noise, LIMIT)[1]
+    wanted = [pose[k] for k in pivots]
+    allowed = EQUAL * _noise(task) ** 2 / max(count, 1) * best.used
+    if weak == "hold":
+        allowed += (best.cost + 9 * task.form**2) * best.used
     for count_held in range(len(wanted), 0, -1):
         for fixed in combinations(wanted, count_held):
             kept = [k for k in task.free if k not in fixed]
-            state = best.state.copy()
-            state[list(fixed)] = task.start[list(fixed)]
-            there = fit(few, state, kept, task.size, close=1e-9)
-            if there.used >= best.used / some.points.shape[1] * few.points.shape[1] / 2 and there.cost <= believed:
-                return kept, list(fixed), directions
-    return task.free, [], directions
+            for where in _places(task, some, best, fixed):
+                state = best.state.copy()
+                state[list(fixed)] = where
+                there = fit(some, state, kept, task.size, close=1e-9)
+                slack = chance(some, there.state - best.state, best.used, there.used) * best.cost * best.used
+                if there.used >= COVER * best.used and (there.cost - best.cost) * best.used <= allowed + slack:
+                    return kept, dict(zip(fixed, where.tolist(), strict=True)), directions
+    return task.free, {}, directions
+
+
+def _places(task: _Task, some: Problem, best: Fit, fixed: tuple[int, ...]) -> list[Floats]:
+    """Return where numbers may be held: where the start has them, or next to it where more of the map is on the part.
+
+    Nothing but its edge says then where the part lies.
+    """
+    lateral = [k for k in fixed if k < 2]
+    start = task.start[list(fixed)]
+    if not lateral:
+        return [start]
+    arm = turns(best.state)[0][:2] @ some.points
+    at = best.state[:2].copy()
+    at[lateral] = task.start[lateral]
+    for turn in range(CENTRING):
+        away = np.hypot(*(arm + at[:, None]))
+        far = int(np.argmax(away))
+        beyond = away[far] - task.problem.within / (1 + EDGE)
+        if beyond <= 0:
+            break
+        way = (arm[:, far] + at) / away[far]
+        at[lateral] -= way[lateral] * max(beyond, LEAST_MOVE) / max(1.0, (turn - CENTRING / 2) / 10)
+    moved = start.copy()
+    moved[[fixed.index(k) for k in lateral]] = at[lateral]
+    return [start] if np.array_equal(moved, start) else [start, moved]
 
 
 def _words(task: _Task, direction: Floats, std: float, cause: str) -> str:
@@ -576,18 +693,17 @@ def _words(task: _Task, direction: Floats, std: float, cause: str) -> str:
 
 
 def _distinct(
-    task: _Task, few: Problem, some: Problem, found: list[Fit], kept: list[int], fixed: list[int]
+    task: _Task, few: Problem, some: Problem, found: list[Fit], best: Fit, kept: list[int], fixed: dict[int, float]
 ) -> list[Fit]:
     """Return the fits that differ from better ones, held numbers held."""
     distinct: list[Fit] = []
-    best = found[0].cost
     for one in found:
-        if one.cost > 9 * best + 9 * task.form**2 + QUIETEST**2:
+        if one.cost > 9 * found[0].cost + QUIETEST**2:
             continue
         moved = one
         if fixed:
             state = one.state.copy()
-            state[fixed] = task.start[fixed]
+            state[list(fixed)] = list(fixed.values())
             moved = fit(few, state, kept, task.size, close=1e-9)
             if not _enough(moved):
                 continue
@@ -601,7 +717,9 @@ def _distinct(
             alone[6:] = 0
             middle = fit(some, alone, pose, task.size, close=1e-9).state
             distinct.append(fit(some, 2 * middle - one.state, kept, task.size, close=1e-9))
-    return sorted(mostly_on_part(distinct), key=lambda one: one.cost)[:MOST_CANDIDATES]
+    if not distinct:
+        return [best]
+    return ranked(few, distinct)[:MOST_CANDIDATES]
 
 
 def _apart(task: _Task, one: Floats, other: Floats) -> float:
@@ -614,34 +732,24 @@ def _candidates(task: _Task, some: Problem, fits: list[Fit], kept: list[int]) ->
     if len(fits) == 1:
         return fits[0], []
     fine: list[Fit] = []
-    refined = mostly_on_part([fit(some, one.state, kept, task.size, close=1e-9) for one in fits])
-    for one in sorted(refined, key=lambda one: one.cost):
+    for one in ranked(some, [fit(some, one.state, kept, task.size, steps=25, close=1e-9, least=COVER) for one in fits]):
         if not any(_one_valley(some, one, other) for other in fine):
             fine.append(one)
-    left = np.array([_without_form(task, some, one, kept, fine[0].scale) for one in fine])
-    least = int(np.argmin(left))
-    noise = max(left[least], FINEST**2) if task.noise is None else task.noise**2
-    even = np.flatnonzero((left - left[least]) * fine[least].used <= EQUAL * noise)
-    most = max(fine[k].used for k in even)
-    even = np.array([k for k in even if fine[k].used >= FULL * most])
+    fine = [one for one in fine if one.used >= COVER * fine[0].used]
+    cost = costs(some, fine)
+    left = np.array([one.cost for one in fine])
+    noise = max(left[0], FINEST**2) if task.noise is None else task.noise**2
+    even = np.flatnonzero((cost - cost[0]) * fine[0].used <= EQUAL * noise)
     near = even[np.argmin([_apart(task, fine[k].state, task.start) for k in even])]
     ratio = (left + QUIETEST**2) / (left[near] + QUIETEST**2)
     # A pose no farther than its own uncertainty is not another one.
-    unsure = doubt(
-        some,
-        fine[near],
-        kept,
-        task.size,
-        noise=_noise(task, fine[near]),
-        count=some.points.shape[1],
-        form=task.form,
-        white=True,
-    )
-    sure = np.linalg.inv(unsure.total + FINEST**2 * np.eye(len(kept)))
+    unsure = _doubt(task, some, fine[near], kept, some.points.shape[1])
+    variance, axes = np.linalg.eigh(unsure.noise)
     others = []
     for k in np.argsort(ratio):
         gap = (_gap(fine[k].state, fine[near].state) / task.size)[kept]
-        if k != near and ratio[k] <= NEARLY and gap @ sure @ gap > 9 * len(kept):
+        far = float(np.sum((axes.T @ gap) ** 2 / np.maximum(variance, FINEST**2)))
+        if k != near and ratio[k] <= NEARLY and far > 9 * len(kept):
             others.append((fine[k], float(ratio[k])))
     return fine[near], others
 
@@ -657,7 +765,8 @@ def _one_valley(some: Problem, one: Fit, other: Fit) -> bool:
         if np.count_nonzero(on) < one.used / 2:
             return False
         heights.append(some.mean(weights(there[on], scale, some.loss)[1], on))
-    return heights[0] <= max(heights[1:]) * 1.001 + FINEST**2
+    slack = 1.001 + chance(some, one.state - other.state, one.used, other.used)
+    return heights[0] <= max(heights[1:]) * slack + FINEST**2
 
 
 def _gap(one: Floats, other: Floats) -> Floats:
@@ -665,23 +774,6 @@ def _gap(one: Floats, other: Floats) -> Floats:
     gap = one - other
     gap[3:6] = (gap[3:6] + np.pi) % (2 * np.pi) - np.pi
     return gap
-
-
-def _without_form(task: _Task, some: Problem, one: Fit, kept: list[int], scale: float) -> float:
-    """Return the mean loss that is left when plausible forms and small moves are taken off. [mm²]."""
-    found = rows(some, one.state, slice(0, some.points.shape[1]))
-    both = found.columns[kept] * task.size[kept, None]
-    if task.form > 0:
-        x, y = np.ascontiguousarray(found.at[0]), np.ascontiguousarray(found.at[1])
-        shapes = np.stack([shape.evaluate(x, y, 0)[0] for shape in plausible(some.within)])
-        both = np.concatenate([both, shapes])
-    penalty = np.zeros(both.shape[0])
-    penalty[len(kept) :] = QUIETEST**2 / task.form**2 if task.form > 0 else 0.0
-    weighted = both * some.weighed(weights(found.residual, scale, some.loss)[0], found.which)
-    normal = weighted @ both.T
-    normal[np.diag_indices_from(normal)] += penalty + 1e-12 * np.diag(normal)
-    left = found.residual - np.linalg.solve(normal, weighted @ found.residual) @ both
-    return some.mean(weights(left, scale, some.loss)[1], found.which)
 
 
 def _symmetric(task: _Task, one: Floats, other: Floats) -> bool:
@@ -708,7 +800,7 @@ def _answer(
     final: Fit,
     some: Problem,
     kept: list[int],
-    fixed: list[int],
+    fixed: dict[int, float],
     directions: list[tuple[Floats, float, str]],
     candidates: list[tuple[Fit, float]],
 ) -> Registration:
@@ -723,16 +815,7 @@ def _answer(
         outliers.ravel()[task.which[stray]] = True
         good &= ~stray
     rms = float(np.sqrt(problem.mean(left[good] ** 2, good))) if good.any() else 0.0
-    unsure = doubt(
-        some,
-        final,
-        kept,
-        task.size,
-        noise=_noise(task, final),
-        count=final.used,
-        form=task.form,
-        white=task.noise is not None,
-    )
+    unsure = _doubt(task, some, final, kept, final.used)
     unit = task.size[kept]
     noise, form = (one * np.outer(unit, unit) for one in unsure)
     size = len(names)
@@ -767,6 +850,10 @@ def _answer(
         outliers=outliers,
         count=int(good.sum()),
         rms_nm=rms * NM,
+        lost=int(task.which.size - np.count_nonzero(np.isfinite(left))),
+        noise_nm=(task.noise if task.seen is None else max(task.seen.white, FAINTEST)) * NM,  # type: ignore[operator]
+        correlated_nm=0.0 if task.seen is None else task.seen.correlated * NM,
+        correlation_length=0.0 if task.seen is None else task.seen.length,
         iterations=final.steps,
         distance="normal" if problem.normal else "vertical",
     )
