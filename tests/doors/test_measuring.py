@@ -327,3 +327,47 @@ def test_a_correction_goes_into_any_folder(shop, tmp_path, monkeypatch, relative
     assert better.file.samefile(out / "job.toml")
     assert better.job.part.correction is not None
     assert Job.load(out / "job.toml") == better.job
+
+
+def test_measure_and_diagnose_state_the_same_form_error(shop):
+    """Also of a map of more points than the diagnosis takes, whose cells average the noise out."""
+    job = Job.load(shop / "job.toml")
+    axis = np.linspace(-2, 2, 601)
+    x, y = np.meshgrid(axis, axis)
+    z = tw.Sphere(radius=20.0).sag(x, y) + 20e-6 * np.hypot(x, y) ** 3
+    z += 8e-6 * np.random.default_rng(1).normal(size=z.shape)
+    measured = tw.measure(job, tw.HeightMap(x=axis, y=axis, z=np.where(np.hypot(x, y) < 1.95, z, np.nan)))
+    found = tw.diagnose(measured)
+    assert found.measured_rms_nm == pytest.approx(measured.form_rms_nm, rel=1e-9)
+    assert found.unexplained_rms_nm > 6
+    assert measured.registration.noise_nm == pytest.approx(8, rel=0.05)
+
+
+def test_a_mask_leaves_heights_out(shop, tmp_path):
+    """Oracle: the heights that the mask has; the form error of a part that is spoilt where it has none."""
+    axis = np.linspace(-2, 2, 101)
+    x, y = np.meshgrid(axis, axis)
+    z = np.where(np.hypot(x, y) < 1.95, tw.Sphere(radius=20.0).sag(x, y), np.nan)
+    spoilt = np.hypot(x - 0.8, y) < 0.5
+    tw.write_map(tw.HeightMap(x=axis, y=axis, z=np.where(spoilt, np.nan, 0.0)), tmp_path / "mask.npz")
+    heights = tw.HeightMap(x=axis, y=axis, z=z + 1e-3 * spoilt)
+    job = written(tmp_path, *DISH, ("measurement.mask", "mask.npz"))
+    measured = tw.measure(Job.load(job), heights)
+    assert np.isfinite(measured.heights.z).sum() == (np.isfinite(z) & ~spoilt).sum()
+    assert measured.form_rms_nm < 0.1
+    small = replace(heights, x=axis[1:], y=axis, z=heights.z[:, 1:])
+    with pytest.raises(tw.InputError, match=r"mask.npz has the shape \(101, 101\), the map \(101, 100\)"):
+        tw.measure(Job.load(job), small)
+
+
+def test_set_replaces_a_key_of_the_measurement(shop, tmp_path, capsys):
+    """Oracle: the numbers that are fitted; and the job's own refusal of a key that it does not have."""
+    common = ["measure", str(shop / "dish.x3p"), "--job", str(shop / "job.toml")]
+    for k, (keys, free) in enumerate([([], True), (["--set", 'free=["z"]', "--set", "form_error=0 um"], False)]):
+        assert main([*common, "--out", str(tmp_path / str(k)), *keys]) in (0, 4)
+        assert ("tilt_x" in strict(tmp_path / str(k) / "measured.json")["registration"]["std"]) == free
+    capsys.readouterr()
+    assert main([*common, "--out", str(tmp_path / "bad"), "--set", "colour=red"]) == 2
+    assert "colour" in capsys.readouterr().err
+    assert main([*common, "--out", str(tmp_path / "bad"), "--set", "weak"]) == 2
+    assert "KEY=VALUE" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from turnwright.diagnosis import Diagnosis
-    from turnwright.job import Measured
+    from turnwright.job import Job, Measured
     from turnwright.progress import StageProgress
 
 __all__: list[str] = []
@@ -45,6 +46,16 @@ Maps = Annotated[
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="What the instrument wrote.", show_default=False)]
 JobOption = Annotated[Path, typer.Option("--job", help="The job that cut the part.", show_default=False)]
 Unit = Annotated[str | None, typer.Option(help='Of the heights of a text file that states none, such as "um".')]
+Keys = Annotated[
+    list[str],
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help='A key of the job\'s [measurement] for this run, such as "clocking=20 deg"; may be repeated.',
+        default_factory=list,
+        show_default=False,
+    ),
+]
 Jobs = Annotated[
     list[Path],
     typer.Option(
@@ -90,8 +101,9 @@ def artefact(
 
 @app.command()
 def measure(
-    context: typer.Context, file: MapFile, job: JobOption, out: Folder, unit: Unit = None, force: Force = False
-) -> None:
+    context: typer.Context, file: MapFile, job: JobOption, out: Folder, keys: Keys, unit: Unit = None,
+    force: Force = False,
+) -> None:  # fmt: skip
     """Register a measured map to its part and say how far the part is off."""
     door: Door = context.obj
     from turnwright.job import steps_of_measurement  # noqa: PLC0415
@@ -100,7 +112,7 @@ def measure(
         new_folder(out, door, force=force) as folder,
         progress_of(door.stop, steps_of_measurement(_heights([file]))) as progress,
     ):
-        measured = _measured([file], [job], progress, unit)[0]
+        measured = _measured([file], [job], progress, unit, keys)[0]
         progress("report", 0, 1)
         from turnwright.archive import write_measured as write_numbers  # noqa: PLC0415
         from turnwright.report import write_measured  # noqa: PLC0415
@@ -117,7 +129,7 @@ def measure(
 
 @app.command()
 def diagnose(
-    context: typer.Context, files: Maps, job: Jobs, out: Folder, unit: Unit = None, force: Force = False
+    context: typer.Context, files: Maps, job: Jobs, out: Folder, keys: Keys, unit: Unit = None, force: Force = False
 ) -> None:
     """Say why measured parts are off: tool, machine or mount, each with its uncertainty."""
     door: Door = context.obj
@@ -129,7 +141,7 @@ def diagnose(
     ):
         from turnwright.job import diagnose  # noqa: PLC0415
 
-        measured = _measured(files, job, progress, unit)
+        measured = _measured(files, job, progress, unit, keys)
         found = diagnose(measured, progress=progress)
         progress("report", 0, 1)
         from turnwright.archive import write_diagnosis as write_numbers  # noqa: PLC0415
@@ -149,6 +161,7 @@ def correct(
     files: Maps,
     job: Jobs,
     out: Folder,
+    keys: Keys,
     of: Annotated[
         Path | None,
         typer.Option("--of", metavar="JOB.toml", help="The job to correct, if it is not the one that was measured."),
@@ -166,7 +179,7 @@ def correct(
     ):
         from turnwright.job import Job, correct, diagnose  # noqa: PLC0415
 
-        measured = _measured(files, job, progress, unit)
+        measured = _measured(files, job, progress, unit, keys)
         found = diagnose(measured, progress=progress)
         if of is None:
             better = correct(measured[0].job, found, measured, out=folder, source=job[0], progress=progress)
@@ -197,16 +210,38 @@ def _heights(files: Sequence[Path]) -> list[float]:
     return [file.stat().st_size / HEIGHT_BYTES if file.is_file() else 0.0 for file in files]
 
 
-def _measured(files: Sequence[Path], jobs: Sequence[Path], progress: StageProgress, unit: str | None) -> list[Measured]:
+def _job(file: Path, keys: Sequence[str]) -> Job:
+    """Load a job with some keys of its measurement replaced."""
+    from turnwright.job import Job  # noqa: PLC0415
+
+    job = Job.load(file)
+    if not keys:
+        return job
+    table = tomllib.loads(job.to_toml())
+    for one in keys:
+        key, equals, value = (part.strip() for part in one.partition("="))
+        if not (key and equals and value):
+            raise InputError(f'--set is {one!r}, it must be KEY=VALUE, such as "clocking=20 deg"')
+        try:
+            stated = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            stated = value  # a word or a quantity need no quotes here
+        table.setdefault("measurement", {})[key] = stated
+    return Job.read(table)
+
+
+def _measured(
+    files: Sequence[Path], jobs: Sequence[Path], progress: StageProgress, unit: str | None, keys: Sequence[str]
+) -> list[Measured]:
     """Read every map and register it to its part."""
-    from turnwright.job import Job, measure, read_measurement  # noqa: PLC0415
+    from turnwright.job import measure, read_measurement  # noqa: PLC0415
 
     if len(jobs) not in (1, len(files)):
         raise InputError(
             f"{len(files)} maps and {len(jobs)} jobs are given, there must be 1 job for all, or one for each map in "
             "their order: state --job as often"
         )
-    recipes = [Job.load(job) for job in jobs]
+    recipes = [_job(job, keys) for job in jobs]
     return [
         measure(recipe, read_measurement(recipe, file, unit=unit), progress=progress)
         for file, recipe in zip(files, recipes * (len(files) // len(recipes)), strict=True)

@@ -40,6 +40,7 @@ def open_questions(registration: Registration, asked: MeasurementTable, radius: 
     """
     remedies: dict[DoubtKind, Callable[[], str]] = {
         "tails": lambda: _trim(asked, radius),
+        "lost": lambda: _larger(asked),
         "held": lambda: _hold(registration, asked),
         "ambiguous": lambda: _single_out(registration, registration.rivals[0]),
         "symmetric": lambda: _clock(registration),
@@ -69,6 +70,13 @@ def _trim(asked: MeasurementTable, radius: float) -> str:
     if asked.spikes != "robust":
         keys = {"spikes": "robust", **keys}
     return f"Write {_keys(keys)} in [measurement], or mirrored or inverted if the map shows the part so."
+
+
+def _larger(asked: MeasurementTable) -> str:
+    return (
+        "Unless they show what lies beyond its rim, state where the map lies, as shift and rotation, and a larger reach "
+        f"than {_length(asked.reach)} in [measurement]."
+    )
 
 
 def _hold(registration: Registration, asked: MeasurementTable) -> str:

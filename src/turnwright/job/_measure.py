@@ -187,11 +187,15 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     known = {name for one in asked.fixed for name in OF_POSE[one]}
     free = tuple(name for name in asked.free if name not in known)
     report("register", 0, 1)
-    heights, start = _with_reference(_turned(heights, job), job)
+    heights, start = _with_reference(_turned(_masked(heights, job), job), job)
     pieces = part.surface.in_pieces
+    common: dict[str, Any] = {
+        "free": free, "terms": tuple(one.surface for one in asked.terms), "form_error": asked.form_error,
+        "weak": asked.weak, "noise_nm": None if asked.noise is None else asked.noise * NM,
+    }  # fmt: skip
     first = register(
-        heights.thinned(FIRST), part, free=free, loss="huber" if pieces else "tukey", start=start,
-        reach=asked.reach, clocking=asked.clocking if "rotation" in free else 0.0,
+        heights.thinned(FIRST), part, loss=asked.loss or ("huber" if pieces else "tukey"), start=start,
+        reach=asked.reach, clocking=asked.clocking if "rotation" in free else 0.0, **common,
     )  # fmt: skip
     report("register", 1, 1)
     report("clean", 0, 1)
@@ -208,8 +212,9 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     report("clean", 1, 1)
     report("register all points", 0, 1)
     registration = register(
-        heights, part, free=free, loss="huber" if pieces else "linear", start=first.pose, reach=0.0, clocking=0.0
-    )
+        heights, part, loss=asked.loss or ("huber" if pieces else "linear"), start=first.pose, reach=0.0, clocking=0.0,
+        **common,
+    )  # fmt: skip
     registration = replace(registration, candidates=first.candidates, start=first.start)
     report("register all points", 1, 1)
     report("judge", 0, 1)
@@ -385,6 +390,19 @@ def _cells(x: Floats, y: Floats, cell: float) -> Ints:
 def _feed(job: Job) -> float:
     """Return the feed that the job states for its finishing pass, or 0. [mm/rev]."""
     return getattr(job.passes[-1], "feed", None) or getattr(job.strategy, "feed", None) or 0.0
+
+
+def _masked(heights: HeightMap, job: Job) -> HeightMap:
+    """Return the map without the heights that are missing in the job's mask."""
+    file = job.measurement.mask
+    if file is None:
+        return heights
+    mask = read_measurement(job, file)
+    if mask.z.shape != heights.z.shape:
+        raise InputError(
+            f"the mask {file.name} has the shape {mask.z.shape}, the map {heights.z.shape}: give a map of the same grid"
+        )
+    return replace(heights, z=np.where(np.isnan(mask.z), np.nan, heights.z))
 
 
 def _turned(heights: HeightMap, job: Job) -> HeightMap:

@@ -541,6 +541,18 @@ class MeasurementTable(Table):
         How far it may be turned from there. [rad]
     free
         Which of its place and angles are found; the others stay as they are stated.
+    terms
+        Forms whose amplitude is found along with the pose, each a prescription; see `turnwright.register`.
+    form_error
+        Height at the rim by which low forms may be off, for what they do to the pose. [mm]
+    weak
+        What becomes of directions that such a form may pass for: "fit", "hold" where the map is said to lie, "raise".
+    mask
+        File with a map of the same grid: heights that are missing there do not count.
+    loss
+        How residuals count: "linear", "huber" or "tukey"; robust until spikes are out, then linear, if left out.
+    noise
+        Standard deviation of a height; found from the map if left out. [mm]
     reference
         What the form error is told against.
     causes
@@ -576,10 +588,16 @@ class MeasurementTable(Table):
     shift: tuple[Length, Length, Length] | None = None
     rotation: Angle | None = None
     reach: Thickness = 5.0
-    clocking: Annotated[float, unit("rad", least=0.0)] = math.radians(5)
+    clocking: Annotated[float, unit("rad", least=0.0)] = math.radians(30)
     free: tuple[Literal["x", "y", "z", "rotation", "tilt_x", "tilt_y"], ...] = (
         "x", "y", "z", "rotation", "tilt_x", "tilt_y",
     )  # fmt: skip
+    terms: tuple[AnySurface, ...] = ()
+    form_error: Thickness = 1e-3
+    weak: Literal["fit", "hold", "raise"] = "fit"
+    mask: ExistingFile | None = None
+    loss: Literal["linear", "huber", "tukey"] | None = None
+    noise: Size | None = None
     reference: Literal["true form", "best-fit sphere", "best-fit sphere, along its normal"] = "true form"
     causes: tuple[Text, ...] | None = None
     fixed: tuple[Literal["piston", "tilt", "decentre", "clocking"], ...] = ()

@@ -93,9 +93,8 @@ def map_noise(problem: Problem, some: Problem, state: Floats, heights: HeightMap
 
 def _in_runs(problem: Problem, state: Floats, heights: HeightMap, which: Ints) -> float:
     """Return the scatter of third differences over a grid, along the direction of cutting where it can be. [mm]."""
-    known = np.zeros(heights.z.size, dtype=np.bool_)
-    known[which] = True
-    known = known.reshape(heights.z.shape)
+    known = np.zeros(heights.z.shape, dtype=np.bool_)
+    known.ravel()[which] = True
     place = np.cumsum(known.ravel()) - 1
     random = np.random.default_rng(0)
     found: list[Ints] = []
@@ -209,12 +208,13 @@ def _correlated(some: Problem, state: Floats, white: float, count: int) -> MapNo
     ring = np.rint(np.hypot(lag, lag[:, None])).astype(np.int64).ravel()
     known = pairs.ravel() > 0.5
     sums = np.bincount(ring[known], weights=products.ravel()[known])
-    share = np.bincount(ring[known], weights=pairs.ravel()[known])
+    weight = np.bincount(ring[known], weights=pairs.ravel()[known])
     counts = np.bincount(ring[known])
-    correlation = sums / np.maximum(share, 1.0)
+    correlation = sums / np.maximum(weight, 1.0)
     correlation[0] -= white**2 * float(np.mean(1 / points[there]))
     # Up to where it first changes its sign: what lies beyond is the form that the smooth terms left, and chance.
-    end = int(np.argmax(correlation <= 0)) if (correlation <= 0).any() else correlation.size
+    below = correlation <= 0
+    end = int(np.argmax(below)) if below.any() else correlation.size
     power = float((correlation[:end] * counts[:end]).sum()) * side * side
     if excess <= 0 or power <= 0:
         return MapNoise(white, 0.0, 0.0, 0.0)

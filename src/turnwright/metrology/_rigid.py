@@ -313,7 +313,7 @@ def _march(
         step = _solve(normal, right, damping)
         trial = _moved(problem, state, chosen, -step * unit)
         moved = float(np.abs(step).max(initial=0.0))
-        changed = float(np.sqrt(max(step @ normal @ step, 0.0) / max(here.weight, 1e-300)))
+        changed = float(np.sqrt(max(float(step @ normal @ step), 0.0) / max(here.weight, 1e-300)))
         leans = float(np.abs(trial[4:6]).max())
         there = _sums(problem, trial, scale) if moved < 1e3 and leans < STEEPEST else None
         better = False
