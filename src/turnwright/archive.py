@@ -236,6 +236,17 @@ def _measured_numbers(measured: Measured) -> dict[str, object]:
             "uncertainty": terms.uncertainty.tolist(),
         },
         "roughness": measured.roughness,
+        "base_form": _base_form(measured),
+    }
+
+
+def _base_form(measured: Measured) -> dict[str, object] | None:
+    """Return the height at the rim of each Zernike term (ANSI) of the base of a lens array. [mm]."""
+    found = measured.lenslets
+    if found is None or found.base_form is None:
+        return None
+    return {
+        str(number): {"height": value, "std": found.base_form_std[number]} for number, value in found.base_form.terms
     }
 
 

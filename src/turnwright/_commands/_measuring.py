@@ -254,6 +254,8 @@ def _say_measured(door: Door, measured: Sequence[Measured]) -> None:
             f"{one.heights.name or one.job.part.part.name}: form error PV {one.form_pv_nm:.4g} nm, rms "
             f"{one.form_rms_nm:.4g} nm; {one.spikes} spikes taken out"
         )
+        if one.lenslets is not None:
+            door.say(one.lenslets.summary)
         warn(one.open_questions)
 
 

@@ -74,8 +74,8 @@ def _trim(asked: MeasurementTable, radius: float) -> str:
 
 def _larger(asked: MeasurementTable) -> str:
     return (
-        "Unless they show what lies beyond its rim, state where the map lies, as shift and rotation, and a larger reach "
-        f"than {_length(asked.reach)} in [measurement]."
+        "Unless they show what lies beyond its rim, state shift and rotation of the map, and a reach of more than "
+        f"{_length(asked.reach)}, in [measurement]."
     )
 
 

@@ -35,6 +35,7 @@ from turnwright.metrology import (
     roughness,
     trim_edge,
 )
+from turnwright.metrology.lenslets import base_forms
 from turnwright.metrology.registration import EDGE
 from turnwright.pose import Pose
 
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from turnwright.machine import Machine
     from turnwright.part import Part
     from turnwright.progress import StageProgress
+    from turnwright.surface import Surface
     from turnwright.tool import Tool
 
 __all__ = ["Measured", "cutoff_of", "diagnose", "measure", "read_measurement", "same_part"]
@@ -189,8 +191,13 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     report("register", 0, 1)
     heights, start = _with_reference(_turned(_masked(heights, job), job), job)
     pieces = part.surface.in_pieces
+    terms: tuple[Surface, ...] = tuple(one.surface for one in asked.terms)
+    form_error = asked.form_error
+    if not terms and has_lenslets(part.surface):
+        # The form of the base is found along with the pose, else it turns and shifts the lenslets.
+        terms, form_error = base_forms(part), 0.0
     common: dict[str, Any] = {
-        "free": free, "terms": tuple(one.surface for one in asked.terms), "form_error": asked.form_error,
+        "free": free, "terms": terms, "form_error": form_error,
         "weak": asked.weak, "noise_nm": None if asked.noise is None else asked.noise * NM,
     }  # fmt: skip
     first = register(
@@ -220,15 +227,15 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     report("judge", 0, 1)
     placed, error = _on_part(heights, registration)
     inside = keep_disc(error, part.radius * (1 + EDGE))
-    terms = _terms(inside, part.radius)
+    zernike = _terms(inside, part.radius)
     rough = None
     if not heights.scattered:
         left = np.full(heights.z.shape, np.nan)
-        left[~np.isnan(registration.error.z)] = error.z if terms is None else terms.residual.z
+        left[~np.isnan(registration.error.z)] = error.z if zernike is None else zernike.residual.z
         rough = roughness(replace(registration.error, z=left), form="plane")
     measured = Measured(
         job=job, heights=heights, spikes=spikes, registration=registration, placed=placed, error=error,
-        form_pv_nm=pv_nm_of(inside.z), form_rms_nm=area_rms(inside, like=registration.error) * NM, zernike=terms,
+        form_pv_nm=pv_nm_of(inside.z), form_rms_nm=area_rms(inside, like=registration.error) * NM, zernike=zernike,
         roughness=rough,
         lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
         fingerprint=fingerprint,

@@ -14,7 +14,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.metrology._grid import measure
 from turnwright.metrology.alignment import Alignment
 from turnwright.pose import Pose
-from turnwright.surface import LensArray, Placed, Plane, Sphere, Sum, Surface
+from turnwright.surface import LensArray, Placed, Plane, Sphere, Sum, Surface, Zernike
 
 if TYPE_CHECKING:
     from turnwright.part import Part
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "FEWEST",
     "LEVELLING",
+    "BaseForm",
     "Design",
     "Found",
     "arrays_in",
@@ -35,6 +36,7 @@ __all__ = [
     "points_of_base",
     "size_nm",
     "take_apart",
+    "without_form",
 ]
 
 NM = 1e6
@@ -125,6 +127,7 @@ class Design(NamedTuple):
     radius: float  # of curvature there, nan if it has none
     surround: Surface | None  # what lies between the lenslets; None where they fill their cells
     reach: float  # the clear radius
+    terms: tuple[int, ...]  # ANSI numbers of the Zernike terms of the base's form
 
 
 class Free(NamedTuple):
@@ -140,6 +143,22 @@ class Smooth(NamedTuple):
     keep: Bools
     form: Floats
     terms: int
+
+
+class BaseForm(NamedTuple):
+    """The form of the base beyond its design: what each Zernike term has at the rim, and how well that is known."""
+
+    amplitudes: Floats  # (k,) [mm]
+    covariance: Floats  # (k, k) [mm²]
+
+    def surface(self, design: Design) -> Zernike | None:
+        """Return the form as a surface in the frame of the base; ``None`` where none was fitted."""
+        if not self.amplitudes.size:
+            return None
+        return Zernike(
+            terms=dict(zip(design.terms, self.amplitudes.tolist(), strict=True)),
+            radius=design.reach, indexing="ansi", normalised=False,
+        )  # fmt: skip
 
 
 class Found(NamedTuple):
@@ -167,8 +186,23 @@ def arrays_in(surface: Surface) -> list[Surface]:
     return [surface] if isinstance(surface, LensArray) else []
 
 
-def take_apart(part: Part, form: str, aperture: float | None) -> Design:
-    """Take the part apart: base, array, where both sit."""
+def terms_up_to(degree: int) -> tuple[int, ...]:
+    """Return the ANSI numbers of the Zernike terms from the second degree up to one."""
+    return tuple(range(3, (degree + 1) * (degree + 2) // 2))
+
+
+def shapes_at(design: Design, x: Floats, y: Floats) -> Floats:
+    """Return the terms of the base's form, each 1 mm at the rim. (k, n)."""
+    x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+    shapes = np.empty((len(design.terms), x.size))
+    for k, number in enumerate(design.terms):
+        one = Zernike(terms={number: 1.0}, radius=design.reach, indexing="ansi", normalised=False)
+        shapes[k] = one.evaluate(x, y, 0)[0]
+    return shapes
+
+
+def take_apart(part: Part, form: str, aperture: float | None, degree: int) -> Design:
+    """Take the part apart: base, array, where both sit; the base may have a form up to a degree."""
     outer, surface = Pose(), part.surface
     while isinstance(surface, Placed):
         outer, surface = outer.after(surface.pose), surface.surface
@@ -219,6 +253,7 @@ def take_apart(part: Part, form: str, aperture: float | None) -> Design:
         radius=1 / mean if curved else float("nan"),
         surround=surround,
         reach=part.radius,
+        terms=terms_up_to(degree) if surround is not None else (),
     )
 
 
@@ -329,6 +364,13 @@ def place_points(heights: HeightMap, pose: Pose, design: Design) -> Points:
     return Points(x, y, z, z - base, weight, low, step, count, first)
 
 
+def without_form(points: Points, design: Design, form: BaseForm) -> Points:
+    """Return the points with the form of the base taken off their departure."""
+    if not form.amplitudes.size:
+        return points
+    return points._replace(departure=points.departure - form.amplitudes @ shapes_at(design, points.x, points.y))
+
+
 def least_squares_step(slopes: Floats, error: Floats, weight: Floats) -> Floats:
     """Return the weighted least-squares step. (k,)."""
     weighted = slopes * weight[:, None]
@@ -425,7 +467,9 @@ def missing(parameters: Floats, count: int, coverage: float, finding: str) -> Fo
     )  # fmt: skip
 
 
-def fit_lenslet(points: Points, design: Design, k: int, starts: Floats, free: Free, inner: float) -> Found:
+def fit_lenslet(
+    points: Points, design: Design, k: int, starts: Floats, free: Free, inner: float, base: BaseForm
+) -> Found:  # fmt: skip
     """Fit one lenslet over the points around its own centre."""
     parameters, reach = starts[k].copy(), inner * float(design.radii[k])
     apart = np.hypot(*(starts[:, :2] - starts[k, :2]).T)
@@ -460,7 +504,7 @@ def fit_lenslet(points: Points, design: Design, k: int, starts: Floats, free: Fr
             return missing(starts[k], x.size, 0.0, words)
         if np.hypot(*(parameters[:2] - before)) < SETTLED * reach:
             break
-    return judge(design, free, parameters, (x, y, u, v, departure, weight), smooth)
+    return judge(design, free, parameters, (x, y, u, v, departure, weight), smooth, base)
 
 
 def gauss_newton(
@@ -480,7 +524,9 @@ def gauss_newton(
     return model(design, parameters, x, y, free)[1]
 
 
-def judge(design: Design, free: Free, parameters: Floats, data: tuple[Floats, ...], smooth: Smooth) -> Found:
+def judge(
+    design: Design, free: Free, parameters: Floats, data: tuple[Floats, ...], smooth: Smooth, base: BaseForm
+) -> Found:  # fmt: skip
     """Say what a fit is worth."""
     x, y, u, v, departure, weight = data
     value, slopes = model(design, parameters, x, y, free.columns)
@@ -501,6 +547,10 @@ def judge(design: Design, free: Free, parameters: Floats, data: tuple[Floats, ..
     rest = error - fit_smooth(u, v, error).form
     covariance = np.full((6, 6), np.nan)
     covariance[np.ix_(free.columns, free.columns)] = clustered_covariance(slopes, rest, weight, blocks, smooth.terms)
+    if base.amplitudes.size:
+        # What the form of the base is off moves what stands on it.
+        moved = np.stack([least_squares_step(slopes, one, weight) for one in shapes_at(design, x, y)], axis=1)
+        covariance[np.ix_(free.columns, free.columns)] += moved @ base.covariance @ moved.T
     growth = float("nan"), float("nan")
     if free.with_radius is not None:
         other = parameters.copy()
@@ -553,8 +603,10 @@ def errors_of_base(points: Points, base: Ints, design: Design) -> tuple[Floats, 
     return error, slopes
 
 
-def level_on_base(points: Points, base: Ints, design: Design, starts: Floats, seen: Bools) -> tuple[Pose, str]:
-    """Return the turn and the shift along z that bring the base onto its design, and the words for the frame."""
+def level_on_base(
+    points: Points, base: Ints, design: Design, starts: Floats, seen: Bools
+) -> tuple[Pose, str, BaseForm]:  # fmt: skip
+    """Return turn and shift along z that bring the base onto its design, words for the frame, and the base's form."""
     base = base[:: base.size // LEVELLING + 1]
     weight, reach = points.weight[base], design.reach
     error, slopes = errors_of_base(points, base, design)
@@ -564,30 +616,42 @@ def level_on_base(points: Points, base: Ints, design: Design, starts: Floats, se
     size = max(float(np.hypot(points.x[base] - middle[0], points.y[base] - middle[1]).max()), 1e-300)
     u, v = (points.x[base] - middle[0]) / size, (points.y[base] - middle[1]) / size
     smooth = fit_smooth(u, v, error)
-    u, v, error, slopes, weight = (part[smooth.keep] for part in (u, v, error, slopes, weight))
-    step = -least_squares_step(slopes[:, :3], error, weight)
-    # What rotation alone does, beside which tilts and height are free.
-    along = slopes[:, 3] - slopes[:, :3] @ least_squares_step(slopes[:, :3], slopes[:, 3], weight)
-    whole = -least_squares_step(slopes, error, weight)
-    left = error + slopes @ whole
-    again = fit_smooth(u, v, left)
-    rest = left - again.form
+    base, u, v, error, slopes, weight = (part[smooth.keep] for part in (base, u, v, error, slopes, weight))
+    # Tilts, height and form together, and next to them the rotation.
+    shapes, turned = shapes_at(design, points.x[base], points.y[base]).T, slopes[:, 3]
+    slopes = np.concatenate([slopes[:, :3], -shapes], axis=1)
+    step = -least_squares_step(slopes, error, weight)
+    blocks, _ = number_blocks(u, v, 2 * BLOCKS)
+    along = turned - slopes[:, :3] @ least_squares_step(slopes[:, :3], turned, weight)
     strength = float(np.sqrt(np.average(along**2, weights=weight)))
-    rotation_std = float("inf")
+    whole, rotation_std = np.append(step, 0.0), float("inf")
     if strength > FLAT * reach:
-        blocks, _ = number_blocks(u, v, 2 * BLOCKS)
+        # Form that passes for a rotation is taken to be as large as each of the forms that do not, which are seen.
+        alike = least_squares_step(slopes, turned, weight)[3:]
+        others = np.eye(alike.size) - np.outer(alike, alike) / max(float(alike @ alike), 1e-300)
+        apart = np.concatenate([slopes[:, :3], -shapes @ others, turned[:, None]], axis=1)
+        whole = -least_squares_step(apart, error, weight)
+        whole[3:-1] = others @ whole[3:-1]
+        left = error + apart @ whole
+        again = fit_smooth(u, v, left)
+        rest = left - again.form
         noise = clustered_covariance(along[:, None], rest, weight, blocks, again.terms)[0, 0]
-        # Form of the base that is no rotation is seen; as much again may look like one, and is not.
         form = np.average(again.form**2, weights=weight) - again.terms * np.average(rest**2, weights=weight) / u.size
-        rotation_std = float(np.sqrt(noise + max(form, 0.0) / strength**2))
+        seen_form = float(whole[3:-1] @ whole[3:-1]) / max(alike.size - 1, 1)
+        confusion = seen_form / float(alike @ alike) if alike.size else 0.0
+        rotation_std = float(np.sqrt(noise + max(form, 0.0) / strength**2 + confusion))
     pattern_std = float("inf")
     if np.count_nonzero(seen) > 2:
         pattern_std = Alignment.of(design.centres[seen], starts[seen, :2]).rotation_std
     by_base = rotation_std < pattern_std
-    turn = whole if by_base else np.append(step, 0.0)
+    chosen = whole if by_base else np.append(step, 0.0)
+    # What the terms leave errs together over a block, so it counts as it does.
+    left = error + slopes @ chosen[:-1] + turned * chosen[-1]
+    spread = fit_smooth(u, v, left)
+    covariance = clustered_covariance(slopes, left, weight, blocks, spread.terms)[3:, 3:]
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - scipy is costly to import
 
-    matrix = Rotation.from_rotvec(turn[[0, 1, 3]]).as_matrix()
+    matrix = Rotation.from_rotvec([chosen[0], chosen[1], chosen[-1]]).as_matrix()
     words = "the part's frame: tilt and height by the base, shift by the pose, rotation by the "
     words += f"base within {rotation_std * 1e6:.2g} urad" if by_base else "pose"
-    return Pose.of(matrix, (0.0, 0.0, turn[2])), words
+    return Pose.of(matrix, (0.0, 0.0, chosen[2])), words, BaseForm(chosen[3:-1], covariance)

@@ -203,13 +203,13 @@ def costs(problem: Problem, fits: list[Fit]) -> Floats:
     if not fits:
         return np.empty(0)
     sizes = []
-    most = max(*(one.used for one in fits), 1)
     for one in fits:
         off = np.abs(residuals(problem, one.state))
         beyond = np.isnan(off)
         at = turns(one.state)[0][:2] @ problem.points[:, beyond] + one.state[:2, None]
         off[beyond] = np.where(np.hypot(*at) > problem.within * (1 + RIM), np.inf, np.nan)
         sizes.append(off)
+    most = max(*(int(np.count_nonzero(np.isfinite(off))) for off in sizes), 1)
     least = min(float(np.partition(np.where(np.isnan(off), 0.0, off), most // 2)[most // 2]) for off in sizes)
     limit = TRUNCATION * max(least, QUIET / 100)
     return np.array([np.nanmean(np.minimum(off, limit) ** 2) for off in sizes])

@@ -31,6 +31,7 @@ from turnwright.metrology._grid import valid_points
 from turnwright.metrology._lenslet_fit import (
     FEWEST,
     LEVELLING,
+    BaseForm,
     Design,
     Found,
     arrays_in,
@@ -44,18 +45,29 @@ from turnwright.metrology._lenslet_fit import (
     points_of_base,
     size_nm,
     take_apart,
+    without_form,
 )
 from turnwright.metrology.alignment import Alignment
 from turnwright.pose import Pose
 from turnwright.progress import cores, run_chunks
+from turnwright.surface import Zernike
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from turnwright.part import Part
     from turnwright.surface import Surface
 
-__all__ = ["Lenslet", "Lenslets", "has_lenslets", "lenslets"]
+__all__ = ["Lenslet", "Lenslets", "base_forms", "has_lenslets", "lenslets"]
+
+DEGREE = 4
+"""Degree of the form that a base may have if the caller says nothing."""
+
+SAID, NM = 3, 1e6
+"""Terms of the base's form that a summary names; nm in a mm."""
+
+MOST_DEGREE = 12
+"""Degree of the form of a base that a map between lenslets can tell."""
 
 REGISTERED = 100_000
 """Points that are enough to register an array, which is then levelled on its base."""
@@ -142,6 +154,11 @@ class Lenslets(Sequence[Lenslet]):
         Points of the base, those more than ``outer`` lens radii away from every lenslet.
     base_sq_nm, base_pv_nm
         Of the base minus its design at up to 300,000 of its points, spikes left out; nan without a base.
+    base_form
+        Form of the base beyond its design in its own frame, as Zernike terms by their ANSI number, each with its height
+        at the rim; it was taken off under the lenslets. ``None`` where none was fitted. [mm]
+    base_form_std
+        Standard uncertainty of each of these. [mm]
     """
 
     items: tuple[Lenslet, ...]
@@ -152,6 +169,8 @@ class Lenslets(Sequence[Lenslet]):
     base_points: int
     base_sq_nm: float
     base_pv_nm: float
+    base_form: Zernike | None
+    base_form_std: Mapping[int, float]
 
     def __len__(self) -> int:
         return len(self.items)
@@ -197,6 +216,22 @@ class Lenslets(Sequence[Lenslet]):
         if self.alignment is not None:
             rest[self.measured] = self.alignment.rest
         return rest
+
+    @property
+    def summary(self) -> str:
+        """How many were found, how far they are off without the frame, and what the base is off, in a sentence."""
+        irregular = self.irregular[self.measured]
+        words = f"{len(irregular)} of {len(self)} lenslets"
+        if self.alignment is not None:
+            off = 1e3 * float(np.sqrt(np.mean(np.sum(irregular**2, axis=1))))
+            words += f", {off:.3g} um rms off beyond shift, rotation and scale"
+        if self.base_form is None:
+            return words
+        terms = sorted(self.base_form.terms, key=lambda term: -abs(term[1]))[:SAID]
+        named = ", ".join(
+            f"ANSI {number} {value * NM:.3g} +- {self.base_form_std[number] * NM:.2g} nm" for number, value in terms
+        )
+        return f"{words}; form of the base at the rim: {named}"
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -258,6 +293,7 @@ def lenslets(
     tilt: bool = False,
     aperture: float | None = None,
     level: bool = True,
+    base_degree: int = DEGREE,
 ) -> Lenslets:
     """Find every lenslet of a measured array: its centre, its height, its radius, and the form error it has.
 
@@ -287,6 +323,10 @@ def lenslets(
     level
         Whether tilt, height and, where the base fixes it better than the lenslets do, rotation are those of the base:
         base first, then the lenslets on it. Without it they are those of the pose. `Lenslets.frame` says what was done.
+    base_degree
+        Degree up to which the base may have a form of its own, in Zernike terms from the second degree on: fitted
+        together with its level between the rims of the lenslets that were found, and taken off under them. 0 for none;
+        without ``level``, or where lenslets fill their cells, there is none.
 
     Raises
     ------
@@ -308,23 +348,13 @@ def lenslets(
     >>> found[0].dislocation[0].__round__(9), found[3].measured
     (0.003, True)
     """
-    between(inner, "inner, the share of its radius that belongs to a lenslet,", 0.1, 1.0, "lens radii")
-    between(outer, "outer, where the base begins,", inner, 10.0, "lens radii")
-    if form not in ("design", "sphere"):
-        raise InputError(f'form is {form!r}, it can be "design" or "sphere": choose one of them')
-    design = take_apart(part, form, aperture)
+    _check(inner, outer, form, base_degree)
+    degree = base_degree if level else 0
+    design = take_apart(part, form, aperture, degree)
     free = free_parameters(design, inner, radius=radius or form == "sphere", tilt=tilt)
     heights.require_calibrated()
     valid_points(heights, 1, "a fit of lenslets")
-    doubt = ""
-    if pose is None:
-        from turnwright.metrology.registration import register  # noqa: PLC0415 - costly to import
-
-        # Displaced lenslets are no reason to turn the rest, so they pull less the farther off they are.
-        registration = register(_thinned(heights, REGISTERED), part, loss="huber")
-        pose = registration.pose
-        if others := len(registration.candidates):
-            doubt = f"; {others} other poses fit nearly as well, so which lenslet is which is not certain: give a pose"
+    pose, doubt = _registered(heights, part, degree) if pose is None else (pose, "")
     pose = design.outer.inverse.after(pose)
     points = place_points(heights, pose, design)
     starts = np.zeros((design.centres.shape[0], 6))
@@ -338,19 +368,22 @@ def lenslets(
     _each(starts.shape[0], find)
     base = points_of_base(points, design, starts, outer)
     frame = "the part's frame: shift, rotation, tilt and height by the pose"
+    own = BaseForm(np.empty(0), np.empty((0, 0)))
     # The second time from so near that the step is linear and what is left is form.
     for _ in range(2 if level and base.size >= FEWEST else 0):
-        correction, frame = level_on_base(points, base, design, starts, seen)
+        correction, frame, own = level_on_base(points, base, design, starts, seen)
         pose = correction.after(pose)
         points = place_points(heights, pose, design)
         starts[:, 0], starts[:, 1], _ = correction.apply(starts[:, 0], starts[:, 1], 0.0)
         base = points_of_base(points, design, starts, outer)
+    plain, points = points, without_form(points, design, own)
     found: dict[int, Found] = {}
 
     def fit(k: int) -> None:
-        found[k] = fit_lenslet(points, design, k, starts, free, inner)
+        found[k] = fit_lenslet(points, design, k, starts, free, inner, own)
 
     _each(starts.shape[0], fit)
+    points = plain
     items = tuple(_lenslet(k, found[k], design) for k in range(starts.shape[0]))
     measured = [one for one in items if one.measured]
     alignment = None
@@ -373,7 +406,51 @@ def lenslets(
         base_points=base.size,
         base_sq_nm=size[0],
         base_pv_nm=size[1],
+        base_form=own.surface(design),
+        base_form_std=dict(zip(design.terms, np.sqrt(np.diag(own.covariance)).tolist(), strict=False)),
     )
+
+
+def _check(inner: float, outer: float, form: str, base_degree: int) -> None:
+    """Raise unless what is asked can be done."""
+    between(inner, "inner, the share of its radius that belongs to a lenslet,", 0.1, 1.0, "lens radii")
+    between(outer, "outer, where the base begins,", inner, 10.0, "lens radii")
+    if form not in ("design", "sphere"):
+        raise InputError(f'form is {form!r}, it can be "design" or "sphere": choose one of them')
+    if not 0 <= base_degree <= MOST_DEGREE or base_degree == 1:
+        raise InputError(
+            f"base_degree is {base_degree!r}, it can be 0 or 2 to {MOST_DEGREE}: the pose takes what is of degree 1"
+        )
+
+
+def base_forms(part: Part, degree: int = DEGREE) -> tuple[Zernike, ...]:
+    """Return the forms that the base of a lens array may have, each 1 mm at the rim; none where lenslets leave no base.
+
+    Parameters
+    ----------
+    part
+        A `LensArray`, alone or on a base.
+    degree
+        Of the Zernike terms, from the second on.
+    """
+    return tuple(
+        Zernike(terms={number: 1.0}, radius=part.radius, indexing="ansi", normalised=False)
+        for number in take_apart(part, "design", None, degree).terms
+    )
+
+
+def _registered(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, str]:
+    """Return where the map lies, the form of the base found along with it, and the words of a doubt."""
+    from turnwright.metrology.registration import register  # noqa: PLC0415 - costly to import
+
+    # Displaced lenslets are no reason to turn the rest, so they pull less the farther off they are.
+    registration = register(
+        _thinned(heights, REGISTERED), part, loss="huber", terms=base_forms(part, degree), form_error=0.0
+    )
+    others, doubt = len(registration.candidates), ""
+    if others:
+        doubt = f"; {others} other poses fit nearly as well, so which lenslet is which is not certain: give a pose"
+    return registration.pose, doubt
 
 
 def has_lenslets(surface: Surface) -> bool:

@@ -273,7 +273,7 @@ def _lens_section(measured: Measured) -> list[_Section]:
     return [
         _Section(
             title="Lenslets",
-            text=[found.frame],
+            text=[found.summary, found.frame],
             pictures=[("dislocation", draw.dislocation_map(found))],
             columns=head,
             rows=rows[:MOST_LENSLETS],
