@@ -246,7 +246,8 @@ def _base_form(measured: Measured) -> dict[str, object] | None:
     if found is None or found.base_form is None:
         return None
     return {
-        str(number): {"height": value, "std": found.base_form_std[number]} for number, value in found.base_form.terms
+        str(number): {"height": value, "std": found.base_form_std[number]}
+        for number, value in dict(found.base_form.terms).items()
     }
 
 

@@ -24,6 +24,7 @@ from turnwright.metrology import (
     Lenslets,
     Registration,
     Roughness,
+    TurningCentre,
     ZernikeFit,
     area_rms,
     despike,
@@ -34,6 +35,7 @@ from turnwright.metrology import (
     register,
     roughness,
     trim_edge,
+    turning_centre,
 )
 from turnwright.metrology.lenslets import base_forms
 from turnwright.metrology.registration import EDGE
@@ -109,6 +111,9 @@ class Measured:
         Every lenslet's place and form, if the part has some.
     fingerprint
         Of the map as it was given, by which a job knows again that it was corrected by it.
+    axis
+        Where the axis of turning stands in the map, if the surface does not tell its lateral place and the marks of
+        turning do: the part was put about it. ``None`` otherwise.
     """
 
     job: Job
@@ -123,6 +128,7 @@ class Measured:
     roughness: Roughness | None
     lenslets: Lenslets | None
     fingerprint: str
+    axis: TurningCentre | None = None
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
@@ -223,6 +229,19 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         **common,
     )  # fmt: skip
     registration = replace(registration, candidates=first.candidates, start=first.start)
+    axis = None
+    if {"x", "y"} & set(registration.held) and asked.shift is None and heights.x is not None and not heights.scattered:
+        # What the surface leaves open the marks of turning tell.
+        axis = turning_centre(
+            registration.error, feed=_feed(job) or None, near=_origin(registration.pose)
+        )  # fmt: skip
+    if axis is not None:
+        start = _about_axis(registration, axis)
+        kept = [name for name in free if name not in registration.held]
+        registration = register(
+            heights, part, loss=asked.loss or ("huber" if pieces else "linear"), start=start, reach=0.0, clocking=0.0,
+            **{**common, "free": kept},
+        )  # fmt: skip
     report("register all points", 1, 1)
     report("judge", 0, 1)
     placed, error = _on_part(heights, registration)
@@ -238,10 +257,27 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         form_pv_nm=pv_nm_of(inside.z), form_rms_nm=area_rms(inside, like=registration.error) * NM, zernike=zernike,
         roughness=rough,
         lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
-        fingerprint=fingerprint,
+        fingerprint=fingerprint, axis=axis,
     )  # fmt: skip
     report("judge", 1, 1)
     return measured
+
+
+def _origin(pose: Pose) -> tuple[float, float]:
+    """Return where the axis of the part is in the map. [mm]."""
+    x, y, _ = pose.inverse.apply(0.0, 0.0, 0.0)
+    return float(x), float(y)
+
+
+def _about_axis(registration: Registration, axis: TurningCentre) -> Pose:
+    """Return the pose that has the axis of turning where the part has it, along what was held."""
+    pose = registration.pose
+    x, y, _ = pose.apply(axis.x, axis.y, 0.0)
+    shift = list(pose.shift)
+    for k, (name, at) in enumerate((("x", float(x)), ("y", float(y)))):
+        if name in registration.held:
+            shift[k] -= at
+    return replace(pose, shift=(shift[0], shift[1], shift[2]))
 
 
 @overload

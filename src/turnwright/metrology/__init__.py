@@ -17,6 +17,7 @@ from turnwright.metrology.roughness import Roughness, roughness
 from turnwright.metrology.slope import Slopes, slope_error
 from turnwright.metrology.spectrum import AreaSpectrum, Spectrum, area_psd, line_psd
 from turnwright.metrology.turned_edge import TurnedEdge, edge_from_cusps
+from turnwright.metrology.turning import TurningCentre, turning_centre
 from turnwright.metrology.zernike_fit import ZernikeFit, fit_zernike
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "Spectrum",
     "Stretch",
     "TurnedEdge",
+    "TurningCentre",
     "Undetermined",
     "ZernikeFit",
     "area_psd",
@@ -67,4 +69,5 @@ __all__ = [
     "separate_bands",
     "slope_error",
     "trim_edge",
+    "turning_centre",
 ]

@@ -616,7 +616,8 @@ def level_on_base(
     size = max(float(np.hypot(points.x[base] - middle[0], points.y[base] - middle[1]).max()), 1e-300)
     u, v = (points.x[base] - middle[0]) / size, (points.y[base] - middle[1]) / size
     smooth = fit_smooth(u, v, error)
-    base, u, v, error, slopes, weight = (part[smooth.keep] for part in (base, u, v, error, slopes, weight))
+    base = base[smooth.keep]
+    u, v, error, slopes, weight = (part[smooth.keep] for part in (u, v, error, slopes, weight))
     # Tilts, height and form together, and next to them the rotation.
     shapes, turned = shapes_at(design, points.x[base], points.y[base]).T, slopes[:, 3]
     slopes = np.concatenate([slopes[:, :3], -shapes], axis=1)

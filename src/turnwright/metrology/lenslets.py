@@ -227,7 +227,7 @@ class Lenslets(Sequence[Lenslet]):
             words += f", {off:.3g} um rms off beyond shift, rotation and scale"
         if self.base_form is None:
             return words
-        terms = sorted(self.base_form.terms, key=lambda term: -abs(term[1]))[:SAID]
+        terms = sorted(dict(self.base_form.terms).items(), key=lambda term: -abs(term[1]))[:SAID]
         named = ", ".join(
             f"ANSI {number} {value * NM:.3g} +- {self.base_form_std[number] * NM:.2g} nm" for number, value in terms
         )

@@ -1,0 +1,96 @@
+"""The axis of turning. Oracle: the centre about which rings, spirals and defects are made, in closed form."""
+
+import numpy as np
+import pytest
+
+import turnwright as tw
+from turnwright.metrology import turning_centre
+
+CENTRE = (0.0173, -0.0121)
+
+
+def spiral(feed, turns, pixel, *, noise=2e-6, half=1.5, centre=CENTRE, seed=0, nose=0.5):
+    """Cusps of a spiral: arcs of the nose about passes that lie one feed apart in every direction."""
+    rng = np.random.default_rng(seed)
+    axis = np.arange(-half, half, pixel)
+    x, y = np.meshgrid(axis, axis)
+    u, v = x - centre[0], y - centre[1]
+    along = np.hypot(u, v) / feed - turns * np.arctan2(v, u) / (2 * np.pi)
+    off = (along - np.rint(along)) * feed
+    form = 50e-6 * (x * x - y * y) + 30e-6 * x * y * y
+    return tw.HeightMap(x=axis, y=axis, z=off**2 / (2 * nose) + form + rng.normal(0, noise, x.shape))
+
+
+@pytest.mark.parametrize(("feed", "turns", "pixel"), [(0.04, 1, 0.01), (0.04, -1, 0.01), (0.03, 0, 0.008)])
+def test_the_rings_of_a_spiral_tell_its_centre(feed, turns, pixel):
+    found = turning_centre(spiral(feed, turns, pixel))
+    assert found.source == "cusps"
+    assert found.turns == turns
+    assert found.feed == pytest.approx(feed, rel=1e-3)
+    assert abs(found.x - CENTRE[0]) < max(4 * found.std[0], 1e-5)
+    assert abs(found.y - CENTRE[1]) < max(4 * found.std[1], 1e-5)
+    assert max(found.std) < 1e-3
+
+
+def test_the_stated_uncertainty_of_the_centre_is_the_spread_of_many():
+    """In noise that is twice the cusps."""
+    off = []
+    for seed in range(6):
+        found = turning_centre(spiral(0.04, 1, 0.01, noise=0.2e-3, half=0.8, seed=seed), feed=0.04)
+        off += [(found.x - CENTRE[0]) / found.std[0], (found.y - CENTRE[1]) / found.std[1]]
+    assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.5
+
+
+def test_where_the_map_does_not_resolve_the_cusps_there_is_no_centre():
+    """Pixels wider than half a feed show other rings; noise shows none."""
+    assert turning_centre(spiral(0.02, 1, 0.0137), feed=0.02) is None
+    assert turning_centre(spiral(0.02, 1, 0.0137)) is None
+    axis = np.linspace(-1, 1, 151)
+    noise = np.random.default_rng(0).normal(0, 5e-6, (151, 151))
+    assert turning_centre(tw.HeightMap(x=axis, y=axis, z=noise)) is None
+
+
+def test_the_defect_of_the_middle_tells_the_axis():
+    """A cone that a tool beyond the axis leaves, on form."""
+    axis = np.linspace(-1, 1, 201)
+    x, y = np.meshgrid(axis, axis)
+    away = np.hypot(x - CENTRE[0], y - CENTRE[1])
+    z = 2e-3 * np.maximum(1 - away / 0.06, 0.0) + 50e-6 * x * y
+    found = turning_centre(tw.HeightMap(x=axis, y=axis, z=z + np.random.default_rng(1).normal(0, 5e-6, x.shape)))
+    assert found.source == "centre defect"
+    assert abs(found.x - CENTRE[0]) < 4 * max(found.std[0], 1e-4)
+    assert abs(found.y - CENTRE[1]) < 4 * max(found.std[1], 1e-4)
+
+
+def test_a_map_that_is_no_grid_is_refused():
+    x = np.linspace(0, 1, 50)
+    with pytest.raises(tw.InputError, match="needs a grid"):
+        turning_centre(tw.HeightMap(x=x, y=x, z=x))
+    polar = tw.HeightMap(radius=np.linspace(0, 1, 50), angle=np.linspace(0, 6, 60), z=np.zeros((60, 50)))
+    with pytest.raises(tw.InputError, match="polar"):
+        turning_centre(polar)
+
+
+@pytest.mark.parametrize(
+    "surface", [{"family": "sphere", "radius": "20 mm"}, {"family": "plane", "slope": [0.05, 0.0]}]
+)
+def test_a_part_that_nothing_else_places_is_put_about_its_axis(surface):
+    """Decentred by 25 um in the map, where the middle of the map was taken for the axis."""
+    centre, half, pixel, feed = (0.025, -0.018), 1.9, 0.01, 0.04
+    job = {
+        "part": {"name": "artefact", "radius": "2 mm", "surface": surface},
+        "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
+        "machine": {"name": "generic"},
+        "strategy": {"kind": "slow tool servo", "feed": "40 um/rev", "points_per_rev": 360},
+    }
+    recipe = tw.Job.read(job)
+    cusps = spiral(feed, 1, pixel, half=half, centre=centre)
+    x, y = cusps.points()
+    inside = np.hypot(x - centre[0], y - centre[1]) < 1.85
+    z = cusps.z - 50e-6 * (x * x - y * y) - 30e-6 * x * y * y
+    z = np.where(inside, z + recipe.part.part.surface.sag(x - centre[0], y - centre[1]), np.nan)
+    measured = tw.measure(recipe, tw.HeightMap(x=cusps.x, y=cusps.y, z=z))
+    assert measured.axis.source == "cusps"
+    at = measured.registration.pose.apply(*centre, 0.0)
+    assert np.hypot(at[0], at[1]) < 0.5e-3
+    assert not any("no result of the fit" in one for one in measured.open_questions)
