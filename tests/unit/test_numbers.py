@@ -146,7 +146,8 @@ ANSWERS = """
     Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage IntactShare LearnedMaterial
     Lenslet Lenslets Limits Measured Move Outcome PartShape Pass Plan PoseCandidate Prediction Preview
     ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness Sensitivity Shares
-    Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge Undetermined Verdict ZernikeFit
+    Slopes Spectrum Stretch Tightening TiledMap ToleranceStudy Trial TurnedEdge TurningCentre Undetermined
+    Verdict ZernikeFit
 """
 """Classes that only functions make: there nan and infinity say what could not be found."""
 

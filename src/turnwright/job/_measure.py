@@ -230,7 +230,8 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     )  # fmt: skip
     registration = replace(registration, candidates=first.candidates, start=first.start)
     axis = None
-    if {"x", "y"} & set(registration.held) and asked.shift is None and heights.x is not None and not heights.scattered:
+    open_ = {"x", "y"} & set(registration.held) and asked.shift is None and not pieces
+    if open_ and heights.x is not None and not heights.scattered:
         # What the surface leaves open the marks of turning tell.
         axis = turning_centre(
             registration.error, feed=_feed(job) or None, near=_origin(registration.pose)

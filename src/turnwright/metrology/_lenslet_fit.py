@@ -149,7 +149,13 @@ class BaseForm(NamedTuple):
     """The form of the base beyond its design: what each Zernike term has at the rim, and how well that is known."""
 
     amplitudes: Floats  # (k,) [mm]
-    covariance: Floats  # (k, k) [mm²]
+    covariance: Floats  # at the rotation of the frame (k, k) [mm²]
+    turned: Floats  # what the uncertainty of that rotation adds to each, as a standard deviation (k,) [mm]
+
+    @property
+    def std(self) -> Floats:
+        """Standard uncertainty of each term. (k,) [mm]."""
+        return np.sqrt(np.diag(self.covariance) + self.turned**2)
 
     def surface(self, design: Design) -> Zernike | None:
         """Return the form as a surface in the frame of the base; ``None`` where none was fitted."""
@@ -655,4 +661,7 @@ def level_on_base(
     matrix = Rotation.from_rotvec([chosen[0], chosen[1], chosen[-1]]).as_matrix()
     words = "the part's frame: tilt and height by the base, shift by the pose, rotation by the "
     words += f"base within {rotation_std * 1e6:.2g} urad" if by_base else "pose"
-    return Pose.of(matrix, (0.0, 0.0, chosen[2])), words, BaseForm(chosen[3:-1], covariance)
+    alike = least_squares_step(slopes, turned, weight)[3:]
+    unsure = min(rotation_std, pattern_std)
+    own = BaseForm(chosen[3:-1], covariance, alike * unsure if np.isfinite(unsure) else 0.0 * alike)
+    return Pose.of(matrix, (0.0, 0.0, chosen[2])), words, own

@@ -368,7 +368,7 @@ def lenslets(
     _each(starts.shape[0], find)
     base = points_of_base(points, design, starts, outer)
     frame = "the part's frame: shift, rotation, tilt and height by the pose"
-    own = BaseForm(np.empty(0), np.empty((0, 0)))
+    own = BaseForm(np.empty(0), np.empty((0, 0)), np.empty(0))
     # The second time from so near that the step is linear and what is left is form.
     for _ in range(2 if level and base.size >= FEWEST else 0):
         correction, frame, own = level_on_base(points, base, design, starts, seen)
@@ -407,7 +407,7 @@ def lenslets(
         base_sq_nm=size[0],
         base_pv_nm=size[1],
         base_form=own.surface(design),
-        base_form_std=dict(zip(design.terms, np.sqrt(np.diag(own.covariance)).tolist(), strict=False)),
+        base_form_std=dict(zip(design.terms, own.std.tolist(), strict=False)),
     )
 
 

@@ -66,6 +66,9 @@ NEARLY = 1.44
 EQUAL = 10.0
 """Difference in chi-square up to which two poses fit equally well; noise alone gives more once in 650 times."""
 
+ROUGHLY = 0.01
+"""Share of the mean square by which numbers that nothing fixes may be worse where they are held."""
+
 CENTRING, LEAST_MOVE = 200, 1e-4
 """Steps, and their least length [mm], by which a map is brought onto a part whose place only the edge tells."""
 
@@ -625,7 +628,7 @@ def _decide(
         )
     lateral = [k for k in (0, 1, ROTATION) if k in task.free]
     levelled = fit(some, task.start, [k for k in task.free if k not in lateral], task.size, close=1e-9)
-    if _enough(levelled) and np.argmin(costs(some, [best, levelled])) == 1:
+    if _enough(levelled) and best.used < COVER * levelled.used and np.argmin(costs(some, [best, levelled])) == 1:
         # Nothing fits so well that it would make up for the points that a shift loses.
         return (
             [k for k in task.free if k not in lateral],
@@ -646,8 +649,12 @@ def _decide(
                 state = best.state.copy()
                 state[list(fixed)] = where
                 there = fit(some, state, kept, task.size, close=1e-9)
-                slack = chance(some, there.state - best.state, best.used, there.used) * best.cost * best.used
-                if there.used >= COVER * best.used and (there.cost - best.cost) * best.used <= allowed + slack:
+                before, after = costs(some, [best, there])
+                slack = chance(some, there.state - best.state, best.used, there.used) + ROUGHLY
+                if (
+                    there.used >= COVER * best.used
+                    and (after - before) * best.used <= allowed + slack * before * best.used
+                ):
                     return kept, dict(zip(fixed, where.tolist(), strict=True)), directions
     return task.free, {}, directions
 

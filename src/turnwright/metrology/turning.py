@@ -238,11 +238,12 @@ def _coherent(error: HeightMap, start: Floats, wave: float, turns: int) -> Turni
     # Starts a fraction of a wave around: from the next ring it would be a worse fit, but a fit.
     begun = np.array([*(start * wave), 0.0])
     around = [begun + np.array([a, b, 0.0]) for a in (-2.0, 0.0, 2.0) for b in (-2.0, 0.0, 2.0)]
-    fits = [least_squares(left, one, diff_step=1e-6, x_scale=1.0, max_nfev=30) for one in around]
+    fits = [least_squares(left, one, diff_step=[1e-6] * 3, max_nfev=30) for one in around]
     best = min(fits, key=lambda one: one.cost)
     explained = 1 - 2 * best.cost / float(z @ z)
     noise = 2 * best.cost / (z.size - 2 * BANDS - 3)
-    normal = best.jac.T @ best.jac
+    jacobian = np.asarray(best.jac, dtype=np.float64)
+    normal = jacobian.T @ jacobian
     std = np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal)) * noise, 0.0))[:2] / wave
     # By chance two numbers in each annulus explain as much as that.
     if explained < 10 * 2 * BANDS / z.size or float(std.max()) > SURE * 2 * np.pi / wave:
