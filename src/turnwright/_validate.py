@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -31,6 +32,7 @@ __all__ = [
     "listener",
     "number",
     "path",
+    "plausible_sizes",
     "positive",
     "require_finite",
     "span",
@@ -150,6 +152,15 @@ def positive(value: float, name: str, unit: str) -> float:
             f"{name} is {plain:g} {unit}, the limits are {LEAST:g} to {MOST:g} {unit}: check its exponent and its unit"
         )
     return plain
+
+
+def plausible_sizes(sizes: Mapping[str, float], units: Mapping[str, str]) -> Mapping[str, float]:
+    """Return sizes of error sources, each one standard deviation, if each is positive and of a known source."""
+    for name, size in sizes.items():
+        if name not in units:
+            raise InputError(f"plausible has {shown(str(name))}, it can have {', '.join(units)}: name one of them")
+        positive(size, f"plausible {name}", units[name])
+    return MappingProxyType(dict(sizes))
 
 
 def between(value: float, name: str, low: float, high: float, unit: str) -> float:

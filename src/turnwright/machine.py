@@ -14,7 +14,7 @@ import numpy as np
 from turnwright import units
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._toml import read_toml
-from turnwright._validate import between, check_angle, check_numbers, positive
+from turnwright._validate import between, check_angle, check_numbers, plausible_sizes, positive
 from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.response import FrequencyResponse, Response, SecondOrder, TransferFunction
@@ -38,6 +38,9 @@ LATEST = 1.0
 
 MOST_BASES = 8
 """Machine files that may build on each other."""
+
+PLAUSIBLE = MappingProxyType({"squareness": "rad", "straightness": "mm", "servo lag": "rad"})
+"""Errors whose plausible size a machine may state, and their units."""
 
 STEEPEST = 0.1
 """A squareness beyond this is a slip of the unit, not an error of a machine. [rad]"""
@@ -226,6 +229,9 @@ class Machine(Value):
     straightness
         Height error of the tip along X beyond squareness: ascending positions and errors, linear in between, held
         beyond. ((n,), (n,)) [mm]
+    plausible
+        How large its errors plausibly are, one standard deviation, where they are not as `CAUSES` of the diagnosis
+        says: "squareness" [rad], "straightness" [mm], "servo lag" [rad].
     sources
         Where each fact comes from, by field ("axes.X.speed"); anything assumed says so.
 
@@ -252,11 +258,13 @@ class Machine(Value):
     controller: Controller = Controller()
     squareness: float = 0.0
     straightness: tuple[Floats, Floats] | None = None
+    plausible: Mapping[str, float] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_numbers(self)
         object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))
+        object.__setattr__(self, "plausible", plausible_sizes(self.plausible, PLAUSIBLE))
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
         missing = sorted({"C", "X", "Z"} - set(self.axes))
         if missing:
@@ -406,11 +414,7 @@ def _from_table(table: Mapping[str, Any]) -> Machine:
         given[key] = table[key]
     given["axes"] = {letter: _axis(letter, limits) for letter, limits in _table(table, "axes").items()}
     if "convention" in table:
-        convention = dict(_table(table, "convention"))
-        _check_keys(convention, {item.name for item in fields(Convention)}, "convention")
-        if "clocking" in convention:
-            convention["clocking"] = _quantity(convention["clocking"], "rad", "convention.clocking")
-        given["convention"] = Convention(**convention)
+        given["convention"] = _convention(_table(table, "convention"))
     if "controller" in table:
         controller = _table(table, "controller")
         _check_keys(controller, {item.name for item in fields(Controller)}, "controller")
@@ -422,10 +426,26 @@ def _from_table(table: Mapping[str, Any]) -> Machine:
         _check_keys(straightness, {"x_mm", "error_nm"}, "straightness")
         x, error = (frozen(straightness.get(key, []), f"straightness.{key}") for key in ("x_mm", "error_nm"))
         given["straightness"] = (x, error * 1e-6)
+    if "plausible" in table:
+        given["plausible"] = _plausible(_table(table, "plausible"))
     sources = _flat(_table(table, "sources")) if "sources" in table else {}
     facts = _flat({key: value for key, value in table.items() if key != "sources"})
     _check_keys(sources, set(facts), "sources")
     return Machine(**given, sources=sources)
+
+
+def _convention(table: dict[str, Any]) -> Convention:
+    _check_keys(table, {item.name for item in fields(Convention)}, "convention")
+    if "clocking" in table:
+        table = {**table, "clocking": _quantity(table["clocking"], "rad", "convention.clocking")}
+    return Convention(**table)
+
+
+def _plausible(table: Mapping[str, Any]) -> dict[str, float]:
+    """Return plausible sizes of errors by their names."""
+    unit_of = {name.replace(" ", "_"): unit for name, unit in PLAUSIBLE.items()}
+    _check_keys(table, set(unit_of), "plausible")
+    return {key.replace("_", " "): _quantity(size, unit_of[key], f"plausible.{key}") for key, size in table.items()}
 
 
 def _response(table: Mapping[str, Any]) -> Response:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Value, frozen
-from turnwright._validate import between, check_angle, check_numbers, finite_tuple, positive
+from turnwright._validate import between, check_angle, check_numbers, finite_tuple, plausible_sizes, positive
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,6 +29,9 @@ NARROW = 1e-3
 """A certificate that covers less is none. [rad]"""
 LARGEST_ERROR = 0.1
 """Error of the nose radius at most, as a share of it."""
+
+PLAUSIBLE = MappingProxyType(dict.fromkeys(("offset x", "offset y", "offset z", "radius error", "waviness"), "mm"))
+"""Deviations whose plausible size a tool may state, and their units."""
 
 PIECES = 8192
 """Cubic pieces that the profile of a wavy edge has, or a few more."""
@@ -130,6 +135,9 @@ class Tool(Value):
         What the shop calls it.
     edge_length
         Length of each flank, from the end of the arc on, that is a cutting edge; ``None`` where only the arc is. [mm]
+    plausible
+        How large the tool's deviations plausibly are, one standard deviation, where they are not as `CAUSES` of the
+        diagnosis says: "offset x", "offset y", "offset z", "radius error", "waviness". [mm]
 
     Raises
     ------
@@ -154,6 +162,7 @@ class Tool(Value):
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     name: str = ""
     edge_length: float | None = None
+    plausible: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -175,6 +184,7 @@ class Tool(Value):
         object.__setattr__(self, "offset", finite_tuple(self.offset, "offset (dx, dy, dz)", 3))
         if not isinstance(self.waviness, WavinessTable):
             object.__setattr__(self, "waviness", tuple(float(value) for value in self.waviness))
+        object.__setattr__(self, "plausible", plausible_sizes(self.plausible, PLAUSIBLE))
         low, high = self.arc
         deviation = self.deviation(np.linspace(low, high, 721))
         if np.abs(deviation).max() > 0.2 * self.nose_radius:

@@ -1,6 +1,7 @@
 """A correction never harms: errors that every lathe has, cut by brute force. See `tests.proof.proof_loop`."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,10 +74,7 @@ def test_what_does_not_repeat_can_be_left_out(tmp_path):
 
 def test_a_source_beyond_belief_stops_a_correction(tmp_path):
     """An offset of 4 um where 1 um is plausible: the sentence names the key that widens it."""
-    part = sample(blind.Errors(offset=(4e-3, 0.0, 0.0)))
-    plausible = part.job.measurement.plausible.model_copy(update={"offset_x": 1e-3})
-    measurement = part.job.measurement.model_copy(update={"plausible": plausible})
-    job = part.job.model_copy(update={"measurement": measurement})
-    maps = [tw.measure(job, part.map(0, np.random.default_rng(1)))]
-    with pytest.raises(tw.CorrectionError, match=r"measurement\.plausible\.offset_x"):
-        tw.correct(job, tw.diagnose(maps), maps, out=tmp_path / "better")
+    part = replace(sample(blind.Errors(offset=(4e-3, 0.0, 0.0))), plausible={"offset_x": "1 um"})
+    maps = [tw.measure(part.job, part.map(0, np.random.default_rng(1)))]
+    with pytest.raises(tw.CorrectionError, match=r"tool\.plausible\.offset_x"):
+        tw.correct(part.job, tw.diagnose(maps), maps, out=tmp_path / "better")

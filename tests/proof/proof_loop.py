@@ -38,13 +38,17 @@ class Sample:
     noise: float
     errors: list  # of each cut, the last of them that after the correction
     phases: np.ndarray
+    plausible: dict = field(default_factory=dict)  # sizes of the tool's deviations
     job: Job = field(init=False)
 
     def __post_init__(self):
         self.job = Job.read(
             {
                 "part": {"name": self.design.name, "radius": f"{self.radius!r} mm", "surface": self.table},
-                "tool": {"nose_radius": f"{self.nose!r} mm", "included": "120 deg", "clearance": "15 deg"},
+                "tool": {
+                    "nose_radius": f"{self.nose!r} mm", "included": "120 deg", "clearance": "15 deg",
+                    "plausible": self.plausible,
+                },
                 "machine": {"name": "generic"},
                 "strategy": {
                     "kind": "slow tool servo", "feed": f"{self.feed!r} mm/rev", "points_per_rev": 1440,

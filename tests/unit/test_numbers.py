@@ -24,11 +24,11 @@ LOBES = tw.Lobes(count=3, amplitude=0.1, maximum=0.2)
 CURVE = ((0.0, 0.1), (1.0, 1.1))
 MACHINE = tw.Machine(
     name="t", axes=dict.fromkeys("CXYZ", AXIS), spindle_rpm=100.0, block_rate_hz=1e3, squareness=1e-6,
-    straightness=((0.0, 1.0), (0.0, 1e-6)),
+    straightness=((0.0, 1.0), (0.0, 1e-6)), plausible={"squareness": 1e-5},
 )  # fmt: skip
 TOOL = tw.Tool(
     nose_radius=0.5, included=2.0, rake=-0.1, clearance=0.2, waviness=(1e-6, 2e-6), radius_error=1e-4,
-    offset=(1e-3, 1e-3, 1e-3), edge_length=0.1,
+    offset=(1e-3, 1e-3, 1e-3), edge_length=0.1, plausible={"offset x": 1e-3},
 )  # fmt: skip
 MILL = tw.SlotMill(radius=1.0, feed_per_tooth=1e-3, depth=0.1, teeth=2, corner_radius=0.5, entry=0.1, exit=1.0)
 SLOW = tw.SlowToolServo(feed=0.01, spindle_rpm=50.0, points_per_rev=100, lead_in=0.1, overrun=0.002)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -43,7 +43,6 @@ def diagnose(
     feed: float = 0.0,
     worth_nm: float = 1.0,
     points: int = 60_000,
-    plausible: Mapping[str, float] | None = None,
     repeats: bool = True,
     correct: Sequence[str] | None = None,
 ) -> Diagnosis:
@@ -61,7 +60,8 @@ def diagnose(
     parts
         What was to be cut: one design for all maps, or one for each.
     tool, machine
-        With which the parts were *planned*: what is found comes on top of their deviations.
+        With which the parts were *planned*: what is found comes on top of their deviations. Each may say how large its
+        errors plausibly are; else they are as large as `CAUSES` says.
     causes
         Names of `CAUSES`, or causes of your own, see `Cause`.
     reference
@@ -83,8 +83,6 @@ def diagnose(
         What makes less than this of the form, rms, is not worth correcting.
     points
         Most points of each map that the fit takes, evenly over its grid.
-    plausible
-        How large a cause plausibly is where it is not as large as `CAUSES` says, one standard deviation, by its name.
     repeats
         Whether the drift and the form without a source in a single map are taken to come back on the next part.
     correct
@@ -102,12 +100,7 @@ def diagnose(
     """
     maps = [maps] if isinstance(maps, HeightMap) else list(maps)
     parts = [*parts] if isinstance(parts, Sequence) else [parts] * len(maps)
-    plausible = dict(plausible or {})
     _check(maps, parts, causes, reference, free, sense)
-    for name, size in plausible.items():
-        if name not in CAUSES:
-            raise InputError(f"plausible has {name!r}, it can have {', '.join(CAUSES)}: name one of them")
-        positive(size, f"plausible {name}", CAUSES[name].unit)
     if feed:
         positive(feed, "feed", "mm/rev")
     positive(points, "points", "")
@@ -124,7 +117,7 @@ def diagnose(
         knots=np.linspace(0, farthest, straightness),
         reach=(reach, radius),
         nose=tool.actual_radius,
-        plausible=plausible,
+        plausible={**machine.plausible, **tool.plausible},
     )
     for sight in sights:
         mark(sight, columns)

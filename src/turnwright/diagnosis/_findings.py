@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, overload
 
 import numpy as np
 
+from turnwright import machine, tool
 from turnwright._arrays import Floats
 from turnwright.diagnosis._causes import CAUSES, Column
 from turnwright.errors import InputError
@@ -346,10 +347,13 @@ def _unknown(said: Said, where: str) -> str:
     if not said.seen:
         return f"{name} leaves nothing that a change of pose, which is free, would not leave: {where}"
     if abs(said.value) > IMPLAUSIBLE * column.typical:
-        key = f"measurement.plausible.{column.cause.replace(' ', '_')}"
+        wider = ""
+        for owner, sizes in (("tool", tool.PLAUSIBLE), ("machine", machine.PLAUSIBLE)):
+            if column.cause in sizes:
+                wider = f", or state a larger {owner}.plausible.{column.cause.replace(' ', '_')}"
         return (
             f"{name} would be {said.whole}, {shown(IMPLAUSIBLE * column.typical, column.unit)[1:]} is the largest that "
-            f"is plausible: look for another cause, or state a larger {key}"
+            f"is plausible: look for another cause{wider}"
         )
     if not said.determined:
         return f"the maps hardly tell {name} ({said.whole}): {where}"

@@ -343,7 +343,7 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
         raise InputError("0 measured parts are given, a diagnosis needs at least 1: measure one")
     first = every[0].job
     for one in every[1:]:
-        if not same_part(one.job, first) and (one.job.tool != first.tool or one.job.machine != first.machine):
+        if not same_part(one.job, first) and _planned_with(one.job) != _planned_with(first):
             raise InputError(
                 f"{one.job.part.name!r} and {first.part.name!r} were planned with different tools or machines, one "
                 "diagnosis takes 1 of each: diagnose them apart"
@@ -362,12 +362,16 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
         sense=first.strategy.sense,
         worth_nm=asked.worth * NM,
         points=2 * CELLS,
-        plausible=asked.plausible.stated,
         repeats=asked.repeats,
         correct=asked.correct,
     )
     report("diagnose", 1, 1)
     return _stated(found, every) if asked.reference == "true form" else found
+
+
+def _planned_with(job: Job) -> tuple[Tool, Machine]:
+    """Return tool and machine, whatever is held plausible of them."""
+    return replace(job.tool.tool, plausible={}), replace(job.machine.machine, plausible={})
 
 
 def _stated(found: Diagnosis, every: Sequence[Measured]) -> Diagnosis:

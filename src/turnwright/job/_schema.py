@@ -236,6 +236,58 @@ class ToolDeviations(Table):
         return self
 
 
+class Sizes(Table):
+    """How large error sources plausibly are, each one standard deviation."""
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """What is stated, by the name of the source."""
+        sizes = {name.replace("_", " "): getattr(self, name) for name in type(self).model_fields}
+        return {name: size for name, size in sizes.items() if size is not None}
+
+
+class ToolSizes(Sizes):
+    """How large deviations of the tool plausibly are, each one standard deviation.
+
+    Parameters
+    ----------
+    offset_x
+        By how much the tip stands beside its place along X. [mm]
+    offset_y
+        By how much it stands above or below the centre. [mm]
+    offset_z
+        By how much it was touched off wrongly. [mm]
+    radius_error
+        Of the nose. [mm]
+    waviness
+        Of the edge where it is used farthest from the tip. [mm]
+    """
+
+    offset_x: Size | None = None
+    offset_y: Size | None = None
+    offset_z: Size | None = None
+    radius_error: Size | None = None
+    waviness: Size | None = None
+
+
+class MachineSizes(Sizes):
+    """How large errors of the machine plausibly are, each one standard deviation.
+
+    Parameters
+    ----------
+    squareness
+        Of the X slide to the spindle. [rad]
+    straightness
+        Of the X slide. [mm]
+    servo_lag
+        Angle by which Z comes late. [rad]
+    """
+
+    squareness: Annotated[float, unit("rad", above=0.0)] | None = None
+    straightness: Size | None = None
+    servo_lag: Annotated[float, unit("rad", above=0.0)] | None = None
+
+
 class ToolTable(ToolDeviations):
     """The diamond: see `turnwright.Tool`."""
 
@@ -244,6 +296,7 @@ class ToolTable(ToolDeviations):
     clearance: Angle | None = None
     edge_length: Size | None = None
     name: Text = ""
+    plausible: ToolSizes = ToolSizes()
 
     @cached_property
     def tool(self) -> Tool:
@@ -254,6 +307,7 @@ class ToolTable(ToolDeviations):
             clearance=self.clearance,
             edge_length=self.edge_length,
             name=self.name,
+            plausible=self.plausible.stated,
             **self.stated,
         )
 
@@ -305,12 +359,15 @@ class MachineTable(MachineDeviations):
     interpolation
         What the controller makes of the points, where it offers more than one way; the machine's own if left
         out.
+    plausible
+        How large the machine's errors plausibly are, where not as its file says.
     """
 
     name: Text | None = None
     file: ExistingFile | None = None
     dialect: Text | None = None
     interpolation: Text | None = None
+    plausible: MachineSizes = MachineSizes()
 
     @cached_property
     def machine(self) -> Machine:
@@ -321,7 +378,7 @@ class MachineTable(MachineDeviations):
         own = loaded.controller.interpolation
         machine = loaded if self.interpolation is None else loaded.interpolating(self.interpolation)
         stated = self.stated if self.dialect is None else {**self.stated, "dialect": self.dialect}
-        machine = replace(machine, **stated)
+        machine = replace(machine, plausible={**machine.plausible, **self.plausible.stated}, **stated)
         dialect, asked = dialect_of(machine), machine.controller.interpolation
         # What a controller makes of plain points unasked is its own; any other must be asked for in the program.
         if asked not in (own, dialect.interpolation):
@@ -465,45 +522,6 @@ class RoughnessTable(Table):
     form: Annotated[int | str, PlainValidator(_form)] = "plane"
 
 
-class PlausibleTable(Table):
-    """How large causes plausibly are, each one standard deviation.
-
-    Parameters
-    ----------
-    offset_x
-        By how much the tip stands beside its place along X. [mm]
-    offset_y
-        By how much it stands above or below the centre. [mm]
-    offset_z
-        By how much it was touched off wrongly. [mm]
-    radius_error
-        Of the nose. [mm]
-    waviness
-        Of the edge where it is used farthest from the tip. [mm]
-    squareness
-        Of the X slide to the spindle. [rad]
-    straightness
-        Of the X slide. [mm]
-    servo_lag
-        Angle by which Z comes late. [rad]
-    """
-
-    offset_x: Size | None = None
-    offset_y: Size | None = None
-    offset_z: Size | None = None
-    radius_error: Size | None = None
-    waviness: Size | None = None
-    squareness: Annotated[float, unit("rad", above=0.0)] | None = None
-    straightness: Size | None = None
-    servo_lag: Annotated[float, unit("rad", above=0.0)] | None = None
-
-    @property
-    def stated(self) -> dict[str, float]:
-        """What is stated, by the name of the cause."""
-        sizes = {name.replace("_", " "): getattr(self, name) for name in type(self).model_fields}
-        return {name: size for name, size in sizes.items() if size is not None}
-
-
 class MeasurementTable(Table):
     """What is known of the instrument that measures the part, and what its map may be off by: see `turnwright.measure`.
 
@@ -565,8 +583,6 @@ class MeasurementTable(Table):
         Least rms by which a correction must make the form better for certain, and least effect of a cause. [mm]
     cutoff
         Shortest wavelength to which the part itself is corrected; found from part and feed if left out. [mm]
-    plausible
-        How large causes plausibly are, where they are not as large as usual.
     correct
         Which causes tool and machine are corrected for if they are certain, all if left out; the rest is compensated as
         form of the part.
@@ -604,7 +620,6 @@ class MeasurementTable(Table):
     waviness: tuple[Annotated[int, Strict(), Ge(1), Le(9)], ...] = (3, 4, 5, 6)
     worth: Thickness = 1e-6
     cutoff: Size | None = None
-    plausible: PlausibleTable = PlausibleTable()
     correct: tuple[Text, ...] | None = None
     repeats: Annotated[bool, Strict()] = True
     corrected: tuple[Text, ...] = ()

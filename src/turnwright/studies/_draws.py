@@ -339,7 +339,7 @@ class Bench:
             maps, parts, job.tool.tool, job.machine.machine,
             causes=asked.causes or DEFAULT, free=[one for one in FREE if one not in asked.fixed],
             waviness=asked.waviness, sense=job.strategy.sense, feed=next(iter(self.cuts.values())).feed,
-            worth_nm=asked.worth * NM, plausible=asked.plausible.stated,
+            worth_nm=asked.worth * NM,
         )  # fmt: skip
 
 
