@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright.metrology._rigid import Fit, Problem, Rows, rows, weights
+from turnwright.metrology._rigid import Fit, Problem, Rows, rows, turns, weights
 from turnwright.surface import Surface, Zernike
 
 __all__ = ["Doubt", "doubt", "held", "plausible"]
@@ -74,7 +74,8 @@ def doubt(
     at = rows(problem, found.state, slice(0, problem.points.shape[1]))
     root = np.sqrt(problem.weighed(weights(at.residual, found.scale, problem.loss)[0], at.which))
     # Singular values reach down to rounding; eigenvalues of the normal equations stop at its square root.
-    points, singular, vectors = np.linalg.svd((at.columns[chosen] * size[chosen, None] * root).T, full_matrices=False)
+    columns = _of_design(problem, found.state, at)[chosen] * size[chosen, None]
+    points, singular, vectors = np.linalg.svd((columns * root).T, full_matrices=False)
     fixed = singular > NOTHING * max(singular[0], 1e-300)
     inverse = np.where(fixed, 1 / np.where(fixed, singular, 1.0), 0.0)
     share = at.which.size / max(count, 1)
@@ -93,6 +94,20 @@ def doubt(
     shapes = np.stack([shape.evaluate(x, y, 0)[0] for shape in plausible(problem.within)], axis=-1)
     moved = form * (vectors.T * inverse) @ (points.T @ (root[:, None] * shapes))
     return Doubt(variance, moved @ moved.T)
+
+
+def _of_design(problem: Problem, state: Floats, at: Rows) -> Floats:
+    """Return the derivatives as the design has them: an error of form must not seem to fix what the design does not.
+
+    Turned about its centre, a sphere stays what it is; heights that are off it by e change by e times the slope.
+    """
+    if problem.normal:
+        return at.columns
+    slope_x, slope_y = -at.columns[0], -at.columns[1]
+    lever = np.stack([at.residual * slope_y, -at.residual * slope_x, np.zeros_like(at.residual)])
+    columns = at.columns.copy()
+    columns[3:6] -= turns(state)[1] @ lever
+    return columns
 
 
 def _widened(
