@@ -143,7 +143,7 @@ def test_a_corrected_part_is_not_corrected_again(shop, corrected, tmp_path, caps
     there = sorted(tmp_path.iterdir())
     for maps, its in (([str(second)], jobs[:2]), ([str(second), str(shop / "dish.x3p")], jobs)):
         assert main(["correct", *maps, *its, "--out", str(tmp_path / "out")]) == 3
-        assert re.search("no correction is written|nothing is corrected", told_once(capsys))
+        assert "no correction is written" in told_once(capsys)
         assert sorted(tmp_path.iterdir()) == there
     out = tmp_path / "why"
     assert main(["diagnose", str(second), str(shop / "dish.x3p"), *jobs, "--out", str(out)]) == 0

@@ -65,7 +65,9 @@ def test_an_artefact_is_worth_what_it_finds(job, tmp_path):
     assert found.count == 24
     assert not found.reasons
     before, after = found.outcomes["as planned"], found.outcomes["corrected"]
-    assert after.probability.value > before.probability.value + 0.5
+    # On one sphere a drift of 50 nm passes for an offset of 0.7 um: what is not certain to help is not corrected.
+    assert after.probability.value > before.probability.value + 0.3
+    assert (found.columns["corrected form_rms_nm"] < found.columns["form_rms_nm"] + 1).all()
     assert before.probability.value == np.mean(
         (found.columns["form_pv_nm"] <= 100) & (found.columns["sq_nm@half-way out"] <= 12)
     )

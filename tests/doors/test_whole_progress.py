@@ -26,6 +26,8 @@ WITH_PASSES = (
     ("passes", [{"name": "rough", "allowance": "2 um", "depth": "1 um"}, {"name": "finish"}]),
 )
 
+FINE = (*DISH, ("strategy.feed", "20 um/rev"), ("strategy.points_per_rev", 90))
+
 
 @pytest.fixture
 def lines(monkeypatch):
@@ -51,17 +53,17 @@ def lines(monkeypatch):
 
 @pytest.fixture(scope="module")
 def heights(tmp_path_factory):
-    """A map of the dish, 3 nm of noise on it."""
+    """A map of the dish, cut by a tool 2 um beside its place, 3 nm of noise on it."""
     file = tmp_path_factory.mktemp("map") / "dish.x3p"
     axis = np.linspace(-1.0, 1.0, 101)
     x, y = np.meshgrid(axis, axis)
-    z = 50 - np.sqrt(50**2 - x**2 - y**2) + 3e-6 * np.random.default_rng(1).normal(size=x.shape)
+    z = 50 - np.sqrt(50**2 - x**2 - y**2) + 2e-3 * np.hypot(x, y) / 50 + 3e-6 * np.random.default_rng(1).normal(size=x.shape)
     tw.write_map(tw.HeightMap(x=axis, y=axis, z=np.where(np.hypot(x, y) < 0.98, z, np.nan)), file)
     return str(file)
 
 
 def command_of(kind, folder, heights):
-    job = str(written(folder, *(WITH_PASSES if kind == "run" else DISH)))
+    job = str(written(folder, *{"run": WITH_PASSES, "correct": FINE}.get(kind, DISH)))
     out = ["--out", str(folder / "planned.toml" if kind == "plan" else folder / "out")]
     if kind in ("measure", "correct", "diagnose"):
         return [kind, heights, "--job", job, *out]

@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import Nesting, despike, filter_map, separate_bands, trim_edge
 
@@ -56,7 +57,11 @@ def test_a_turned_map_gives_a_turned_result(heights, kind, order, cutoff):
 @settings(max_examples=15)
 @given(maps(), kinds, st.sampled_from(["none", "mean", "plane", 2]))
 def test_bands_add_up_to_what_was_measured(heights, kind, form):
-    bands = separate_bands(heights, Nesting(s_filter=5 * STEP, form=form, l_filter=7 * STEP, kind=kind))
+    try:
+        bands = separate_bands(heights, Nesting(s_filter=5 * STEP, form=form, l_filter=7 * STEP, kind=kind))
+    except InputError as error:  # the robust filter of few heights
+        assume("has not settled" not in str(error))
+        raise
     total = bands.noise.z + bands.form.z + bands.waviness.z + bands.roughness.z
     np.testing.assert_allclose(total, heights.z, atol=1e-12)
     np.testing.assert_array_equal(np.isnan(bands.roughness.z), np.isnan(heights.z))

@@ -78,6 +78,12 @@ SQUARES = ((4, 4), (8, 8), (16, 16))
 CELLS = ((48, 1), (1, 64), *SQUARES)
 """Rings and sectors over which residuals are averaged to see how far they hang together."""
 
+RINGS, SECTORS, FEWEST = 16, 16, 64
+"""Cells of equal area over which maps of one part are compared, and how many of them it needs."""
+
+ALIKE = 0.3
+"""Correlation of what is left from which maps of one part are not independent."""
+
 HANGS = 1.5
 """From so many points that count as one on it is no chance of the sample."""
 
@@ -286,7 +292,7 @@ class Estimate:
                 sizes[g] = size**2
                 evidence.append(self._posterior().evidence)
             likely = np.flatnonzero(np.array(evidence) >= max(evidence) - EXCLUDED)
-            sizes[g] = max(found, DRIFTS[likely[-1]] ** 2)
+            sizes[g] = max(found, min(DRIFTS[likely[-1]], group.most) ** 2)
 
     def _scales(self) -> list[float]:
         """Set the noise of each map to what is left; return by how much that changes its logarithm."""
@@ -360,6 +366,26 @@ class Estimate:
             self.together[m] = _together(
                 self.left(m), look.rows[:, :-1], spread / self.scale[m], sight.x[look.good], sight.y[look.good]
             )
+        for kind in {one for one in self.kinds if one is not None}:
+            alike = [m for m, one in enumerate(self.kinds) if one == kind]
+            if (shared := self._shared(alike)) > ALIKE:  # cusps that the pixels hit alike in all of them, say
+                self.together[alike] *= 1 + (len(alike) - 1) * shared
+
+    def _shared(self, maps: Sequence[int]) -> float:
+        """Return how far what is left in maps of one part is the same: the mean correlation of its means over cells."""
+        means = []
+        for m in maps:
+            sight, good = self.sights[m], self.looks[m].good
+            x, y = sight.x[good] / self.radius[m], sight.y[good] / self.radius[m]
+            ring = np.minimum((RINGS * (x * x + y * y)).astype(np.int64), RINGS - 1)
+            cell = ring * SECTORS + ((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
+            number, total = (np.bincount(cell, weights=one, minlength=RINGS * SECTORS) for one in (None, self.left(m)))
+            means.append(np.where(number > 3, total / np.maximum(number, 1), np.nan))
+        known = np.isfinite(means).all(axis=0)
+        if np.count_nonzero(known) < FEWEST:
+            return 0.0
+        every = np.corrcoef(np.array(means)[:, known])
+        return float(np.mean(every[np.triu_indices(len(maps), 1)]))
 
     def _move(self, share: float) -> float:
         """Go a share of the way to the numbers and poses as found; return how far that led, in noise."""

@@ -64,6 +64,9 @@ LINEAR, LINEAR_NM = 0.1, 1.0
 SIMULATED, SIMULATED_NM = 0.3, 3.0
 """What a correction changes by simulation may differ from what is intended by this share of it, or by this."""
 
+FINE = 24
+"""Places across a feed where little is left to see of a difference but cusps."""
+
 EXPLAINED = 1.1
 """What is explained may be larger than what was measured by this factor."""
 
@@ -428,9 +431,9 @@ def _off(motion: Motion, case: DrawnCut) -> Motion:
 
 
 def _cuspless(job: Job, draws: Draws) -> tuple[slice, tuple[Floats, Floats]]:
-    """Return which of the places of some draws are simulated, and the places across a feed around each. (n, ACROSS)."""
+    """Return which of the places of some draws are simulated, and the places across a feed around each. (n, FINE)."""
     some = slice(None, None, -(-draws.x.size // PLACES))
-    return some, across_feed(job, draws.x[some], draws.y[some])
+    return some, across_feed(job, draws.x[some], draws.y[some], FINE)
 
 
 def _means(motion: Motion, tool: Tool, machine: Machine, places: tuple[Floats, Floats]) -> Floats:

@@ -40,7 +40,7 @@ __all__ = [
     "text_in",
 ]
 
-FILE_KEYS = frozenset({"file", "correction", "waviness_file", "straightness_file"})
+FILE_KEYS = frozenset({"file", "correction", "waviness_file", "straightness_file", "mask"})
 """Keys of a job that name a file."""
 
 DEEPEST = 40
