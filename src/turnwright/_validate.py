@@ -29,6 +29,7 @@ __all__ = [
     "check_numbers",
     "finite",
     "finite_tuple",
+    "key_of",
     "listener",
     "number",
     "path",
@@ -152,6 +153,11 @@ def positive(value: float, name: str, unit: str) -> float:
             f"{name} is {plain:g} {unit}, the limits are {LEAST:g} to {MOST:g} {unit}: check its exponent and its unit"
         )
     return plain
+
+
+def key_of(name: str) -> str:
+    """Return the key by which a file states the size of an error source."""
+    return name.lower().replace(" ", "_")
 
 
 def plausible_sizes(sizes: Mapping[str, float], units: Mapping[str, str]) -> Mapping[str, float]:

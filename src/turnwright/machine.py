@@ -14,7 +14,7 @@ import numpy as np
 from turnwright import units
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._toml import read_toml
-from turnwright._validate import between, check_angle, check_numbers, plausible_sizes, positive
+from turnwright._validate import between, check_angle, check_numbers, key_of, plausible_sizes, positive
 from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.response import FrequencyResponse, Response, SecondOrder, TransferFunction
@@ -39,7 +39,9 @@ LATEST = 1.0
 MOST_BASES = 8
 """Machine files that may build on each other."""
 
-PLAUSIBLE = MappingProxyType({"squareness": "rad", "straightness": "mm", "servo lag": "rad"})
+PLAUSIBLE = MappingProxyType(
+    {"squareness": "rad", "straightness": "mm", "servo lag": "rad", "drift of X": "mm", "drift of Z": "mm"}
+)
 """Errors whose plausible size a machine may state, and their units."""
 
 STEEPEST = 0.1
@@ -231,7 +233,8 @@ class Machine(Value):
         beyond. ((n,), (n,)) [mm]
     plausible
         How large its errors plausibly are, one standard deviation, where they are not as `CAUSES` of the diagnosis
-        says: "squareness" [rad], "straightness" [mm], "servo lag" [rad].
+        says: "squareness" [rad], "straightness" [mm], "servo lag" [rad]; and "drift of X", "drift of Z" over the time
+        of a cut [mm], else as large as the maps allow.
     sources
         Where each fact comes from, by field ("axes.X.speed"); anything assumed says so.
 
@@ -443,9 +446,9 @@ def _convention(table: dict[str, Any]) -> Convention:
 
 def _plausible(table: Mapping[str, Any]) -> dict[str, float]:
     """Return plausible sizes of errors by their names."""
-    unit_of = {name.replace(" ", "_"): unit for name, unit in PLAUSIBLE.items()}
-    _check_keys(table, set(unit_of), "plausible")
-    return {key.replace("_", " "): _quantity(size, unit_of[key], f"plausible.{key}") for key, size in table.items()}
+    name_of = {key_of(name): name for name in PLAUSIBLE}
+    _check_keys(table, set(name_of), "plausible")
+    return {name_of[key]: _quantity(size, PLAUSIBLE[name_of[key]], f"plausible.{key}") for key, size in table.items()}
 
 
 def _response(table: Mapping[str, Any]) -> Response:

@@ -20,7 +20,8 @@ from turnwright.studies import ErrorBudget, Spread, _draws
 JOB = {
     "part": {"name": "mirror", "radius": "3 mm", "surface": {"family": "sphere", "radius": "40 mm"}},
     "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
-    "machine": {"name": "nanotech-350fg"},
+    # On one sphere a drift of 50 nm passes for an offset of 0.7 um: the shop knows that it drifts less.
+    "machine": {"name": "nanotech-350fg", "plausible": {"drift_of_x": "12 nm", "drift_of_z": "12 nm"}},
     "strategy": {"kind": "slow tool servo", "feed": "10 um/rev", "spindle_speed": "200 rpm", "points_per_rev": 90},
     "simulation": {
         "patches": [{"name": "half-way out", "centre": ["1.5 mm", "0 mm"], "size": ["40 um", "40 um"], "pixel": "1 um"}]
@@ -65,8 +66,7 @@ def test_an_artefact_is_worth_what_it_finds(job, tmp_path):
     assert found.count == 24
     assert not found.reasons
     before, after = found.outcomes["as planned"], found.outcomes["corrected"]
-    # On one sphere a drift of 50 nm passes for an offset of 0.7 um: what is not certain to help is not corrected.
-    assert after.probability.value > before.probability.value + 0.3
+    assert after.probability.value > before.probability.value + 0.5
     assert (found.columns["corrected form_rms_nm"] < found.columns["form_rms_nm"] + 1).all()
     assert before.probability.value == np.mean(
         (found.columns["form_pv_nm"] <= 100) & (found.columns["sq_nm@half-way out"] <= 12)

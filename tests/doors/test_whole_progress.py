@@ -57,7 +57,12 @@ def heights(tmp_path_factory):
     file = tmp_path_factory.mktemp("map") / "dish.x3p"
     axis = np.linspace(-1.0, 1.0, 101)
     x, y = np.meshgrid(axis, axis)
-    z = 50 - np.sqrt(50**2 - x**2 - y**2) + 2e-3 * np.hypot(x, y) / 50 + 3e-6 * np.random.default_rng(1).normal(size=x.shape)
+    z = (
+        50
+        - np.sqrt(50**2 - x**2 - y**2)
+        + 2e-3 * np.hypot(x, y) / 50
+        + 3e-6 * np.random.default_rng(1).normal(size=x.shape)
+    )
     tw.write_map(tw.HeightMap(x=axis, y=axis, z=np.where(np.hypot(x, y) < 0.98, z, np.nan)), file)
     return str(file)
 

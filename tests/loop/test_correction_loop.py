@@ -171,7 +171,7 @@ def test_all_causes_at_once_are_gone(tmp_path):
 
 
 def test_all_causes_and_a_form_that_none_explains(tmp_path):
-    """The form has some 120 numbers: of 22 nm in 106,000 points 0.7 nm. A second map is used only if it surely helps."""
+    """The form has some 120 numbers: of 22 nm in 106,000 points 0.7 nm. A second map is used if it surely helps."""
     left, _, _ = Loop(tool=EVERY_TOOL, machine=EVERY_MACHINE, form=bump, pixels=450).go(tmp_path, 2)
     assert left[0] > 40
     assert left[1] < 1.0

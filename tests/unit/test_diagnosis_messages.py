@@ -40,7 +40,7 @@ def test_what_is_asked_must_exist(asked, words):
 def test_tool_and_machine_say_how_large_their_errors_are():
     """What neither says is as `CAUSES` has it."""
     tool = replace(TOOL, plausible={"offset x": 1e-3})
-    machine = replace(MACHINE, plausible={"squareness": 2e-6})
+    machine = replace(MACHINE, plausible={"squareness": 2e-6, "drift of Z": 1e-5})
     found = tw.diagnose(MAP, PART, tool, machine, causes=("offset x", "offset y", "squareness"), straightness=4)
     assert {one.name: one.plausible for one in found} == {"offset x": 1e-3, "offset y": 0.05, "squareness": 2e-6}
     with pytest.raises(tw.InputError, match="plausible has 'offset q'"):

@@ -54,7 +54,7 @@ def test_a_file_is_read_in_units(tmp_path):
     file.write_text(
         "squareness = '-7 arcsec'\nstraightness = { x_mm = [0, 50], error_nm = [0, 120] }\n"
         + GOOD
-        + "[convention]\nx_side = -1\nclocking = '90 deg'\n[plausible]\nservo_lag = '1 deg'\n"
+        + "[convention]\nx_side = -1\nclocking = '90 deg'\n[plausible]\nservo_lag = '1 deg'\ndrift_of_z = '9 nm'\n"
         + "[sources]\naxes.X.speed = 'name plate'\n"
     )
     machine = Machine.load(file)
@@ -66,7 +66,7 @@ def test_a_file_is_read_in_units(tmp_path):
     assert machine.z_error([25, 80]) == pytest.approx(
         np.array([60e-6, 120e-6]) + machine.squareness * np.array([25, 80])
     )
-    assert dict(machine.plausible) == {"servo lag": pytest.approx(np.pi / 180)}
+    assert dict(machine.plausible) == {"servo lag": pytest.approx(np.pi / 180), "drift of Z": pytest.approx(9e-6)}
     assert machine.sources["axes.X.speed"] == "name plate"
 
 

@@ -111,18 +111,20 @@ def diagnose(
     if straightness < 3:
         raise InputError(f"straightness is sought at {straightness} positions, it needs at least 3: give more")
     farthest = max(float(np.nanmax(np.hypot(sight.x, sight.y))) for sight in sights)
+    plausible = {**machine.plausible, **tool.plausible}
     columns = Columns(
         causes=tuple(causes),
         basis=basis,
         knots=np.linspace(0, farthest, straightness),
         reach=(reach, radius),
         nose=tool.actual_radius,
-        plausible={**machine.plausible, **tool.plausible},
+        plausible=plausible,
     )
     for sight in sights:
         mark(sight, columns)
     estimate = Estimate(
         sights=sights, columns=columns, sense=sense, radius=[part.radius for part in parts], kinds=_kinds(parts),
+        plausible=plausible,
         values=np.zeros((len(maps), len(columns.all))), scale=np.full(len(maps), np.inf), together=np.ones(len(maps)),
     )  # fmt: skip
     estimate.solve()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from turnwright._arrays import Bools, Floats
 from turnwright.diagnosis._causes import Column, Columns
 from turnwright.diagnosis._posterior import Posterior, Scaled, posterior
 from turnwright.diagnosis._sight import CENTRE, Sight
-from turnwright.diagnosis._terms import GROUPS, columns, lobes_by_angle
+from turnwright.diagnosis._terms import GROUPS, Group, columns, lobes_by_angle
 from turnwright.errors import InputError
 
 __all__ = ["FLOOR", "LOOSE", "Estimate", "Look"]
@@ -133,6 +133,7 @@ class Estimate:
     values: Floats  # of the sources in each map (maps, k)
     scale: Floats  # of the noise of each map, so that points count as if they were independent [mm]
     together: Floats  # points of each map that count as one
+    plausible: Mapping[str, float]  # sizes of the groups of terms that are known beforehand [mm]
     own: Floats = field(init=False)  # variances of the groups of terms in each map (groups,) [mm² or rad²]
     common: Floats = field(init=False)  # of those that all maps of a part share (groups,)
     between: Floats = field(init=False)  # of the causes from map to map, in plausible units (causes,)
@@ -142,13 +143,18 @@ class Estimate:
     posterior: Posterior = field(init=False)
 
     def __post_init__(self) -> None:
-        self.own = np.array([group.size**2 for group in GROUPS])
+        self.own = np.array([self._begun(group) ** 2 for group in GROUPS])
         self.common = self.own.copy()
         if self.several:  # or what all cuts share may be found as what each of them has of its own
             self.own *= BEGUN**2
         self.between = np.array([BETWEEN[1 if cause in EDGE else 0] ** 2 for cause in self.causes])
         self.terms = [np.zeros(TERMS) for _ in self.sights]
         self.seen = np.ones(len(self.names), dtype=np.bool_)
+
+    def _begun(self, group: Group) -> float:
+        """Return where the search for the size of a group begins, which is what it is if that is known."""
+        known = self.plausible.get(group.name)
+        return group.size if known is None else known / float(np.sqrt(group.relative.max()))
 
     @property
     def several(self) -> bool:
@@ -284,7 +290,7 @@ class Estimate:
     def _widen(self) -> None:
         """Give a drift the largest size that the maps do not exclude: sources may have taken what shows of it."""
         for g, group in enumerate(GROUPS):
-            if not group.name.startswith("drift"):
+            if not group.name.startswith("drift") or group.name in self.plausible:
                 continue
             sizes = self.common if self.several else self.own
             found, evidence = sizes[g], []
@@ -327,10 +333,11 @@ class Estimate:
             )
             # How a cut differs from another of the same part hides in nothing, so that its size is always found.
             least = SAME**2 * group.size**2 if self.several else limits[0]
-            if self.several or group.least < group.size:
+            known = group.least == group.size or group.name in self.plausible
+            if self.several or not known:
                 self.own[g], change = _resized(self.own[g], values, spread, (least, limits[1]), apart)
                 changes.append(change)
-            if group.least == group.size:
+            if known:
                 continue
             if any(kind is not None for kind in self.kinds):
                 rest = self.posterior.shared[k:].reshape(-1, TERMS)[:, place]

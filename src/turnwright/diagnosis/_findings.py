@@ -12,6 +12,7 @@ import numpy as np
 
 from turnwright import machine, tool
 from turnwright._arrays import Floats
+from turnwright._validate import key_of
 from turnwright.diagnosis._causes import CAUSES, Column
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
@@ -350,7 +351,7 @@ def _unknown(said: Said, where: str) -> str:
         wider = ""
         for owner, sizes in (("tool", tool.PLAUSIBLE), ("machine", machine.PLAUSIBLE)):
             if column.cause in sizes:
-                wider = f", or state a larger {owner}.plausible.{column.cause.replace(' ', '_')}"
+                wider = f", or state a larger {owner}.plausible.{key_of(column.cause)}"
         return (
             f"{name} would be {said.whole}, {shown(IMPLAUSIBLE * column.typical, column.unit)[1:]} is the largest that "
             f"is plausible: look for another cause{wider}"

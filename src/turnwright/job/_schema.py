@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 import tomli_w
@@ -24,7 +25,10 @@ from pydantic import (
     model_validator,
 )
 
+from turnwright import machine as lathe
+from turnwright import tool as diamond
 from turnwright._toml import read_toml
+from turnwright._validate import key_of
 from turnwright._whole import write_whole
 from turnwright.errors import InputError, JobError, UnitError
 from turnwright.files import read_map
@@ -239,10 +243,12 @@ class ToolDeviations(Table):
 class Sizes(Table):
     """How large error sources plausibly are, each one standard deviation."""
 
+    names: ClassVar[Iterable[str]] = ()
+
     @property
     def stated(self) -> dict[str, float]:
         """What is stated, by the name of the source."""
-        sizes = {name.replace("_", " "): getattr(self, name) for name in type(self).model_fields}
+        sizes = {name: getattr(self, key_of(name)) for name in self.names}
         return {name: size for name, size in sizes.items() if size is not None}
 
 
@@ -263,6 +269,8 @@ class ToolSizes(Sizes):
         Of the edge where it is used farthest from the tip. [mm]
     """
 
+    names = diamond.PLAUSIBLE
+
     offset_x: Size | None = None
     offset_y: Size | None = None
     offset_z: Size | None = None
@@ -281,11 +289,17 @@ class MachineSizes(Sizes):
         Of the X slide. [mm]
     servo_lag
         Angle by which Z comes late. [rad]
+    drift_of_x, drift_of_z
+        Over the time of a cut; as large as the maps allow if left out. [mm]
     """
+
+    names = lathe.PLAUSIBLE
 
     squareness: Annotated[float, unit("rad", above=0.0)] | None = None
     straightness: Size | None = None
     servo_lag: Annotated[float, unit("rad", above=0.0)] | None = None
+    drift_of_x: Size | None = None
+    drift_of_z: Size | None = None
 
 
 class ToolTable(ToolDeviations):
