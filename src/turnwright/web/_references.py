@@ -91,7 +91,7 @@ def kind_of(field: str, key: str) -> str:
     >>> kind_of("machine.file", "file"), kind_of("part.surface.file", "file"), kind_of("part.material", "material")
     ('machine', 'heights', 'material')
     """
-    if key == "file":
+    if key in ("file", "mask"):
         return "machine" if field == "machine.file" else "heights"
     return key.removesuffix("_file")
 
