@@ -13,7 +13,7 @@ from turnwright._arrays import Bools, Floats
 from turnwright.diagnosis._causes import Column, Columns
 from turnwright.diagnosis._posterior import Posterior, Scaled, posterior
 from turnwright.diagnosis._sight import CENTRE, Sight
-from turnwright.diagnosis._terms import GROUPS, Group, columns, lobes_by_angle
+from turnwright.diagnosis._terms import GROUPS, Group, columns, form_of, lobes_by_angle
 from turnwright.errors import InputError
 
 __all__ = ["FLOOR", "LOOSE", "Estimate", "Look"]
@@ -137,6 +137,7 @@ class Estimate:
     own: Floats = field(init=False)  # variances of the groups of terms in each map (groups,) [mm² or rad²]
     common: Floats = field(init=False)  # of those that all maps of a part share (groups,)
     between: Floats = field(init=False)  # of the causes from map to map, in plausible units (causes,)
+    forms: list[Floats] = field(init=False)  # columns of the terms of form (g, n) each
     terms: list[Floats] = field(init=False)  # of each map, as last found (groups' terms,)
     seen: Bools = field(init=False)  # which numbers leave something that no change of pose would (k,)
     looks: list[Look] = field(init=False, default_factory=list)
@@ -149,6 +150,9 @@ class Estimate:
             self.own *= BEGUN**2
         self.between = np.array([BETWEEN[1 if cause in EDGE else 0] ** 2 for cause in self.causes])
         self.terms = [np.zeros(TERMS) for _ in self.sights]
+        # Where the points come to lie moves by far less than the finest of these waves.
+        places = [(*sight.moved()[:2], radius) for sight, radius in zip(self.sights, self.radius, strict=True)]
+        self.forms = [form_of(x / radius, y / radius) for x, y, radius in places]
         self.seen = np.ones(len(self.names), dtype=np.bool_)
 
     def _begun(self, group: Group) -> float:
@@ -222,7 +226,9 @@ class Estimate:
             away = np.maximum(np.hypot(cutting.x, cutting.y), CENTRE)
             turned = -by_angle / away * typical[k]
             marks[:, k] += turned
-        rows = np.column_stack([-nuisances * LOOSE[numbers], marks, columns(cutting, self.radius[m]), residual])[good]
+        rows = np.column_stack(
+            [-nuisances * LOOSE[numbers], marks, columns(cutting, self.radius[m], self.forms[m]), residual]
+        )[good]
         if sight.stands is not None:  # the instrument's noise is along the normal
             rows /= np.sqrt(1 + cutting.zx[good] ** 2 + cutting.zy[good] ** 2)[:, None]
         return Look(rows, np.asarray(np.linalg.qr(rows, mode="r")), numbers, good, turned[good])

@@ -18,7 +18,7 @@ import numpy as np
 from turnwright._arrays import Floats
 from turnwright.diagnosis._model import Cutting
 
-__all__ = ["GROUPS", "Group", "columns", "described", "lobes_by_angle", "tip_motion"]
+__all__ = ["GROUPS", "Group", "columns", "described", "form_of", "lobes_by_angle", "tip_motion"]
 
 AXIAL = tuple(range(1, 13))
 RADIAL = tuple(range(2, 13))
@@ -67,8 +67,11 @@ GROUPS = (
 )
 
 
-def columns(cutting: Cutting, radius: float) -> Floats:
-    """Return the height that one unit of each term of all groups adds. (n, g) [mm per mm, or mm per rad]."""
+def columns(cutting: Cutting, radius: float, form: Floats | None = None) -> Floats:
+    """Return the height that one unit of each term of all groups adds. (n, g) [mm per mm, or mm per rad].
+
+    ``form`` is that of the form if it is known already, see `form_of`. (g, n)
+    """
     by_x, by_y, _ = np.nan_to_num(cutting.by_tip)
     lobes, drift = _lobes(np.nan_to_num(cutting.tip_angle)), _drift(np.nan_to_num(cutting.tip_radius) / radius)
     z = np.nan_to_num(cutting.z)
@@ -78,7 +81,7 @@ def columns(cutting: Cutting, radius: float) -> Floats:
         drift,
         drift * by_x,
         np.stack([by_x * z, by_y * z, by_y * np.nan_to_num(cutting.tip_radius)]),
-        _form(cutting.x / radius, cutting.y / radius),
+        form_of(cutting.x / radius, cutting.y / radius) if form is None else form,
     ]
     return np.concatenate(rows).T
 
@@ -126,7 +129,7 @@ def _drift(share: Floats) -> Floats:
     return np.concatenate([gone[None], bends])
 
 
-def _form(x: Floats, y: Floats) -> Floats:
+def form_of(x: Floats, y: Floats) -> Floats:
     """Return Zernike terms of unit rms from astigmatism and power on. (g, n)."""
     from scipy.special import eval_jacobi  # noqa: PLC0415 - costly to import
 
