@@ -107,6 +107,7 @@ class Look(NamedTuple):
     numbers: list[int]  # of the pose that are free
     good: Bools
     turned: Floats  # what the offset along Y adds by turning the lobes, which is in the rows too (n,) [mm]
+    counts: Floats  # share of a height that is in the rows, which may be along the normal (n,)
 
     @property
     def poses(self) -> int:
@@ -229,9 +230,11 @@ class Estimate:
         rows = np.column_stack(
             [-nuisances * LOOSE[numbers], marks, columns(cutting, self.radius[m], self.forms[m]), residual]
         )[good]
+        counts = np.ones(points)
         if sight.stands is not None:  # the instrument's noise is along the normal
-            rows /= np.sqrt(1 + cutting.zx[good] ** 2 + cutting.zy[good] ** 2)[:, None]
-        return Look(rows, np.asarray(np.linalg.qr(rows, mode="r")), numbers, good, turned[good])
+            counts = 1 / np.sqrt(1 + cutting.zx[good] ** 2 + cutting.zy[good] ** 2)
+            rows *= counts[:, None]
+        return Look(rows, np.asarray(np.linalg.qr(rows, mode="r")), numbers, good, turned[good], counts)
 
     def _seen(self) -> Bools:
         """Say of which numbers anything is left that a change of pose cannot explain."""

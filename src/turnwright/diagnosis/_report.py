@@ -238,15 +238,27 @@ def _contributions(estimate: Estimate) -> tuple[Contribution, ...]:
 
 
 def _rms_nm(estimate: Estimate) -> tuple[float, float, float]:
-    """Return root mean squares: of what was measured beyond a change of pose, of what explains it, of what is left."""
+    """Return root mean squares: of what was measured beyond a change of pose, of what explains it, of what is left.
+
+    What the sources make is taken in full: a tall wave of the edge makes less than its mark.
+    """
     sums, count = np.zeros(3), 0
     for m, look in enumerate(estimate.looks):
-        j = look.poses
-        explained = look.root[j:, j:-1] @ estimate.numbers(m)[j:]
-        sums += [np.sum(estimate.target(m)[j:] ** 2), np.sum(explained**2), np.sum(estimate.left(m) ** 2)]
-        count += look.rows.shape[0]
-    measured, explained_nm, left = (np.sqrt(sums / count) * NM).tolist()
-    return measured, explained_nm, left
+        made, planned = (
+            _made(estimate, estimate.sights[m], values)[look.good]
+            for values in (estimate.values[m], np.zeros(estimate.typical.size))
+        )
+        left = estimate.left(m)
+        k = look.poses + estimate.typical.size
+        explained = (made - planned) * look.counts + look.rows[:, k:-1] @ estimate.numbers(m)[k:]
+        pose = look.rows[:, : look.poses]
+        known = np.isfinite(explained)
+        both = np.stack([explained + left, explained], axis=1)[known]
+        both -= pose[known] @ np.linalg.lstsq(pose[known], both, rcond=1e-12)[0]
+        sums += [*(both**2).sum(axis=0), float(left[known] @ left[known])]
+        count += int(np.count_nonzero(known))
+    measured, explained_nm, left_nm = (np.sqrt(sums / count) * NM).tolist()
+    return measured, explained_nm, left_nm
 
 
 def _repeatability_nm(estimate: Estimate) -> float | None:
