@@ -158,6 +158,18 @@ def test_a_map_is_not_corrected_twice(shop, corrected, tmp_path, capsys):
     assert main(["correct", first, "--job", job, "--out", str(tmp_path / "out")]) == 2
     assert "earlier correction of this job" in told_once(capsys)
     assert list(tmp_path.iterdir()) == []
+    again = tw.read_map(first)
+    tw.write_map(replace(again, z=again.z + 3e-3), tmp_path / "lifted.npz")  # the same measurement, in another file
+    assert main(["correct", str(tmp_path / "lifted.npz"), "--job", job, "--out", str(tmp_path / "out")]) == 2
+    assert "earlier correction of this job" in told_once(capsys)
+    noise = 5e-6 * np.random.default_rng(6).normal(size=again.z.shape)
+    tw.write_map(replace(again, z=again.z + noise), tmp_path / "new.npz")  # the old part, measured anew
+    assert main(["correct", str(tmp_path / "new.npz"), "--job", job, "--out", str(tmp_path / "out")]) == 2
+    assert "cut before the correction" in told_once(capsys)
+    old = [first, str(tmp_path / "lifted.npz"), "--job", str(shop / "job.toml"), "--out", str(tmp_path / "out")]
+    assert main(["correct", *old]) == 2
+    assert "given twice" in told_once(capsys)
+    assert not (tmp_path / "out").exists()
 
 
 def test_artefacts_correct_the_job_of_the_part(shop, tmp_path, capsys):

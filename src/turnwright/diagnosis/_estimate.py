@@ -254,12 +254,22 @@ class Estimate:
         own[:j, :j] = np.eye(j)
         if many:
             own[j : j + k, j : j + k] = np.diag(np.sqrt(self.between_numbers()))
-        own[j + k :, -TERMS:] = np.diag(_spread(self.own))
+        own[j + k :, -TERMS:] = np.diag(self._spread(self.own))
         shared = np.zeros((j + k + TERMS, k + kinds * TERMS))
         shared[j : j + k, :k] = np.eye(k)
         if (kind := self.kinds[m]) is not None:
-            shared[j + k :, k + kind * TERMS : k + (kind + 1) * TERMS] = np.diag(_spread(self.common))
+            shared[j + k :, k + kind * TERMS : k + (kind + 1) * TERMS] = np.diag(self._spread(self.common))
         return _Split(own, shared)
+
+    def _spread(self, sizes: Floats) -> Floats:
+        """Return the standard deviation of every term. (g,)."""
+        spread = []
+        for size, group in zip(sizes.tolist(), GROUPS, strict=True):
+            own = np.sqrt(size * group.relative)
+            if group.name not in self.plausible:
+                own[0] = max(own[0], group.ramp)
+            spread.append(own)
+        return np.concatenate(spread)
 
     def between_numbers(self) -> Floats:
         """Return the variance of each number from map to map. (k,)."""
@@ -336,6 +346,8 @@ class Estimate:
         k = self.typical.size
         for g, (group, place) in enumerate(zip(GROUPS, PLACES, strict=True)):
             limits, apart = (group.least**2, group.most**2), MANY if group.name == "low form" else FEW
+            if group.ramp:
+                place = slice(place.start + 1, place.stop)  # noqa: PLW2901 - the ramp has a size of its own
             values = np.stack([one[-TERMS:][place] for one in own])
             spread = np.stack(
                 [(root[: one.size][-TERMS:][place] ** 2).sum(axis=1) for root, one in zip(roots, own, strict=True)]
@@ -427,11 +439,6 @@ class Estimate:
             self.sights[m].apart[np.flatnonzero(look.good)[out]] = True
             new |= bool(out.any())
         return new
-
-
-def _spread(sizes: Floats) -> Floats:
-    """Return the standard deviation of every term. (g,)."""
-    return np.concatenate([np.sqrt(size * group.relative) for size, group in zip(sizes.tolist(), GROUPS, strict=True)])
 
 
 def _resized(

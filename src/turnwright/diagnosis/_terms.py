@@ -24,14 +24,18 @@ AXIAL = tuple(range(1, 13))
 RADIAL = tuple(range(2, 13))
 """Per revolution: once is an offset along X that the axis of turning takes up."""
 
-NODES = np.array([0.0, 0.03, 0.08, 0.16, 0.28, 0.45, 0.65, 0.82, 1.0])
-"""Shares of a cut at which a drift bends: what comes to rest does most of it at the beginning."""
+NODES = np.array([0.0, 0.03, 0.07, 0.12, 0.18, 0.25, 0.33, 0.41, 0.49, 0.57, 0.65, 0.73, 0.81, 0.9, 1.0])
+"""Shares of a cut at which a drift bends: what comes to rest does most of it at the beginning, what swings with the
+temperature of the room does so some times a cut."""
 
 KNOTS = NODES.size - 1
 
 RAMP = 15.0
 """Size of the ramp of a drift, which squareness hides, over that of its bends, which less hides: what comes to rest
 within a cut has 4 to 10 times as much ramp as bend."""
+
+EVEN = 1e-4
+"""Size of a ramp at least: an even drift has no bends that would tell of it. [mm]"""
 
 DEGREE = 14
 """Zernike degree up to which the form may err."""
@@ -46,6 +50,7 @@ class Group(NamedTuple):
     most: float  # and the largest
     relative: Floats  # variances of the terms, in squares of the size. (g,)
     lasting: bool  # whether it comes back on the next part by its nature
+    ramp: float = 0.0  # least size of the first term, which nothing else of the group tells of [mm]
 
 
 def _indices() -> list[tuple[int, int]]:
@@ -60,8 +65,8 @@ GROUPS = (
     Group("axial error motion of the spindle", 30e-6, 30e-6, 1e-3, np.ones(2), lasting=True),
     Group("axial error motion of the spindle", 20e-6, 0.2e-6, 6e-4, np.ones(2 * len(AXIAL) - 2), lasting=True),
     Group("radial error motion of the spindle", 20e-6, 0.2e-6, 6e-4, np.ones(2 * len(RADIAL)), lasting=True),
-    Group("drift of Z", 12e-6, 0.3e-6, 40e-6, _DRIFT, lasting=False),
-    Group("drift of X", 12e-6, 0.3e-6, 20e-6, _DRIFT, lasting=False),
+    Group("drift of Z", 12e-6, 0.3e-6, 40e-6, _DRIFT, lasting=False, ramp=EVEN),
+    Group("drift of X", 12e-6, 0.3e-6, 20e-6, _DRIFT, lasting=False, ramp=EVEN),
     Group("tilt of the spindle", 1e-4, 1e-4, 3e-3, np.ones(3), lasting=True),
     Group("low form", 30e-6, 0.2e-6, 1e-3, _FALLING, lasting=False),
 )
@@ -145,19 +150,16 @@ def form_of(x: Floats, y: Floats) -> Floats:
 
 def described(name: str, terms: Floats) -> str:
     """Return what is to be said of a group beyond its size; the terms are those of all groups. [mm or rad]."""
-    start = 0
-    for group in GROUPS:
-        own = terms[start : start + group.relative.size]
-        start += group.relative.size
-        if group.name != name:
-            continue
-        if name.endswith("error motion of the spindle"):
-            amplitudes = np.hypot(own[::2], own[1::2])
-            first = AXIAL if name.startswith("axial") else RADIAL
-            top = int(np.argmax(amplitudes))
-            return f": most of it {first[top]} per revolution with an amplitude of {amplitudes[top] * 1e6:.3g} nm"
-        if name.startswith("drift"):
-            return f": {own[0] * 1e6:+.3g} nm from the rim to the axis, as far as squareness allows to tell"
-        if name.startswith("tilt"):
-            return f": {own[0] * 1e6:+.3g} urad along X"
+    ends = np.cumsum([group.relative.size for group in GROUPS])
+    pieces = np.split(terms, ends[:-1])
+    own = np.concatenate([one for group, one in zip(GROUPS, pieces, strict=True) if group.name == name])
+    if name.endswith("error motion of the spindle"):
+        amplitudes = np.hypot(own[::2], own[1::2])
+        first = AXIAL if name.startswith("axial") else RADIAL
+        top = int(np.argmax(amplitudes))
+        return f": most of it {first[top]} per revolution with an amplitude of {amplitudes[top] * 1e6:.3g} nm"
+    if name.startswith("drift"):
+        return f": {own[0] * 1e6:+.3g} nm from the rim to the axis, as far as squareness allows to tell"
+    if name.startswith("tilt"):
+        return f": {own[0] * 1e6:+.3g} urad along X"
     return ""

@@ -64,6 +64,9 @@ LINEAR, LINEAR_NM = 0.1, 1.0
 SIMULATED, SIMULATED_NM = 0.3, 3.0
 """What a correction changes by simulation may differ from what is intended by this share of it, or by this."""
 
+EFFECT, AGAIN = 2_000, 0.6
+"""Places at which a part is looked at for what was corrected, and the share of it that it must not show."""
+
 FINE = 24
 """Places across a feed where little is left to see of a difference but cusps."""
 
@@ -268,6 +271,34 @@ def _check_new(job: Job, every: Sequence[Measured], own: Sequence[bool]) -> None
                 f"the map {one.heights.name!r} was taken into account by an earlier correction of this job: measure a "
                 "part that this job has cut, or give the map with the job that cut it"
             )
+        if part and noted:
+            _check_effect(one)
+
+
+def _check_effect(one: Measured) -> None:
+    """Raise if a part shows again what its job was corrected by."""
+    job = one.job
+    table = tomllib.loads(job.to_toml())
+    for name in ("offset", "radius_error", "waviness", "waviness_file"):
+        table["tool"].pop(name, None)
+    for name in ("squareness", "straightness_file"):
+        table["machine"].pop(name, None)
+    table["part"].pop("correction", None)
+    plain = Job.read(table)
+    x, y = one.error.points()
+    some = slice(None, None, -(-x.size // EFFECT))
+    x, y, error = x[some], y[some], one.error.z[some]
+    corrected = finished(plain, job, x, y) - finished(plain, plain, x, y) - _added(job, x, y)
+    known = np.isfinite(corrected + error)
+    x, y = x[known], y[known]
+    both = [_beyond_pose(job, x, y, each[known]) for each in (error, corrected)]
+    seen, was = (float(np.sqrt(np.mean(each**2))) * NM for each in both)
+    share = float(both[0] @ both[1]) / max(float(both[1] @ both[1]), 1e-300)
+    if was > job.measurement.worth * NM and share > AGAIN:
+        raise InputError(
+            f"the map {one.heights.name!r} shows {share:.0%} of the {was:.3g} nm rms that its job was corrected by, in "
+            f"{seen:.3g} nm: it was cut before the correction, give the job that cut it"
+        )
 
 
 def _check_sane(found: Diagnosis) -> None:

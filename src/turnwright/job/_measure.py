@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -76,9 +75,6 @@ OF_POSE = MappingProxyType(
 )
 """What a registration calls that which a diagnosis leaves open."""
 
-FINGERPRINT = 16
-"""Letters by which a map is known again."""
-
 TERMS = 37
 """Fringe Zernike terms that the form is told in."""
 
@@ -110,7 +106,7 @@ class Measured:
     lenslets
         Every lenslet's place and form, if the part has some.
     fingerprint
-        Of the map as it was given, by which a job knows again that it was corrected by it.
+        Of the map, by which a job knows again that it was corrected by it, in whatever file and unit it comes.
     axis
         Where the axis of turning stands in the map, if the surface does not tell its lateral place and the marks of
         turning do: the part was put about it. ``None`` otherwise.
@@ -190,7 +186,6 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     """
     report = progress or (lambda _stage, _done, _total: None)
     asked, part = job.measurement, job.part.part
-    fingerprint = hashlib.sha256(np.ascontiguousarray(heights.z).tobytes()).hexdigest()[:FINGERPRINT]
     # What a fiducial fixes is not fitted away beforehand.
     known = {name for one in asked.fixed for name in OF_POSE[one]}
     free = tuple(name for name in asked.free if name not in known)
@@ -258,10 +253,18 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         form_pv_nm=pv_nm_of(inside.z), form_rms_nm=area_rms(inside, like=registration.error) * NM, zernike=zernike,
         roughness=rough,
         lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
-        fingerprint=fingerprint, axis=axis,
+        fingerprint=_fingerprint(error.z), axis=axis,
     )  # fmt: skip
     report("judge", 1, 1)
     return measured
+
+
+def _fingerprint(error: Floats) -> str:
+    """Return size, skewness and kurtosis of errors, which noise makes other ones in every measurement."""
+    off = error - error.mean()
+    size = max(float(np.sqrt(np.mean(off**2))), 1e-12)
+    skewness, kurtosis = (float(np.mean((off / size) ** power)) for power in (3, 4))
+    return f"{error.size} points, {size * NM:.5g} nm, {skewness:.4f}, {kurtosis:.4f}"
 
 
 def _origin(pose: Pose) -> tuple[float, float]:
@@ -347,6 +350,12 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
             raise InputError(
                 f"{one.job.part.name!r} and {first.part.name!r} were planned with different tools or machines, one "
                 "diagnosis takes 1 of each: diagnose them apart"
+            )
+    for k, one in enumerate(every):
+        if any(one.fingerprint == other.fingerprint for other in every[:k]):
+            raise InputError(
+                f"the map {one.heights.name[:40]!r} is given twice, one measurement says nothing of what repeats: "
+                "measure another part that was cut alike"
             )
     report("diagnose", 0, 1)
     asked = first.measurement
