@@ -391,10 +391,12 @@ def _stated(found: Diagnosis, every: Sequence[Measured]) -> Diagnosis:
     if any(one.job != every[0].job for one in every):
         return found
     measured = float(np.sqrt(np.mean([one.form_rms_nm**2 for one in every])))
-    noise = max(measured**2 - found.measured_rms_nm**2, 0.0)
-    return replace(
-        found, measured_rms_nm=measured, unexplained_rms_nm=float(np.hypot(found.unexplained_rms_nm, noise**0.5))
-    )
+    averaged = [
+        one.registration.noise_nm**2 * max(1 - cells.z.size / one.error.z.size, 0.0)
+        for one, cells in zip(every, found.residuals, strict=True)
+    ]
+    left = float(np.sqrt(found.unexplained_rms_nm**2 + np.mean(averaged)))
+    return replace(found, measured_rms_nm=measured, unexplained_rms_nm=left)
 
 
 def cutoff_of(job: Job) -> float:
