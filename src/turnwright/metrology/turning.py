@@ -44,6 +44,9 @@ POINTS = 20_000
 DEFECT_RADIUS = 12
 """Radius of what may be a defect of the middle, and how far it is looked for. [pixels]"""
 
+LARGEST_DEFECT = 0.2
+"""A defect of the middle is no larger: over coarser pixels something else is the same all around. [mm]"""
+
 EXPLAINED = 0.5
 """Share of the variance that a defect turned about its middle must explain."""
 
@@ -260,6 +263,8 @@ def _from_defect(error: HeightMap, step: float, near: tuple[float, float]) -> Tu
     from scipy.optimize import minimize  # noqa: PLC0415 - scipy is costly to import
 
     reach = DEFECT_RADIUS * step
+    if reach > LARGEST_DEFECT:
+        return None
     x, y = error.points()
     region = np.isfinite(error.z) & (np.hypot(x - near[0], y - near[1]) <= 3 * reach)
     if np.count_nonzero(region) < 4 * DEFECT_RADIUS:
