@@ -80,6 +80,12 @@ PER_BLOCK = 8
 LEVELLING = 300_000
 """Points of the base that are enough to level it."""
 
+UNSEEN = 50e-6
+"""Form that passes for a rotation is never taken to be less than this at the rim. [mm]"""
+
+AGREE = 3.0
+"""Standard deviations up to which base and lenslets agree about the rotation."""
+
 FLAT = 1e-9
 """A slope, or a height over a length, that has no effect."""
 
@@ -393,8 +399,8 @@ def find_roughly(points: Points, design: Design, k: int, inner: float) -> Floats
     free = [0, 1, 2]
     for share in (0.5, 0.75, inner):
         chosen = points.near(parameters, share * radius)
-        if chosen.size < FEWEST:
-            return None
+        if chosen.size < FEWEST:  # on coarse pixels the middle holds too few
+            continue
         chosen = chosen[:: chosen.size // COARSE + 1]
         x, y, departure, weight = (part[chosen] for part in (points.x, points.y, points.departure, points.weight))
         for _ in range(STEPS):
@@ -411,7 +417,7 @@ def find_roughly(points: Points, design: Design, k: int, inner: float) -> Floats
                 return None
             if np.hypot(*step[:2]) < 1e-4 * radius:
                 break
-    return parameters
+    return parameters if chosen.size >= FEWEST else None
 
 
 def fit_smooth(x: Floats, y: Floats, error: Floats) -> Smooth:
@@ -610,11 +616,14 @@ def errors_of_base(points: Points, base: Ints, design: Design) -> tuple[Floats, 
 
 
 def level_on_base(
-    points: Points, base: Ints, design: Design, starts: Floats, seen: Bools
-) -> tuple[Pose, str, BaseForm]:  # fmt: skip
-    """Return turn and shift along z that bring the base onto its design, words for the frame, and the base's form."""
+    points: Points, base: Ints, design: Design, starts: Floats, seen: Bools, rotation_std: float
+) -> tuple[Pose, str, BaseForm]:
+    """Return turn and shift along z that bring the base onto its design, words for the frame, and the base's form.
+
+    ``rotation_std`` is that of the pose where too few lenslets are seen to tell it. [rad]
+    """
     base = base[:: base.size // LEVELLING + 1]
-    weight, reach = points.weight[base], design.reach
+    weight = points.weight[base]
     error, slopes = errors_of_base(points, base, design)
     known = np.isfinite(error)
     base, error, slopes, weight = base[known], error[known], slopes[known], weight[known]
@@ -626,32 +635,23 @@ def level_on_base(
     u, v, error, slopes, weight = (part[smooth.keep] for part in (u, v, error, slopes, weight))
     # Tilts, height and form together, and next to them the rotation.
     shapes, turned = shapes_at(design, points.x[base], points.y[base]).T, slopes[:, 3]
-    slopes = np.concatenate([slopes[:, :3], -shapes], axis=1)
-    step = -least_squares_step(slopes, error, weight)
+    level, slopes = slopes[:, :3], np.concatenate([slopes[:, :3], -shapes], axis=1)
     blocks, _ = number_blocks(u, v, 2 * BLOCKS)
-    along = turned - slopes[:, :3] @ least_squares_step(slopes[:, :3], turned, weight)
-    strength = float(np.sqrt(np.average(along**2, weights=weight)))
-    whole, rotation_std = np.append(step, 0.0), float("inf")
-    if strength > FLAT * reach:
-        # Form that passes for a rotation is taken to be as large as each of the forms that do not, which are seen.
-        alike = least_squares_step(slopes, turned, weight)[3:]
-        others = np.eye(alike.size) - np.outer(alike, alike) / max(float(alike @ alike), 1e-300)
-        apart = np.concatenate([slopes[:, :3], -shapes @ others, turned[:, None]], axis=1)
-        whole = -least_squares_step(apart, error, weight)
-        whole[3:-1] = others @ whole[3:-1]
-        left = error + apart @ whole
-        again = fit_smooth(u, v, left)
-        rest = left - again.form
-        noise = clustered_covariance(along[:, None], rest, weight, blocks, again.terms)[0, 0]
-        form = np.average(again.form**2, weights=weight) - again.terms * np.average(rest**2, weights=weight) / u.size
-        seen_form = float(whole[3:-1] @ whole[3:-1]) / max(alike.size - 1, 1)
-        confusion = seen_form / float(alike @ alike) if alike.size else 0.0
-        rotation_std = float(np.sqrt(noise + max(form, 0.0) / strength**2 + confusion))
-    pattern_std = float("inf")
-    if np.count_nonzero(seen) > 2:
-        pattern_std = Alignment.of(design.centres[seen], starts[seen, :2]).rotation_std
-    by_base = rotation_std < pattern_std
-    chosen = whole if by_base else np.append(step, 0.0)
+    alike = least_squares_step(slopes, turned, weight)[3:]
+    chosen, by_base = np.append(-least_squares_step(slopes, error, weight), 0.0), False
+    lattice = Alignment.of(design.centres[seen], starts[seen, :2]) if np.count_nonzero(seen) > 2 else None
+    unsure = rotation_std
+    if lattice is not None:
+        unsure = float(np.hypot(lattice.rotation, lattice.rotation_std))
+    tells = _rotation_of_base(design, (u, v, error, weight, blocks), level, shapes, turned, alike)
+    if tells is not None:
+        whole, base_std = tells
+        by_base = base_std < (rotation_std if lattice is None else lattice.rotation_std)
+        if lattice is not None:  # what the lenslets contradict is form
+            gap = abs(float(whole[-1]) + lattice.rotation)
+            by_base &= gap <= AGREE * float(np.hypot(base_std, lattice.rotation_std))
+        if by_base:
+            chosen, unsure = whole, base_std
     # What the terms leave errs together over a block, so it counts as it does.
     left = error + slopes @ chosen[:-1] + turned * chosen[-1]
     spread = fit_smooth(u, v, left)
@@ -659,9 +659,46 @@ def level_on_base(
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - scipy is costly to import
 
     matrix = Rotation.from_rotvec([chosen[0], chosen[1], chosen[-1]]).as_matrix()
-    words = "the part's frame: tilt and height by the base, shift by the pose, rotation by the "
-    words += f"base within {rotation_std * 1e6:.2g} urad" if by_base else "pose"
-    alike = least_squares_step(slopes, turned, weight)[3:]
-    unsure = min(rotation_std, pattern_std)
+    words = (
+        f"the part's frame: tilt and height by the base, shift by the pose, rotation by the {_words(by_base, unsure)}"
+    )
     own = BaseForm(chosen[3:-1], covariance, alike * unsure if np.isfinite(unsure) else 0.0 * alike)
     return Pose.of(matrix, (0.0, 0.0, chosen[2])), words, own
+
+
+def _words(by_base: bool, unsure: float) -> str:
+    """Say what the rotation is by, and how well it is known."""
+    name = "base" if by_base else "pose"
+    return f"{name} within {unsure * 1e6:.2g} urad" if np.isfinite(unsure) else name
+
+
+def _rotation_of_base(
+    design: Design, data: tuple[Floats, Floats, Floats, Floats, Ints], level: Floats, shapes: Floats, turned: Floats,
+    alike: Floats,
+) -> tuple[Floats, float] | None:  # fmt: skip
+    """Return level, form and rotation by the base, and how unsure the last is; ``None`` where it has no effect.
+
+    The form that passes for the rotation, ``alike`` for each rad, is left out: it is taken to be as large as the
+    largest of those that do not, which are seen.
+    """
+    u, v, error, weight, blocks = data
+    along = turned - level @ least_squares_step(level, turned, weight)
+    strength = float(np.sqrt(np.average(along**2, weights=weight)))
+    if strength <= FLAT * design.reach:
+        return None
+    way = alike / max(float(np.sqrt(alike @ alike)), 1e-300)
+    others = np.eye(alike.size) - np.outer(way, way)
+    apart = np.concatenate([level, -shapes @ others, turned[:, None]], axis=1)
+    whole = -least_squares_step(apart, error, weight)
+    whole[3:-1] = others @ whole[3:-1]
+    left = error + apart @ whole
+    smooth = fit_smooth(u, v, left)
+    rest = left - smooth.form
+    noise = clustered_covariance(along[:, None], rest, weight, blocks, smooth.terms)[0, 0]
+    form = np.average(smooth.form**2, weights=weight) - smooth.terms * np.average(rest**2, weights=weight) / u.size
+    variance = float(noise) + max(float(form), 0.0) / strength**2
+    if alike.size:
+        # By so much the base seems turned for each mm of that form.
+        leak = float(least_squares_step(apart, shapes @ way, weight)[-1])
+        variance += (leak * max(float(np.abs(whole[3:-1]).max()), UNSEEN)) ** 2
+    return whole, float(np.sqrt(variance))

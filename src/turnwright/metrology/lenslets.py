@@ -227,10 +227,10 @@ class Lenslets(Sequence[Lenslet]):
             words += f", {off:.3g} um rms off beyond shift, rotation and scale"
         if self.base_form is None:
             return words
-        terms = sorted(dict(self.base_form.terms).items(), key=lambda term: -abs(term[1]))[:SAID]
-        named = ", ".join(
-            f"ANSI {number} {value * NM:.3g} +- {self.base_form_std[number] * NM:.2g} nm" for number, value in terms
-        )
+        # What is uncertain may be as large as it is uncertain, so it is named too.
+        std = self.base_form_std
+        terms = sorted(dict(self.base_form.terms).items(), key=lambda term: -np.hypot(term[1], std[term[0]]))[:SAID]
+        named = ", ".join(f"ANSI {number} {value * NM:.3g} +- {std[number] * NM:.2g} nm" for number, value in terms)
         return f"{words}; form of the base at the rim: {named}"
 
     @property
@@ -354,7 +354,7 @@ def lenslets(
     free = free_parameters(design, inner, radius=radius or form == "sphere", tilt=tilt)
     heights.require_calibrated()
     valid_points(heights, 1, "a fit of lenslets")
-    pose, doubt = _registered(heights, part, degree) if pose is None else (pose, "")
+    pose, rotation_std, doubt = _registered(heights, part, degree) if pose is None else (pose, float("inf"), "")
     pose = design.outer.inverse.after(pose)
     points = place_points(heights, pose, design)
     starts = np.zeros((design.centres.shape[0], 6))
@@ -371,7 +371,7 @@ def lenslets(
     own = BaseForm(np.empty(0), np.empty((0, 0)), np.empty(0))
     # The second time from so near that the step is linear and what is left is form.
     for _ in range(2 if level and base.size >= FEWEST else 0):
-        correction, frame, own = level_on_base(points, base, design, starts, seen)
+        correction, frame, own = level_on_base(points, base, design, starts, seen, rotation_std)
         pose = correction.after(pose)
         points = place_points(heights, pose, design)
         starts[:, 0], starts[:, 1], _ = correction.apply(starts[:, 0], starts[:, 1], 0.0)
@@ -439,8 +439,11 @@ def base_forms(part: Part, degree: int = DEGREE) -> tuple[Zernike, ...]:
     )
 
 
-def _registered(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, str]:
-    """Return where the map lies, the form of the base found along with it, and the words of a doubt."""
+def _registered(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, float, str]:
+    """Return where the map lies, how well its rotation is known [rad], and the words of a doubt.
+
+    The form of the base is found along with it.
+    """
     from turnwright.metrology.registration import register  # noqa: PLC0415 - costly to import
 
     # Displaced lenslets are no reason to turn the rest, so they pull less the farther off they are.
@@ -450,7 +453,7 @@ def _registered(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, str]
     others, doubt = len(registration.candidates), ""
     if others:
         doubt = f"; {others} other poses fit nearly as well, so which lenslet is which is not certain: give a pose"
-    return registration.pose, doubt
+    return registration.pose, registration.std.get("rotation", float("inf")), doubt
 
 
 def has_lenslets(surface: Surface) -> bool:
