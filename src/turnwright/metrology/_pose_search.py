@@ -29,6 +29,9 @@ SETTLED = 60
 REFINED = 8
 """Valleys that are fitted to the surface itself."""
 
+CALMING = 8
+"""Most steps at each scale of Tukey's loss, which only has to lead to where least squares begins."""
+
 SLIDES = 40
 """Most steps into a valley."""
 
@@ -390,7 +393,7 @@ def _refined(problem: Problem, state: Floats, free: list[int], size: Floats, *, 
     """Fit from a valley of the table; calm, by Tukey's loss first."""
     pose = [k for k in free if k < 6]
     if calm:
-        state = fit(replace(problem, loss="tukey"), state, pose, size, steps=25, close=1e-7).state
+        state = fit(replace(problem, loss="tukey"), state, pose, size, steps=CALMING, close=1e-7).state
     found = fit(problem, state, pose, size, steps=25, close=1e-7)
     if len(pose) < len(free):
         # Where a term and a turn pass for each other the pose alone goes half-way to a twin.
