@@ -134,7 +134,7 @@ def test_every_field_that_names_a_file_says_which_it_takes(client):
     holds = {(name, field["holds"]) for _, name, field in fields if "holds" in field}
     assert holds == {
         ("file", "heights"), ("file", "machine"), ("waviness_file", "waviness"), ("straightness_file", "straightness"),
-        ("correction", "correction"), ("material", "material"),
+        ("correction", "correction"), ("material", "material"), ("mask", "heights"),
     }  # fmt: skip
     for _, name, field in fields:
         if field.get("format") == "reference":
