@@ -453,3 +453,18 @@ def test_a_million_points_take_fifteen_evaluations_at_most(loss, monkeypatch):
     found = register(heights, part, loss=loss)
     assert found.rms_nm == pytest.approx(8, rel=0.01)
     assert sum(counted) <= 15 * r.size
+
+
+def test_a_height_that_is_none_does_not_weigh():
+    """Oracle: the same map without the 1e9 that an instrument has put where it saw nothing."""
+    part = Part(surface=Toroid(radius_x=15.0, radius_y=25.0), radius=2.0)
+    axis = np.linspace(-1.9, 1.9, 61)
+    x, y = np.meshgrid(axis, axis)
+    z = np.where(np.hypot(x, y) < 1.85, part.surface.sag(x, y), np.nan)
+    z += 5e-6 * np.random.default_rng(1).normal(size=z.shape)
+    missing, wild = z.copy(), z.copy()
+    missing[30, 30], wild[30, 30] = np.nan, 1e9
+    one, other = (register(HeightMap(x=axis, y=axis, z=each), part, loss="tukey") for each in (missing, wild))
+    assert other.held == one.held
+    assert other.pose.shift == pytest.approx(one.pose.shift, abs=1e-4)
+    assert other.pose.rotation == pytest.approx(one.pose.rotation, abs=1e-4)

@@ -498,9 +498,10 @@ def _task(
     x, y = heights.points()
     points = np.stack([one.ravel()[index] for one in (x, y, heights.z)])
     area = point_areas(heights).ravel()[index]
-    pivot = points.mean(axis=1)
+    # One height that an instrument has set to 1e9 is neither in the middle nor at the rim.
+    pivot = np.array([points[0].mean(), points[1].mean(), np.median(points[2])])
     points -= pivot[:, None]
-    rim = float(np.sqrt((points * points).sum(axis=0).max())) or 1.0
+    rim = float(np.hypot(np.hypot(points[0], points[1]).max(), np.quantile(np.abs(points[2]), COMMON))) or 1.0
     if start is None:
         far = np.hypot(points[0] + pivot[0], points[1] + pivot[1]).max() > radius + 5
         start = Pose(shift=(-pivot[0], -pivot[1], 0.0)) if far else Pose()
@@ -525,6 +526,10 @@ def _task(
         form=form,
         which=index,
     )
+
+
+COMMON = 0.99
+"""Share of the heights that are not wild."""
 
 
 def _bends(surface: Surface, radius: float) -> Floats:
