@@ -51,7 +51,7 @@ Keys = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help='A key of the job\'s [measurement] for this run, such as "clocking=20 deg"; may be repeated.',
+        help='A key of the job\'s table measurement for this run, such as "clocking=20 deg"; may be repeated.',
         default_factory=list,
         show_default=False,
     ),

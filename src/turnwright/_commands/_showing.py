@@ -153,8 +153,9 @@ def _say_roughness(door: Door, line: Profile, cutoff: float) -> None:
 
     rough = profile_roughness(line, cutoff=cutoff)
     door.say(
-        f"roughness over {rough.sections} sections of {say_length(cutoff)}: Ra {rough.ra_nm:.4g} nm, "
-        f"Rq {rough.rq_nm:.4g} nm, Rz {rough.rz_nm:.4g} nm, Rsk {rough.rsk:.3g}, RSm {rough.rsm * 1e3:.4g} um"
+        f"roughness over {rough.sections} section{'s' * (rough.sections > 1)} of {say_length(cutoff)}: "
+        f"Ra {rough.ra_nm:.4g} nm, Rq {rough.rq_nm:.4g} nm, "
+        f"Rz {rough.rz_nm:.4g} nm, Rsk {rough.rsk:.3g}, RSm {rough.rsm * 1e3:.4g} um"
     )
 
 
