@@ -254,19 +254,19 @@ class Estimate:
         own[:j, :j] = np.eye(j)
         if many:
             own[j : j + k, j : j + k] = np.diag(np.sqrt(self.between_numbers()))
-        own[j + k :, -TERMS:] = np.diag(self._spread(self.own))
+        own[j + k :, -TERMS:] = np.diag(self._spread(self.own, even=len(self.sights) == 1))
         shared = np.zeros((j + k + TERMS, k + kinds * TERMS))
         shared[j : j + k, :k] = np.eye(k)
         if (kind := self.kinds[m]) is not None:
-            shared[j + k :, k + kind * TERMS : k + (kind + 1) * TERMS] = np.diag(self._spread(self.common))
+            shared[j + k :, k + kind * TERMS : k + (kind + 1) * TERMS] = np.diag(self._spread(self.common, even=True))
         return _Split(own, shared)
 
-    def _spread(self, sizes: Floats) -> Floats:
-        """Return the standard deviation of every term. (g,)."""
+    def _spread(self, sizes: Floats, *, even: bool) -> Floats:
+        """Return the standard deviation of every term; an even drift is one that nothing else tells of. (g,)."""
         spread = []
         for size, group in zip(sizes.tolist(), GROUPS, strict=True):
             own = np.sqrt(size * group.relative)
-            if group.name not in self.plausible:
+            if even and group.name not in self.plausible:
                 own[0] = max(own[0], group.ramp)
             spread.append(own)
         return np.concatenate(spread)
@@ -346,7 +346,7 @@ class Estimate:
         k = self.typical.size
         for g, (group, place) in enumerate(zip(GROUPS, PLACES, strict=True)):
             limits, apart = (group.least**2, group.most**2), MANY if group.name == "low form" else FEW
-            if group.ramp:
+            if group.ramp and len(self.sights) == 1:
                 place = slice(place.start + 1, place.stop)  # noqa: PLW2901 - the ramp has a size of its own
             values = np.stack([one[-TERMS:][place] for one in own])
             spread = np.stack(
