@@ -96,3 +96,40 @@ def test_profiles_without_cusps_are_refused():
         find_cusps(as_profile(at, np.full(400, np.nan)))
     with pytest.raises(InputError, match="neighbours"):
         find_cusps(flat(0.010 * np.arange(1, 30))).between(0.05, 0.06)
+
+
+@pytest.mark.parametrize(("step", "noise"), [(0.1e-3, 0.25), (0.1e-3, 0.4), (0.2e-3, 0.4), (0.87e-3, 0.3)])
+def test_the_feed_is_found_in_noise_however_fine_the_steps(step, noise):
+    """The slopes of white noise outweigh those of the cusps; the cusps stand out among periods near their own."""
+    feed = 0.008
+    tips = feed * np.arange(1, 54)
+    height = NOSE - np.sqrt(NOSE**2 - feed**2 / 4)
+    for seed in range(2):
+        found = find_cusps(flat(tips, step=step, noise=noise * height, seed=seed))
+        assert found.feed == pytest.approx(feed, rel=3e-3)
+        assert abs(found.feed - feed) < 4 * found.feed_std
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_is_not_taken_for_cusps(seed):
+    at = 0.27e-3 * np.arange(1481)
+    noise = 5e-6 * np.random.default_rng(seed).standard_normal(at.size)
+    with pytest.raises(InputError, match="no cusps stand out of the profile's noise"):
+        find_cusps(as_profile(at, noise))
+    smooth = np.convolve(noise, np.ones(15) / 4, mode="same")
+    for z, feed in ((noise, 0.008), (smooth, None), (smooth, 0.008)):
+        with pytest.raises(InputError, match=r"as those of noise do|stand out of the profile's noise"):
+            find_cusps(as_profile(at, z), feed=feed)
+
+
+def test_a_straight_line_has_no_cusps():
+    at = 0.27e-3 * np.arange(1481)
+    with pytest.raises(InputError, match="flat"):
+        find_cusps(as_profile(at, 0.01 * at))
+
+
+def test_a_scratched_stretch_and_missed_crests_do_not_refuse_the_rest():
+    profile = flat(0.010 * np.arange(1, 60), noise=1e-6)
+    z = profile.z.copy()
+    z[300:420] = 1e-4 * np.random.default_rng(0).standard_normal(120)
+    assert find_cusps(replace(profile, z=z), feed=0.010).feed == pytest.approx(0.010, rel=2e-3)

@@ -31,6 +31,9 @@ NM = 1e6
 FORM = 4
 """Degree of the polynomial that is taken off before the spectrum is searched."""
 
+ROUNDING = 64 * float(np.finfo(np.float64).eps)
+"""Scatter of the heights over the highest of them, below which they are rounded and no more."""
+
 FEWEST = 3
 """Cusps in a profile, at least."""
 
@@ -39,6 +42,12 @@ POINTS = 4
 
 LOWER = 0.6
 """Height of every second crest over that of the others, below which it is none of a pass."""
+
+CHANCE = 1e-4
+"""How likely noise alone may show a period that counts."""
+
+WIDE, LEAST_BINS = 1.5, 24
+"""Frequencies among which a period must stand out: to either side by this factor, and upward at least so many."""
 
 STRONGER = 3.0
 """Density of the feed over that of its harmonic, at least; a sawtooth has 4 times that of its second."""
@@ -57,6 +66,15 @@ AROUND = 0.1
 
 OFF = 0.25
 """Share of the feed by which the spacing of two crests may be off it, and they still be neighbours."""
+
+BY_CHANCE = 1e-3
+"""How likely noise may space its crests as evenly as those that count."""
+
+NOISE_NEAR = 0.7
+"""Share of the spacings of noise that are off by less than `OFF`, spread evenly; the others count as off by it."""
+
+LOCAL = 15
+"""Spacings whose median is the feed at a place."""
 
 SHORTEST = 4
 """Crests of a stretch, at least."""
@@ -172,9 +190,10 @@ class Cusps:
 def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | None = None) -> Cusps:
     """Find the cusps of a profile across the lay, and measure their spacing and their height.
 
-    The strongest period of the slope's spectrum is the first guess of the feed; the crests themselves decide. Crests
-    whose spacing is off the median by more than a quarter are no neighbours: around the spindle axis, and at damage,
-    the run ends.
+    The strongest period of the slope's spectrum, among those that stand out of the noise around them, is the first
+    guess of the feed; the crests themselves decide. They must be spaced more evenly than those of noise. Crests
+    whose spacing is off the median around them by more than a quarter are no neighbours: around the spindle axis, and
+    at damage, the run ends.
 
     Parameters
     ----------
@@ -188,7 +207,7 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
     Raises
     ------
     InputError
-        If the profile is uneven, has too few points, or shows fewer than three neighbouring cusps.
+        If the profile is uneven, has too few points, shows fewer than three neighbouring cusps, or only noise.
 
     >>> from turnwright.profile import Profile
     >>> x = np.arange(2000) * 2e-4
@@ -206,6 +225,8 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
             f"the profile has {np.count_nonzero(valid)} valid heights, cusps need {POINTS * FEWEST}: measure more of it"
         )
     z = np.interp(profile.distance, profile.distance[valid], profile.z[valid])
+    if np.std(_without_form(profile.distance, z)) <= ROUNDING * np.abs(z).max():
+        raise InputError("the profile is flat, it shows no cusps: give one across the lay")
     guess = _strongest_period(profile, z, step) if feed is None else positive(feed, "the feed", "mm")
     if guess < POINTS * step or guess * FEWEST > np.ptp(profile.distance):
         raise InputError(
@@ -214,7 +235,7 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
             "measure with smaller pixels"
         )
     # Where crests and valleys stand is looked for without form and waviness; how high they are is not.
-    z = z - np.polynomial.Legendre.fit(profile.distance, z, min(FORM, z.size // 8))(profile.distance)
+    z = _without_form(profile.distance, z)
     level = z - ndimage.gaussian_filter1d(z, BASE * guess / step)
     flat = ndimage.gaussian_filter1d(level, SMOOTH * guess / step)
     least = PROMINENCE * float(np.ptp(np.percentile(flat, (5, 95))))
@@ -224,11 +245,38 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
     crest = np.array([_turning_point(profile.distance, level, top, half)[0] for top in places])
     # The tip of a crest is sharp: the highest point near it, not the parabola.
     height = np.array([_turning_point(profile.distance, z, _highest(level, top, half), 1)[1] for top in places])
-    run = _runs(crest, guess, axis)
+    run, relative = _runs(crest, guess, axis)
+    # Where crests are missed, their neighbours stand whole feeds apart.
+    same_side = np.ones(relative.size, dtype=bool) if axis is None else (crest[:-1] >= axis) == (crest[1:] >= axis)
+    _require_even((relative - np.maximum(np.rint(relative), 1))[same_side], guess)
     at, heights = _heights(profile.distance, z, level, crest, height, run, half)
     if feed is None and _alternating(crest, run, at, heights):
         return find_cusps(profile, feed=2 * guess, axis=axis)
     return _summed_up(crest, height, run, at, heights, axis)
+
+
+def _without_form(at: Floats, z: Floats) -> Floats:
+    return np.asarray(z - np.polynomial.Legendre.fit(at, z, min(FORM, z.size // 8))(at))
+
+
+def _require_even(off: Floats, guess: float) -> None:
+    """Refuse crests whose spacings are off by as much, over the feed, as those of noise are."""
+    if not off.size:
+        return
+    from scipy import stats  # noqa: PLC0415 - costly to import
+
+    square = float(np.mean(np.minimum(np.abs(off), OFF) ** 2))
+    # The means of noise follow a gamma distribution with the mean and the variance of these squares.
+    mean = OFF**2 * (1 - NOISE_NEAR * 2 / 3)
+    variance = OFF**4 * (1 - NOISE_NEAR * 4 / 5) - mean**2
+    shape = off.size * mean**2 / variance
+    limit = mean * float(stats.gamma.ppf(BY_CHANCE, shape) / shape)
+    if square > limit:
+        raise InputError(
+            f"{off.size + 1} crests about {1e3 * guess:.3g} um apart scatter by {100 * np.sqrt(square):.2g} % of "
+            f"it (at most {100 * OFF:g} % each), as those of noise do; cusps scatter by less than "
+            f"{100 * np.sqrt(limit):.2g} %: check the feed if it is given, state it if not, or measure with less noise"
+        )
 
 
 def _alternating(crest: Floats, run: Ints, at: Floats, heights: Floats) -> bool:
@@ -244,21 +292,43 @@ def _alternating(crest: Floats, run: Ints, at: Floats, heights: Floats) -> bool:
 def _strongest_period(profile: Profile, z: Floats, step: float) -> float:
     """Return the period of the strongest slopes, between four points and a third of the profile. [mm]."""
     spectrum = line_psd(replace(profile, z=z), form=min(FORM, z.size // 8), window="hann")
-    frequency = spectrum.frequency
-    score = spectrum.density * frequency**2
-    score[(frequency < FEWEST / np.ptp(profile.distance)) | (frequency > 1 / (POINTS * step))] = 0.0
+    frequency, density = spectrum.frequency, spectrum.density
+    allowed = (frequency >= FEWEST / np.ptp(profile.distance)) & (frequency <= 1 / (POINTS * step))
+    if not density[allowed].any():
+        raise InputError("the profile is flat, it shows no cusps: give one across the lay")
+    # Of noise each density is its mean times a number of exponential distribution.
+    outstanding = density / np.maximum(_surroundings(density), 1e-300)
+    limit = float(np.log(density.size / CHANCE))
+    score = np.where(allowed & (outstanding > limit), density * frequency**2, 0.0)
+    if not score.any():
+        most = int(np.argmax(np.where(allowed, outstanding, 0.0)))
+        raise InputError(
+            f"no cusps stand out of the profile's noise: its strongest period, {1e3 / frequency[most]:.3g} um, has "
+            f"{outstanding[most]:.2g} times the power of those around it, the limit is {limit:.2g}: state the feed, "
+            "measure with less noise, or give a profile across the lay"
+        )
     top = int(np.argmax(score))
     # Sharp cusps have strong harmonics: where half or a third of the frequency is stronger, that is the feed.
     for part in (3, 2):
         low = top // part
-        lower = low - 1 + int(np.argmax(spectrum.density[low - 1 : low + 3])) if low > 1 else top
-        if score[lower] > 0 and spectrum.density[lower] > STRONGER * spectrum.density[top]:
+        lower = low - 1 + int(np.argmax(density[low - 1 : low + 3])) if low > 1 else top
+        if allowed[lower] and density[lower] > STRONGER * density[top]:
             top = lower
             break
     around = slice(max(top - 1, 0), top + 2)
-    if not score[top] > 0:
-        raise InputError("the profile is flat, it shows no cusps: give one across the lay")
-    return float(score[around].sum() / (score[around] @ frequency[around]))
+    weight = np.where(allowed, density * frequency**2, 0.0)[around]
+    return float(weight.sum() / (weight @ frequency[around]))
+
+
+def _surroundings(density: Floats) -> Floats:
+    """Return the mean density of the noise around each frequency, from the median: a few lines do not move it."""
+    size = density.size
+    centres = np.unique(np.rint(np.geomspace(1, size - 1, int(4 * np.log2(size)))).astype(np.int64))
+    means = [
+        float(np.median(density[max(int(c / WIDE), 1) : max(int(WIDE * c), c + LEAST_BINS) + 1])) / np.log(2)
+        for c in centres
+    ]
+    return np.asarray(np.interp(np.log(np.maximum(np.arange(size), 1)), np.log(centres), means))
 
 
 def _turning_point(at: Floats, z: Floats, index: int, half: int) -> tuple[float, float]:
@@ -279,15 +349,23 @@ def _highest(z: Floats, index: int, half: int) -> int:
     return first + int(np.argmax(z[first : index + half + 1]))
 
 
-def _runs(crest: Floats, guess: float, axis: float | None) -> Ints:
-    """Return the number of the run of each crest: neighbours are about a feed apart, on one side of the axis."""
-    spacing = np.diff(crest)
-    near = spacing[np.abs(spacing / guess - 1) < 2 * OFF]
-    feed = float(np.median(near)) if near.size else guess
-    broken = np.abs(spacing / feed - 1) > OFF
+def _runs(crest: Floats, guess: float, axis: float | None) -> tuple[Ints, Floats]:
+    """Return the run of each crest, and each spacing over those around it.
+
+    Neighbours are about a feed apart, on one side of the axis. (n,), (n - 1,)
+    """
+    from scipy import ndimage  # noqa: PLC0415 - costly to import
+
+    spacing, middle = np.diff(crest), (crest[1:] + crest[:-1]) / 2
+    near = np.abs(spacing / guess - 1) < 2 * OFF
+    feed = np.full(spacing.size, guess)
+    if near.any():
+        feed = np.interp(middle, middle[near], ndimage.median_filter(spacing[near], LOCAL, mode="nearest"))
+    relative = spacing / feed
+    broken = np.abs(relative - 1) > OFF
     if axis is not None:
         broken |= (crest[:-1] < axis) & (crest[1:] >= axis)
-    return np.concatenate([[0], np.cumsum(broken)]).astype(np.int64)[: crest.size]
+    return np.concatenate([[0], np.cumsum(broken)]).astype(np.int64)[: crest.size], relative
 
 
 def _heights(
