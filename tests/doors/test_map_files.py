@@ -794,3 +794,21 @@ def test_blanks_without_end_are_read_once(tmp_path, head):
     (tmp_path / "a.csv").write_text(head.format(1_000_000 * " ") + "\n1,2,3\n2,3,4\n")
     with pytest.raises(InputError):
         read_map(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("empty", ["", "inf", "nan"])
+def test_a_map_whose_first_heights_are_missing_keeps_its_units(tmp_path, empty):
+    rows = [
+        f"{0.01 * i:.2f},{0.01 * j:.2f},{empty if (i + j) % 9 == 0 or j == 0 else i + j}"
+        for j in range(30)
+        for i in range(40)
+    ]
+    (tmp_path / "a.csv").write_text("x [mm],y [mm],z [nm]\n" + "\n".join(rows))
+    found = read_map(tmp_path / "a.csv")
+    assert found.z.shape == (30, 40)
+    assert np.nanmax(found.z) == pytest.approx(68e-6)
+    assert np.isnan(found.z[0]).all()
+    with pytest.raises(MapError, match="states the unit of its heights"):
+        read_map(tmp_path / "a.csv", unit="um")
+    with pytest.raises(MapError, match="states the unit of x"):
+        read_map(tmp_path / "a.csv", lateral_unit="um")

@@ -68,6 +68,31 @@ def test_units_are_never_guessed(tmp_path):
     assert mixed.step == pytest.approx(1e-3)
 
 
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize(
+    "empty", [[""], ["inf"], ["-Infinity"], ["nan"], ["***"], [""] * 3, [""] * 30, ["", "inf", "nan"]]
+)
+def test_the_header_counts_whatever_the_first_rows_hold(tmp_path, separator, empty):
+    heights = [*empty, *(f"{10 * k}.5" for k in range(40))]
+    rows = [separator.join([f"{0.5 * k:.4f}", cell]) for k, cell in enumerate(heights)]
+    text = "\n".join([separator.join(["X [um]", "Z [nm]"]), *rows])
+    found = read(tmp_path, text)
+    assert found.z.size == len(heights)
+    assert np.isnan(found.z).sum() == len(empty)
+    assert found.z[-1] == pytest.approx(390.5e-6)
+    assert found.step == pytest.approx(0.5e-3)
+    with pytest.raises(MapError, match=r"states the unit of its heights, nm: do not give unit='um'"):
+        read(tmp_path, text, unit="um")
+    with pytest.raises(MapError, match=r"states the unit of x, um: do not give lateral_unit='mm'"):
+        read(tmp_path, text, lateral_unit="mm")
+
+
+def test_a_row_that_ends_early_hides_no_header(tmp_path):
+    found = read(tmp_path, "X [um],Z [nm]\n0.5\n1.5,2.0\n2.5,3.0\n3.5,4.0\n")
+    assert found.z == pytest.approx([2e-6, 3e-6, 4e-6])
+    assert read(tmp_path, "x [µm],z [micron]\n0.5,1\n1.5,2\n2.5,3\n", unit="um").z[0] == pytest.approx(1e-3)
+
+
 def test_a_file_of_one_line_is_a_profile_and_a_map_is_none(tmp_path):
     line = HeightMap(z=np.arange(5.0)[None] * 1e-6, x=0.1 * np.arange(5), y=[0.0])
     write_map(line, tmp_path / "a.npz")

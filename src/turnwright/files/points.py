@@ -49,7 +49,7 @@ NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 COMMA = re.compile(r"[+-]?(?:\d*,\d+|\d+)(?:[eE][+-]?\d+)?")
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 ONLY_NUMBERS = re.compile(r"\s*[-+\d.,][-+\d.,;eE\s]*")
-MISSING = re.compile(r"(?i)nan|no ?data|bad|n/?a|null|\*+|-{2,}|")
+MISSING = re.compile(r"(?i)nan|[+-]?inf(?:inity)?|no ?data|bad|n/?a|null|\*+|-{2,}|")
 MARKS = "#%!;/"
 """What a line of description may begin with."""
 
@@ -81,10 +81,12 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
     """Read text; the units are for numbers that the text gives none."""
     lines = _first_lines(text)
     layout = _layout(path, lines)
-    lateral_unit = unit if lateral_unit is None else lateral_unit or None
+    # An empty lateral unit keeps that of the heights from standing in for it.
+    rest = unit if lateral_unit is None else None
+    lateral_unit = lateral_unit or None
     crossed = _crossed(lines, layout)
     if crossed is not None:
-        return _read_crossed(path, text, layout, crossed, _stated(lines[: crossed[0]]), (unit, lateral_unit))
+        return _read_crossed(path, text, layout, crossed, _stated(lines[: crossed[0]]), (unit, lateral_unit, rest))
     above = lines[: layout.first]
     names = _names(above, layout)
     chosen = _columns(path, names, layout.columns)
@@ -98,13 +100,15 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
         require_points(path, found.shape[1], found.shape[0])
         return grid_map(path, found[::-1] * scale, None, metadata=metadata)
     units = _column_units(above, layout)
-    scales = {axis: _unit(path, units, _stated(above), axis, unit if axis == "z" else lateral_unit) for axis in chosen}
+    stated = _stated(above)
+    given = {"x": (lateral_unit, rest), "y": (lateral_unit, rest), "z": (unit, None)}
+    scales = {axis: _unit(path, units, stated, axis, *given[axis]) for axis in chosen}
     found = _table(path, body, layout, tuple(chosen.values()))
     return _as_map(path, dict(zip(chosen, found.T, strict=True)), scales, metadata)
 
 
 def read_slice(
-    path: Path, text: str, columns: tuple[str | None, str | None], units: tuple[str | None, str | None]
+    path: Path, text: str, columns: tuple[str | None, str | None], unit: str | None, lateral_unit: str | None
 ) -> tuple[Floats, Floats, str]:
     """Return distances and heights of a text's rows in mm, missing ones nan, and its description. Each (n,).
 
@@ -116,18 +120,18 @@ def read_slice(
         Rows of numbers below a line of names.
     columns
         Names of the columns of distance and height, or their numbers from 1; without names two columns of numbers.
-    units
-        Of distance and height where the text states none.
+    unit, lateral_unit
+        Of the heights, and of the distances if not the same, where the text states none.
     """
     lines = _first_lines(text)
     layout = _layout(path, lines)
     above = lines[: layout.first]
     names = _names(above, layout) or [str(number + 1) for number in range(layout.columns)]
     chosen = _slice_columns(path, names, columns, _numeric_columns(lines, layout))
-    own = {axis: unit for axis, at in zip("xz", chosen, strict=True) if (unit := _split_cell(names[at])[1])}
+    own = {axis: named for axis, at in zip("xz", chosen, strict=True) if (named := _split_cell(names[at])[1])}
     scales = []
-    for axis, given in zip("xz", units, strict=True):
-        scale = _unit(path, own, _stated(above), axis, None if axis == "x" and axis in own else given)
+    for axis, given, rest in (("x", lateral_unit, unit), ("z", unit, None)):
+        scale = _unit(path, own, _stated(above), axis, given, rest)
         if scale is None:
             raise MapError(f"{path} counts pixels where a profile needs lengths: export it calibrated")
         scales.append(scale)
@@ -141,7 +145,7 @@ def read_slice(
 
 def _numeric_columns(lines: list[str], layout: _Layout) -> list[int]:
     """Return which columns hold numbers, by the first rows."""
-    rows = [_cells(line, layout.separator) for line in lines[layout.first :] if line.strip()][: ALIKE + 17]
+    rows = [_cells(line, layout.separator, layout.columns) for line in lines[layout.first :] if line.strip()]
     kind = COMMA if layout.comma else NUMBER
     return [
         column
@@ -194,7 +198,7 @@ def _crossed(lines: list[str], layout: _Layout) -> tuple[int, list[str]] | None:
     """Return the line that holds x, and its cells, where rows of heights begin with their y."""
     kind = COMMA if layout.comma else NUMBER
     for number in (layout.first, layout.first - 1):
-        cells = _cells(lines[number], layout.separator) if number >= 0 else []
+        cells = _cells(lines[number], layout.separator, layout.columns) if number >= 0 else []
         if not len(cells) == layout.columns >= CROSSED or not all(map(kind.fullmatch, cells[1:])):
             continue
         # A word for a missing number is one of a table of heights without axes.
@@ -209,11 +213,13 @@ def _read_crossed(
     layout: _Layout,
     crossed: tuple[int, list[str]],
     stated: dict[str, set[str]],
-    units: tuple[str | None, str | None],
+    units: tuple[str | None, str | None, str | None],
 ) -> HeightMap:
     """Read a table with x in its first row and y in its first column."""
     number, cells = crossed
-    found_units = {axis: _unit(path, {}, stated, axis, units[axis != "z"]) for axis in "xyz"}
+    unit, lateral_unit, rest = units
+    found_units = {axis: _unit(path, {}, stated, axis, lateral_unit, rest) for axis in "xy"}
+    found_units["z"] = _unit(path, {}, stated, "z", unit)
     scales = {axis: scale for axis, scale in found_units.items() if scale is not None}
     if len(scales) < len(found_units):
         raise MapError(f"{path} counts pixels where a length is needed: x, y and z must have lengths")
@@ -288,9 +294,11 @@ def _layout(path: Path, lines: list[str]) -> _Layout:
         if not line.strip() or line.lstrip()[0] in MARKS:
             continue
         some = [one for one in lines[first:] if one.strip() and one.lstrip()[0] not in MARKS][: ALIKE + 17]
-        ways = [(*way, agreed == ALL) for way in _ways(some) if (agreed := _agree(some, *way))]
+        above = next((one for one in reversed(lines[:first]) if one.strip()), "")
+        widths = [(*way, _width(some, above, way[0])) for way in _ways(some)]
+        ways = [(*way, agreed == ALL) for way in widths if (agreed := _agree(some, *way))]
         # A way in which all is numbers is meant before one in which some is not.
-        ways = [way for way in ways if way[2]] or ways
+        ways = [way for way in ways if way[-1]] or ways
         if len(ways) > 1 or (
             not ways and len(re.findall(r"\d+", line)) > 2 and "," in line and ONLY_NUMBERS.fullmatch(line)
         ):
@@ -299,8 +307,8 @@ def _layout(path: Path, lines: list[str]) -> _Layout:
                 "part numbers, decimals or thousands: write decimal points, or part the columns by semicolons"
             )
         if ways:
-            separator, comma, numeric = ways[0]
-            return _Layout(first, separator, comma, len(_cells(some[0], separator)), numeric)
+            separator, comma, width, numeric = ways[0]
+            return _Layout(first, separator, comma, width, numeric)
         if ONLY_NUMBERS.fullmatch(line) and len(line.split()) > 1:
             raise MapError(
                 f"{path} has the numbers {line.strip()[:60]!r} in line {first + 1}, unlike the lines below: every line "
@@ -322,17 +330,25 @@ def _ways(lines: list[str]) -> list[tuple[str | None, bool]]:
     return [(",", False), (None, True)]
 
 
-def _cells(line: str, separator: str | None) -> list[str]:
+def _cells(line: str, separator: str | None, width: int = 1) -> list[str]:
+    """Return the cells of a line; what follows a separator at its end is one only up to the width of the table."""
     cells = [cell.strip().strip('"').strip() for cell in line.split(separator)]
-    if separator is not None and len(cells) > 1 and not cells[-1]:
+    if separator is not None and len(cells) > width and not cells[-1]:
         cells.pop()
     return cells
 
 
-def _agree(lines: list[str], separator: str | None, comma: bool) -> int:
+def _width(lines: list[str], above: str, separator: str | None) -> int:
+    """Return how many columns the first rows have: the last may be empty in some, or in all below a name."""
+    width = max(len(_cells(line, separator)) for line in lines[:ALIKE])
+    names = len(_cells(above, separator))
+    every = all(len(_cells(line, separator, names)) == names for line in lines[:ALIKE])
+    return names if names == width + 1 and every else width
+
+
+def _agree(lines: list[str], separator: str | None, comma: bool, width: int) -> int:
     """Return how well lines read as a table: ALL numbers, SOME of them with the first column, or not at all (0)."""
-    rows = [_cells(line, separator) for line in lines[:ALIKE]]
-    width = len(rows[0])
+    rows = [_cells(line, separator, width) for line in lines[:ALIKE]]
     kind = COMMA if comma else NUMBER
     if width < 2 or any(len(row) != width for row in rows) or not any(kind.fullmatch(cell) for cell in rows[0]):
         return 0
@@ -341,7 +357,7 @@ def _agree(lines: list[str], separator: str | None, comma: bool) -> int:
     ]
     if not (numeric[0] and sum(numeric) >= 2):
         return 0
-    cells = [cell for line in lines for cell in _cells(line, separator)]
+    cells = [cell for line in lines for cell in _cells(line, separator, width)]
     if comma:
         # Where each comma could part thousands, nothing says that it is a decimal sign.
         marked = [cell for cell in cells if "," in cell]
@@ -380,12 +396,15 @@ def _table(path: Path, body: str, layout: _Layout, columns: tuple[int, ...] | No
 def _names(above: list[str], layout: _Layout) -> list[str] | None:
     """Return the cells of the line of names above the table, if it has one."""
     for line in reversed(above):
-        if not line.strip() or STATED.search(line):
-            continue
         plain = line.strip().lstrip(MARKS).strip()
+        # A row of numbers that is too short for the table, or a rule, is none of names.
+        values = all(NUMBER.fullmatch(cell) or MISSING.fullmatch(cell) for cell in _cells(plain, layout.separator))
+        if values or STATED.search(line):
+            continue
         for separator in (layout.separator, ",", ";", "\t", None):
             # A unit belongs to the name before it, also where white space parts the names.
-            cells = _cells(re.sub(r"(?<!\s)\s++(?=[\[(/])", "", plain) if separator is None else plain, separator)
+            joined = re.sub(r"(?<!\s)\s++(?=[\[(/])", "", plain) if separator is None else plain
+            cells = _cells(joined, separator, layout.columns)
             if len(cells) == layout.columns and not any(NUMBER.fullmatch(cell) for cell in cells):
                 return cells
         return None
@@ -446,15 +465,21 @@ def _stated(above: list[str]) -> dict[str, set[str]]:
 
 
 def _unit(
-    path: Path, columns: dict[str, str], stated: dict[str, set[str]], axis: str, given: str | None
-) -> float | None:
-    """Return the unit of an axis in mm, or nothing if it counts pixels."""
+    path: Path, columns: dict[str, str], stated: dict[str, set[str]], axis: str, given: str | None,
+    rest: str | None = None,
+) -> float | None:  # fmt: skip
+    """Return the unit of an axis in mm, or nothing if it counts pixels; ``rest`` is for what nothing else states."""
     names = {columns[axis]} if axis in columns else stated[axis]
-    if len({SPELLINGS.get(one.lower(), one.lower()) for one in names}) > 1:
+    if len({_spelled(one) for one in names}) > 1:
         raise MapError(f"{path} states the units {', '.join(sorted(names))} for {axis}, the limit is 1: state one")
-    if names and given is not None and axis == "z" and given.lower() not in {one.lower() for one in names}:
-        raise MapError(f"{path} states the unit of its heights, {next(iter(names))}: do not give unit={given!r}")
-    unit = next(iter(names), given)
+    if names and given is not None and _spelled(given) not in map(_spelled, names):
+        whose, option = ("its heights", "unit") if axis == "z" else (axis, "lateral_unit")
+        raise MapError(f"{path} states the unit of {whose}, {next(iter(names))}: do not give {option}={given!r}")
+    unit = next(iter(names), given or rest)
     if unit is None:
         raise MapError(f"{path} does not state the unit of {axis}: give it as unit='mm', or as a column '{axis} [mm]'")
     return None if unit.lower() in PIXELS else to_mm(unit, f"{path} has {axis} in")
+
+
+def _spelled(unit: str) -> str:
+    return SPELLINGS.get(unit.strip().lower(), unit.strip().lower())

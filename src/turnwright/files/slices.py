@@ -68,7 +68,7 @@ def read_profile(
         if (distance, height, unit, lateral_unit) != (None,) * 4:
             raise MapError(f"{path} is no text and names its own axes: do not give columns or units")
         return _only_line(path)
-    at, z, description = read_slice(path, text, (distance, height), (lateral_unit or unit, unit))
+    at, z, description = read_slice(path, text, (distance, height), unit, lateral_unit)
     at, z = _one_slice(path, at, z, number)
     at, z = even_places(at, z)
     if at.size < 2:
