@@ -176,20 +176,21 @@ def run_chunks(
     *,
     threads: int | None = None,
 ) -> None:
-    """Call ``work(start, stop)`` over ``range(total)`` in chunks, on ``threads`` threads; a single one is the caller's.
+    """Call ``work(start, stop)`` over ``range(total)`` in chunks, on ``threads`` threads.
 
-    The kernels release the interpreter lock, so threads use all cores. Few chunks are in flight at a time, so a stop
-    (an exception from ``progress``, or Ctrl-C) ends the work within the length of one chunk.
+    A single thread is the caller's, and so is that of a single chunk. The kernels release the interpreter lock, so
+    threads use all cores. Few chunks are in flight at a time, so a stop (an exception from ``progress``, or Ctrl-C)
+    ends the work within the length of one chunk.
 
     >>> done = []
     >>> run_chunks(lambda start, stop: done.append((start, stop)), 10, 4, threads=1)
     >>> sorted(done)
     [(0, 4), (4, 8), (8, 10)]
     """
-    threads = threads or cores()
     spans = [(start, min(start + chunk, total)) for start in range(0, total, chunk)]
+    threads = min(threads or cores(), len(spans))
     finished = 0
-    if threads == 1:  # a thread made anew for each call takes memory anew too: a tenth of the time of a case of a study
+    if threads <= 1:  # a thread made anew for each call takes memory anew too: a tenth of the time of a case of a study
         for start, stop in spans:
             work(start, stop)
             if progress is not None:

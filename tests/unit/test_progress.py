@@ -30,11 +30,12 @@ def test_every_place_is_worked_on_once_and_told_of(threads, total, chunk):
     assert told[-1:] == [(total, total)] * (total > 0)
 
 
-def test_a_single_thread_is_the_callers():
+@pytest.mark.parametrize(("chunk", "threads"), [(2, 1), (5, 2)])
+def test_a_single_thread_is_the_callers_and_so_is_that_of_a_single_chunk(chunk, threads):
     """A thread made for each call would take memory anew each time, a tenth of the time of a case of a study."""
-    threads = set()
-    run_chunks(lambda _start, _stop: threads.add(threading.get_ident()), 5, 2, threads=1)
-    assert threads == {threading.get_ident()}
+    used = set()
+    run_chunks(lambda _start, _stop: used.add(threading.get_ident()), 5, chunk, threads=threads)
+    assert used == {threading.get_ident()}
 
 
 @pytest.mark.parametrize("threads", [1, 2])

@@ -55,6 +55,9 @@ ZONES = (6, 8)
 BEST = 24
 """Best places of all that are followed too."""
 
+TOGETHER = 2048
+"""Places that a thread looks at before it takes more: fewer cost less time than to begin a thread."""
+
 STAGES = 6
 """Steps of progress: four scans and two searches."""
 
@@ -209,7 +212,9 @@ class _Search:
         x, y = x.ravel(), y.ravel()
         tiles = Tiles(np.arange(x.size), np.arange(rows + 1) * columns, np.arange(rows + 1))
         z = np.empty(x.size)
-        run_chunks(lambda start, stop: self.ready.fill(x, y, tiles, (start, stop), z), rows, max(1, min(64, rows // 8)))
+        run_chunks(
+            lambda start, stop: self.ready.fill(x, y, tiles, (start, stop), z), rows, max(1, TOGETHER // columns)
+        )
         z[(z >= 1e299) | (radius.ravel() < self.uncut)] = np.nan
         there = ~np.isnan(z)
         z[there] -= self.part.surface.sag(x[there], y[there])
