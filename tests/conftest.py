@@ -1,9 +1,24 @@
-"""The order of the tests, and what several of them need."""
+"""The order of the tests, what several of them need, and what each process of theirs has of the machine."""
 
+import os
 import signal
+import sys
 
 import hypothesis
+import platformdirs
 import pytest
+
+from turnwright.progress import THREADS, cores
+
+if processes := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0")):
+    # As a study shares the cores among its processes: more threads than cores wait for each other.
+    os.environ.setdefault(THREADS, str(max(cores() // processes, 1)))
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+if sys.dont_write_bytecode:
+    # Hundreds of processes would each compile the whole program: its source stays free of bytecode all the same.
+    sys.dont_write_bytecode = False
+    sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = platformdirs.user_cache_dir("turnwright-tests")
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # A busy machine takes its time, which says nothing of the code.
 hypothesis.settings.register_profile("turnwright", deadline=None)
