@@ -106,7 +106,7 @@ def test_the_edge_is_a_tool():
 def test_what_shows_no_edge_is_refused():
     surface = true_surface(0.040, PIXEL)
     with pytest.raises(InputError, match="valleys between crests"):
-        edge_from_cusps(surface.between(0.0, 0.14), TOOL, axis=0.0)
+        edge_from_cusps(surface.between(0.0, 0.14), TOOL, axis=0.0, feed=0.040)
     with pytest.raises(InputError, match="axis of a map"):
         edge_from_cusps(HeightMap(x=[0.0, 1.0], y=[0.0, 1.0], z=np.zeros((2, 2))), TOOL)
     with pytest.raises(InputError, match="one distance"):

@@ -129,14 +129,17 @@ def _show_profile(
             raise
         return flat
     door.say(f"feed: {cusps.feed * 1e3:.4g} um with a standard uncertainty of {cusps.feed_std * 1e3:.2g} um")
-    for one in cusps.stretches if len(cusps.stretches) > 1 else ():
+    for one in cusps.stretches if len(cusps.stretches) > 1 or cusps.gaps else ():
         door.say(
             f"  {one.feed * 1e3:.4g} um ({one.feed_std * 1e3:.2g} um) from {say_length(one.start, 4)} to "
             f"{say_length(one.end, 4)}, {one.count} crests"
         )
+    for start, end in cusps.gaps:
+        door.say(f"  no cusps from {say_length(start, 4)} to {say_length(end, 4)}")
     door.say(
-        f"scallop height: mean {cusps.scallop_mean_nm:.4g} nm, median {cusps.scallop_median_nm:.4g} nm, standard "
-        f"deviation {cusps.scallop_std_nm:.3g} nm of {cusps.height_nm.size}"
+        f"scallop height: mean {cusps.scallop_mean_nm:.4g} nm ({cusps.scallop_mean_std_nm:.2g} nm), median "
+        f"{cusps.scallop_median_nm:.4g} nm ({cusps.scallop_median_std_nm:.2g} nm), standard deviation "
+        f"{cusps.scallop_std_nm:.3g} nm of {cusps.height_nm.size}"
     )
     if nose_radius is not None:
         bare, seen = _predicted(line, cusps.feed, nose_radius, instrument)

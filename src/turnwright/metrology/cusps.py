@@ -7,14 +7,21 @@ their number,
 
 so :math:`f` is the slope of the line of best fit, and its uncertainty falls with the number of cusps to the power of
 3/2. Residuals that hang together, as where the feed wanders, widen it by their correlation from cusp to cusp.
+
+A scallop is as high as the curves of best fit through its two valleys at the crest lie above the line between their
+lowest points. The highest of noisy points, or of points that miss the tip, would be off it to one side; a fit is not.
+An edge with waves, or an instrument that rounds the crests, leaves valleys that no such curve follows to the crest:
+there the highest and the lowest points count, and their difference to the curves is an uncertainty.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright._validate import positive
@@ -37,8 +44,14 @@ ROUNDING = 64 * float(np.finfo(np.float64).eps)
 FEWEST = 3
 """Cusps in a profile, at least."""
 
+PERIODS = 8
+"""Cusps in a profile whose feed is not given, at least: fewer are not told from waviness."""
+
 POINTS = 4
 """Points in a cusp, at least."""
+
+SPIKE = 5.0
+"""Height of a spike over its two neighbours on either side, over the step that one in ten heights exceeds."""
 
 LOWER = 0.6
 """Height of every second crest over that of the others, below which it is none of a pass."""
@@ -70,11 +83,43 @@ OFF = 0.25
 BY_CHANCE = 1e-3
 """How likely noise may space its crests as evenly as those that count."""
 
+UNEVEN = 0.12
+"""Root mean square of the spacings off their median, over the feed, up to which they count; noise has 0.18."""
+
 NOISE_NEAR = 0.7
 """Share of the spacings of noise that are off by less than `OFF`, spread evenly; the others count as off by it."""
 
+EVEN_STRETCH = 0.10
+"""The same for a stretch of a profile that is not even as a whole."""
+
 LOCAL = 15
-"""Spacings whose median is the feed at a place."""
+"""Spacings whose median is the feed at a place, and whose scatter counts there."""
+
+GAP = 2.0
+"""Feeds between two crests, or a crest and an end of the profile, beyond which they leave a gap."""
+
+DEGREES = (2, 3, 4, 6, 8, 10, 12)
+"""Of the polynomial through a valley; what the heights bear decides."""
+
+ROUND = 4
+"""Degree of the polynomial through a valley up to which it is that of a round nose."""
+
+SHAPE_ERROR = 15.0
+"""Variance of a scallop's height from that of a shape of degree 4, over that of a height and the number of heights;
+the Legendre polynomials of degree 2 and 4 give 45/4 + 225/64."""
+
+CREST_ERROR = 4.0
+"""Height that misplaced crests add, over that of a scallop and the inverse of its heights, over the square of the ratio
+of noise and height; from simulated profiles of 6 to 40 heights a cusp."""
+
+ALIKE = 16
+"""Valleys that share a shape, about."""
+
+FAR = 2.5
+"""Mean deviations from a valley's curve at which the weight of a height begins to fall (Huber)."""
+
+CROSSING = 0.3
+"""Share of the feed by which two valleys may cross off the crest between them."""
 
 SHORTEST = 4
 """Crests of a stretch, at least."""
@@ -119,15 +164,21 @@ class Cusps:
     run
         To which unbroken run of neighbours each crest belongs, from 0. (n,)
     feed, feed_std
-        Spacing of the cusps over all runs, and its standard uncertainty; see `Stretch`. [mm]
+        Mean spacing of the cusps, and its standard uncertainty; see `Stretch`. Runs whose spacing is more than a
+        quarter off that of the longest are not in it, only in ``stretches``. [mm]
     stretches
         Where the feed does not change: one for each run, several for one in which it does.
     height_at, height_nm
-        Where each crest with a valley on either side stands [mm], and how high above the line between the valleys.
-        (m,) [nm]
+        Where each crest with a valley on either side stands [mm], and how high it is above the line between the
+        lowest points of the valleys: by the curves of best fit where these are those of a round nose, by the highest
+        and the lowest points where the edge has waves. (m,) [nm]
+    height_bias_nm
+        How far noise and steps may have moved all of these together. (m,) [nm]
     axis
         Where the profile crosses the spindle axis. A crest within half a feed of it stands between two sides of one
         pass, and does not count for the feed. [mm]
+    gaps
+        From where to where the profile shows no cusps, over two feeds or more. [mm]
     """
 
     crest: Floats
@@ -138,7 +189,9 @@ class Cusps:
     stretches: tuple[Stretch, ...]
     height_at: Floats
     height_nm: Floats
+    height_bias_nm: Floats
     axis: float | None
+    gaps: tuple[tuple[float, float], ...]
 
     @property
     def _spaced(self) -> Bools:
@@ -168,8 +221,29 @@ class Cusps:
 
     @property
     def scallop_std_nm(self) -> float:
-        """Standard deviation of the scallop heights. [nm]."""
+        """Standard deviation of the scallop heights; noise of the measurement is in it. [nm]."""
         return float(self.height_nm.std(ddof=1)) if self.height_nm.size > 1 else float("nan")
+
+    @property
+    def scallop_mean_std_nm(self) -> float:
+        """Standard uncertainty of the mean scallop height. [nm]."""
+        return self._mean_std(self.scallop_std_nm)
+
+    @property
+    def scallop_median_std_nm(self) -> float:
+        """Standard uncertainty of the median scallop height. [nm]."""
+        spread = float(np.ptp(np.quantile(self.height_nm, (0.25, 0.75)))) / 1.349 if self.height_nm.size else np.nan
+        return float(np.sqrt(np.pi / 2)) * self._mean_std(spread)
+
+    def _mean_std(self, spread: float) -> float:
+        """Return the standard uncertainty of a mean of heights of this spread: neighbours share a valley."""
+        off = self.height_nm - self.scallop_mean_nm
+        if off.size < FEWEST:
+            return float("nan")
+        square = float(off @ off)
+        correlation = float(np.clip(off[1:] @ off[:-1] / square, 0.0, 0.9)) if square > 0 else 0.0
+        scatter = spread * float(np.sqrt((1 + correlation) / (1 - correlation) / off.size))
+        return float(np.hypot(scatter, self.height_bias_nm.mean()))
 
     def between(self, start: float, end: float) -> Cusps:
         """Return the cusps whose crests stand from one distance to another, with their own feed. [mm].
@@ -181,10 +255,12 @@ class Cusps:
         """
         chosen = (self.crest >= start) & (self.crest <= end)
         higher = (self.height_at >= start) & (self.height_at <= end)
-        return _summed_up(
+        found = _Crests(
             self.crest[chosen], self.crest_z[chosen], self.run[chosen], self.height_at[higher], self.height_nm[higher],
-            self.axis,
+            self.height_bias_nm[higher],
         )  # fmt: skip
+        gaps = [(max(low, start), min(high, end)) for low, high in self.gaps if low < end and high > start]
+        return _summed_up(found, self.axis, gaps)
 
 
 def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | None = None) -> Cusps:
@@ -193,14 +269,16 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
     The strongest period of the slope's spectrum, among those that stand out of the noise around them, is the first
     guess of the feed; the crests themselves decide. They must be spaced more evenly than those of noise. Crests
     whose spacing is off the median around them by more than a quarter are no neighbours: around the spindle axis, and
-    at damage, the run ends.
+    at damage, the run ends. What shows no cusps of that feed is searched for those of another,
+    unless the first guess is given.
 
     Parameters
     ----------
     profile
-        On even steps, at least four to a cusp and three cusps long. Missing heights are bridged for the search.
+        On even steps, at least four to a cusp, and eight cusps long (three with a first guess of the feed). Missing
+        heights and spikes are bridged for the search.
     feed
-        First guess instead of that of the spectrum, where another period is stronger. [mm]
+        First guess instead of that of the spectrum, where another period is stronger or the cusps are few. [mm]
     axis
         Where the profile crosses the spindle axis: no run goes across it. [mm]
 
@@ -216,9 +294,74 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
     >>> round(found.feed, 6), round(found.scallop_median_nm, 1)
     (0.01, 25.0)
     """
-    from scipy import ndimage, signal  # noqa: PLC0415 - costly to import
+    searched = _prepared(profile)
+    found = _search(searched, feed, axis)
+    parts, rest = [found], _gaps(found.lines, profile.distance) if feed is None else []
+    while rest:
+        # Where the first feed leaves no cusps, there may be another.
+        start, end = rest.pop()
+        inside = searched.between(start, end)
+        try:
+            other = _search(inside, None, axis)
+        except InputError:
+            continue
+        if max(line.size for line in other.lines) < PERIODS:
+            continue
+        parts.append(other)
+        rest += _gaps(other.lines, inside.distance)
+    joined = _joined(parts)
+    return _summed_up(joined, axis, sorted(_gaps(joined.lines, profile.distance)))
 
-    step = profile.step
+
+class _Crests(NamedTuple):
+    """Crests, their heights and runs, and the scallops; see `Cusps`."""
+
+    crest: Floats
+    crest_z: Floats
+    run: Ints
+    height_at: Floats
+    height_nm: Floats
+    bias_nm: Floats  # how far noise and sampling may have moved each height
+
+    def counted(self) -> _Crests:
+        """Return the crests of the runs that count."""
+        many = np.bincount(self.run)[self.run] >= FEWEST if self.run.size else np.zeros(0, dtype=bool)
+        return self._replace(crest=self.crest[many], crest_z=self.crest_z[many], run=self.run[many])
+
+    @property
+    def lines(self) -> list[Floats]:
+        """The crests of each run that counts."""
+        runs = [self.crest[self.run == one] for one in np.unique(self.run)]
+        return [line for line in runs if line.size >= FEWEST]
+
+
+def _joined(parts: list[_Crests]) -> _Crests:
+    parts = [part.counted() for part in parts]
+    offset = np.cumsum([0, *(int(part.run.max()) + 1 for part in parts[:-1])])
+    runs = np.concatenate([part.run + first for part, first in zip(parts, offset, strict=True)])
+    crest, crest_z, _, at, heights, bias = (np.concatenate(values) for values in zip(*parts, strict=True))
+    order, higher = np.argsort(crest, kind="stable"), np.argsort(at, kind="stable")
+    # Runs do not overlap, so they number themselves in their order.
+    number = np.concatenate([[0], np.cumsum(np.diff(runs[order]) != 0)])[: crest.size]
+    return _Crests(crest[order], crest_z[order], number, at[higher], heights[higher], bias[higher])
+
+
+def _gaps(lines: list[Floats], distance: Floats) -> list[tuple[float, float]]:
+    """Return where a profile shows no cusps that count."""
+    gaps, last, reach = [], float(distance[0]), 0.0
+    for line in sorted(lines, key=lambda one: float(one[0])):
+        feed = float(np.median(np.diff(line)))
+        if line[0] - last > GAP * max(feed, reach):
+            gaps.append((last, float(line[0])))
+        last, reach = float(line[-1]), feed
+    if distance[-1] - last > GAP * reach:
+        gaps.append((last, float(distance[-1])))
+    return gaps
+
+
+def _prepared(profile: Profile) -> Profile:
+    """Return the profile without its spikes."""
+    profile.step  # noqa: B018 - refuses uneven distances
     valid = ~np.isnan(profile.z)
     if np.count_nonzero(valid) < POINTS * FEWEST:
         raise InputError(
@@ -227,6 +370,26 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
     z = np.interp(profile.distance, profile.distance[valid], profile.z[valid])
     if np.std(_without_form(profile.distance, z)) <= ROUNDING * np.abs(z).max():
         raise InputError("the profile is flat, it shows no cusps: give one across the lay")
+    return replace(profile, z=np.where(valid & ~spikes(z), profile.z, np.nan))
+
+
+def spikes(z: Floats) -> Bools:
+    """Return which heights stand out of their neighbours far more than those do of theirs. (n,)."""
+    from scipy import ndimage  # noqa: PLC0415 - costly to import
+
+    steps = float(np.quantile(np.abs(np.diff(z)), 0.9))
+    return np.asarray(np.abs(z - ndimage.median_filter(z, 5, mode="nearest")) > SPIKE * steps)
+
+
+def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests:
+    """Find the cusps of one feed."""
+    from scipy import ndimage, signal  # noqa: PLC0415 - costly to import
+
+    step = profile.step
+    valid = ~np.isnan(profile.z)
+    if np.count_nonzero(valid) < POINTS * FEWEST:
+        raise InputError(f"{np.count_nonzero(valid)} valid heights are too few for cusps, which need {POINTS * FEWEST}")
+    z = np.interp(profile.distance, profile.distance[valid], profile.z[valid])
     guess = _strongest_period(profile, z, step) if feed is None else positive(feed, "the feed", "mm")
     if guess < POINTS * step or guess * FEWEST > np.ptp(profile.distance):
         raise InputError(
@@ -240,43 +403,78 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
     flat = ndimage.gaussian_filter1d(level, SMOOTH * guess / step)
     least = PROMINENCE * float(np.ptp(np.percentile(flat, (5, 95))))
     tops, _ = signal.find_peaks(flat, distance=max(int(APART * guess / step), 1), prominence=least)
-    places = [int(top) for top in tops[valid[tops]]]
     half = max(int(AROUND * guess / step), 1)
-    crest = np.array([_turning_point(profile.distance, level, top, half)[0] for top in places])
-    # The tip of a crest is sharp: the highest point near it, not the parabola.
-    height = np.array([_turning_point(profile.distance, z, _highest(level, top, half), 1)[1] for top in places])
-    run, relative = _runs(crest, guess, axis)
-    # Where crests are missed, their neighbours stand whole feeds apart.
-    same_side = np.ones(relative.size, dtype=bool) if axis is None else (crest[:-1] >= axis) == (crest[1:] >= axis)
-    _require_even((relative - np.maximum(np.rint(relative), 1))[same_side], guess)
-    at, heights = _heights(profile.distance, z, level, crest, height, run, half)
-    if feed is None and _alternating(crest, run, at, heights):
-        return find_cusps(profile, feed=2 * guess, axis=axis)
-    return _summed_up(crest, height, run, at, heights, axis)
+    crest = np.array([_turning_point(profile.distance, level, int(top), half)[0] for top in tops[valid[tops]]])
+    run = _runs(crest, guess, axis, given=feed is not None)
+    found = _scallops(profile.distance[valid], level[valid], (z - level)[valid], crest, run, half)
+    if not found.lines:
+        raise InputError(
+            f"the profile shows {crest.size} crests and no {FEWEST} that are neighbours: give the feed as a first "
+            "guess, or a profile across the lay"
+        )
+    if feed is None and _alternating(found.crest, found.run, found.height_at, found.height_nm):
+        if 2 * guess * PERIODS > np.ptp(profile.distance):
+            raise InputError(
+                f"every second crest is lower, and {2e3 * guess:.3g} um is more than the profile over {PERIODS}: "
+                "state the feed, or measure a longer profile"
+            )
+        return _search(profile, 2 * guess, axis)
+    return found
 
 
 def _without_form(at: Floats, z: Floats) -> Floats:
     return np.asarray(z - np.polynomial.Legendre.fit(at, z, min(FORM, z.size // 8))(at))
 
 
-def _require_even(off: Floats, guess: float) -> None:
-    """Refuse crests whose spacings are off by as much, over the feed, as those of noise are."""
-    if not off.size:
-        return
-    from scipy import stats  # noqa: PLC0415 - costly to import
+def _runs(crest: Floats, guess: float, axis: float | None, *, given: bool) -> Ints:
+    """Return the run of each crest: neighbours are about a feed apart, on one side of the axis, where all are even."""
+    from scipy import ndimage  # noqa: PLC0415 - costly to import
 
-    square = float(np.mean(np.minimum(np.abs(off), OFF) ** 2))
-    # The means of noise follow a gamma distribution with the mean and the variance of these squares.
-    mean = OFF**2 * (1 - NOISE_NEAR * 2 / 3)
-    variance = OFF**4 * (1 - NOISE_NEAR * 4 / 5) - mean**2
-    shape = off.size * mean**2 / variance
-    limit = mean * float(stats.gamma.ppf(BY_CHANCE, shape) / shape)
-    if square > limit:
+    spacing, middle = np.diff(crest), (crest[1:] + crest[:-1]) / 2
+    near = np.abs(spacing / guess - 1) < 2 * OFF
+    feed = np.full(spacing.size, guess)
+    if near.any():
+        usual = ndimage.median_filter(spacing[near], LOCAL, mode="nearest")
+        feed = np.interp(middle, middle[near], usual if usual.size > LOCAL else np.full_like(usual, np.median(usual)))
+    relative = spacing / feed
+    apart = np.zeros(spacing.size, dtype=bool) if axis is None else (crest[:-1] < axis) & (crest[1:] >= axis)
+    even = _even(relative, apart, guess, given=given)
+    broken = apart | ~even | (np.abs(relative - 1) > OFF)
+    return np.concatenate([[0], np.cumsum(broken)]).astype(np.int64)[: crest.size]
+
+
+def _even(relative: Floats, apart: Bools, guess: float, *, given: bool) -> Bools:
+    """Return which spacings lie where they are more even than those of noise. (n,)."""
+    from scipy import ndimage, stats  # noqa: PLC0415 - costly to import
+
+    # Where crests are missed, their neighbours stand whole feeds apart.
+    off = np.minimum(np.abs(relative - np.maximum(np.rint(relative), 1)), OFF)[~apart]
+    if off.size < FEWEST - 1:
+        return np.ones(relative.size, dtype=bool)
+    freedom = min(off.size, LOCAL) - 1
+    square = np.full(off.size, off @ off / freedom)
+    if off.size > LOCAL:
+        square = ndimage.uniform_filter1d(off**2, LOCAL, mode="reflect")
+    whole = float(off @ off) <= UNEVEN**2 * freedom * max(off.size / LOCAL, 1)
+    # Of many stretches of noise one may be even by chance.
+    limit = UNEVEN**2 if off.size <= LOCAL else EVEN_STRETCH**2
+    if not given:
+        # The means of noise follow a gamma distribution with the mean and the variance of these squares.
+        mean = OFF**2 * (1 - NOISE_NEAR * 2 / 3)
+        shape = freedom * mean**2 / (OFF**4 * (1 - NOISE_NEAR * 4 / 5) - mean**2)
+        limit = min(limit, mean * float(stats.gamma.ppf(BY_CHANCE, shape) / shape))
+    good = square <= limit
+    if whole and (given or off.size > LOCAL):
+        return np.ones(relative.size, dtype=bool)
+    if not good.any():
         raise InputError(
-            f"{off.size + 1} crests about {1e3 * guess:.3g} um apart scatter by {100 * np.sqrt(square):.2g} % of "
+            f"{off.size + 1} crests about {1e3 * guess:.3g} um apart scatter by {100 * np.sqrt(square.min()):.2g} % of "
             f"it (at most {100 * OFF:g} % each), as those of noise do; cusps scatter by less than "
             f"{100 * np.sqrt(limit):.2g} %: check the feed if it is given, state it if not, or measure with less noise"
         )
+    even = np.ones(relative.size, dtype=bool)
+    even[~apart] = ndimage.maximum_filter1d(good, LOCAL)
+    return even
 
 
 def _alternating(crest: Floats, run: Ints, at: Floats, heights: Floats) -> bool:
@@ -290,10 +488,10 @@ def _alternating(crest: Floats, run: Ints, at: Floats, heights: Floats) -> bool:
 
 
 def _strongest_period(profile: Profile, z: Floats, step: float) -> float:
-    """Return the period of the strongest slopes, between four points and a third of the profile. [mm]."""
+    """Return the period of the strongest slopes, between four points and an eighth of the profile. [mm]."""
     spectrum = line_psd(replace(profile, z=z), form=min(FORM, z.size // 8), window="hann")
     frequency, density = spectrum.frequency, spectrum.density
-    allowed = (frequency >= FEWEST / np.ptp(profile.distance)) & (frequency <= 1 / (POINTS * step))
+    allowed = (frequency >= PERIODS / np.ptp(profile.distance)) & (frequency <= 1 / (POINTS * step))
     if not density[allowed].any():
         raise InputError("the profile is flat, it shows no cusps: give one across the lay")
     # Of noise each density is its mean times a number of exponential distribution.
@@ -304,8 +502,8 @@ def _strongest_period(profile: Profile, z: Floats, step: float) -> float:
         most = int(np.argmax(np.where(allowed, outstanding, 0.0)))
         raise InputError(
             f"no cusps stand out of the profile's noise: its strongest period, {1e3 / frequency[most]:.3g} um, has "
-            f"{outstanding[most]:.2g} times the power of those around it, the limit is {limit:.2g}: state the feed, "
-            "measure with less noise, or give a profile across the lay"
+            f"{outstanding[most]:.2g} times the power of those around it, the limit is {limit:.2g}: state the feed if "
+            f"there are fewer than {PERIODS} cusps, measure with less noise, or give a profile across the lay"
         )
     top = int(np.argmax(score))
     # Sharp cusps have strong harmonics: where half or a third of the frequency is stronger, that is the feed.
@@ -344,48 +542,194 @@ def _turning_point(at: Floats, z: Floats, index: int, half: int) -> tuple[float,
     return float(at[index] + place), float(height + place * slope / 2)
 
 
+def _scallops(at: Floats, level: Floats, form: Floats, crest: Floats, run: Ints, half: int) -> _Crests:
+    """Return the crests where the curves through their valleys cross, and the scallops.
+
+    Parameters
+    ----------
+    at, level, form
+        The valid points, their heights over what is longer than a cusp, and that. Each (n,) [mm]
+    crest, run
+        The crests as they stand out, and their runs. Each (k,)
+    half
+        Points to either side of a crest or a valley that belong to it.
+    """
+    place, fit = crest, _valley_curves(at, level, crest, run, DEGREES)
+    # Parabolas cross at the tip of a sharp crest, also in noise; curves through waves of the edge need not.
+    crossed = _valley_curves(at, level, crest, run, DEGREES[:1]).crossings(crest)
+    refined = _valley_curves(at, level, crossed, run, DEGREES)
+    if refined.is_round and refined.misfit < fit.misfit:
+        place, fit = crossed, refined
+    low_at, low = fit.lowest()
+    curved = _over_valleys(place, fit.tops(place), low_at, low + np.interp(low_at, at, form), at, form)
+    nearest = _extremes(at, level, place, half)
+    extreme = _over_valleys(place, nearest[0], nearest[1], nearest[2] + np.interp(nearest[1], at, form), at, form)
+    heights = curved if fit.is_round else extreme
+    chosen = np.isfinite(curved) & np.isfinite(extreme)
+    bias = 0.0
+    if chosen.any():
+        each = float(np.mean(curved[chosen]))
+        difference = float(np.mean(extreme[chosen])) - each
+        bias = _shared_error(fit, int(np.count_nonzero(chosen)), each) if fit.is_round else abs(difference)
+    top = nearest[0] + np.interp(place, at, form)
+    return _Crests(place, top, run, place[1:-1][chosen], heights[chosen], np.full(np.count_nonzero(chosen), bias))
+
+
+def _shared_error(fit: _ValleyCurves, count: int, height: float) -> float:
+    """Return how far noise may have moved all scallops together: their shape, and the crests between them. [nm]."""
+    noise, points = NM * fit.noise, fit.points / max(count, 1)
+    shape = noise * np.sqrt(SHAPE_ERROR / max(fit.points, 1))
+    return float(np.hypot(shape, CREST_ERROR * noise**2 / (max(height, noise) * max(points, 1.0))))
+
+
+def _over_valleys(crest: Floats, top: Floats, low_at: Floats, low: Floats, at: Floats, form: Floats) -> Floats:
+    """Return how high each inner crest is above the line between the valleys. (n - 2,) [nm]."""
+    line = low[:-1] + (low[1:] - low[:-1]) * (crest[1:-1] - low_at[:-1]) / (low_at[1:] - low_at[:-1])
+    return np.asarray((top + np.interp(crest, at, form))[1:-1] - line) * NM
+
+
+def _extremes(at: Floats, level: Floats, crest: Floats, half: int) -> tuple[Floats, Floats, Floats]:
+    """Return the height of each crest, and place and height of each valley after one. (n,), (n - 1,), (n - 1,) [mm]."""
+    index = np.clip(np.searchsorted(at, crest), 0, at.size - 1)
+    # The tip of a crest is sharp: the highest point near it, not the parabola.
+    top = [_turning_point(at, level, _highest(level, k, half), 1)[1] for k in index]
+    lows = []
+    for first, last in pairwise(index):
+        lowest = first + int(np.argmin(level[first : max(last, first + 1)]))
+        lows.append(_turning_point(at, level, lowest, half))
+    return np.array(top), *np.array(lows).reshape(-1, 2).T
+
+
 def _highest(z: Floats, index: int, half: int) -> int:
     first = max(index - half, 0)
     return first + int(np.argmax(z[first : index + half + 1]))
 
 
-def _runs(crest: Floats, guess: float, axis: float | None) -> tuple[Ints, Floats]:
-    """Return the run of each crest, and each spacing over those around it.
+class _ValleyCurves(NamedTuple):
+    """A polynomial through each valley between neighbouring crests; nan where it has too few points."""
 
-    Neighbours are about a feed apart, on one side of the axis. (n,), (n - 1,)
+    middle: Floats  # between the crests. (k,) [mm]
+    scale: Floats  # half the distance of crests around it. (k,) [mm]
+    curve: Floats  # Legendre coefficients. (k, degree + 1) [mm]
+    misfit: float = np.inf  # Bayesian information criterion of all valleys
+    noise: float = 0.0  # root mean square of what the curves leave, if it is normal [mm]
+    points: int = 0
+
+    @property
+    def is_round(self) -> bool:
+        """Whether the heights bear no other shape than that of a round nose."""
+        return bool(self.curve.shape[1] - 1 <= ROUND)
+
+    def values(self, valley: Ints, place: Floats) -> Floats:
+        """Return the heights of valleys at places."""
+        scaled = (place - self.middle[valley]) / self.scale[valley]
+        basis = legendre.legvander(scaled, self.curve.shape[1] - 1)
+        return np.asarray((basis * self.curve[valley]).sum(axis=-1))
+
+    def tops(self, crest: Floats) -> Floats:
+        """Return the mean height of the two curves at each crest, or the one at an end of a run. (n,) [mm]."""
+        both = np.full((2, crest.size), np.nan)
+        both[0, 1:] = self.values(np.arange(crest.size - 1), crest[1:])
+        both[1, :-1] = self.values(np.arange(crest.size - 1), crest[:-1])
+        known = np.isfinite(both)
+        total = np.where(known, both, 0.0).sum(axis=0)
+        return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
+
+    def crossings(self, crest: Floats) -> Floats:
+        """Return where the curves on either side of each crest cross, or the crest where they do not. (n,) [mm]."""
+        found = crest.copy()
+        inner = np.arange(1, crest.size - 1)
+        near = 2 * CROSSING * np.minimum(self.scale[:-1], self.scale[1:])
+        places = crest[inner, None] + near[:, None] * np.linspace(-1, 1, 41)
+        before = np.repeat(inner[:, None] - 1, 41, axis=1)
+        rise = self.values(before, places) - self.values(before + 1, places)
+        up = np.isfinite(rise[:, :1]) & (rise[:, :-1] < 0) & (rise[:, 1:] >= 0)
+        first = np.argmin(np.where(up, np.abs(np.arange(40) - 19.5), np.inf), axis=1)
+        rows = np.flatnonzero(up.any(axis=1))
+        first = first[rows]
+        share = -rise[rows, first] / (rise[rows, first + 1] - rise[rows, first])
+        found[inner[rows]] = places[rows, first] + share * (places[rows, first + 1] - places[rows, first])
+        return found
+
+    def lowest(self) -> tuple[Floats, Floats]:
+        """Return place and height of the lowest point of each valley. Each (k,) [mm]."""
+        share = np.linspace(-1.0, 1.0, 101)
+        places = self.middle[:, None] + self.scale[:, None] * share
+        rows = np.arange(self.middle.size)
+        heights = self.values(np.repeat(rows[:, None], share.size, axis=1), places)
+        lowest = np.argmin(np.where(np.isfinite(heights), heights, np.inf), axis=1)
+        return places[rows, lowest], heights[rows, lowest]
+
+
+def _valley_curves(at: Floats, z: Floats, crest: Floats, run: Ints, degrees: tuple[int, ...]) -> _ValleyCurves:
+    """Fit the curves of all valleys: of one shape among neighbours, of the degree that the heights bear."""
+    count = crest.size - 1
+    middle, scale = (crest[1:] + crest[:-1]) / 2, np.full(count, np.nan)
+    members = np.flatnonzero(np.diff(run) == 0)
+    first, last = np.searchsorted(at, crest[:-1]), np.searchsorted(at, crest[1:])
+    blocks = []
+    for one in np.unique(run[members]):
+        valleys = members[run[members] == one]
+        for part in np.array_split(valleys, max(round(valleys.size / ALIKE), 1)):
+            scale[part] = float(np.median(crest[part + 1] - crest[part])) / 2
+            blocks.append(part)
+    best = _ValleyCurves(middle, scale, np.full((count, 3), np.nan))
+    for degree in degrees:
+        curve = np.full((count, degree + 1), np.nan)
+        deviation, points, parameters = 0.0, 0, 0
+        for part in blocks:
+            rows = np.concatenate([np.arange(first[k], last[k]) for k in part])
+            valley = np.repeat(np.arange(part.size), (last - first)[part])
+            basis = legendre.legvander((at[rows] - middle[part][valley]) / scale[part][valley], degree)
+            solved = _shape(basis, z[rows], valley, part.size)
+            if solved is not None:
+                curve[part], residual, number = solved
+                deviation += float(np.abs(residual).sum())
+                points += rows.size
+                parameters += number
+        # Of two shapes the better one bears its own parameters (Bayesian information criterion).
+        if points > parameters:
+            noise = float(np.sqrt(np.pi / 2)) * deviation / float(np.sqrt(points * (points - parameters)))
+            misfit = 2 * points * np.log(max(deviation / points, 1e-300)) + parameters * np.log(points)
+            if misfit < best.misfit:
+                best = _ValleyCurves(middle, scale, curve, float(misfit), noise, points)
+    return best
+
+
+def _shape(basis: Floats, z: Floats, valley: Ints, count: int) -> tuple[Floats, Floats, int] | None:
+    """Return the curve of each valley of a block, the residuals, and how many parameters they took.
+
+    Height and tilt are each valley's own; the rest is that of the block, and may change evenly along it.
     """
-    from scipy import ndimage  # noqa: PLC0415 - costly to import
-
-    spacing, middle = np.diff(crest), (crest[1:] + crest[:-1]) / 2
-    near = np.abs(spacing / guess - 1) < 2 * OFF
-    feed = np.full(spacing.size, guess)
-    if near.any():
-        feed = np.interp(middle, middle[near], ndimage.median_filter(spacing[near], LOCAL, mode="nearest"))
-    relative = spacing / feed
-    broken = np.abs(relative - 1) > OFF
-    if axis is not None:
-        broken |= (crest[:-1] < axis) & (crest[1:] >= axis)
-    return np.concatenate([[0], np.cumsum(broken)]).astype(np.int64)[: crest.size], relative
-
-
-def _heights(
-    at: Floats, z: Floats, level: Floats, crest: Floats, top: Floats, run: Ints, half: int
-) -> tuple[Floats, Floats]:
-    """Return the crests with a valley on either side, and their heights over the line between the valleys. [mm, nm]."""
-    valleys = {}
-    for k in map(int, np.flatnonzero(np.diff(run) == 0)):
-        inside = np.flatnonzero((at > crest[k]) & (at < crest[k + 1]))
-        lowest = int(inside[np.argmin(level[inside])])
-        place, drop = _turning_point(at, level, lowest, half)
-        valleys[k] = place, drop + float(np.interp(place, at, z - level))
-    places, heights = [], []
-    for k in range(1, crest.size - 1):
-        if k - 1 in valleys and k in valleys:
-            (before, low), (after, lower) = valleys[k - 1], valleys[k]
-            line = low + (lower - low) * (crest[k] - before) / (after - before)
-            places.append(crest[k])
-            heights.append((top[k] - line) * NM)
-    return np.array(places), np.array(heights)
+    tilt, common = basis[:, 1], basis[:, 2:]
+    along = (np.arange(count) - (count - 1) / 2) / max(count - 1, 1)
+    if count > FEWEST:
+        common = np.hstack([common, common * along[valley, None]])
+    number = common.shape[1] + 2 * count
+    starts = np.flatnonzero(np.diff(valley, prepend=-1))
+    if z.size <= number or starts.size < count or np.diff(starts, append=z.size).min() < 2:
+        return None
+    columns = np.column_stack([common, z])
+    weight = np.ones(z.size)
+    for _ in range(3):
+        # Each valley's own line is taken off the shape and off the heights.
+        sums = [np.add.reduceat(one, starts) for one in (weight, weight * tilt, weight * tilt * tilt)]
+        of_one, of_tilt = (np.add.reduceat((weight * one)[:, None] * columns, starts) for one in (1.0, tilt))
+        scale = (sums[0] * sums[2] - sums[1] ** 2)[:, None]
+        height = (sums[2][:, None] * of_one - sums[1][:, None] * of_tilt) / scale
+        slope = (sums[0][:, None] * of_tilt - sums[1][:, None] * of_one) / scale
+        bare = columns - height[valley] - slope[valley] * tilt[:, None]
+        weighted = (weight[:, None] * bare[:, :-1]).T
+        shape = np.linalg.lstsq(weighted @ bare[:, :-1], weighted @ bare[:, -1], rcond=None)[0]
+        residual = bare[:, -1] - bare[:, :-1] @ shape
+        far = FAR * float(np.mean(np.abs(residual)))
+        weight = np.minimum(1.0, far / np.maximum(np.abs(residual), 1e-300))
+    curve = np.empty((count, basis.shape[1]))
+    curve[:, 0] = height[:, -1] - height[:, :-1] @ shape
+    curve[:, 1] = slope[:, -1] - slope[:, :-1] @ shape
+    parts = shape.reshape(-1, basis.shape[1] - 2)
+    curve[:, 2:] = parts[0] + np.outer(along, parts[-1] if len(parts) > 1 else 0 * parts[0])
+    return curve, residual, number
 
 
 def _off_axis(crest: Floats, run: Ints, axis: float | None) -> Bools:
@@ -396,28 +740,25 @@ def _off_axis(crest: Floats, run: Ints, axis: float | None) -> Bools:
     return np.asarray(np.abs(crest - axis) > float(np.median(spacing)) / 2)
 
 
-def _summed_up(crest: Floats, height: Floats, run: Ints, at: Floats, heights: Floats, axis: float | None) -> Cusps:
+def _summed_up(found: _Crests, axis: float | None, gaps: list[tuple[float, float]]) -> Cusps:
     """Return the cusps with the feed of all runs and of each stretch."""
-    runs = [np.flatnonzero(run == one) for one in np.unique(run)]
-    runs = [members for members in runs if members.size >= FEWEST]
-    if not runs:
+    counted = found.counted()
+    if not counted.run.size:
         raise InputError(
-            f"the profile shows {crest.size} crests and no {FEWEST} that are neighbours: give the feed as a first "
-            "guess, or a profile across the lay"
+            f"the profile shows {found.crest.size} crests and no {FEWEST} that are neighbours: choose more"
         )
-    kept = np.concatenate(runs)
-    crest, height = crest[kept], height[kept]
-    run = np.repeat(np.arange(len(runs)), [members.size for members in runs])
+    crest, height, at, heights = counted.crest, counted.crest_z, counted.height_at, counted.height_nm
+    run = np.unique(counted.run, return_inverse=True)[1].astype(np.int64)
     regular = _off_axis(crest, run, axis)
-    lines = [crest[(run == one) & regular] for one in range(len(runs))]
+    lines = [crest[(run == one) & regular] for one in range(int(run[-1]) + 1)]
     lines = [line for line in lines if line.size >= FEWEST]
     if not lines:
         raise InputError(f"the profile shows no {FEWEST} neighbouring crests away from its axis: measure a longer one")
-    feed, feed_std, _ = _slope(lines)
-    # The second difference of positions that scatter by s alone scatters by the root of 6 s².
-    second = np.concatenate([np.diff(line, 2) for line in lines])
-    scatter = max(1.4826 * float(np.median(np.abs(second))) / np.sqrt(6), LOCATED * feed)
-    stretches = [one for line in lines for one in _stretches(line, scatter)]
+    # Runs of another feed than that of the longest do not make its mean.
+    longest = max(lines, key=lambda line: float(line[-1] - line[0]))
+    usual = _slope([longest])[0]
+    feed, feed_std, _ = _slope([line for line in lines if abs(_slope([line])[0] / usual - 1) < OFF])
+    stretches = [one for line in lines for one in _stretches(line, _crest_scatter(line, lines))]
     return Cusps(
         crest=frozen(crest, "crest"),
         crest_z=frozen(height, "crest_z"),
@@ -427,8 +768,19 @@ def _summed_up(crest: Floats, height: Floats, run: Ints, at: Floats, heights: Fl
         stretches=tuple(stretches),
         height_at=frozen(at, "height_at"),
         height_nm=frozen(heights, "height_nm"),
+        height_bias_nm=frozen(found.bias_nm, "height_bias_nm"),
         axis=axis,
+        gaps=tuple(gaps),
     )
+
+
+def _crest_scatter(line: Floats, lines: list[Floats]) -> float:
+    """Return how far the crests of a run scatter, by those of all runs of its feed. [mm]."""
+    feed = float(np.median(np.diff(line)))
+    alike = [one for one in lines if abs(float(np.median(np.diff(one))) / feed - 1) < OFF]
+    # The second difference of positions that scatter by s alone scatters by the root of 6 s².
+    second = np.concatenate([np.diff(one, 2) for one in alike])
+    return max(1.4826 * float(np.median(np.abs(second))) / float(np.sqrt(6)), LOCATED * feed)
 
 
 def _slope(lines: list[Floats]) -> tuple[float, float, float]:
@@ -455,16 +807,21 @@ def _stretches(line: Floats, scatter: float) -> list[Stretch]:
     """Part a run where its feed changes: the cheapest parting, each part with a line and a price of its own."""
     size = line.size
     price = PENALTY * np.log(size)
-    best: list[float] = [0.0] + [np.inf] * size
-    begin = [0] * (size + 1)
-    for end in range(1, size + 1):
-        for start in range(end):
-            count = end - start
-            if count < min(SHORTEST, size) or not np.isfinite(best[start]):
-                continue
-            cost = best[start] + _slope([line[start:end]])[2] / scatter**2 + price
-            if cost < best[end]:
-                best[end], begin[end] = cost, start
+    number = np.arange(size) - (size - 1) / 2
+    off = line - np.polyval(np.polyfit(number, line, 1), number)
+    sums = np.array([np.concatenate([[0.0], np.cumsum(one)]) for one in (off, number * off, off * off)])
+    best = np.array([0.0] + [np.inf] * size)
+    begin = np.zeros(size + 1, dtype=np.int64)
+    for end in range(min(SHORTEST, size), size + 1):
+        start = np.arange(end - min(SHORTEST, size) + 1)
+        count = end - start
+        total, moment, square = sums[:, end, None] - sums[:, start]
+        middle = number[start] + (count - 1) / 2
+        slope_part = (moment - middle * total) ** 2 / (count * (count**2 - 1) / 12)
+        residual = np.maximum(square - total**2 / count - slope_part, 0.0)
+        cost = best[start] + residual / scatter**2 + price
+        begin[end] = int(np.argmin(cost))
+        best[end] = cost[begin[end]]
     found = []
     end = size
     while end > 0:
@@ -473,5 +830,5 @@ def _stretches(line: Floats, scatter: float) -> list[Stretch]:
         found.append(
             Stretch(start=float(part[0]), end=float(part[-1]), feed=feed, feed_std=feed_std, count=int(part.size))
         )
-        end = begin[end]
+        end = int(begin[end])
     return found[::-1]
