@@ -3,7 +3,10 @@
 Each case draws feed, curvature, waviness of the edge, jitter of the passes, noise, spikes and gaps, and cuts a line
 across the axis by a brute-force minimum over its passes. Figures: the feed off by at most 1 % in 97 of 100 cases; the
 median error of the edge below 15 % of its waves where the feed is 15 um or more; its 2-sigma interval holds the truth
-in 90 of 100 places or more.
+in 90 of 100 places or more. The same of edges that cut flats and curved parts, with long waviness or uneven form.
+
+Scallops of a round nose, 6 to 40 heights a cusp, noise to a third of them and spikes: the interval of their mean holds
+the closed form in 90 of 100. Noise, filtered noise and waviness: nine in ten are refused.
 
     python -m tests.proof.proof_cusps 200 0
 """
@@ -15,10 +18,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 
-from cusp_profiles import NOSE, as_profile, cut
+from cusp_profiles import KINDS, NOSE, as_profile, cut, off_edge, random_cut
 
 from turnwright.errors import InputError
 from turnwright.instrument import Instrument
@@ -66,6 +70,53 @@ def edge_error(profile, bend, wave):
     return off - gauge @ np.linalg.lstsq(gauge, off, rcond=None)[0], found.deviation_std
 
 
+def covered(kind, cases, random):
+    """Return the share of places of random edges that their 2-sigma interval holds."""
+    shares = []
+    for _ in range(cases):
+        nose, profile, wave = random_cut(random, kind)
+        found = edge_from_cusps(profile, Tool(nose_radius=nose, included=np.deg2rad(130)), axis=0.0)
+        shares.append(np.mean(np.abs(off_edge(found, wave, nose)) < 2 * found.deviation_std))
+    return float(np.mean(shares))
+
+
+def scallops(cases, random):
+    """Return the share of scallop heights, and of feeds, that their 2-sigma interval holds."""
+    height_inside, feed_inside = [], []
+    for _ in range(cases):
+        feed, ratio = random.uniform(0.005, 0.03), random.uniform(0.02, 0.3)
+        true = NOSE - np.sqrt(NOSE**2 - feed**2 / 4)
+        at = np.arange(2 * feed, 52 * feed, feed / np.exp(random.uniform(np.log(6), np.log(40))))
+        z = cut(feed * (random.random() + np.arange(55)), at) + ratio * true * random.standard_normal(at.size)
+        z += 10 * true * random.choice([-1, 1], at.size) * (random.random(at.size) < 1 / 200)
+        try:
+            found = find_cusps(as_profile(at, z))
+        except InputError:  # too much noise for the heights in a cusp
+            continue
+        height_inside.append(abs(found.scallop_mean_nm - 1e6 * true) < 2 * found.scallop_mean_std_nm)
+        feed_inside.append(abs(found.feed - feed) < 2 * found.feed_std)
+    return float(np.mean(height_inside)), float(np.mean(feed_inside)), len(feed_inside) / cases
+
+
+def refused(cases, random):
+    """Return how many profiles of noise, filtered noise and waviness are refused."""
+    refusals = []
+    for case in range(cases):
+        at = 1e-3 * np.arange(random.integers(300, 2500))
+        z = random.standard_normal(at.size)
+        if case % 3 == 1:
+            z = ndimage.gaussian_filter1d(z, random.uniform(2, 30))
+        if case % 3 == 2:
+            periods = at[-1] * random.uniform(0.15, 1.3, 4)
+            z = 0.1 * z + np.sin(2 * np.pi * at[:, None] / periods + random.uniform(0, 6, 4)).sum(axis=1)
+        try:
+            find_cusps(as_profile(at, 5e-6 * z))
+            refusals.append(False)
+        except InputError:
+            refusals.append(True)
+    return float(np.mean(refusals))
+
+
 def main(cases: int = 100, seed: int = 0) -> int:
     random = np.random.default_rng(seed)
     feeds, shares, inside = [], [], []
@@ -89,6 +140,13 @@ def main(cases: int = 100, seed: int = 0) -> int:
         "edge: median error over waviness": (float(np.median(shares)), EDGE_SHARE, -1),
         "edge: places within 2 sigma": (float(np.mean(inside)), COVERED, 1),
     }
+    for kind in KINDS:
+        figures[f"edge, {kind}: within 2 sigma"] = covered(kind, max(cases // 5, 2), random), COVERED, 1
+    height, spacing, stated = scallops(cases, random)
+    figures["scallop height within 2 sigma"] = height, COVERED, 1
+    figures["feed in noise within 2 sigma"] = spacing, 0.85, 1
+    figures["noisy cusps found"] = stated, 0.85, 1
+    figures["no cusps: refused"] = refused(cases, random), 0.9, 1
     middle, high = 100 * np.median(off), 100 * np.quantile(off, 0.95)
     print(f"{cases} cases, seed {seed}; feed off by {middle:.3f} % (median), {high:.2f} % (95 %)")
     failed = 0

@@ -6,9 +6,9 @@ Between two crests one pass alone has left the surface, so a valley is a piece o
 .. math:: h(r) = Z_k + e(u + \delta_k), \qquad X_k = m_k - R \sin\arctan h'(m_k),
 
 where :math:`m_k` is the middle between the crests, whose tangent says where on the nose of radius R the contact lies.
-The edge e is one spline for all valleys; heights :math:`Z_k` and small shifts :math:`\delta_k`, as large as the crests
-scatter, belong to each. On a curved part the contact rolls over the nose, so that the valleys overlap and show more of
-the edge than one cusp does.
+The edge e is one spline for all valleys; heights :math:`Z_k` and small shifts :math:`\delta_k` belong to each, for
+passes scatter, and an edge with waves touches beside the place where its circle would. On a curved part the contact
+rolls over the nose, so that the valleys overlap and show more of the edge than one cusp does.
 
 An instrument rounds the crests and lifts what is near them. So the surface that the estimate leaves is seen through the
 same instrument, and what it lacks is added to the estimate, until nothing changes (van Cittert's iteration).
@@ -28,7 +28,7 @@ from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology.cusps import find_cusps
+from turnwright.metrology.cusps import find_cusps, spikes
 from turnwright.metrology.profile import line_profile
 from turnwright.profile import Profile
 from turnwright.tool import Tool, WavinessTable
@@ -46,6 +46,9 @@ LINES = 24
 FORM = 6
 """Degree of the polynomial whose slope says where the edge touches."""
 
+MEAN = 0.6
+"""Standard deviation of the Gaussian that leaves the waviness of the part, over the feed."""
+
 TRIM = 1.0
 """Steps beside each crest that are left out, at least; and as many resolutions of the instrument."""
 
@@ -57,6 +60,9 @@ FINEST = 2.0
 
 FEWEST = 4
 """Valleys, at least; and valleys over which a place of the edge is known."""
+
+SHIFT = 0.25
+"""Standard deviation of a valley's shift, over the feed: slopes of the edge itself move the place where it touches."""
 
 PASSES = 8
 """Rounds of weighing and of seeing through the instrument."""
@@ -77,8 +83,8 @@ class TurnedEdge:
     tool
         The nominal tool with the waviness found; held constant beyond ``reach``.
     sweep, deviation, deviation_std
-        Its waviness and its standard uncertainty, from the scatter between valleys and that of the radius; that of the
-        instrument's scales is not in it. Each (n,) [rad], [mm], [mm]
+        Its waviness and its standard uncertainty: from the scatter between valleys, from their free heights and shifts,
+        and from the radius; that of the instrument's scales is not in it. Each (n,) [rad], [mm], [mm]
     reach
         Distances from the tip toward +X between which the edge has shown. [mm]
     radius, radius_std
@@ -109,7 +115,7 @@ class _Line(NamedTuple):
     profile: Profile  # distance from the axis where that is known
     form: Floats  # what was removed from it. (n,) [mm]
     cusps: Cusps
-    slope: legendre.Legendre
+    slope: Floats  # of the part, without its cusps. (n,)
 
 
 class _Valleys(NamedTuple):
@@ -231,12 +237,19 @@ def _holds(heights: HeightMap, axis: tuple[float, float]) -> bool:
 
 
 def _line(profile: Profile, removed: Surface | None, feed: float | None, *, known: bool) -> _Line:
+    from scipy import ndimage  # noqa: PLC0415 - costly to import
+
     cusps = find_cusps(profile, feed=feed, axis=0.0 if known else None)
     at = profile.distance
     form = np.zeros(at.size) if removed is None else removed.sag(at, np.zeros(at.size))
     valid = ~np.isnan(profile.z)
+    valid[valid] = ~spikes(profile.z[valid])
     shape = legendre.Legendre.fit(at[valid], (profile.z + form)[valid], FORM)
-    return _Line(profile, form, cusps, shape.deriv())
+    # The polynomial does not follow waviness; the mean of the cusps does.
+    wavy = np.interp(at, at[valid], (profile.z + form)[valid] - shape(at[valid]))
+    mean = ndimage.gaussian_filter1d(wavy, MEAN * cusps.feed / profile.step, mode="nearest")
+    slope = shape.deriv()(at) + np.gradient(mean, at)
+    return _Line(replace(profile, z=np.where(valid, profile.z, np.nan)), form, cusps, slope)
 
 
 def _valleys(lines: list[_Line], radius: float, away: tuple[float, float], *, known: bool, toward_x: int) -> _Valleys:
@@ -255,7 +268,8 @@ def _valleys(lines: list[_Line], radius: float, away: tuple[float, float], *, kn
             if inside.size < FEWEST:
                 continue
             middle = (before + after) / 2
-            tip = middle - radius * np.sin(np.arctan(line.slope(middle)))
+            steep = float(np.interp(middle, at, line.slope))
+            tip = middle - radius * np.sin(np.arctan(steep))
             side = (np.sign(middle) if known else 1.0) * (1.0 if known else toward_x)
             number = len(tips)
             place = at[inside]
@@ -294,13 +308,23 @@ def _solve(
             f"the valleys reach {np.abs(valleys.u).max():.4g} mm from the tip, the limit is 0.9 of the nose_radius, "
             f"{0.9 * radius:.4g} mm: check nose_radius, axis and removed form"
         )
+    with_form = [line.profile.z + line.form for line in lines]
+    measured = np.concatenate([with_form[n][valleys.point[valleys.line == n]] for n in range(len(lines))])
+    feed = lines[0].cusps.feed
     knot = cutoff / PER_CUTOFF
     first = np.floor(valleys.u.min() / knot) - 1
     knots = knot * np.arange(first, np.ceil(valleys.u.max() / knot) + 2)
-    with_form = [line.profile.z + line.form for line in lines]
-    measured = np.concatenate([with_form[n][valleys.point[valleys.line == n]] for n in range(len(lines))])
+    fit, residual = _fit(lines, valleys, knots, measured, SHIFT * feed, radius, instrument, cutoff)
+    known = _uncertainty(valleys, knots, residual, fit)
+    return _as_tool(tool, knots, fit, known, residual, valleys.tip.size, cutoff, feed)
+
+
+def _fit(
+    lines: list[_Line], valleys: _Valleys, knots: Floats, measured: Floats, shift_std: float, radius: float,
+    instrument: Instrument | None, cutoff: float,
+) -> tuple[_Fit, Floats]:  # fmt: skip
+    """Return the fit to the valleys where they are placed, and what it leaves. [mm]."""
     circle = _circle(valleys.u, radius)
-    shift_std = _shift_std(lines)
     penalty = _penalty(knots, valleys.u.size, cutoff)
     target, weight, noise = measured - circle, np.ones(measured.size), float(np.std(measured - circle))
     for _ in range(PASSES):
@@ -312,8 +336,7 @@ def _solve(
             target = model + residual
         noise = max(_scatter(residual), 1e-12)
         weight = np.minimum(1.0, FAR * noise / np.maximum(np.abs(residual), 1e-300))
-    edge_std, known = _uncertainty(valleys, knots, residual)
-    return _as_tool(tool, knots, found.edge, edge_std, known, residual, valleys.tip.size, cutoff)
+    return found, residual
 
 
 class _Fit(NamedTuple):
@@ -322,6 +345,7 @@ class _Fit(NamedTuple):
     height: Floats
     shift: Floats
     edge: Floats
+    spread: Floats  # covariance of the edge over the variance of a height. (n, n)
 
     def at(self, valleys: _Valleys, knots: Floats, radius: float) -> Floats:
         """Return the heights over the nominal circle at all points."""
@@ -354,9 +378,10 @@ def _fitted(
     own_right = np.stack(sums[3:], axis=1)
     inverse = np.linalg.inv(own)
     reduced = np.einsum("nki,kij->nkj", both, inverse).reshape(size, -1)
-    edge = np.linalg.solve(of_edge - reduced @ both.reshape(size, -1).T, right - reduced @ own_right.ravel())
+    spread = np.linalg.inv(of_edge - reduced @ both.reshape(size, -1).T)
+    edge = spread @ (right - reduced @ own_right.ravel())
     solved = np.einsum("kij,kj->ki", inverse, own_right - np.einsum("nki,n->ki", both, edge))
-    return _Fit(height=solved[:, 0], shift=solved[:, 1], edge=edge)
+    return _Fit(height=solved[:, 0], shift=solved[:, 1], edge=edge, spread=spread)
 
 
 def _penalty(knots: Floats, points: int, cutoff: float) -> Floats:
@@ -366,14 +391,6 @@ def _penalty(knots: Floats, points: int, cutoff: float) -> Floats:
     second = np.diff(np.eye(size), 2, axis=0)
     tilt = knots / np.abs(knots).max()
     return np.asarray(stiff * second.T @ second + np.ones((size, size)) + np.outer(tilt, tilt))
-
-
-def _shift_std(lines: list[_Line]) -> float:
-    """Return how far the crests scatter, and so the passes. [mm]."""
-    feed = lines[0].cusps.feed
-    scatter = [float(np.std(np.diff(one.cusps.crest, 2)[np.diff(one.cusps.run, 2) == 0])) for one in lines]
-    scatter = [one for one in scatter if np.isfinite(one)] or [0.01 * feed]
-    return float(max(np.median(scatter) / np.sqrt(6), 1e-4 * feed))
 
 
 def _circle(u: Floats, radius: float) -> Floats:
@@ -416,10 +433,11 @@ def _scatter(values: Floats) -> float:
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
-def _uncertainty(valleys: _Valleys, knots: Floats, residual: Floats) -> tuple[Floats, Bools]:
-    """Return the standard uncertainty of the edge at each knot, and where enough valleys show it.
+def _uncertainty(valleys: _Valleys, knots: Floats, residual: Floats, fit: _Fit) -> tuple[Floats, Bools]:
+    """Return the covariance of the edge, and at which knots enough valleys show it.
 
-    Residuals of one valley hang together, those of different valleys do not: so their means at a knot count.
+    Residuals of one valley hang together, those of different valleys do not: so their means at a knot count. Heights
+    and tilts of valleys that overlap in part leave waves longer than one more uncertain, by the covariance of the fit.
     """
     knot = knots[1] - knots[0]
     std, seen = np.full(knots.size, np.nan), np.zeros(knots.size, dtype=bool)
@@ -432,32 +450,65 @@ def _uncertainty(valleys: _Valleys, knots: Floats, residual: Floats) -> tuple[Fl
         if means.size >= FEWEST:
             seen[k] = True
             std[k] = means.std(ddof=1) / np.sqrt(means.size)
-    return std, seen
+    covariance = _correlated(valleys, residual) * fit.spread
+    covariance[seen, seen] += std[seen] ** 2
+    return covariance, seen
+
+
+def _correlated(valleys: _Valleys, residual: Floats) -> float:
+    """Return the variance of a height times how many neighbours in a valley share their error. [mm²]."""
+    same = np.diff(valleys.valley) == 0
+    variance = _scatter(residual) ** 2
+    clipped = np.clip(residual, -FAR * np.sqrt(variance), FAR * np.sqrt(variance))
+    product = float(np.mean((clipped[1:] * clipped[:-1])[same])) if same.any() else 0.0
+    correlation = float(np.clip(product / max(float(np.mean(clipped**2)), 1e-300), 0.0, 0.9))
+    return variance * (1 + correlation) / (1 - correlation)
+
+
+def _misplaced(u: Floats, edge: Floats, radius: float, feed: float) -> float:
+    r"""Return how far the radius is off because the nominal circle places the valleys. [mm].
+
+    Where the edge is :math:`c` more curved than its circle it touches over :math:`1 / (1 + R c)` of the width, so the
+    mean of the curvature over what it shows counts :math:`1 + R c` times too little: :math:`R^2 c^2` in the mean.
+    """
+    half = feed / 4
+    inside = (u > u[0] + 2 * half) & (u < u[-1] - 2 * half)
+    if not inside.any():
+        return 0.0
+    at = u[inside]
+    second = np.interp(at + 2 * half, u, edge) - 2 * edge[inside] + np.interp(at - 2 * half, u, edge)
+    return float(radius * np.mean((radius * second / (2 * half) ** 2) ** 2))
 
 
 def _as_tool(
-    tool: Tool, knots: Floats, edge: Floats, edge_std: Floats, seen: Bools, residual: Floats, count: int, cutoff: float
-) -> TurnedEdge:
+    tool: Tool, knots: Floats, fit: _Fit, known: tuple[Floats, Bools], residual: Floats, count: int, cutoff: float,
+    feed: float,
+) -> TurnedEdge:  # fmt: skip
     """Return the edge as waviness of the nose, without what is a height or a shift of the tool."""
+    covariance, seen = known
     if np.count_nonzero(seen) < FEWEST:
         raise InputError(
             f"{np.count_nonzero(seen)} places of the edge show in {FEWEST} valleys or more, the limit is {FEWEST}: "
             "measure a longer profile"
         )
     radius = tool.nose_radius
-    u, height, std = knots[seen], edge[seen], edge_std[seen]
+    u, height, covariance = knots[seen], fit.edge[seen], covariance[np.ix_(seen, seen)]
     # Height, shift and radius of the circle of best fit.
     columns = np.column_stack([np.ones(u.size), u / radius, 1 - 1 / np.sqrt(1 - (u / radius) ** 2)])
+    # Height and tilt are no waviness, so their uncertainty is not one of it.
+    bare = np.eye(u.size) - columns[:, :2] @ np.linalg.pinv(columns[:, :2])
+    std = np.sqrt(np.diag(bare @ covariance @ bare.T))
     weight = 1 / np.maximum(std, np.median(std))
     held = np.linalg.lstsq(columns[:, :2] * weight[:, None], height * weight, rcond=None)[0]
     best = np.linalg.lstsq(columns * weight[:, None], height * weight, rcond=None)[0]
     off = height - columns @ best
-    covariance = np.linalg.pinv((columns * weight[:, None]).T @ (columns * weight[:, None]))
+    of_circle = np.linalg.pinv((columns * weight[:, None]).T @ (columns * weight[:, None]))
     # The waves of the edge itself make its circle uncertain, and neighbouring knots hang together over a cutoff.
     excess = max(1.0, float(np.mean((off * weight) ** 2))) * PER_CUTOFF
-    radius_std = float(np.sqrt(covariance[2, 2] * excess))
+    radius_std = float(np.sqrt(of_circle[2, 2] * excess))
     # How the edge bends over all valleys is known as well as the radius, beyond what shows at one place.
     bend = columns[:, 2] - columns[:, :2] @ np.linalg.lstsq(columns[:, :2], columns[:, 2], rcond=None)[0]
+    radius_std = float(np.hypot(radius_std, _misplaced(knots[seen], fit.edge[seen], radius, feed)))
     std = np.hypot(std, bend * radius_std)
     height = height - columns[:, :2] @ held
     above = np.sqrt(radius * radius - u * u) - height
