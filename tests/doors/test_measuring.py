@@ -387,9 +387,17 @@ def test_a_mask_leaves_heights_out(shop, tmp_path):
     measured = tw.measure(Job.load(job), heights)
     assert np.isfinite(measured.heights.z).sum() == (np.isfinite(z) & ~spoilt).sum()
     assert measured.form_rms_nm < 0.1
+    (tmp_path / "mask.npz").unlink()
+    tw.write_map(tw.HeightMap(x=axis, y=axis, z=np.where(spoilt, 0.0, 1.0)), tmp_path / "mask.npz")
+    again = tw.measure(Job.load(job), heights)
+    assert np.array_equal(again.heights.z, measured.heights.z, equal_nan=True)
     small = replace(heights, x=axis[1:], y=axis, z=heights.z[:, 1:])
     with pytest.raises(tw.InputError, match=r"mask.npz has the shape \(101, 101\), the map \(101, 100\)"):
         tw.measure(Job.load(job), small)
+    (tmp_path / "mask.npz").unlink()
+    tw.write_map(tw.HeightMap(x=axis, y=axis, z=x), tmp_path / "mask.npz")
+    with pytest.raises(tw.InputError, match=r"mask.npz has all of its heights and is not of 0 and 1"):
+        tw.measure(Job.load(job), heights)
 
 
 def test_set_replaces_a_key_of_the_measurement(shop, tmp_path, capsys):

@@ -43,7 +43,7 @@ from turnwright.pose import Pose
 if TYPE_CHECKING:
     from os import PathLike
 
-    from turnwright._arrays import Floats, Ints
+    from turnwright._arrays import Bools, Floats, Ints
     from turnwright.job._schema import Job
     from turnwright.machine import Machine
     from turnwright.part import Part
@@ -452,7 +452,7 @@ def _feed(job: Job) -> float:
 
 
 def _masked(heights: HeightMap, job: Job) -> HeightMap:
-    """Return the map without the heights that are missing in the job's mask."""
+    """Return the map without the heights that do not count in the job's mask."""
     file = job.measurement.mask
     if file is None:
         return heights
@@ -461,7 +461,21 @@ def _masked(heights: HeightMap, job: Job) -> HeightMap:
         raise InputError(
             f"the mask {file.name} has the shape {mask.z.shape}, the map {heights.z.shape}: give a map of the same grid"
         )
-    return replace(heights, z=np.where(np.isnan(mask.z), np.nan, heights.z))
+    return replace(heights, z=np.where(_counted(mask.z, file.name), heights.z, np.nan))
+
+
+def _counted(mask: Floats, name: str) -> Bools:
+    """Return which heights a mask lets count: those that it has, or, where it is of 0 and 1, those with 1."""
+    valid = ~np.isnan(mask)
+    values = np.unique(mask[valid])
+    if values.size == 2 and values[0] == 0 and values[1] > 0:  # 1 in the unit of the file
+        return np.asarray(valid & (mask > 0))
+    if valid.all():
+        raise InputError(
+            f"the mask {name} has all of its heights and is not of 0 and 1, so it masks nothing: leave out those "
+            "that do not count, or give 1 where they count and 0 elsewhere"
+        )
+    return valid
 
 
 def _turned(heights: HeightMap, job: Job) -> HeightMap:

@@ -580,7 +580,7 @@ class MeasurementTable(Table):
     weak
         What becomes of directions that such a form may pass for: "fit", "hold" where the map is said to lie, "raise".
     mask
-        File with a map of the same grid: heights that are missing there do not count.
+        File with a map of the same grid: heights that are missing there, or 0 in a mask of 0 and 1, do not count.
     loss
         How residuals count: "linear", "huber" or "tukey"; robust until spikes are out, then linear, if left out.
     noise
