@@ -84,6 +84,9 @@ def test_a_profile_is_shown_with_its_feed_and_scallops(tmp_path, capsys):
 def test_columns_of_a_profile_are_chosen_by_name(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("X,Y,Slice\n" + "\n".join(f"{k},{k % 10 / 1000},Slice 1" for k in range(100)))
     assert "feed: 10 um" in shown(capsys, tmp_path / "a.csv", "--height", "Y", "--unit", "um")
+    (tmp_path / "b.csv").write_text("X,Y\n" + "\n".join(f"{k},{k % 10 / 1000}" for k in range(100)))
+    assert main(["show", str(tmp_path / "b.csv"), "--unit", "um"]) == 2
+    assert "--profile --height Y" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -436,7 +436,7 @@ def _columns(path: Path, names: list[str] | None, width: int) -> dict[str, int] 
     if names is not None and places:
         raise MapError(
             f"{path} names its columns {', '.join(names)}, x, y and z (or x and z alone) are needed: "
-            "name them so, or read a profile (read_profile)"
+            f"name them so, or read a profile (show --profile --height {names[-1]}, read_profile in Python)"
         )
     if width == 3:
         return {"x": 0, "y": 1, "z": 2}
