@@ -1,6 +1,7 @@
 """Turnwright: from an optical prescription to a proven program for a diamond-turning lathe, and back.
 
-The public names. Each is imported when it is first asked for, so that ``import turnwright`` costs nothing.
+The public names, and the modules that hold them (``turnwright.metrology``). Each is imported when it is first asked
+for, so that ``import turnwright`` costs nothing.
 """
 
 from importlib import import_module
@@ -654,6 +655,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
+    if name in _HOMES:
+        return import_module(f"turnwright.{name}")
     if name not in _HOME:
         raise AttributeError(f"turnwright has no public name {name!r}: see turnwright.__all__")
     value = getattr(import_module(f"turnwright.{_HOME[name]}"), name)

@@ -1,6 +1,8 @@
 """What the documentation promises: complete lists, short records, and a README whose example runs."""
 
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -86,3 +88,12 @@ def test_links_lead_somewhere(page):
 
 def test_pictures_stay_small():
     assert all(picture.stat().st_size < 300_000 for picture in (DOCS / "images").glob("*.png"))
+
+
+def test_the_modules_of_public_names_need_no_import_of_their_own():
+    code = (
+        "import sys, turnwright as tw; assert 'turnwright.metrology' not in sys.modules; "
+        "assert tw.metrology.turning_centre and tw.files.read_map is tw.read_map; tw.nonsense"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "no public name 'nonsense'" in run.stderr.splitlines()[-1]
