@@ -665,18 +665,34 @@ def test_references_lead_to_files_of_the_server_only(tmp_path):
         assert located({"part": {"correction": bad}}, tmp_path)[1]
 
 
-@pytest.mark.parametrize("deleted", ["", "job.json", "out"])
-def test_a_run_deleted_outside_the_workbench_is_no_defect(tmp_path, deleted):
-    with TestClient(create_app(tmp_path, nice=0), base_url=HERE) as client:
-        name = client.post("/api/runs", json={"data": changed(*DISH), "kind": "run"}).json()["id"]
-        ended(client, name)
-        place = tmp_path / "runs" / name / deleted
-        shutil.rmtree(place) if place.is_dir() else place.unlink()
-        schema = client.get("/api/openapi.json").json()["paths"]
-        for path, verbs in schema.items():
-            if "{id}" in path and "get" in verbs and path.startswith("/api/runs"):
-                target = path.replace("{id}", name).replace("{name}", "program")
-                status = client.get(target, params={"ends": "0,0,1,1", "letter": "Z", "near": "0,0"}).status_code
-                assert status < 500, (path, status)
-        assert client.get("/api/runs").status_code == 200
-        assert client.delete(f"/api/runs/{name}").status_code == 204
+DELETED = ["", "job.json", "out"]
+
+
+@pytest.fixture(scope="module")
+def copies(folder, dish, tmp_path_factory):
+    """A server that finds a run once for each of what is deleted of it, and their folders."""
+    served = tmp_path_factory.mktemp("copies")
+    places = {what: served / "runs" / f"{number:016x}" for number, what in enumerate(DELETED)}
+    for place in places.values():
+        shutil.copytree(folder / "runs" / dish[0], place)
+        state = json.loads((place / "state.json").read_text())
+        (place / "state.json").write_text(json.dumps({**state, "id": place.name}))
+    with TestClient(create_app(served, nice=0), base_url=HERE) as client:
+        yield client, places
+
+
+@pytest.mark.parametrize("deleted", DELETED)
+def test_a_run_deleted_outside_the_workbench_is_no_defect(copies, deleted):
+    client, places = copies
+    name = places[deleted].name
+    assert client.get(f"/api/runs/{name}").json()["state"] == "done"
+    place = places[deleted] / deleted
+    shutil.rmtree(place) if place.is_dir() else place.unlink()
+    schema = client.get("/api/openapi.json").json()["paths"]
+    for path, verbs in schema.items():
+        if "{id}" in path and "get" in verbs and path.startswith("/api/runs"):
+            target = path.replace("{id}", name).replace("{name}", "program")
+            status = client.get(target, params={"ends": "0,0,1,1", "letter": "Z", "near": "0,0"}).status_code
+            assert status < 500, (path, status)
+    assert client.get("/api/runs").status_code == 200
+    assert client.delete(f"/api/runs/{name}").status_code == 204
