@@ -236,6 +236,8 @@ def _measured_numbers(measured: Measured) -> dict[str, object]:
             "uncertainty": terms.uncertainty.tolist(),
         },
         "roughness": measured.roughness,
+        "seen_design_nm": measured.seen_design_nm,
+        "texture": measured.texture,
         "base_form": _base_form(measured),
     }
 

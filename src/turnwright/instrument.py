@@ -154,6 +154,17 @@ class Instrument:
         return _from_table(read_toml(data, f"instrument file {str(path)!r}"), path.stem)
 
     @property
+    def summary(self) -> str:
+        """What is stated of it, in words."""
+        values = {
+            "pixel {:.3g} um": (self.pixel or 0.0) * 1e3,
+            "optics pass periods above {:.3g} um": 1e3 / self.cutoff,
+            "stylus radius {:.3g} um": (self.stylus_radius or 0.0) * 1e3,
+            "noise {:.3g} nm": self.noise * 1e6,
+        }
+        return ", ".join(text.format(value) for text, value in values.items() if value) or "no limits"
+
+    @property
     def cutoff(self) -> float:
         """Highest spatial frequency that the optics pass; infinite without optics. [1/mm]."""
         if self.numerical_aperture is not None and self.wavelength is not None:

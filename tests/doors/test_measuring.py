@@ -92,6 +92,20 @@ def strict(file):
     return json.loads(file.read_text(encoding="utf-8"), parse_constant=refuse)
 
 
+def test_measure_names_the_instrument_and_what_it_removes(shop, tmp_path, capsys):
+    out = tmp_path / "seen"
+    stated = ["--set", 'instrument={resolution="10 um"}']
+    assert main(["measure", str(shop / "dish.x3p"), "--job", str(shop / "job.toml"), "--out", str(out), *stated]) == 0
+    assert "optics pass periods above 10 um" in capsys.readouterr().out
+    texture = strict(out / "measured.json")["texture"]
+    # Of a feed of twice the resolution incoherent light passes 2 / pi (pi / 3 - sqrt(3) / 4).
+    assert texture["seen_nm"] / texture["predicted_nm"] == pytest.approx(0.391, rel=0.1)
+    assert "Through the instrument" in (out / "report.html").read_text(encoding="utf-8")
+    wrong = ["--out", str(tmp_path / "no"), "--set", "instrument=zygo"]
+    assert main(["measure", str(shop / "dish.x3p"), "--job", str(shop / "job.toml"), *wrong]) == 2
+    assert "zygo-nexview-10x" in capsys.readouterr().err
+
+
 def test_measure_says_how_far_the_part_is_off(shop, tmp_path, capsys):
     """Oracle: an offset of the tip leaves a cone, offset times slope, whose rms less piston is known in closed form."""
     out = tmp_path / "measured"

@@ -135,6 +135,7 @@ def test_every_field_that_names_a_file_says_which_it_takes(client):
     assert holds == {
         ("file", "heights"), ("file", "machine"), ("waviness_file", "waviness"), ("straightness_file", "straightness"),
         ("correction", "correction"), ("material", "material"), ("mask", "heights"),
+        ("file", "instrument"),
     }  # fmt: skip
     for _, name, field in fields:
         if field.get("format") == "reference":
@@ -464,6 +465,12 @@ def with_files(names):
         ("simulation", {"whole_part": {"radii": 11, "angles": 6}, "patches": []}),
         ("strategy.feed", "40 um/rev"),
     )
+
+
+@pytest.mark.parametrize(("text", "status"), [(b'pixel = "3 um"', 201), (b'pixels = "3 um"', 422)])
+def test_the_file_of_an_instrument_is_read_when_it_is_brought(client, text, status):
+    answer = client.post("/api/files", params={"kind": "instrument", "name": "mine.toml"}, content=text)
+    assert answer.status_code == status, answer.text
 
 
 def test_files_travel_with_a_job_to_the_command_line(client, folder, tmp_path):

@@ -256,6 +256,8 @@ def _say_measured(door: Door, measured: Sequence[Measured]) -> None:
         )
         if one.lenslets is not None:
             door.say(one.lenslets.summary)
+        for sentence in one.as_seen:
+            door.say(sentence)
         if one.axis is not None:
             door.say(f"axis of turning from the {one.axis.source}, within {1e3 * max(one.axis.std):.2g} um")
         warn(one.open_questions)

@@ -17,6 +17,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.job._advice import open_questions
 from turnwright.job._finish import across_feed, finished
 from turnwright.job._prescriptions import with_keys
+from turnwright.job._seen import SeenTexture, design_as_seen, texture_as_seen
 from turnwright.job._shares import pv_nm_of
 from turnwright.job._verdict import Verdict, judge_form
 from turnwright.metrology import (
@@ -110,6 +111,11 @@ class Measured:
     axis
         Where the axis of turning stands in the map, if the surface does not tell its lateral place and the marks of
         turning do: the part was put about it. ``None`` otherwise.
+    seen_design_nm
+        What the job's instrument makes of the design by itself, rms over the heights; it is taken off them. ``None``
+        if the job states no instrument, or it cannot be applied to such a map. [nm]
+    texture
+        The cusps against the predicted ones, seen through that instrument, if it was stated and the map shows them.
     """
 
     job: Job
@@ -125,12 +131,29 @@ class Measured:
     lenslets: Lenslets | None
     fingerprint: str
     axis: TurningCentre | None = None
+    seen_design_nm: float | None = None
+    texture: SeenTexture | None = None
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
         """Which stated tolerances the measured part keeps: the form; a map of the form does not resolve the finish."""
         return judge_form(
             self.job, self.form_pv_nm, sq_reason="it is that of the patches, predict them or measure each"
+        )
+
+    @property
+    def as_seen(self) -> tuple[str, ...]:
+        """What the job's instrument makes of the part, in sentences; none if the job states no instrument."""
+        table = self.job.measurement.instrument
+        if table is None:
+            return ()
+        seen = table.instrument
+        stated = f"seen through {seen.name or 'the stated instrument'} ({seen.summary})"
+        if self.seen_design_nm is None:
+            return (f"{stated}: it cannot be applied to the design on these places, which need an even grid",)
+        return (
+            f"{stated}: it changes the design by {self.seen_design_nm:.3g} nm rms, which is taken off the heights",
+            *([] if self.texture is None else [self.texture.sentence]),
         )
 
     @property
@@ -207,6 +230,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     )  # fmt: skip
     report("register", 1, 1)
     report("clean", 0, 1)
+    heights, seen_design_nm = _without_seen_design(job, heights, first.pose)
     spikes = 0
     if asked.spikes != "none":
         # The error shows no edges of the part, so only what does not belong there stands out.
@@ -254,9 +278,18 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         roughness=rough,
         lenslets=lenslets(heights, part, pose=registration.pose) if has_lenslets(part.surface) else None,
         fingerprint=_fingerprint(error.z), axis=axis,
+        seen_design_nm=seen_design_nm, texture=texture_as_seen(job, registration.error, registration.pose),
     )  # fmt: skip
     report("judge", 1, 1)
     return measured
+
+
+def _without_seen_design(job: Job, heights: HeightMap, pose: Pose) -> tuple[HeightMap, float | None]:
+    """Return heights without what the job's instrument makes of the design, and its rms. [nm]."""
+    added = design_as_seen(job, heights, pose)
+    if added is None:
+        return heights, None
+    return replace(heights, z=heights.z - added), float(np.std(added[~np.isnan(heights.z)])) * NM
 
 
 def _fingerprint(error: Floats) -> str:

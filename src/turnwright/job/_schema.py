@@ -30,8 +30,9 @@ from turnwright import tool as diamond
 from turnwright._toml import read_toml
 from turnwright._validate import key_of
 from turnwright._whole import write_whole
-from turnwright.errors import InputError, JobError, UnitError
+from turnwright.errors import InputError, JobError, UnitError, shown
 from turnwright.files import read_map
+from turnwright.instrument import Instrument
 from turnwright.job._prescriptions import FAMILIES, AnySurface
 from turnwright.job._strategies import KINDS, AnyStrategy, Choices
 from turnwright.job._table import (
@@ -536,6 +537,58 @@ class RoughnessTable(Table):
     form: Annotated[int | str, PlainValidator(_form)] = "plane"
 
 
+class InstrumentTable(Table):
+    """The instrument through which a prediction is seen: see `turnwright.Instrument`.
+
+    Parameters
+    ----------
+    name
+        One of the instruments that come with Turnwright; what else is stated here replaces its own.
+    file
+        A ``.toml`` file of an instrument of one's own, in place of the name.
+    """
+
+    name: Text | None = None
+    file: ExistingFile | None = None
+    pixel: Size | None = None
+    numerical_aperture: float | None = None
+    wavelength: Size | None = None
+    resolution: Size | None = None
+    filling: float | None = None
+    stylus_radius: Size | None = None
+    noise: Thickness | None = None
+
+    @cached_property
+    def instrument(self) -> Instrument:
+        """The instrument."""
+        if self.name is not None and self.file is not None:
+            raise JobError("name and file of the instrument are both given: give one of them")
+        if self.name is not None and self.name not in Instrument.known():
+            raise JobError(
+                f"the instrument is {shown(self.name)}, the known ones are {', '.join(Instrument.known())}: choose "
+                "one, name a .toml file, or state its pixel and resolution"
+            )
+        source = self.file or self.name
+        own = Instrument() if source is None else Instrument.load(source)
+        values = {key: getattr(self, key) for key in type(self).model_fields if key not in ("name", "file")}
+        stated = {key: value for key, value in values.items() if value is not None}
+        if not stated and source is None:
+            raise JobError("the instrument states nothing: give its name, a file, or what it resolves, such as pixel")
+        return replace(own, **stated)
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        _ = self.instrument
+        return self
+
+
+def _instrument(value: object) -> object:
+    """Return the table that the name or the file of an instrument stands for."""
+    if isinstance(value, str):
+        return {"file" if value.endswith(".toml") else "name": value}
+    return value
+
+
 class MeasurementTable(Table):
     """What is known of the instrument that measures the part, and what its map may be off by: see `turnwright.measure`.
 
@@ -581,6 +634,9 @@ class MeasurementTable(Table):
         What becomes of directions that such a form may pass for: "fit", "hold" where the map is said to lie, "raise".
     mask
         File with a map of the same grid: heights that are missing there, or 0 in a mask of 0 and 1, do not count.
+    instrument
+        Through which design and predicted cusps are seen before the map is compared with them: the name of a known
+        one, a ``.toml`` file, or a table of its values. What is left out does nothing.
     loss
         How residuals count: "linear", "huber" or "tukey"; robust until spikes are out, then linear, if left out.
     noise
@@ -626,6 +682,7 @@ class MeasurementTable(Table):
     form_error: Thickness = 1e-3
     weak: Literal["fit", "hold", "raise"] = "fit"
     mask: ExistingFile | None = None
+    instrument: Annotated[InstrumentTable, BeforeValidator(_instrument)] | None = None
     loss: Literal["linear", "huber", "tukey"] | None = None
     noise: Size | None = None
     reference: Literal["true form", "best-fit sphere", "best-fit sphere, along its normal"] = "true form"

@@ -123,7 +123,7 @@ def write_measured(measured: Measured, path: str | PathLike[str]) -> File:
             else _Number("Spikes", str(measured.spikes), "", "taken out"),
         ],
         notes=_open_questions(measured),
-        sections=[*_form(measured), *_lens_section(measured), _placed(measured)],
+        sections=[*_form(measured), *_lens_section(measured), *_through_instrument(measured), _placed(measured)],
         job=measured.job.to_toml(),
     )
     return set_page("sheet.html.j2", sheet, path)
@@ -155,7 +155,13 @@ def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | 
             _number("Left", found.unexplained_rms_nm, f"rms, noise {max(found.noise_nm):.3g} nm from point to point"),
         ],
         notes=[note for one in measured for note in _open_questions(one)],
-        sections=[_causes(found), _terms(found), *_setup(measured, found), _marks(measured, found)],
+        sections=[
+            _causes(found),
+            _terms(found),
+            *_setup(measured, found),
+            _marks(measured, found),
+            *(section for one in measured for section in _through_instrument(one)),
+        ],
         job=measured[0].job.to_toml(),
     )  # fmt: skip
     return set_page("sheet.html.j2", sheet, path)
@@ -227,6 +233,15 @@ def _judged(measured: Measured) -> dict[str, str]:
         "word": "Keeps its form" if form.kept else "Form is off",
         "why": why,
     }
+
+
+def _through_instrument(measured: Measured) -> list[_Section]:
+    """Return what the instrument makes of design and cusps, if the job states one."""
+    text = [f"{one[0].upper()}{one[1:]}." for one in measured.as_seen]
+    table = measured.job.measurement.instrument
+    if table is not None and table.instrument.source:
+        text.append(f"Source: {table.instrument.source}.")
+    return [_Section(title="Through the instrument", text=text)] if text else []
 
 
 def _open_questions(measured: Measured) -> list[str]:

@@ -40,7 +40,7 @@ RAW_BODY = {
     }
 }
 
-Kind = Literal["heights", "waviness", "straightness", "correction", "machine", "material"]
+Kind = Literal["heights", "waviness", "straightness", "correction", "machine", "material", "instrument"]
 
 
 @router.post("", status_code=201, openapi_extra=RAW_BODY)

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from turnwright._toml import read_toml
 from turnwright.errors import InputError, TurnwrightError, shortened
+from turnwright.instrument import Instrument
 from turnwright.job import Job, faults
 from turnwright.job._prescriptions import GriddedTable
 from turnwright.job._schema import MachineTable, PartTable, ToolDeviations
@@ -140,6 +141,8 @@ def _read_as(path: Path, kind: str, more: Mapping[str, str]) -> None:
         Machine.load(path)
     elif kind == "material":
         Material.load(path)
+    elif kind == "instrument":
+        Instrument.load(path)
     elif kind == "correction":
         _ = PartTable.model_validate({**SMALL["part"], "correction": str(path)}).added
     else:

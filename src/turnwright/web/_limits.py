@@ -33,6 +33,7 @@ FILE_ENDINGS = {
     "correction": (".npz",),
     "machine": (".toml",),
     "material": (".toml",),
+    "instrument": (".toml",),
 }
 """Kinds of files that a job may name, with their endings."""
 

@@ -43,6 +43,9 @@ __all__ = [
 FILE_KEYS = frozenset({"file", "correction", "waviness_file", "straightness_file", "mask"})
 """Keys of a job that name a file."""
 
+FILE_OR_NAME = frozenset({"material", "instrument"})
+"""Keys of a job that name a file if they end in ``.toml``."""
+
 DEEPEST = 40
 """Tables and lists within each other."""
 
@@ -90,9 +93,11 @@ def kind_of(field: str, key: str) -> str:
 
     >>> kind_of("machine.file", "file"), kind_of("part.surface.file", "file"), kind_of("part.material", "material")
     ('machine', 'heights', 'material')
+    >>> kind_of("measurement.instrument.file", "file"), kind_of("measurement.instrument", "instrument")
+    ('instrument', 'instrument')
     """
     if key in ("file", "mask"):
-        return "machine" if field == "machine.file" else "heights"
+        return {"machine.file": "machine", "measurement.instrument.file": "instrument"}.get(field, "heights")
     return key.removesuffix("_file")
 
 
@@ -176,7 +181,7 @@ def require_flat(data: dict[str, Any]) -> None:
 
 
 def _names_file(key: str, value: object) -> bool:
-    return key in FILE_KEYS or (key == "material" and isinstance(value, str) and value.endswith(".toml"))
+    return key in FILE_KEYS or (key in FILE_OR_NAME and isinstance(value, str) and value.endswith(".toml"))
 
 
 def _path(value: object, field: str, key: str, folder: Path, found: Located) -> object:

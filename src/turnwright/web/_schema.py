@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Callable
 from typing import Any
 
 import turnwright
+from turnwright.instrument import Instrument
 from turnwright.job import Job
 from turnwright.job._prescriptions import Series
-from turnwright.job._schema import MachineTable, PartTable
+from turnwright.job._schema import InstrumentTable, MachineTable, PartTable
 from turnwright.job._table import Table
 from turnwright.material import Material
 from turnwright.units import write
@@ -26,11 +28,25 @@ DISPLAY = {"mm": "mm", "mm/rev": "um/rev", "rad": "deg", "rpm": "rpm", "Hz": "Hz
 """The unit that a person writes, by the unit inside."""
 
 SMALLER = {
-    **dict.fromkeys(("stock", "allowance", "depth", "pixel", "radius_error", "arc_length"), "um"),
-    **dict.fromkeys(("form_pv", "sq", "chord", "scallop", "worth"), "nm"),
+    **dict.fromkeys(
+        ("stock", "allowance", "depth", "pixel", "radius_error", "arc_length", "resolution", "stylus_radius"), "um"
+    ),
+    **dict.fromkeys(("form_pv", "sq", "chord", "scallop", "worth", "wavelength"), "nm"),
     "squareness": "urad",
 }
 """The same of fields that are far below a millimetre or a degree."""
+
+FILE_FIELDS: dict[type[Table], str] = {
+    MachineTable: "machine.file",
+    InstrumentTable: "measurement.instrument.file",
+}
+"""Fields of tables whose key ``file`` names no heights."""
+
+KNOWN_NAMES: dict[type[Table], Callable[[], list[str]]] = {
+    MachineTable: machines,
+    InstrumentTable: lambda: list(Instrument.known()),
+}
+"""Names that the key ``name`` of a table can have."""
 
 SAME = {"spindle_speed": "spindle_rpm"}
 """Fields of a table by the name of the parameter that they become."""
@@ -70,7 +86,7 @@ def _explain(table: type[Table], definition: dict[str, Any]) -> None:
         if name in FILE_KEYS:
             given["format"] = "reference"
         if name in FILE_KEYS or (table, name) == (PartTable, "material"):
-            given["holds"] = kind_of("machine.file" if table is MachineTable else "", name)
+            given["holds"] = kind_of(FILE_FIELDS.get(table, ""), name)
             given["endings"] = list(FILE_ENDINGS[given["holds"]])
     properties = definition.get("properties", {})
     if issubclass(table, Series):
@@ -79,8 +95,8 @@ def _explain(table: type[Table], definition: dict[str, Any]) -> None:
         for name in table.series:
             inner = properties[name]
             inner["items" if inner["type"] == "array" else "additionalProperties"] = {"type": ["number", "string"]}
-    if table is MachineTable:
-        properties["name"]["enum"] = machines()
+    if table in KNOWN_NAMES:
+        properties["name"]["enum"] = KNOWN_NAMES[table]()
     if table is PartTable:
         properties["material"]["examples"] = list(Material.known())
     if "waviness" in properties and table.__name__ != "MeasurementTable":
