@@ -11,6 +11,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats
 from turnwright.diagnosis._causes import Column, Columns
+from turnwright.diagnosis._model import Cutting
 from turnwright.diagnosis._posterior import Posterior, Scaled, posterior
 from turnwright.diagnosis._sight import CENTRE, Sight
 from turnwright.diagnosis._terms import GROUPS, Group, columns, form_of, lobes_by_angle
@@ -21,6 +22,13 @@ __all__ = ["FLOOR", "LOOSE", "Estimate", "Look"]
 LOOSE = np.array([0.05, 0.05, 1.0, 0.05, 0.01, 0.01, 0.01, 0.01, 1e-3])
 """How far a registered map may still be off its place, one standard deviation: shift x, y, z [mm], rotation and tilts
 [rad], slopes [1] and curvature [1/mm] of a sphere. It holds those in place that the surface does not determine."""
+
+FITTED = 10.0
+"""A direction that the surface determines was fitted to the map, errors of the part included, and may be so many times
+farther off: a tool that is off by 20 um moves a map of the middle of a freeform by half a millimetre."""
+
+NEAR = 0.01
+"""Points that moved by more than this share of the radius see another wave of the form."""
 
 CANNOT = 1e-8
 """A mark whose plausible size, less what the pose explains of it, is smaller than this is none. [mm]"""
@@ -139,6 +147,10 @@ class Estimate:
     common: Floats = field(init=False)  # of those that all maps of a part share (groups,)
     between: Floats = field(init=False)  # of the causes from map to map, in plausible units (causes,)
     forms: list[Floats] = field(init=False)  # columns of the terms of form (g, n) each
+    formed: list[Floats] = field(init=False)  # poses at which these were taken
+    loose: list[Floats] = field(
+        init=False
+    )  # a root of the covariance of each pose beforehand, in units of LOOSE (j, j)
     terms: list[Floats] = field(init=False)  # of each map, as last found (groups' terms,)
     seen: Bools = field(init=False)  # which numbers leave something that no change of pose would (k,)
     looks: list[Look] = field(init=False, default_factory=list)
@@ -151,9 +163,9 @@ class Estimate:
             self.own *= BEGUN**2
         self.between = np.array([BETWEEN[1 if cause in EDGE else 0] ** 2 for cause in self.causes])
         self.terms = [np.zeros(TERMS) for _ in self.sights]
-        # Where the points come to lie moves by far less than the finest of these waves.
-        places = [(*sight.moved()[:2], radius) for sight, radius in zip(self.sights, self.radius, strict=True)]
-        self.forms = [form_of(x / radius, y / radius) for x, y, radius in places]
+        self.forms = [np.zeros((0, 0)) for _ in self.sights]
+        self.formed = [np.full(sight.pose.size, np.inf) for sight in self.sights]
+        self.loose = []
         self.seen = np.ones(len(self.names), dtype=np.bool_)
 
     def _begun(self, group: Group) -> float:
@@ -194,6 +206,7 @@ class Estimate:
                 self.looks = [self._look(m) for m in range(len(self.sights))]
                 for m, look in enumerate(self.looks):
                     self.scale[m] = max(ROUGH * float(np.std(look.rows[:, -1])), FLOOR)
+                self.loose = [self._loose(m) for m in range(len(self.sights))]
             self._settle()
             self._measure_noise()
             if not self._reject() and self._move(1.0 if step < WHOLE else DAMPED) < SETTLED:
@@ -206,35 +219,60 @@ class Estimate:
 
     def _look(self, m: int) -> Look:
         """Take one map at the present numbers."""
-        sight, values, typical = self.sights[m], self.values[m], self.typical
+        sight, values = self.sights[m], self.values[m]
         residual, cutting = sight.cut(self.columns.deviations(values))
-        marks = self.columns.slopes(cutting, sight.added, self.sense, sight.cusp)
         for cause, mark in sight.added.items():
             residual = residual - values[self.of_cause(cause)] @ mark
         good = sight.usable & ~sight.apart & np.isfinite(residual) & (cutting.tip_radius >= 0)
         sight.good = good
-        by_angle = lobes_by_angle(cutting, self.terms[m])
-        nuisances, numbers = sight.nuisances(cutting, by_angle)
-        if (points := int(np.count_nonzero(good))) < (needed := len(numbers) + typical.size + 3):
+        marks, turned, numbers = self.marks(m, sight, cutting, self._form(m))
+        if (points := int(np.count_nonzero(good))) < (needed := len(numbers) + self.typical.size + 3):
             raise InputError(
-                f"{points} points of the map can be used, {typical.size} numbers and a pose need at least {needed}: "
-                "measure more of the part, or look for fewer causes"
+                f"{points} points of the map can be used, {self.typical.size} numbers and a pose need at least "
+                f"{needed}: measure more of the part, or look for fewer causes"
             )
-        marks[:, ~self.seen] = 0.0
-        marks *= typical
-        turned: Floats = np.zeros(residual.size)
-        for k in self.of_cause("offset y"):
-            away = np.maximum(np.hypot(cutting.x, cutting.y), CENTRE)
-            turned = -by_angle / away * typical[k]
-            marks[:, k] += turned
-        rows = np.column_stack(
-            [-nuisances * LOOSE[numbers], marks, columns(cutting, self.radius[m], self.forms[m]), residual]
-        )[good]
+        rows = np.column_stack([marks, residual])[good]
         counts = np.ones(points)
         if sight.stands is not None:  # the instrument's noise is along the normal
             counts = 1 / np.sqrt(1 + cutting.zx[good] ** 2 + cutting.zy[good] ** 2)
             rows *= counts[:, None]
         return Look(rows, np.asarray(np.linalg.qr(rows, mode="r")), numbers, good, turned[good], counts)
+
+    def marks(
+        self, m: int, sight: Sight, cutting: Cutting, form: Floats | None = None
+    ) -> tuple[Floats, Floats, list[int]]:
+        """Return what each number of a map adds at some points, see `Look`: rows, turned and numbers."""
+        typical, by_angle = self.typical, lobes_by_angle(cutting, self.terms[m])
+        nuisances, numbers = sight.nuisances(cutting, by_angle)
+        marks = self.columns.slopes(cutting, sight.added, self.sense, sight.cusp) * typical
+        marks[:, ~self.seen] = 0.0
+        turned: Floats = np.zeros(cutting.x.size)
+        for k in self.of_cause("offset y"):
+            away = np.maximum(np.hypot(cutting.x, cutting.y), CENTRE)
+            turned = -by_angle / away * typical[k]
+            marks[:, k] += turned
+        return (
+            np.column_stack([-nuisances * LOOSE[numbers], marks, columns(cutting, self.radius[m], form)]),
+            turned,
+            numbers,
+        )
+
+    def _form(self, m: int) -> Floats:
+        """Return the columns of the terms of form at the points of a map. (g, n)."""
+        sight, radius = self.sights[m], self.radius[m]
+        off = np.abs(sight.pose - self.formed[m])
+        if np.hypot(off[0], off[1]) + off[3] * radius > NEAR * radius:
+            x, y, _ = sight.moved()
+            self.forms[m], self.formed[m] = form_of(x / radius, y / radius), sight.pose.copy()
+        return self.forms[m]
+
+    def _loose(self, m: int) -> Floats:
+        """Return a root of the covariance of a pose beforehand, in units of `LOOSE`. (j, j)."""
+        j = self.looks[m].poses
+        _, heights, directions = np.linalg.svd(self.looks[m].root[:, :j], full_matrices=False)
+        shown = (heights / self.scale[m]) ** 2
+        wide = 1 + (FITTED - 1) * shown / (1 + shown)
+        return np.asarray((directions.T * wide) @ directions)
 
     def _seen(self) -> Bools:
         """Say of which numbers anything is left that a change of pose cannot explain."""
@@ -251,7 +289,7 @@ class Estimate:
         many = len(self.sights) > 1
         kinds = 1 + max((kind for kind in self.kinds if kind is not None), default=-1)
         own = np.zeros((j + k + TERMS, j + many * k + TERMS))
-        own[:j, :j] = np.eye(j)
+        own[:j, :j] = self.loose[m]
         if many:
             own[j : j + k, j : j + k] = np.diag(np.sqrt(self.between_numbers()))
         own[j + k :, -TERMS:] = np.diag(self._spread(self.own, even=len(self.sights) == 1))
@@ -294,7 +332,8 @@ class Estimate:
             scaled.append(Scaled(columns @ split.own, columns @ split.shared, self.target(m) / scale))
             mean = np.zeros(split.own.shape[1])
             sight = self.sights[m]
-            mean[: look.poses] = (sight.begun - sight.pose)[look.numbers] / LOOSE[look.numbers]
+            away = (sight.begun - sight.pose)[look.numbers] / LOOSE[look.numbers]
+            mean[: look.poses] = np.linalg.solve(self.loose[m], away)
             begun.append(mean)
         return posterior(scaled, begun)
 

@@ -165,6 +165,11 @@ class Draws:
         Whether a single map shows all this, so that nothing says what of it repeats.
     pose
         What a change of the free directions adds. (n, j) [mm]
+    places
+        Where on the part the places really are, as far as the pose of the map is not certain; one for all draws if it
+        is. (draws, 2, n) [mm]
+    unmeasured
+        Share of the part that the map leaves out; what it may be like there is drawn with the rest.
     cases
         Some of the draws, to be simulated in full.
     """
@@ -175,6 +180,8 @@ class Draws:
     after: Floats
     single: bool
     pose: Floats
+    places: Floats
+    unmeasured: float
     cases: tuple[DrawnCut, ...]
 
     def rms_nm(self, heights: Floats) -> Floats:

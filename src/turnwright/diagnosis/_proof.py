@@ -66,7 +66,7 @@ def prove(
     draws
         See `Diagnosis`.
     added
-        What is added to the surface aimed at, at the places of the draws. (n,) [mm]
+        What is added to the surface aimed at, at the places of the draws. (n,) or (draws, n) [mm]
     sources
         Whether tool and machine are planned as they were found.
     beyond

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen
-from turnwright.diagnosis._estimate import PLACES, TERMS, Estimate
+from turnwright.diagnosis._estimate import LOOSE, PLACES, TERMS, Estimate, Look
 from turnwright.diagnosis._findings import NM, Contribution, Diagnosis, DrawnCut, Draws, Finding, Said, around, judge
 from turnwright.diagnosis._model import Deviations, Sweeps
 from turnwright.diagnosis._sight import Sight, mark, sights_of, valid
@@ -120,7 +120,7 @@ def reported(
         repeatability_nm=_repeatability_nm(estimate),
         rejected=tuple(int(np.count_nonzero(sight.apart)) for sight in estimate.sights),
         signatures=tuple(_signatures(estimate, m, one) for m, one in enumerate(thin)),
-        draws=lambda m: _draws(estimate, m, corrected, asked),
+        draws=lambda m: _draws(estimate, m, corrected, parts[m], asked),
         tool=real_tool, machine=real_machine, likely_tool=likely_tool, likely_machine=likely_machine,
         on=partial(_elsewhere, estimate, asked),
     )  # fmt: skip
@@ -296,43 +296,114 @@ def _signatures(estimate: Estimate, m: int, heights: HeightMap) -> Mapping[str, 
     return MappingProxyType(out)
 
 
-def _draws(estimate: Estimate, m: int, corrected: Bools, asked: Asked) -> Draws:
+class _Places(NamedTuple):
+    """Where a further part is drawn."""
+
+    sight: Sight
+    rows: Floats  # see `Look` (n, j + k + g) [mm]
+    turned: Floats  # (n,) [mm]
+    planned: Floats  # heights that are left as planned (n,) [mm]
+    taken: Floats  # and by the corrected sources beyond that (n,) [mm]
+
+    @classmethod
+    def of(
+        cls, estimate: Estimate, m: int, sight: Sight, rows: Floats, turned: Floats, found: Floats
+    ) -> _Places:  # fmt: skip
+        """Return those of some places that all tools cut."""
+        ends = [_made(estimate, sight, values) for values in (np.zeros(found.size), found, estimate.values[m])]
+        known = np.flatnonzero(np.isfinite(ends).all(axis=0) & np.isfinite(rows).all(axis=1))
+        planned, taken = ends[0][known], ends[1][known]
+        return cls(_some_of(sight, known), rows[known], turned[known], planned, taken - planned)
+
+    def off(self, estimate: Estimate, m: int, numbers: Floats) -> Floats:
+        """Return cut minus design of draws: what moves the edge in full, all else in proportion. (draws, n) [mm]."""
+        poses, k = estimate.looks[m].poses, estimate.typical.size
+        moving = np.array([column.cause in MOVING for column in estimate.names])
+        others = np.append(
+            poses + np.flatnonzero(_of_the_cut(estimate) & ~moving), np.arange(poses + k, len(numbers.T))
+        )
+        values = numbers[:, poses : poses + k] * np.where(moving, estimate.typical, 0.0)
+        made = np.stack([_made(estimate, self.sight, one) for one in values]) - self.planned
+        for i in estimate.of_cause("offset y"):  # only what differs from that at which the lobes were found turns them
+            turn = numbers[:, poses + i, None] - estimate.values[m][i] / estimate.typical[i]
+            made += turn * self.turned
+        return np.asarray(made + numbers[:, others] @ self.rows[:, others].T)
+
+
+def _draws(estimate: Estimate, m: int, corrected: Bools, part: Part, asked: Asked) -> Draws:
     """Return how a further part, cut like that of a map, may be off."""
     look, k = estimate.looks[m], estimate.typical.size
     random = np.random.default_rng(1)
     found = np.where(corrected, estimate.posterior.shared[:k] * estimate.typical, 0.0)
-    some = np.arange(0, look.rows.shape[0], -(-look.rows.shape[0] // DRAWN))
+    beyond = _unmeasured(estimate, m, part, asked.tool)
+    most = DRAWN - (0 if beyond is None else beyond.x.size)
+    some = np.arange(0, look.rows.shape[0], -(-look.rows.shape[0] // most))
     sight = _some_of(estimate.sights[m], np.flatnonzero(look.good)[some])
-    ends = [_made(estimate, sight, values) for values in (np.zeros(k), found, estimate.values[m])]
-    known = np.isfinite(ends).all(axis=0)  # one of the tools may leave a point out
-    some = some[known]
-    planned, taken = ends[0][known], ends[1][known]
-    sight = _some_of(estimate.sights[m], np.flatnonzero(look.good)[some])
-    rows, turned = look.rows[some, :-1], look.turned[some]
-    cut, first = _of_the_cut(estimate), look.poses + k
-    moving = np.array([column.cause in MOVING for column in estimate.names])
-    others = np.append(look.poses + np.flatnonzero(cut & ~moving), np.arange(first, rows.shape[1]))
-
-    def off(numbers: Floats) -> Floats:
-        """Return cut minus design of draws: what moves the edge in full, all else in proportion. (draws, n) [mm]."""
-        values = numbers[:, look.poses : first] * np.where(moving, estimate.typical, 0.0)
-        made = np.stack([_made(estimate, sight, one) for one in values]) - planned
-        for i in estimate.of_cause("offset y"):  # only what differs from that at which the lobes were found turns them
-            turn = numbers[:, look.poses + i, None] - estimate.values[m][i] / estimate.typical[i]
-            made += turn * turned
-        return np.asarray(made + numbers[:, others] @ rows[:, others].T)
-
-    numbers, lacking = _drawn(estimate, m, off, rows, random)
-    before = np.nan_to_num(off(numbers)) + lacking  # the tool of a draw may leave a point out
+    shown = _Places.of(estimate, m, sight, look.rows[some, :-1], look.turned[some], found)
+    numbers, lacking, moved = _drawn(estimate, m, shown, random)
+    places = [shown]
+    if beyond is not None:
+        _, cutting = beyond.cut(estimate.columns.deviations(estimate.values[m]))
+        rows, turned, _ = estimate.marks(m, beyond, cutting)
+        places.append(_Places.of(estimate, m, beyond, rows, turned, found))
+    rows = np.concatenate([one.rows for one in places])
+    # The tool of a draw may leave a point out.
+    before = np.nan_to_num(np.hstack([one.off(estimate, m, numbers) for one in places]))
+    before[:, : lacking.shape[1]] += lacking
     single = estimate.kinds[m] is None
     if single and not asked.repeats:  # the next part has another drift and form of the same size
-        at = np.append(look.poses + np.flatnonzero(~corrected & cut), first + np.flatnonzero(~LASTING))
+        sources = np.flatnonzero(~corrected & _of_the_cut(estimate))
+        at = np.append(look.poses + sources, look.poses + k + np.flatnonzero(~LASTING))
         before += (numbers[:, at] @ rows[:, at].T) * (random.normal(size=(DRAWS, 1)) - 1)
-    x, y, _ = sight.moved()
+    x, y = (np.concatenate(one) for one in zip(*(one.sight.moved()[:2] for one in places), strict=True))
+    shift, turn = _aside(look, moved)
     return Draws(
-        x=x, y=y, before=before, after=before - (taken - planned), single=single, pose=rows[:, : look.poses],
+        x=x, y=y, before=before, after=before - np.concatenate([one.taken for one in places]), single=single,
+        pose=rows[:, : look.poses], places=np.stack([x + shift[:, :1] - turn * y, y + shift[:, 1:] + turn * x], axis=1),
+        unmeasured=0.0 if beyond is None else beyond.x.size / DRAWN,
         cases=tuple(itertools.islice(_cases(estimate, m, numbers, lacking, rows, asked), CASES)),
     )  # fmt: skip
+
+
+def _unmeasured(estimate: Estimate, m: int, part: Part, tool: Tool) -> Sight | None:
+    """Return places of a part that a map leaves out, out of `DRAWN` evenly over it; ``None`` if there are few."""
+    from scipy.spatial import KDTree  # noqa: PLC0415 - costly to import
+
+    sight = estimate.sights[m]
+    if sight.sphere is not None:
+        return None
+    x, y, _ = sight.moved()
+    places = _evenly(part, DRAWN)
+    apart = KDTree(np.stack([x, y], axis=1)[sight.good]).query(np.stack(places.points(), axis=1))[0]
+    out = apart > AWAY * part.radius / math.sqrt(DRAWN)
+    if np.count_nonzero(out) < LEFT_OUT * DRAWN:
+        return None
+    places = HeightMap(*(one[out] for one in (*places.points(), places.z)), name=part.name)
+    with suppress(InputError):  # where the tool does not cut
+        (beyond,), _ = sights_of([places], [part], tool, sight.free, "true form", estimate.sense, 0.0)
+        beyond.cusp = sight.cusp
+        mark(beyond, estimate.columns)
+        return beyond
+    return None
+
+
+AWAY, LEFT_OUT = 4.0, 0.02
+"""Places so many spacings of the draws away from all points of a map are not measured; this share of them is few."""
+
+
+def _evenly(part: Part, count: int) -> HeightMap:
+    """Return places evenly over a part, as sunflower seeds: as many to every area."""
+    number = np.arange(count) + 0.5
+    radius, angle = part.radius * np.sqrt(number / count), np.pi * (1 + np.sqrt(5)) * number
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    return HeightMap(x=x, y=y, z=part.surface.sag(x, y), name=part.name)
+
+
+def _aside(look: Look, poses: Floats) -> tuple[Floats, Floats]:
+    """Return how far some changes of pose lead along x and y (draws, 2) [mm], and around z (draws, 1) [rad]."""
+    every = np.zeros((poses.shape[0], LOOSE.size))
+    every[:, look.numbers] = poses * LOOSE[look.numbers]
+    return every[:, :2], every[:, 3:4]
 
 
 def _cases(
@@ -345,16 +416,18 @@ def _cases(
             yield _case(estimate, m, number, numbers[number], rows, asked)
 
 
-def _drawn(
-    estimate: Estimate, m: int, off: Callable[[Floats], Floats], rows: Floats, random: np.random.Generator
-) -> tuple[Floats, Floats]:
-    """Return draws of the numbers of a further part that is cut like that of a map, and what these lack. (draws, *).
+def _drawn(estimate: Estimate, m: int, places: _Places, random: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+    """Return draws of the numbers of a further part that is cut like that of a map, what these lack, and poses.
+
+    Each (draws, *).
 
     Where sources may be large, their heights bend away from their marks, and by that much a draw would miss the map.
     Steps of least squares, from what it misses, take it back to what the map allows. What they cannot take back is what
-    the draw lacks: heights at the places of the rows. [mm]
+    the draw lacks: heights at the places of the rows. [mm] The poses are those of the map, beyond that which was found,
+    in units of `LOOSE`.
     """
     look, split, k = estimate.looks[m], estimate.split(m), estimate.typical.size
+    off, rows = partial(places.off, estimate, m), places.rows
     shared, owns = estimate.posterior.draws(DRAWS, random)
     own = owns[m]
     found, first = estimate.numbers(m), look.poses + k
@@ -379,7 +452,8 @@ def _drawn(
             own = own + back[:, : own.shape[1]]
         shared = shared + max(alike, 1) * back[:, own.shape[1] :]  # maps of one part bend alike
     own, shared = best
-    return _further(estimate, m, own, random) @ split.own.T + shared @ split.shared.T, lacking
+    moved = (own @ split.own.T)[:, : look.poses] - found[: look.poses]
+    return _further(estimate, m, own, random) @ split.own.T + shared @ split.shared.T, lacking, moved
 
 
 def _some_of(sight: Sight, some: Ints) -> Sight:
@@ -402,11 +476,7 @@ def _of_the_cut(estimate: Estimate) -> Bools:
 def _elsewhere(estimate: Estimate, asked: Asked, part: Part) -> Draws:
     """Return how another part may be off by the sources alone, and what is left of that if all are planned with."""
     thin, k = estimate.sights[0], estimate.typical.size
-    count = np.arange(ELSEWHERE) + 0.5  # sunflower seeds: as many to every area
-    radius, angle = part.radius * np.sqrt(count / ELSEWHERE), np.pi * (1 + np.sqrt(5)) * count
-    x, y = radius * np.cos(angle), radius * np.sin(angle)
-    places = HeightMap(x=x, y=y, z=part.surface.sag(x, y), name=part.name)
-    (sight,), _ = sights_of([places], [part], asked.tool, thin.free, "true form", estimate.sense, 0.0)
+    (sight,), _ = sights_of([_evenly(part, ELSEWHERE)], [part], asked.tool, thin.free, "true form", estimate.sense, 0.0)
     mark(sight, estimate.columns)
     found = estimate.posterior.shared[:k]
     _, cutting = sight.cut(estimate.columns.deviations(found * estimate.typical))
@@ -424,9 +494,10 @@ def _elsewhere(estimate: Estimate, asked: Asked, part: Part) -> Draws:
     every, planned = (_made(estimate, sight, one)[known] for one in ends)
     after = (values - found) @ marks.T
     before = after + every - planned
+    x, y = sight.x[known], sight.y[known]
     return Draws(
-        x=x[known], y=y[known], before=before, after=after, single=len(estimate.sights) == 1,
-        pose=nuisances[known], cases=(),
+        x=x, y=y, before=before, after=after, single=len(estimate.sights) == 1,
+        pose=nuisances[known], places=np.stack([x, y])[None], unmeasured=0.0, cases=(),
     )  # fmt: skip
 
 

@@ -320,7 +320,7 @@ def _proved(job: Job, found: Diagnosis, own: Sequence[bool]) -> _Plan:
     for plan in plans:
         if plan.proof.ok:
             return plan
-    raise CorrectionError(_refusal(found, plans[0].proof, sum(own)))
+    raise CorrectionError(_refusal(found, plans[0], sum(own)))
 
 
 def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
@@ -334,7 +334,6 @@ def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
         return
     first = list(own).index(True)
     draws = found.draws(first)
-    known = _added(job, draws.x, draws.y)
     residuals = [left for left, part in zip(found.residuals, own, strict=True) if part]
     beyond = _beyond(job, residuals, draws)
     # What no term of the diagnosis has is smoothed out of its noise.
@@ -346,7 +345,8 @@ def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
         smooth = _together([one for one in (form, rest) if one is not None and one.cutoff is not None], job.part.added)
         added = np.zeros(draws.x.size)
         if smooth is not None:
-            added = smooth.table.evaluate(draws.x, draws.y, 0)[0] - known
+            x, y = draws.places[:, 0], draws.places[:, 1]  # what is added stays on the part, wherever the map was
+            added = smooth.table.evaluate(x, y, 0)[0] - _added(job, x, y)
         proof = prove(draws, added, sources=sources, beyond=beyond, worth_nm=worth_nm)
         yield _Plan(likely=False, sources=sources, smooth=smooth, map=first, draws=draws, proof=proof)
 
@@ -381,8 +381,9 @@ def _beyond(job: Job, residuals: Sequence[HeightMap], draws: Draws) -> Floats:
     return np.asarray(mean + weight @ off)
 
 
-def _refusal(found: Diagnosis, proof: Proof, parts: int) -> str:
+def _refusal(found: Diagnosis, plan: _Plan, parts: int) -> str:
     """Return why nothing is corrected, and what measurement would decide it."""
+    proof = plan.proof
     if proof.before_nm < SMALL * proof.worth_nm:
         return (
             f"no correction is written: the next part is off by {proof.before_nm:.2g} nm rms beyond cusps and noise, "
@@ -393,6 +394,8 @@ def _refusal(found: Diagnosis, proof: Proof, parts: int) -> str:
         f"{proof.gain_nm:.2g} nm rms or more, the worst by {-proof.worst_nm:.2g} nm, of {proof.before_nm:.3g} nm; more "
         f"than {proof.worth_nm:g} nm is the limit, and none worse by that"
     )
+    if plan.draws.unmeasured:
+        return f"{why}. {plan.draws.unmeasured:.0%} of the part lies beyond the map: measure all of it"
     scatter = found.repeatability_nm
     if scatter is not None and scatter > 1:
         shared = math.sqrt(max(found.explained_rms_nm**2 - scatter**2, 0.0))
@@ -443,8 +446,8 @@ def _check_simulated(job: Job, better: Job, plan: _Plan) -> None:
 
 
 def _added(job: Job, x: Floats, y: Floats) -> Floats:
-    """Return what a job adds to its design at some places. (n,) [mm]."""
-    return np.zeros(x.size) if job.part.added is None else job.part.added.evaluate(x, y, 0)[0]
+    """Return what a job adds to its design at some places, of their shape. [mm]."""
+    return np.zeros_like(x) if job.part.added is None else job.part.added.evaluate(x, y, 0)[0]
 
 
 def _motion(job: Job) -> Motion:
@@ -496,6 +499,8 @@ def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str]) -> tuple[str
         f"none becomes worse by more than {max(proof.worst_nm, 0.0):.2g} nm: {proof.before_nm:.3g} nm become "
         f"{proof.after_nm:.3g} nm"
     )
+    if form and plan.draws.unmeasured:
+        told.append(f"the map leaves out {plan.draws.unmeasured:.0%} of the part: its form is not corrected there")
     if found.repeatability_nm is not None:
         told.append(f"the maps differ by {found.repeatability_nm:.3g} nm rms; only what they share is corrected")
     elif proof.at_stake_nm > 1:
