@@ -378,7 +378,8 @@ def _unmeasured(estimate: Estimate, m: int, part: Part, tool: Tool) -> Sight | N
     out = apart > AWAY * part.radius / math.sqrt(DRAWN)
     if np.count_nonzero(out) < LEFT_OUT * DRAWN:
         return None
-    places = HeightMap(*(one[out] for one in (*places.points(), places.z)), name=part.name)
+    x, y = (one[out] for one in places.points())
+    places = HeightMap(x=x, y=y, z=places.z[out], name=part.name)
     with suppress(InputError):  # where the tool does not cut
         (beyond,), _ = sights_of([places], [part], tool, sight.free, "true form", estimate.sense, 0.0)
         beyond.cusp = sight.cusp

@@ -11,12 +11,16 @@ ISO 230-7 names the error motions of a spindle; [MacKay1992]_ finds the size of 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.diagnosis._model import Cutting
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 __all__ = ["GROUPS", "Group", "columns", "described", "form_of", "lobes_by_angle", "tip_motion"]
 
@@ -130,8 +134,15 @@ def _lobes_by_angle(angle: Floats) -> Floats:
 def _drift(share: Floats) -> Floats:
     """Return a ramp from the rim to the axis and the bends on it, at a share of the radius. (g, n)."""
     gone = np.clip(1 - share, 0.0, 1.0)
-    bends = np.stack([np.interp(gone, NODES, hat) for hat in np.eye(NODES.size)[1:-1]])
-    return np.concatenate([gone[None], bends])
+    return np.concatenate([gone[None], _bends()(gone).T])
+
+
+@cache
+def _bends() -> CubicSpline:
+    """Return smooth bends that are 1 at one of the inner nodes each; 0 at both ends, as the ramp has the rest."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
+
+    return CubicSpline(NODES, np.eye(NODES.size)[:, 1:-1], bc_type="natural")
 
 
 def form_of(x: Floats, y: Floats) -> Floats:
