@@ -341,6 +341,11 @@ def _draws(estimate: Estimate, m: int, corrected: Bools, part: Part, asked: Aske
     sight = _some_of(estimate.sights[m], np.flatnonzero(look.good)[some])
     shown = _Places.of(estimate, m, sight, look.rows[some, :-1], look.turned[some], found)
     numbers, lacking, moved = _drawn(estimate, m, shown, random)
+    single = estimate.kinds[m] is None
+    if single and not asked.repeats:  # the next part has another drift and form of the same size
+        sources = np.flatnonzero(~corrected & _of_the_cut(estimate))
+        at = np.append(look.poses + sources, look.poses + k + np.flatnonzero(~LASTING))
+        numbers[:, at] *= random.normal(size=(DRAWS, 1))
     places = [shown]
     if beyond is not None:
         _, cutting = beyond.cut(estimate.columns.deviations(estimate.values[m]))
@@ -350,11 +355,6 @@ def _draws(estimate: Estimate, m: int, corrected: Bools, part: Part, asked: Aske
     # The tool of a draw may leave a point out.
     before = np.nan_to_num(np.hstack([one.off(estimate, m, numbers) for one in places]))
     before[:, : lacking.shape[1]] += lacking
-    single = estimate.kinds[m] is None
-    if single and not asked.repeats:  # the next part has another drift and form of the same size
-        sources = np.flatnonzero(~corrected & _of_the_cut(estimate))
-        at = np.append(look.poses + sources, look.poses + k + np.flatnonzero(~LASTING))
-        before += (numbers[:, at] @ rows[:, at].T) * (random.normal(size=(DRAWS, 1)) - 1)
     x, y = (np.concatenate(one) for one in zip(*(one.sight.moved()[:2] for one in places), strict=True))
     shift, turn = _aside(look, moved)
     return Draws(
@@ -475,7 +475,10 @@ def _of_the_cut(estimate: Estimate) -> Bools:
 
 
 def _elsewhere(estimate: Estimate, asked: Asked, part: Part) -> Draws:
-    """Return how another part may be off by the sources alone, and what is left of that if all are planned with."""
+    """Return how another part may be off by the sources, and what is left of that if all are planned with.
+
+    What the spindle does comes along, and stays.
+    """
     thin, k = estimate.sights[0], estimate.typical.size
     (sight,), _ = sights_of([_evenly(part, ELSEWHERE)], [part], asked.tool, thin.free, "true form", estimate.sense, 0.0)
     mark(sight, estimate.columns)
@@ -491,9 +494,12 @@ def _elsewhere(estimate: Estimate, asked: Asked, part: Part) -> Draws:
     if len(estimate.sights) > 1:
         between = _further(estimate, 0, owns[0], random)[:, estimate.looks[0].poses : -TERMS]
         values = values + between * np.sqrt(estimate.between_numbers())
+    split = estimate.split(0)
+    terms = (owns[0] @ split.own.T + shared @ split.shared.T)[:, -TERMS:]
+    lasting = terms[:, LASTING] @ columns(cutting, estimate.radius[0])[np.ix_(known, LASTING)].T
     ends = (found * estimate.typical * _of_the_cut(estimate), np.zeros(k))
     every, planned = (_made(estimate, sight, one)[known] for one in ends)
-    after = (values - found) @ marks.T
+    after = (values - found) @ marks.T + lasting
     before = after + every - planned
     x, y = sight.x[known], sight.y[known]
     return Draws(

@@ -94,7 +94,7 @@ class Correction:
         The same after the correction, if all that was found repeats: what was measured, its cusps and noise among it,
         and what the correction changes by simulation, beyond a change of pose. [mm]
     simulated
-        Cut minus design of the corrected job by simulation, if the causes are as found. [mm]
+        Cut minus design of the corrected job by simulation, without noise, if what was found repeats. [mm]
     proof
         What the correction does in draws of all that is not certain.
     sources
@@ -187,8 +187,9 @@ def correct(
     )
     names = names if plan.sources else ()
     report("simulate", 0, 2)
-    if any(own):
-        with TemporaryDirectory(prefix="turnwright-") as folder:
+    with TemporaryDirectory(prefix="turnwright-") as folder:
+        real = _better(job, found, plan._replace(likely=True, sources=True, smooth=None), (), File(folder))
+        if any(own):
             _check_simulated(job, _better(job, found, plan, (), File(folder)), plan)
     report("simulate", 1, 2)
     out.mkdir(parents=True, exist_ok=True)
@@ -199,16 +200,18 @@ def correct(
     before = predicted = None
     if not any(own):
         x, y = _evenly(job.part.part)
+        off = finished(better, real, x, y) - job.part.part.surface.sag(x, y)
     else:
         error = every[0].error
         step = -(-error.z.size // SHOWN)
         x, y = (one[::step] for one in error.points())
         before = HeightMap(x=x, y=y, z=error.z[::step], name="measured error")
-        # What the real tool leaves by the corrected job, less what it left by this one.
-        change, was = (finished(one, better, x, y) for one in (better, job))
-        predicted = replace(before, z=_beyond_pose(job, x, y, before.z + change - was), name="predicted error")
-    simulated = _simulated(better, x, y)
-    simulated = replace(simulated, z=_beyond_pose(job, x, y, simulated.z))
+        change = _change(job, better, real, x, y)
+        predicted = replace(before, z=_beyond_pose(job, x, y, before.z + change), name="predicted error")
+        field = found.fields[0]
+        x, y = field.points()
+        off = finished(job, job, x, y) - job.part.part.surface.sag(x, y) + field.z + _change(job, better, real, x, y)
+    simulated = HeightMap(x=x, y=y, z=_beyond_pose(job, x, y, off), name="simulated error")
     report("simulate", 2, 2)
     return Correction(
         job=better, file=file, cutoff=cutoff, measured=before, predicted=predicted, simulated=simulated,
@@ -445,6 +448,11 @@ def _check_simulated(job: Job, better: Job, plan: _Plan) -> None:
         )
 
 
+def _change(job: Job, better: Job, real: Job, x: Floats, y: Floats) -> Floats:
+    """Return what the real tool leaves by the corrected job, less what it left by the old one. (n,) [mm]."""
+    return finished(better, real, x, y) - finished(job, real, x, y)
+
+
 def _added(job: Job, x: Floats, y: Floats) -> Floats:
     """Return what a job adds to its design at some places, of their shape. [mm]."""
     return np.zeros_like(x) if job.part.added is None else job.part.added.evaluate(x, y, 0)[0]
@@ -585,9 +593,3 @@ def _evenly(part: Part) -> tuple[Floats, Floats]:
     count = np.arange(SHOWN) + 0.5
     radius, angle = part.radius * np.sqrt(count / SHOWN), np.pi * (1 + np.sqrt(5)) * count
     return radius * np.cos(angle), radius * np.sin(angle)
-
-
-def _simulated(job: Job, x: Floats, y: Floats) -> HeightMap:
-    """Return what the finishing pass leaves, cut minus design."""
-    z = finished(job, job, x, y)
-    return HeightMap(x=x, y=y, z=z - job.part.part.surface.sag(x, y), name="simulated error")
