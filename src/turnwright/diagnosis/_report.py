@@ -240,25 +240,22 @@ def _contributions(estimate: Estimate) -> tuple[Contribution, ...]:
 def _rms_nm(estimate: Estimate) -> tuple[float, float, float]:
     """Return root mean squares: of what was measured beyond a change of pose, of what explains it, of what is left.
 
-    What the sources make is taken in full: a tall wave of the edge makes less than its mark.
+    It was measured where the map was registered, which may be off what is found: errors of the part moved it there.
     """
     sums, count = np.zeros(3), 0
     for m, look in enumerate(estimate.looks):
-        made, planned = (
-            _made(estimate, estimate.sights[m], values)[look.good]
-            for values in (estimate.values[m], np.zeros(estimate.typical.size))
-        )
-        left = estimate.left(m)
-        k = look.poses + estimate.typical.size
-        explained = (made - planned) * look.counts + look.rows[:, k:-1] @ estimate.numbers(m)[k:]
+        sight = estimate.sights[m]
+        registered = replace(sight, pose=sight.begun.copy(), sweeps=Sweeps(*(one.copy() for one in sight.sweeps)))
+        measured = registered.cut(estimate.columns.deviations(np.zeros(estimate.typical.size)))[0]
+        measured, left = measured[look.good] * look.counts, estimate.left(m)
         pose = look.rows[:, : look.poses]
-        known = np.isfinite(explained)
-        both = np.stack([explained + left, explained], axis=1)[known]
+        known = np.isfinite(measured)
+        both = np.stack([measured, measured - left], axis=1)[known]
         both -= pose[known] @ np.linalg.lstsq(pose[known], both, rcond=1e-12)[0]
         sums += [*(both**2).sum(axis=0), float(left[known] @ left[known])]
         count += int(np.count_nonzero(known))
-    measured, explained_nm, left_nm = (np.sqrt(sums / count) * NM).tolist()
-    return measured, explained_nm, left_nm
+    measured_nm, explained_nm, left_nm = (np.sqrt(sums / count) * NM).tolist()
+    return measured_nm, explained_nm, left_nm
 
 
 def _repeatability_nm(estimate: Estimate) -> float | None:
