@@ -456,11 +456,16 @@ class Estimate:
 
     def _move(self, share: float) -> float:
         """Go a share of the way to the numbers and poses as found; return how far that led, in noise."""
-        moved = 0.0
+        moved, every = 0.0, [self.numbers(m) for m in range(len(self.looks))]
+        # The marks hold near the pose at which they were taken.
+        far = max(
+            float(np.abs(numbers[: look.poses]).max(initial=0)) for look, numbers in zip(self.looks, every, strict=True)
+        )
+        share = min(share, 1 / max(far, 1e-9))
         for m, look in enumerate(self.looks):
             j, k = look.poses, self.typical.size
             here = np.concatenate([np.zeros(j), self.values[m] / self.typical, self.terms[m]])
-            step = share * (self.numbers(m) - here)
+            step = share * (every[m] - here)
             numbers = here + step
             moved += float(np.sum((look.root[:, :-1] @ step / self.scale[m]) ** 2))
             self.sights[m].pose[look.numbers] += LOOSE[look.numbers] * numbers[:j]
