@@ -12,10 +12,11 @@ from turnwright.errors import InputError
 from turnwright.surface import Surface
 
 if TYPE_CHECKING:
+    from turnwright._arrays import Floats
     from turnwright.heightmap import HeightMap
     from turnwright.surface._smoothing import Smooth
 
-__all__ = ["Blank", "Part", "correction_of"]
+__all__ = ["Blank", "Part", "correction_of", "evenly"]
 
 FEWEST = 100
 """Heights below which an error is not told from its noise."""
@@ -137,6 +138,13 @@ class Part:
         """
         smooth = correction_of(self, error, cutoff=cutoff, beyond=beyond)
         return self if smooth.cutoff is None else replace(self, surface=self.surface + smooth.table)
+
+
+def evenly(part: Part, count: int) -> tuple[Floats, Floats]:
+    """Return places evenly over a part, like the seeds of a sunflower: as many on every area. Each (count,) [mm]."""
+    number = np.arange(count) + 0.5
+    radius, angle = part.radius * np.sqrt(number / count), np.pi * (1 + np.sqrt(5)) * number
+    return radius * np.cos(angle), radius * np.sin(angle)
 
 
 def correction_of(part: Part, error: HeightMap, *, cutoff: float, beyond: float) -> Smooth:

@@ -190,7 +190,7 @@ def run_chunks(
     spans = [(start, min(start + chunk, total)) for start in range(0, total, chunk)]
     threads = min(threads or cores(), len(spans))
     finished = 0
-    if threads <= 1:  # a thread made anew for each call takes memory anew too: a tenth of the time of a case of a study
+    if threads <= 1:  # new threads and their memory take a tenth of the time of a small case
         for start, stop in spans:
             work(start, stop)
             if progress is not None:

@@ -148,9 +148,7 @@ class Estimate:
     between: Floats = field(init=False)  # of the causes from map to map, in plausible units (causes,)
     forms: list[Floats] = field(init=False)  # columns of the terms of form (g, n) each
     formed: list[Floats] = field(init=False)  # poses at which these were taken
-    loose: list[Floats] = field(
-        init=False
-    )  # a root of the covariance of each pose beforehand, in units of LOOSE (j, j)
+    loose: list[Floats] = field(init=False)  # root of the prior covariance of each pose in units of LOOSE (j, j)
     terms: list[Floats] = field(init=False)  # of each map, as last found (groups' terms,)
     seen: Bools = field(init=False)  # which numbers leave something that no change of pose would (k,)
     looks: list[Look] = field(init=False, default_factory=list)

@@ -21,6 +21,7 @@ from turnwright.diagnosis._sight import Sight, mark, sights_of, valid
 from turnwright.diagnosis._terms import GROUPS, columns, described, tip_motion
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
+from turnwright.part import evenly
 from turnwright.pose import Pose
 from turnwright.tool import LARGEST_ERROR, Tool, WavinessTable
 
@@ -370,7 +371,7 @@ def _unmeasured(estimate: Estimate, m: int, part: Part, tool: Tool) -> Sight | N
     if sight.sphere is not None:
         return None
     x, y, _ = sight.moved()
-    places = _evenly(part, DRAWN)
+    places = _nominal(part, DRAWN)
     apart = KDTree(np.stack([x, y], axis=1)[sight.good]).query(np.stack(places.points(), axis=1))[0]
     out = apart > AWAY * part.radius / math.sqrt(DRAWN)
     if np.count_nonzero(out) < LEFT_OUT * DRAWN:
@@ -389,11 +390,9 @@ AWAY, LEFT_OUT = 4.0, 0.02
 """Places so many spacings of the draws away from all points of a map are not measured; this share of them is few."""
 
 
-def _evenly(part: Part, count: int) -> HeightMap:
-    """Return places evenly over a part, as sunflower seeds: as many to every area."""
-    number = np.arange(count) + 0.5
-    radius, angle = part.radius * np.sqrt(number / count), np.pi * (1 + np.sqrt(5)) * number
-    x, y = radius * np.cos(angle), radius * np.sin(angle)
+def _nominal(part: Part, count: int) -> HeightMap:
+    """Return the design at places evenly over a part."""
+    x, y = evenly(part, count)
     return HeightMap(x=x, y=y, z=part.surface.sag(x, y), name=part.name)
 
 
@@ -472,12 +471,14 @@ def _of_the_cut(estimate: Estimate) -> Bools:
 
 
 def _elsewhere(estimate: Estimate, asked: Asked, part: Part) -> Draws:
-    """Return how another part may be off by the sources, and what is left of that if all are planned with.
+    """Return how another part may be off by the sources, and the residual if all are planned with.
 
     What the spindle does comes along, and stays.
     """
     thin, k = estimate.sights[0], estimate.typical.size
-    (sight,), _ = sights_of([_evenly(part, ELSEWHERE)], [part], asked.tool, thin.free, "true form", estimate.sense, 0.0)
+    (sight,), _ = sights_of(
+        [_nominal(part, ELSEWHERE)], [part], asked.tool, thin.free, "true form", estimate.sense, 0.0
+    )
     mark(sight, estimate.columns)
     found = estimate.posterior.shared[:k]
     _, cutting = sight.cut(estimate.columns.deviations(found * estimate.typical))

@@ -14,20 +14,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from turnwright._whole import write_whole
-from turnwright.contact import place
 from turnwright.diagnosis import Proof, prove
 from turnwright.errors import CorrectionError, InputError
 from turnwright.files import write_map
 from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
-from turnwright.job._finish import across_feed, finished
+from turnwright.job._finish import across_feed, cut_by, motion_of
 from turnwright.job._measure import OF_POSE, Measured, cutoff_of, same_part
 from turnwright.job._schema import Job
 from turnwright.job._shares import pv_nm_of, rms_nm_of
 from turnwright.job._text import edited
 from turnwright.job._verdict import Verdict, judge_form
-from turnwright.motion import drive
-from turnwright.part import correction_of
+from turnwright.part import correction_of, evenly
 from turnwright.surface._smoothing import Smooth, sum_tables
 from turnwright.tool import WavinessTable
 from turnwright.units import write
@@ -38,7 +36,6 @@ if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.diagnosis import Diagnosis, DrawnCut, Draws
     from turnwright.machine import Machine
-    from turnwright.part import Part
     from turnwright.path import Motion
     from turnwright.progress import StageProgress
     from turnwright.surface import Gridded
@@ -198,19 +195,21 @@ def correct(
     write_whole(file, edited(text, job, better, folder=beside, into=out))
     cutoff = None if plan.smooth is None else plan.smooth.cutoff
     before = predicted = None
+    new = motion_of(better)
     if not any(own):
-        x, y = _evenly(job.part.part)
-        off = finished(better, real, x, y) - job.part.part.surface.sag(x, y)
+        x, y = evenly(job.part.part, SHOWN)
+        off = cut_by(new, real, x, y) - job.part.part.surface.sag(x, y)
     else:
-        error = every[0].error
+        error, field, old = every[0].error, found.fields[0], motion_of(job)
         step = -(-error.z.size // SHOWN)
         x, y = (one[::step] for one in error.points())
         before = HeightMap(x=x, y=y, z=error.z[::step], name="measured error")
-        change = _change(job, better, real, x, y)
+        # What the real tool leaves by the corrected job, less what it left by the old one.
+        change = cut_by(new, real, x, y) - cut_by(old, real, x, y)
         predicted = replace(before, z=_beyond_pose(job, x, y, before.z + change), name="predicted error")
-        field = found.fields[0]
         x, y = field.points()
-        off = finished(job, job, x, y) - job.part.part.surface.sag(x, y) + field.z + _change(job, better, real, x, y)
+        planned = cut_by(old, job, x, y) - job.part.part.surface.sag(x, y)
+        off = planned + field.z + cut_by(new, real, x, y) - cut_by(old, real, x, y)
     simulated = HeightMap(x=x, y=y, z=_beyond_pose(job, x, y, off), name="simulated error")
     report("simulate", 2, 2)
     return Correction(
@@ -291,7 +290,8 @@ def _check_effect(one: Measured) -> None:
     x, y = one.error.points()
     some = slice(None, None, -(-x.size // EFFECT))
     x, y, error = x[some], y[some], one.error.z[some]
-    corrected = finished(plain, job, x, y) - finished(plain, plain, x, y) - _added(job, x, y)
+    motion = motion_of(plain)
+    corrected = cut_by(motion, job, x, y) - cut_by(motion, plain, x, y) - _added(job, x, y)
     known = np.isfinite(corrected + error)
     x, y = x[known], y[known]
     both = [_beyond_pose(job, x, y, each[known]) for each in (error, corrected)]
@@ -412,7 +412,7 @@ def _refusal(found: Diagnosis, plan: _Plan, parts: int) -> str:
 def _check_linear(job: Job, draws: Draws) -> None:
     """Raise if some draws, simulated in full, are not what the linear model makes of them."""
     some, places = _cuspless(job, draws)
-    motion = replace(_motion(job), velocity=None)
+    motion = replace(motion_of(job), velocity=None)
     tool, machine = job.tool.tool, job.machine.machine
     clean = _means(motion, tool, machine, places)
     for case in draws.cases:
@@ -433,7 +433,7 @@ def _check_simulated(job: Job, better: Job, plan: _Plan) -> None:
     """Raise if the corrected job does not change the part as it is meant to."""
     draws = plan.draws
     some, places = _cuspless(job, draws)
-    after, before = (_means(_motion(one), one.tool.tool, one.machine.machine, places) for one in (better, job))
+    after, before = (_means(motion_of(one), one.tool.tool, one.machine.machine, places) for one in (better, job))
     now, then = (_added(one, draws.x[some], draws.y[some]) for one in (better, job))
     known = np.isfinite(after - before)
     rest = replace(draws, pose=draws.pose[some][known])
@@ -448,22 +448,9 @@ def _check_simulated(job: Job, better: Job, plan: _Plan) -> None:
         )
 
 
-def _change(job: Job, better: Job, real: Job, x: Floats, y: Floats) -> Floats:
-    """Return what the real tool leaves by the corrected job, less what it left by the old one. (n,) [mm]."""
-    return finished(better, real, x, y) - finished(job, real, x, y)
-
-
 def _added(job: Job, x: Floats, y: Floats) -> Floats:
     """Return what a job adds to its design at some places, of their shape. [mm]."""
     return np.zeros_like(x) if job.part.added is None else job.part.added.evaluate(x, y, 0)[0]
-
-
-def _motion(job: Job) -> Motion:
-    """Return the motion of the finishing pass."""
-    aim, tool = job.part.aimed, job.tool.tool
-    servo = job.servo(job.passes[-1])
-    path = place(servo.spiral(aim, tool), aim, tool, along=job.strategy.along)
-    return drive(path, servo, job.machine.machine, profile=job.strategy.profile(job.passes[-1]))
 
 
 def _off(motion: Motion, case: DrawnCut) -> Motion:
@@ -496,28 +483,28 @@ NAMED = 60
 
 def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str]) -> tuple[str, ...]:
     """Return what is corrected, how surely, and what is at stake."""
-    proof, told = plan.proof, []
+    proof, sentences = plan.proof, []
     form = plan.smooth is not None and plan.smooth.cutoff is not None
-    told.append(
+    sentences.append(
         f"corrected: {', '.join(names) or 'no source'} by tool and machine"
         + (", all else that repeats by the surface that is aimed at" if form else "")
     )
-    told.append(
+    sentences.append(
         f"of {proof.draws} draws of what is not certain, 95 % become better by {proof.gain_nm:.3g} nm rms or more and "
         f"none becomes worse by more than {max(proof.worst_nm, 0.0):.2g} nm: {proof.before_nm:.3g} nm become "
         f"{proof.after_nm:.3g} nm"
     )
     if form and plan.draws.unmeasured:
-        told.append(f"the map leaves out {plan.draws.unmeasured:.0%} of the part: its form is not corrected there")
+        sentences.append(f"the map leaves out {plan.draws.unmeasured:.0%} of the part: its form is not corrected there")
     if found.repeatability_nm is not None:
-        told.append(f"the maps differ by {found.repeatability_nm:.3g} nm rms; only what they share is corrected")
+        sentences.append(f"the maps differ by {found.repeatability_nm:.3g} nm rms; only what they share is corrected")
     elif proof.at_stake_nm > 1:
-        told.append(
+        sentences.append(
             f"one map cannot show what repeats: if the {proof.at_stake_nm:.3g} nm rms that are corrected do not, "
             f"the next part is off by up to {proof.if_not_repeated_nm:.3g} nm, {proof.at_stake_nm:.3g} nm more than "
             "without at most; a second part decides"
         )
-    return tuple(told)
+    return tuple(sentences)
 
 
 def _joined(job: Job, maps: Sequence[HeightMap]) -> HeightMap:
@@ -586,10 +573,3 @@ def _columns(file: File, head: str, one: Floats, other: Floats) -> File:
     rows = (f"{a!r},{b!r}" for a, b in zip(one.tolist(), other.tolist(), strict=True))
     write_whole(file, "\n".join([head, *rows]) + "\n")
     return file
-
-
-def _evenly(part: Part) -> tuple[Floats, Floats]:
-    """Return places evenly over a part, as sunflower seeds: as many to every area."""
-    count = np.arange(SHOWN) + 0.5
-    radius, angle = part.radius * np.sqrt(count / SHOWN), np.pi * (1 + np.sqrt(5)) * count
-    return radius * np.cos(angle), radius * np.sin(angle)

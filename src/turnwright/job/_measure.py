@@ -15,7 +15,7 @@ from turnwright.errors import InputError, MapError
 from turnwright.files import read_map
 from turnwright.heightmap import HeightMap
 from turnwright.job._advice import open_questions
-from turnwright.job._finish import across_feed, finished
+from turnwright.job._finish import across_feed, feed_of, finished
 from turnwright.job._prescriptions import with_keys
 from turnwright.job._seen import SeenTexture, design_as_seen, texture_as_seen
 from turnwright.job._shares import pv_nm_of
@@ -253,7 +253,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     if open_ and heights.x is not None and not heights.scattered:
         # What the surface leaves open the marks of turning tell.
         axis = turning_centre(
-            registration.error, feed=_feed(job) or None, near=_origin(registration.pose)
+            registration.error, feed=feed_of(job) or None, near=_origin(registration.pose)
         )  # fmt: skip
     if axis is not None:
         start = _about_axis(registration, axis)
@@ -435,7 +435,7 @@ def _stated(found: Diagnosis, every: Sequence[Measured]) -> Diagnosis:
 def cutoff_of(job: Job) -> float:
     """Return the shortest wavelength in which the part itself is corrected: well above its cusps. [mm]."""
     diameter = 2 * job.part.part.radius
-    return job.measurement.cutoff or min(max(FEEDS * _feed(job), diameter / ACROSS), diameter / 2)
+    return job.measurement.cutoff or min(max(FEEDS * feed_of(job), diameter / ACROSS), diameter / 2)
 
 
 def same_part(one: Job, other: Job) -> bool:
@@ -477,11 +477,6 @@ def _cells(x: Floats, y: Floats, cell: float) -> Ints:
     """Return the number of the square cell that each point lies in. (n,)."""
     column, row = (np.floor((at - at.min(initial=0.0)) / cell).astype(np.int64) for at in (x, y))
     return np.asarray(row * (int(column.max(initial=0)) + 1) + column)
-
-
-def _feed(job: Job) -> float:
-    """Return the feed that the job states for its finishing pass, or 0. [mm/rev]."""
-    return getattr(job.passes[-1], "feed", None) or getattr(job.strategy, "feed", None) or 0.0
 
 
 def _masked(heights: HeightMap, job: Job) -> HeightMap:

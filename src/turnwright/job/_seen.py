@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright._arrays import is_even
 from turnwright.heightmap import HeightMap
-from turnwright.job._finish import finished
+from turnwright.job._finish import feed_of, finished
 from turnwright.metrology import filter_map
 
 if TYPE_CHECKING:
@@ -134,8 +134,7 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | Non
     SeenTexture or None
         ``None`` if the job states no instrument or no feed, or the window holds too few heights.
     """
-    feed = getattr(job.passes[-1], "feed", None) or getattr(job.strategy, "feed", None)
-    table = job.measurement.instrument
+    feed, table = feed_of(job), job.measurement.instrument
     if table is None or not feed or error.x is None or error.y is None or error.scattered:
         return None
     instrument = table.instrument

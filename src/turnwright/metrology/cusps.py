@@ -45,7 +45,7 @@ FEWEST = 3
 """Cusps in a profile, at least."""
 
 PERIODS = 8
-"""Cusps in a profile whose feed is not given, at least: fewer are not told from waviness."""
+"""Cusps in a profile whose feed is not given, at least: fewer cannot be distinguished from waviness."""
 
 POINTS = 4
 """Points in a cusp, at least."""
