@@ -12,7 +12,7 @@ FUZZ = Path(__file__).parents[1] / "proof" / "fuzz.py"
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the limits of the fuzzer are those of Linux")
 def test_mutated_inputs_are_answered(tmp_path):
-    inputs = ["--inputs", "60", "--seed", "1"]
+    inputs = ["--inputs", "60", "--seed", "1", "--work", "0.3"]
     command = [sys.executable, str(FUZZ), *inputs, "--workers", "1", "--kept", str(tmp_path)]
     done = subprocess.run(
         command, capture_output=True, text=True, check=False, timeout=1200, env={**os.environ, "PYTHONWARNINGS": ""}

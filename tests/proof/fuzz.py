@@ -54,7 +54,7 @@ ANSWER_S = 10.0
 """Processor time until an answer."""
 
 WORK_S = 2.0
-"""Processor time that announced work is given before it is stopped."""
+"""Processor time that announced work is given before it is stopped, unless ``--work`` states another."""
 
 DEADLINE_S = 40.0
 """Processor time after which an input is given up and its process ended."""
@@ -88,6 +88,8 @@ class Announced(KeyboardInterrupt):
 class Listener:
     """Hears progress as a command tells it."""
 
+    work_s = WORK_S
+
     def __init__(self) -> None:
         self.start = _spent()
         self.answered: float | None = None
@@ -97,7 +99,7 @@ class Listener:
         """Note when the work is announced, and end it when it has had its time."""
         if total > 1 and stage != "access" and self.answered is None:
             self.answered, self.peak = _spent() - self.start, _peak()
-        if self.answered is not None and _spent() - self.start > self.answered + WORK_S:
+        if self.answered is not None and _spent() - self.start > self.answered + self.work_s:
             raise Announced
 
 
@@ -457,7 +459,15 @@ class Workers:
             print(f"{kind} {number} (seed {self.seed}): {'; '.join(answer['faults'])}; kept in {place}", flush=True)
 
 
-def main(cases: int = 300, seed: int = 1, *, workers: int = 2, kept: Path | None = None, first: int = 0) -> int:
+def main(
+    cases: int = 300,
+    seed: int = 1,
+    *,
+    workers: int = 2,
+    kept: Path | None = None,
+    first: int = 0,
+    work_s: float = WORK_S,
+) -> int:
     """Give so many inputs; return how many failed or were not given.
 
     Parameters
@@ -472,10 +482,13 @@ def main(cases: int = 300, seed: int = 1, *, workers: int = 2, kept: Path | None
         Where failing inputs are saved.
     first
         Number of the first input.
+    work_s
+        Processor time that announced work is given. [s]
     """
     kept = kept or Path(tempfile.gettempdir()) / "turnwright-fuzz"
     kept.mkdir(parents=True, exist_ok=True)
     warm()
+    Listener.work_s = work_s
     begun = time.monotonic()
     all_workers = Workers(range(first, first + cases), seed, kept)
     for _ in range(workers):
@@ -524,9 +537,13 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--work", type=float, default=WORK_S, help="seconds of announced work")
     parser.add_argument("--kept", type=Path)
     parser.add_argument("--again", type=Path)
     given = parser.parse_args()
     if given.again:
         sys.exit(min(again(given.again), 1))
-    sys.exit(min(main(given.inputs, given.seed, workers=given.workers, kept=given.kept, first=given.first), 1))
+    failed = main(
+        given.inputs, given.seed, workers=given.workers, kept=given.kept, first=given.first, work_s=given.work
+    )
+    sys.exit(min(failed, 1))
