@@ -155,6 +155,15 @@ class Bench:
         self.page.wait_for_timeout(300)
         return self._waits
 
+    def rest(self):
+        """Wait until the page has all that it has asked for within a moment."""
+
+        def answered():
+            self.page.wait_for_timeout(60)
+            return not self._waits
+
+        wait(answered, what="answers to the page")
+
     def answer(self, path, act):
         """Return what the server answers to the first question at a path that `act` makes the page ask."""
         with self.page.expect_response(lambda one: urlsplit(one.url).path.endswith(path) and one.ok) as told:
