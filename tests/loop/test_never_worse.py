@@ -81,6 +81,20 @@ def seen(part, where):
     return tw.measure(part.job, replace(heights, z=np.where(where(radius), heights.z, np.nan)))
 
 
+def test_a_rim_that_a_drawn_offset_leaves_uncut_stops_no_correction():
+    """Oracle: the part that is cut again. A plane hides its place and the offset, of which draws differ."""
+    wrong = blind.Errors(offset=(-9e-4, -2.4e-3, 0.0), waviness={3: 9e-4, 4: -2.2e-3}, squareness=-1.4e-5)
+    part = Sample(
+        design=blind.flat((8e-4, 0.0)), table={"family": "plane", "slope": [8e-4, 0.0]}, radius=1.7, nose=0.8,
+        feed=8e-3, noise=3e-6, errors=[wrong, wrong], phases=np.array([0.3, 0.6]),
+    )  # fmt: skip
+    seen = part.map(0, np.random.default_rng(1))
+    maps = [tw.measure(part.job, replace(seen, y=seen.y - 0.04))]
+    one, why = outcome(part, maps, tw.diagnose(maps), 0.0, anew=False)
+    assert one.written, why
+    assert one.after < 1.3 * one.clean
+
+
 def test_a_map_of_the_middle_does_not_make_the_whole_worse(tmp_path):
     """A tool that is 20 um off moves such a map by tenths of a millimetre; a correction would lie beside its place."""
     part = freeform(blind.Errors(offset=(20e-3, 10e-3, 0.0)))

@@ -24,6 +24,9 @@ __all__ = ["CENTRE", "FREE", "Sight", "mark", "sights_of", "valid"]
 CENTRE = 0.05
 """Nearer to the axis than this the real tool may cut on the far side of it. [mm]"""
 
+CUSP = 0.01
+"""Half the arc of a nose that a feed uses on a plane, about: of the edge at least so much cuts. [rad]"""
+
 FREE = ("piston", "tilt", "decentre", "clocking")
 """What registration leaves open, a little."""
 
@@ -152,7 +155,7 @@ def sights_of(
     maps: Sequence[HeightMap], parts: Sequence[Part], tool: Tool, free: tuple[str, ...], reference: str, sense: int,
     feed: float,
 ) -> tuple[list[Sight], float]:  # fmt: skip
-    """Return the maps as the fit sees them, and the largest sweep that they use. [rad]."""
+    """Return the maps as the fit sees them, and the largest sweep that cuts them, cusps included. [rad]."""
     sights, reach = [], 0.0
     for heights, part in zip(maps, parts, strict=True):
         sight = _sight(heights, part, tool, free, reference, sense, feed)
@@ -163,7 +166,7 @@ def sights_of(
             )
         reach = max(reach, float(np.abs(sight.sweeps.cut[sight.good]).max()))
         sights.append(sight)
-    return sights, max(reach, 1e-3)
+    return sights, max(reach, CUSP)
 
 
 def _sight(

@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turnwright._whole import write_whole
 from turnwright.diagnosis import Proof, prove
@@ -19,7 +20,7 @@ from turnwright.errors import CorrectionError, InputError
 from turnwright.files import write_map
 from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
-from turnwright.job._finish import across_feed, cut_by, motion_of
+from turnwright.job._finish import across_feed, cut_by, feed_of, motion_of
 from turnwright.job._measure import OF_POSE, Measured, cutoff_of, same_part
 from turnwright.job._schema import Job
 from turnwright.job._shares import pv_nm_of, rms_nm_of
@@ -459,9 +460,15 @@ def _off(motion: Motion, case: DrawnCut) -> Motion:
     return replace(motion, axes={**motion.axes, "X": motion.axes["X"] + along_x, "Z": motion.axes["Z"] + along_z})
 
 
-def _cuspless(job: Job, draws: Draws) -> tuple[slice, tuple[Floats, Floats]]:
-    """Return which of the places of some draws are simulated, and the places across a feed around each. (n, FINE)."""
-    some = slice(None, None, -(-draws.x.size // PLACES))
+def _cuspless(job: Job, draws: Draws) -> tuple[NDArray[np.intp], tuple[Floats, Floats]]:
+    """Return which of the places of some draws are simulated, and the places across a feed around each. (n, FINE).
+
+    Nearer to the rim than a drawn tip is off, the first turn may come short of the part.
+    """
+    planned = job.tool.tool.offset
+    off = max((math.dist(case.tool.offset[:2], planned[:2]) for case in draws.cases), default=0.0)
+    cut = np.flatnonzero(np.hypot(draws.x, draws.y) < job.part.part.radius - off - feed_of(job))
+    some = cut[:: -(-draws.x.size // PLACES)]
     return some, across_feed(job, draws.x[some], draws.y[some], FINE)
 
 
