@@ -59,7 +59,7 @@ not a term of form."""
 DRIFTS = np.geomspace(0.3e-6, 40e-6, 9)
 """Sizes of a drift that are tried. [mm]"""
 
-EXCLUDED = 3.0
+EXCLUDED = 2.0
 """A size under which the maps are less probable than under another, by so much in the logarithm, is excluded."""
 
 ROUGH = 0.3
