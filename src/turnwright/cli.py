@@ -45,6 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             stop.hear()
             _open_closed()
+            # Its matrices are small: on a busy machine, threads of BLAS wait for each other many times as long.
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
             # Costly, so an interrupt may well come meanwhile.
             from turnwright._commands import Door  # noqa: PLC0415
 
