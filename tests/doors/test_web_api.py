@@ -32,7 +32,7 @@ from turnwright.web._references import FILE_KEYS, located
 from turnwright.web._shown import write_predicted
 
 HERE = "http://127.0.0.1:8765"
-PATIENCE_S = 120
+PATIENCE_S = 600
 
 # A run of some seconds that a test interrupts.
 LONG = changed(("strategy.feed", "1 um/rev"), ("strategy.points_per_rev", 3600), ("simulation.patches", []))

@@ -27,7 +27,19 @@ pytest.importorskip("playwright", reason="the page is tested in a browser: pip i
 
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect, sync_playwright
-from workbench_page import Bench, browser, chromium, colours_of, figures, pixels, plain, serving, smaller, wait
+from workbench_page import (
+    PATIENCE_S,
+    Bench,
+    browser,
+    chromium,
+    colours_of,
+    figures,
+    pixels,
+    plain,
+    serving,
+    smaller,
+    wait,
+)
 
 import turnwright as tw
 from turnwright.cli import main
@@ -44,7 +56,7 @@ LONG = (
     ("simulation.patches", [{"name": f"window {number}"} | WINDOW for number in range(12)]),
 )  # fmt: skip
 
-expect.set_options(timeout=120_000)
+expect.set_options(timeout=PATIENCE_S * 1000)
 
 
 @pytest.fixture(scope="module")
