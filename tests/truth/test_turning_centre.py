@@ -38,6 +38,15 @@ def test_the_rings_of_a_spiral_tell_its_centre(feed, turns, pixel):
     assert max(found.std) < 1e-3
 
 
+@pytest.mark.parametrize(
+    ("feed", "half", "centre"), [(0.03, 0.304, (0.0, 0.097)), (0.03, 0.4, (0.123, -0.038)), (0.02, 0.25, (0.05, 0.03))]
+)
+def test_high_cusps_in_few_turns_are_not_taken_for_their_harmonic(feed, half, centre):
+    found = turning_centre(spiral(feed, 1, 2 * half / 501, half=half, centre=centre))
+    assert found.feed == pytest.approx(feed, rel=1e-3)
+    assert np.hypot(found.x - centre[0], found.y - centre[1]) < max(4 * np.hypot(*found.std), 1e-5)
+
+
 def test_the_stated_uncertainty_of_the_centre_is_the_spread_of_many():
     """In noise that is twice the cusps."""
     off = []

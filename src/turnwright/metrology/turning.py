@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -162,7 +163,7 @@ def turning_centre(
         if min(error.z.shape) >= side and (feed is None or 2 * step <= feed):
             rings = _from_rings(error, feed, side)
             if rings is not None:
-                return rings
+                return rings if feed is not None else _fundamental(error, rings)
     return _from_defect(error, step, near)
 
 
@@ -183,6 +184,12 @@ def _from_rings(error: HeightMap, feed: float | None, side: int) -> TurningCentr
         return None
     wave = float(np.average(np.hypot(*waves[middle[1]].T), weights=power[middle[1]]))
     return _coherent(error, middle[0], wave)
+
+
+def _fundamental(error: HeightMap, rings: TurningCentre) -> TurningCentre:
+    """Return rings of twice the distance if they are known better: tiles of few rings may show their harmonic."""
+    twice = _coherent(error, np.array([rings.x, rings.y]), np.pi / rings.feed)
+    return rings if twice is None or math.hypot(*twice.std) > math.hypot(*rings.std) else twice
 
 
 def _crossing(places: Floats, waves: Floats, fewest: float) -> tuple[Floats, Bools] | None:
