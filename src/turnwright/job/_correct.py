@@ -393,10 +393,14 @@ def _refusal(found: Diagnosis, plan: _Plan, parts: int) -> str:
             f"no correction is written: the next part is off by {proof.before_nm:.2g} nm rms beyond cusps and noise, "
             f"too little to become better by {proof.worth_nm:g} nm for certain: cut on, or lower measurement.worth"
         )
+    gain = proof.gain_nm
+    usual = (
+        f"95 % become better by {gain:.2g} nm rms or more" if gain > 0 else f"5 % become worse by {-gain:.2g} nm rms"
+    )
+    worst = f"worse by {proof.worst_nm:.2g} nm" if proof.worst_nm > 0 else f"better by {-proof.worst_nm:.2g} nm"
     why = (
-        f"no correction is written: of {proof.draws} draws of what is not certain, 95 % become better by "
-        f"{proof.gain_nm:.2g} nm rms or more, the worst by {-proof.worst_nm:.2g} nm, of {proof.before_nm:.3g} nm; more "
-        f"than {proof.worth_nm:g} nm is the limit, and none worse by that"
+        f"no correction is written: of {proof.draws} draws of the next part, off by {proof.before_nm:.3g} nm rms, "
+        f"{usual}, and the worst becomes {worst}; 95 % must gain {proof.worth_nm:g} nm, and none may lose as much"
     )
     if plan.draws.unmeasured:
         return f"{why}. {plan.draws.unmeasured:.0%} of the part lies beyond the map: measure all of it"
@@ -502,7 +506,10 @@ def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str]) -> tuple[str
         f"{proof.after_nm:.3g} nm"
     )
     if form and plan.draws.unmeasured:
-        sentences.append(f"the map leaves out {plan.draws.unmeasured:.0%} of the part: its form is not corrected there")
+        sentences.append(
+            f"the map leaves out {plan.draws.unmeasured:.0%} of the part: its form is not corrected there, and what is "
+            "predicted and simulated does not count it"
+        )
     if found.repeatability_nm is not None:
         sentences.append(f"the maps differ by {found.repeatability_nm:.3g} nm rms; only what they share is corrected")
     elif proof.at_stake_nm > 1:
