@@ -171,6 +171,10 @@ class Estimate:
         known = self.plausible.get(group.name)
         return group.size if known is None else known / float(np.sqrt(group.relative.max()))
 
+    def _known(self, group: Group) -> bool:
+        """Whether the size of a group is not to be found."""
+        return group.least == group.size or group.name in self.plausible
+
     @property
     def several(self) -> bool:
         """Whether every map is one of several of its part."""
@@ -340,8 +344,28 @@ class Estimate:
         for _ in range(SEARCHES):
             self.posterior = self._posterior()
             changes = [*self._scales(), *self._sizes()]
-            if max(changes, default=0.0) < SIZED:
+            if max(changes, default=0.0) < SIZED and not self._pooled():
                 break
+
+    def _pooled(self) -> bool:
+        """Take terms that every cut has for ones that all share where that is more probable; say whether any were.
+
+        Each size is sought near where it is. From maps that are decentred by different amounts the search may end
+        where what all cuts share is found in each of them anew, though not as probable.
+        """
+        if not self.several:
+            return False
+        pooled = False
+        for g, group in enumerate(GROUPS):
+            if self._known(group) or self.own[g] <= self.common[g]:
+                continue
+            own, common, best = self.own[g], self.common[g], self._posterior().evidence
+            self.own[g], self.common[g] = BEGUN**2 * own, own
+            if self._posterior().evidence > best:
+                pooled = True
+            else:
+                self.own[g], self.common[g] = own, common
+        return pooled
 
     def _widen(self) -> None:
         """Give a drift the largest size that the maps do not exclude: sources may have taken what shows of it."""
@@ -391,7 +415,7 @@ class Estimate:
             )
             # How a cut differs from another of the same part hides in nothing, so that its size is always found.
             least = SAME**2 * group.size**2 if self.several else limits[0]
-            known = group.least == group.size or group.name in self.plausible
+            known = self._known(group)
             if self.several or not known:
                 self.own[g], change = _resized(self.own[g], values, spread, (least, limits[1]), apart)
                 changes.append(change)
