@@ -11,6 +11,7 @@ import turnwright as tw
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.loop import blind_parts as blind
+from tests.proof.proof_artefacts import maps_of
 from tests.proof.proof_loop import Sample, commander, outcome
 
 TOROID = {"family": "toroid", "radius_x": "15 mm", "radius_y": "25 mm"}
@@ -164,3 +165,14 @@ def test_a_source_beyond_belief_stops_a_correction(tmp_path):
     maps = [tw.measure(part.job, part.map(0, np.random.default_rng(1)))]
     with pytest.raises(tw.CorrectionError, match=r"tool\.plausible\.offset_x"):
         tw.correct(part.job, tw.diagnose(maps), maps, out=tmp_path / "better")
+
+
+def test_lobes_that_artefacts_show_are_said_to_stay_on_the_part(tmp_path):
+    """A job that is corrected by artefacts has their tool and machine, not the form that the spindle makes."""
+    part = sample(replace(LOBED, offset=(7e-3, 0.0, 0.0)))
+    found = tw.diagnose(maps_of(part, np.random.default_rng(1)))
+    better = tw.correct(part.job, found, out=tmp_path / "better")
+    said = [one for one in better.sentences if "not corrected on this part" in one]
+    assert len(said) == 1
+    assert "axial error motion of the spindle" in said[0]
+    assert "drift" not in said[0]

@@ -71,6 +71,9 @@ FINE = 24
 EXPLAINED = 1.1
 """What is explained may be larger than what was measured by this factor."""
 
+SURE = 2.0
+"""A contribution is named if it is larger than this many standard uncertainties."""
+
 NM = 1e6
 
 
@@ -505,6 +508,10 @@ def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str]) -> tuple[str
         f"none becomes worse by more than {max(proof.worst_nm, 0.0):.2g} nm: {proof.before_nm:.3g} nm become "
         f"{proof.after_nm:.3g} nm"
     )
+    stays = [one for one in found.contributions if one.rms_nm > max(proof.worth_nm, SURE * one.uncertainty_nm)]
+    if plan.likely and stays:
+        shown = ", ".join(f"{one.name} ({one.rms_nm:.3g} nm rms on the measured parts)" for one in stays)
+        sentences.append(f"not corrected on this part: {shown}; cut it, measure it and correct it by its own map")
     if form and plan.draws.unmeasured:
         sentences.append(
             f"the map leaves out {plan.draws.unmeasured:.0%} of the part: its form is not corrected there, and what is "
