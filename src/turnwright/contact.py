@@ -27,6 +27,8 @@ from typing import Literal
 import numpy as np
 
 from turnwright._arrays import Bools, Floats
+from turnwright._kernels import contact as kernel
+from turnwright._kernels import dilation as dilation_kernel
 from turnwright.dilation import BESIDE, CHUNK, Touch, touch
 from turnwright.errors import GougeError, InputError
 from turnwright.part import Part
@@ -117,8 +119,6 @@ def _clearance(spiral: Spiral, part: Part, tool: Tool, z: Floats) -> Floats:
     The tips are tried at places of their own all over the edge, flanks included: the golden ratio spreads them evenly
     over edge and path together, so that what a search has missed shows at some of the tips that miss it.
     """
-    from turnwright._kernels import contact as kernel  # noqa: PLC0415 - numba is costly to import
-
     edge, least = tool.table(spiral.sense), np.zeros(z.size)
     aside = np.zeros(z.size) if spiral.y is None else spiral.y
     every = slice(None, None, max(1, z.size // PLACES))
@@ -151,8 +151,6 @@ def _z_rate(spiral: Spiral, part: Part, tool: Tool, at: Touch) -> Floats | None:
     """Return the derivative of the tip's height by the angle, or ``None`` if the spiral does not state its own."""
     if spiral.radius_rate is None or (spiral.y is not None and spiral.y_rate is None):
         return None
-    from turnwright._kernels import contact as kernel  # noqa: PLC0415 - numba is costly to import
-
     edge, surface, outward = tool.table(spiral.sense), part.surface, spiral.radius_rate
     upward = np.zeros(outward.size) if spiral.y_rate is None else spiral.y_rate
     reach = np.abs(spiral.radius) if spiral.y is None else np.hypot(spiral.radius, spiral.y)
@@ -230,8 +228,6 @@ def _normal_rates(
     """Return the derivatives of the tip's radius and height by the angle, if the spiral states its own."""
     if spiral.radius_rate is None or (spiral.y is not None and spiral.y_rate is None):
         return None, None
-    from turnwright._kernels import contact as kernel  # noqa: PLC0415 - numba is costly to import
-
     upward = np.zeros(x.size) if spiral.y_rate is None else spiral.y_rate
     radius_rate, z_rate = np.empty((2, x.size))
     slopes = part.surface.evaluate(x, y, 2)[1:]
@@ -245,8 +241,6 @@ def _tangent(
     part: Part, tool: Tool, angle: Floats, contact: Floats, aside: Floats, sense: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return sweep, x, y and height where the edge's tangent is the surface's, at ``contact`` along the rake plane."""
-    from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
-
     edge = tool.table(sense)
     cosine, sine = np.cos(angle), np.sin(angle)
     sweep = np.zeros(angle.size)
@@ -255,7 +249,7 @@ def _tangent(
         x, y = contact * cosine - across * sine, contact * sine + across * cosine
         surface_z = part.surface.sag(x, y)
         zx, zy = part.surface.gradient(x, y)
-        kernel.tangent_sweep(*edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep)
+        dilation_kernel.tangent_sweep(*edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep)
         if not np.isfinite(sweep).all():
             k = int(np.argmin(np.isfinite(sweep)))
             low, high = np.rad2deg(tool.arc)

@@ -37,6 +37,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, same_length
+from turnwright._kernels import dilation as kernel
+from turnwright._kernels.edge import edge_points
 from turnwright.errors import DomainError, GougeError, InputError
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
@@ -206,8 +208,6 @@ def follow(
     other. Heights are nan where Newton's method finds none. For the arguments see `touch`; ``sweep`` is where on the
     nose to start. (n,) [rad]
     """
-    from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
-
     edge = tool.table(sense)
     s, tilt = sweep.copy(), 0.5 * float(min(-edge.row[1], edge.row[2]))
     lost = np.zeros(s.size, dtype=np.bool_)
@@ -311,9 +311,6 @@ class _Contact:
     """One surface and one edge, with what both ways of finding the contact share."""
 
     def __init__(self, surface: Surface, tool: Tool, sense: int, radius: Floats, aside: Floats, rim: float) -> None:
-        from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
-        from turnwright._kernels.edge import edge_points  # noqa: PLC0415
-
         self.kernel = kernel
         self.edge_points = edge_points
         self.surface = surface

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, only_read
+from turnwright._kernels import generation as kernel
 from turnwright._validate import check_azimuths
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
@@ -64,8 +65,6 @@ class _Cut:
 
 
 def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
-    from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
-
     machine = machine or motion.machine
     c, x, z = (motion.axes[letter] for letter in "CXZ")
     error = machine.z_error(x) if machine.squareness or machine.straightness is not None else None
@@ -92,8 +91,6 @@ def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
 
 def _falls(profile: EdgeProfile) -> tuple[float, float]:
     """Return the most that a wavy edge sinks back on its way out, and that its slope falls back toward +X."""
-    from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
-
     _, low, _, slope_low, high, _, slope_high, *_ = profile.row
     if slope_low > 0 or slope_high < 0:
         return kernel.FAR, kernel.FAR
@@ -208,15 +205,11 @@ class Prepared:
 
     def edge(self, u: Floats) -> tuple[Floats, Floats]:
         """Return height and slope of the edge, in its own plane, at places ``u`` from its tip. Each (n,)."""
-        from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
-
         w, slope = kernel.sampled(self.cut.profile, self.cut.table, u)
         return w, slope
 
     def fill(self, x: Floats, y: Floats, tiles: Tiles, span: tuple[int, int], out: Floats) -> None:
         """Fill ``out`` at the points (x, y) of the groups of ``span``, on this thread. Each (n,) [mm]."""
-        from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
-
         cut = self.cut
         kernel.tiles(
             cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, self.blocks, self.rings, self.useful,
@@ -227,8 +220,6 @@ class Prepared:
 
 def _prepared(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
     """Settle once for each of some hundred rings which turns can matter at all."""
-    from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
-
     high = high * (1 + 1e-9) + 1e-9
     low = min(low, high) * (1 - 1e-9)
     most = RINGS if cut.upright and cut.convex else 10 * RINGS
@@ -374,8 +365,6 @@ def generate_polar(
 
 
 def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Progress | None) -> None:
-    from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
-
     def work(start: int, stop: int) -> None:
         kernel.polar_block(
             cut.c, cut.x, cut.z, cut.sense, cut.starts, cut.bounds, cut.row[5], cut.row[7], cut.profile, cut.table,

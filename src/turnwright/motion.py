@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from turnwright._arrays import frozen, only_read, same_length
+from turnwright._kernels import limits as limits_kernel
+from turnwright._kernels import tracking as tracking_kernel
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, ROTARY, Axis
@@ -415,9 +417,7 @@ def _asked(
     course: _Course, blocks: Ints, peaks: Mapping[str, _Peaks], machine: Machine, *, bands: bool = True
 ) -> list[_Asked]:
     """Return all that a course asks of the stated limits of a machine, the block rate first."""
-    from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
-
-    number, shortest = kernel.shortest(only_read(course.time[blocks]))
+    number, shortest = limits_kernel.shortest(only_read(course.time[blocks]))
     turning = TURN / 60
     top, at = peaks["C"]
     asked = [
@@ -831,8 +831,6 @@ def _all_peaks(
     course: _Course, blocks: Ints, machine: Machine, ends: tuple[bool, bool] = (True, True)
 ) -> dict[str, _Peaks]:
     """Return travel and peaks of every axis and where they are: of the fast tool at all points, else at the blocks."""
-    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
-
     peaks = {}
     for letter, position in course.axes.items():
         if letter in FAST:  # its own controller goes straight
@@ -845,7 +843,7 @@ def _all_peaks(
             if letter in course.velocity:
                 velocity[:] = course.velocity[letter][blocks]
             else:
-                kernel.rates(only_read(time), only_read(points), velocity)
+                tracking_kernel.rates(only_read(time), only_read(points), velocity)
             if FAST.keys() & course.axes.keys() or letter not in course.velocity:
                 # Such a motion comes to its speed, and to rest, within a block.
                 velocity[[0, -1]] = np.where(ends, 0.0, velocity[[0, -1]])
@@ -859,13 +857,11 @@ def _peaks(time: Floats, position: Floats, velocity: Floats | None) -> _Peaks:
 
     Of cubics if it states velocities, else of straight lines.
     """
-    from turnwright._kernels import limits as kernel  # noqa: PLC0415 - numba is costly to import
-
     value, place = np.empty(5), np.empty(5, dtype=np.int64)
     if velocity is None:
-        kernel.peaks(only_read(time), only_read(position), value, place)
+        limits_kernel.peaks(only_read(time), only_read(position), value, place)
     else:
-        kernel.cubic_peaks(only_read(time), only_read(position), only_read(velocity), value, place)
+        limits_kernel.cubic_peaks(only_read(time), only_read(position), only_read(velocity), value, place)
     names = ("low", "high", *POWERS)
     return dict(zip(names, value.tolist(), strict=True)), dict(zip(names, place.tolist(), strict=True))
 

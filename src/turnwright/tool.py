@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Value, frozen
+from turnwright._kernels import edge as kernel
+from turnwright._kernels.dilation import sweeps_at
 from turnwright._validate import between, check_angle, check_numbers, finite_tuple, plausible_sizes, positive
 from turnwright.errors import InputError
 
@@ -249,9 +251,6 @@ class Tool(Value):
         J · 6e-13 mm on half a circle and a tenth of that within 100 deg, where scatter of 20 nm at every degree makes
         it 1e-11 mm.
         """
-        from turnwright._kernels import edge as kernel  # noqa: PLC0415 - numba is costly to import
-        from turnwright._kernels.dilation import sweeps_at  # noqa: PLC0415
-
         table = self.table()
 
         def trace(sweep: ArrayLike) -> Floats:
@@ -346,8 +345,6 @@ class Tool(Value):
         u, v, e
             Distance toward +X, distance toward growing spindle angle, height. Each (n,) [mm]
         """
-        from turnwright._kernels import edge as kernel  # noqa: PLC0415 - numba is costly to import
-
         sweep = np.asarray(sweep, dtype=np.float64)
         out = np.empty((3, sweep.size))
         kernel.edge_points(*self.table(sense), sweep.ravel(), out)

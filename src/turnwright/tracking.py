@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turnwright._arrays import Floats, frozen, only_read, rounding, same_length
+from turnwright._kernels import tracking as kernel
 from turnwright._validate import positive
 from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, INTERPOLATIONS, ROTARY, Axis, Machine
@@ -98,8 +99,6 @@ def track(
     The closed form of a mode under a polynomial is the phi functions of exponential integrators [Hochbruck2010]_. The
     B-splines are those that common controllers call spline moves.
     """
-    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
-
     positive(chord, "chord", "mm")
     machine = machine or motion.machine
     time = _paced(motion, machine)
@@ -284,8 +283,6 @@ def _band(response: Response | None, rate_hz: float) -> float:
 
 def _paced(motion: Motion, machine: Machine) -> Floats:
     """Return when the controller is at each point. (n,) [s]."""
-    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
-
     points = motion.blocks
     time = motion.time[points]
     blocks = np.diff(time)
@@ -360,8 +357,6 @@ def _follow(
     letter: str, position: Floats, velocity: Floats | None, time: Floats, machine: Machine, at: Floats
 ) -> Floats:
     """Return where an axis really stands at some times."""
-    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
-
     time, at = only_read(time), only_read(at)
     axis = machine.axes.get(letter)
     response = axis.response if axis is not None else None

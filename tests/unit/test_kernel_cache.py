@@ -13,7 +13,7 @@ import numba
 import pytest
 
 from turnwright import _kernels
-from turnwright._kernels import edge, sines, trig
+from turnwright._kernels import compiling, edge, sines, trig
 
 FOLDER = Path(_kernels.__file__).parent
 
@@ -36,19 +36,19 @@ def called(name):
 def test_an_edit_leaves_only_the_kernels_that_have_nothing_to_do_with_it(edited, tmp_path):
     copy = shutil.copytree(FOLDER, tmp_path / "kernels")
     names = sorted(file.stem for file in copy.glob("*.py"))
-    before = {name: _kernels._digest(copy, name) for name in names}
+    before = {name: compiling._digest(copy, name) for name in names}
     source = copy / f"{edited}.py"
     source.write_text(source.read_text(encoding="utf-8") + "# edited\n", encoding="utf-8")
-    changed = {name for name in names if _kernels._digest(copy, name) != before[name]}
+    changed = {name for name in names if compiling._digest(copy, name) != before[name]}
     assert changed == {name for name in names if edited in {name, "__init__"} | called(name)}
 
 
 def test_each_module_has_a_folder_and_other_compiled_functions_keep_theirs():
-    places = {one.__name__: Path(function.stats.cache_path).parent.name for one, function in (
+    places = {one.__name__: Path(function.dispatcher.stats.cache_path).parent.name for one, function in (
         (edge, edge.height), (sines, sines.wave), (trig, trig.sincos),
     )}  # fmt: skip
     for name, place in places.items():
-        assert place == f"kernels-{name.rpartition('.')[2]}-{_kernels._digest(FOLDER, name.rpartition('.')[2])}"
+        assert place == f"kernels-{name.rpartition('.')[2]}-{compiling._digest(FOLDER, name.rpartition('.')[2])}"
     assert "kernels-" not in numba.config.CACHE_DIR
 
 
@@ -61,13 +61,13 @@ def linear_again():
     kernel = _kernels.jit(linear)
     assert kernel(3.0) == 7.75  # 2.5 * 3 + 0.25
     assert kernel(2) == 5.25
-    return sum(kernel.stats.cache_hits.values())
+    return sum(kernel.dispatcher.stats.cache_hits.values())
 
 
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     """The folder of a kernel that is kept for two signatures."""
-    monkeypatch.setattr(_kernels, "_cache_folder", lambda _module: tmp_path)
+    monkeypatch.setattr(compiling, "_cache_folder", lambda _module: tmp_path)
     assert linear_again() == 0
     assert linear_again() == 2
     assert len(list(tmp_path.iterdir())) == 2
@@ -114,7 +114,7 @@ def test_the_code_of_another_signature_is_not_run(kept):
 
 def test_a_place_that_takes_no_file_costs_only_time(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr(_kernels, "_cache_folder", lambda _module: tmp_path / "file" / "kernels")
+    monkeypatch.setattr(compiling, "_cache_folder", lambda _module: tmp_path / "file" / "kernels")
     assert linear_again() == 0
     assert linear_again() == 0
 

@@ -1,120 +1,54 @@
 """The compiled kernels: plain arrays in, plain arrays out.
 
-numba's disk cache notices an edited function but not an edited callee in another module, and would silently serve the
-old code. So each module has a cache folder named after a hash of its source and of the kernels that it imports: an edit
-starts fresh ones for that module and for those that call it, and leaves the others. What is kept there is ours, not
-numba's: numba runs whatever it finds in its files, and fails where one is cut short or the disk is full.
+A kernel is compiled at its first call. Until then nothing of numba is imported, which costs 0.35 s, so that the modules
+of kernels are imported like any other.
 """
 
 from __future__ import annotations
 
 import functools
-import hashlib
-import os
-import pickle  # noqa: TID251 - of compiled code only, which numba writes so
-import re
-import sys
-import uuid
+import threading
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
 from typing import Any
-
-import numba
-import platformdirs
-from numba.core import compiler, serialize
 
 __all__ = ["jit", "jit_sums"]
 
-_CALLED = re.compile(r"^from turnwright\._kernels\.(\w+) import", re.MULTILINE)
-
-CHECKSUM = hashlib.sha256().digest_size
-"""Bytes before the code in a file."""
+_LOCK = threading.RLock()
 
 
-def _digest(folder: Path, name: str) -> str:
-    """Return a hash of the module ``name``, of all that it calls and of the numba that compiles it."""
-    sources: dict[str, str] = {}
-    waiting = {"__init__", name}
-    while waiting:
-        one = waiting.pop()
-        sources[one] = (folder / f"{one}.py").read_text(encoding="utf-8")
-        waiting |= set(_CALLED.findall(sources[one])) - sources.keys()
-    digest = hashlib.sha256(numba.__version__.encode())
-    for one in sorted(sources):
-        digest.update(f"{one}\n{sources[one]}".encode())
-    return digest.hexdigest()[:16]
+class Kernel:
+    """A function of plain arrays that numba compiles at its first call; other kernels may call it."""
 
+    def __init__(self, function: Callable[..., Any], fastmath: set[str]) -> None:
+        functools.update_wrapper(self, function)
+        self._function = function
+        self._fastmath = fastmath
+        self._dispatcher: Any = None
 
-@functools.cache
-def _cache_folder(module: str) -> Path:
-    """Return where the kernels of a module are kept once they are compiled, for this version of Python."""
-    name = module.rpartition(".")[2]
-    base = os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("turnwright")
-    digest = _digest(Path(__file__).parent, name)
-    return Path(base) / f"kernels-{name}-{digest}" / str(sys.implementation.cache_tag)
+    @property
+    def dispatcher(self) -> Any:
+        """What numba calls the function by, with the code that was compiled."""
+        if self._dispatcher is None:
+            from turnwright._kernels.compiling import compiled  # noqa: PLC0415 - numba is costly to import
 
+            with _LOCK:
+                self._dispatcher = self._dispatcher or compiled(self._function, self._fastmath)
+        return self._dispatcher
 
-class _Cache:
-    """Compiled code on disk, a file for each kernel and signature, as numba's dispatcher asks for it.
+    @property
+    def _numba_type_(self) -> Any:
+        """The type of this kernel where another one calls it."""
+        return self.dispatcher._numba_type_
 
-    The code is run as it is read, so each file begins with a checksum of the rest. A file that is cut, damaged or of
-    another signature, or a disk that takes none, means only that the kernel is compiled.
-    """
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self.cache_path = str(_cache_folder(function.__module__))
-        self._name = function.__qualname__
-
-    def load_overload(self, signature: Any, context: Any) -> Any:
-        """Return the compiled code for a signature, or ``None`` if it must be compiled."""
-        context.refresh()
-        key = (signature, context.codegen().magic_tuple())
-        try:
-            data = self._file(key).read_bytes()
-            if hashlib.sha256(data[CHECKSUM:]).digest() != data[:CHECKSUM]:
-                return None
-            kept, code = pickle.loads(data[CHECKSUM:])  # noqa: S301 - written by this class, as its checksum tells
-            return compiler.CompileResult._rebuild(context, *code) if kept == key else None  # noqa: SLF001 - as numba does
-        except Exception:  # noqa: BLE001 - whatever is wrong with it, it can be compiled
-            return None
-
-    def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Keep the compiled code for a signature, if the disk takes it."""
-        key = (signature, compiled.codegen.magic_tuple())
-        body = serialize.dumps((key, compiled._reduce()))  # noqa: SLF001 - as numba does
-        file = self._file(key)
-        part = file.with_suffix(f".{uuid.uuid4().hex}")
-        with suppress(OSError):
-            file.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                part.write_bytes(hashlib.sha256(body).digest() + body)
-                part.replace(file)
-            finally:
-                part.unlink(missing_ok=True)
-
-    def flush(self) -> None:
-        """Forget all signatures, as numba does when a function is compiled anew."""
-        for file in Path(self.cache_path).glob(f"{self._name}-*.kernel"):
-            file.unlink(missing_ok=True)
-
-    def _file(self, key: object) -> Path:
-        return Path(self.cache_path) / f"{self._name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.kernel"
-
-
-def _compiled(function: Callable[..., Any], fastmath: set[str]) -> Callable[..., Any]:
-    # Nobody calls a kernel by its address: without the wrapper for that it compiles a tenth sooner.
-    decorate = numba.njit(nogil=True, fastmath=fastmath, error_model="numpy", no_cfunc_wrapper=True)
-    compiled: Callable[..., Any] = decorate(function)
-    compiled._cache = _Cache(function)  # type: ignore[attr-defined] # noqa: SLF001 - where numba's own would be
-    return compiled
+    def __call__(self, *arguments: Any) -> Any:
+        return self.dispatcher(*arguments)
 
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a kernel: cached on disk, without the interpreter lock, fused multiply-adds, NumPy's error model."""
-    return _compiled(function, {"contract"})
+    return Kernel(function, {"contract"})
 
 
 def jit_sums(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a kernel as `jit` does, for sums whose order does not matter: only then do their loops vectorise."""
-    return _compiled(function, {"contract", "reassoc", "nsz"})
+    return Kernel(function, {"contract", "reassoc", "nsz"})

@@ -26,6 +26,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, only_read
+from turnwright._kernels import chip as kernel
+from turnwright._kernels import generation as generation_kernel
 from turnwright._validate import check_angle, check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.progress import run_chunks
@@ -306,8 +308,6 @@ class _Moved:
 
     @classmethod
     def of(cls, motion: Motion, tool: Tool, machine: Machine | None) -> _Moved:
-        from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
-
         machine = machine or motion.machine
         if "Y" in motion.axes and motion.axes["Y"].any():
             raise InputError(
@@ -322,7 +322,7 @@ class _Moved:
             z = z + motion.axes["W"]
         dx, _, dz = tool.offset
         starts = np.empty(max(int(np.ceil(abs(c[-1] - c[0]) / (2 * np.pi) - 1e-12)), 1) + 1, dtype=np.int64)
-        kernel.turn_starts(c, motion.sense, starts)
+        generation_kernel.turn_starts(c, motion.sense, starts)
         if dx:
             x = x + dx
         if dz or error is not None:
@@ -388,8 +388,6 @@ def chip_map(
     -------
     [Troutman2016]_ ch. 2 takes f sin s. Oracles: dense brute force, circle geometry, removed volume.
     """
-    from turnwright._kernels import chip as kernel  # noqa: PLC0415 - numba is costly to import
-
     moved = _Moved.of(motion, tool, machine)
     stock = part.stock if stock is None else float(stock)
     if before is None and not stock > 0:
@@ -473,8 +471,6 @@ def _look(
     progress: Progress | None,
 ) -> None:
     """Fill ``rows`` with the chip at some points, widening the windows of those whose chip goes on beyond."""
-    from turnwright._kernels import chip as kernel  # noqa: PLC0415 - numba is costly to import
-
     profile, upright = tool.profile(), float(np.cos(tool.rake))
     nothing = np.empty(0)
     past = (only_read(nothing), only_read(nothing), only_read(nothing), 1, np.empty(0, dtype=np.int64))

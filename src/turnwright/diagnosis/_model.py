@@ -23,6 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from turnwright._arrays import Floats
+from turnwright._kernels import dilation as dilation_kernel
+from turnwright._kernels import swept as kernel
 from turnwright.dilation import touch as touch_down
 from turnwright.progress import run_chunks
 from turnwright.surface import Surface
@@ -205,8 +207,6 @@ class Swept:
 
     def guess(self, x: Floats, y: Floats) -> Sweeps:
         """Return the sweeps of a tangent in the plane through the axis, nan where there is none."""
-        from turnwright._kernels import dilation as kernel  # noqa: PLC0415 - numba is costly to import
-
         edge = self.tool.table(self.sense)
         sweep = np.zeros(x.size)
 
@@ -216,7 +216,7 @@ class Swept:
                 radius = np.hypot(x[some], y[some])
                 cosine, sine = x[some] / radius, y[some] / radius
                 _, zx, zy = self.surface.evaluate(x[some], y[some], 1)
-            kernel.tangent_sweep(*edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep[some])
+            dilation_kernel.tangent_sweep(*edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep[some])
 
         run_chunks(work, x.size, CHUNK)
         return Sweeps(sweep, sweep.copy())
@@ -274,8 +274,6 @@ class Swept:
         self, x: Floats, y: Floats, touch: Floats, cut: Floats, real: Deviations, out: Floats, rho: Floats, psi: Floats
     ) -> None:
         """Fill the rows, the radius and the azimuth of the tip for some points, and improve the sweeps."""
-        from turnwright._kernels import swept as kernel  # noqa: PLC0415 - numba is costly to import
-
         edge = self.tool.table(self.sense)
         planned, wave = edge.row, edge[1:]
         row = planned.copy()

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._kernels import generation as kernel
 from turnwright.dilation import tip_height
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate_polar
@@ -153,8 +154,6 @@ def _edge(tool: Tool, sense: int, u: Floats) -> tuple[Floats, Floats]:
     profile = tool.profile()
     row = profile.row
     if profile.table.size:
-        from turnwright._kernels import generation as kernel  # noqa: PLC0415 - numba is costly to import
-
         w = np.asarray(kernel.sampled(row, profile.table, u)[0])
     else:
         inside = np.clip(u, row[1], row[4])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from turnwright._arrays import only_read
+from turnwright._kernels.tracking import bulge
 from turnwright.machine import ROTARY
 from turnwright.tracking import track
 
@@ -46,7 +47,5 @@ def interpolated(motion: Motion, machine: Machine, progress: Progress | None = N
 
 def off_curves(motion: Motion) -> float:
     """Return how far the straight pieces of a motion are from a smooth one through their ends. [mm]."""
-    from turnwright._kernels.tracking import bulge  # noqa: PLC0415 - numba is costly to import
-
     time = only_read(motion.time)
     return max(float(bulge(time, only_read(one))) for letter, one in motion.axes.items() if letter not in ROTARY)

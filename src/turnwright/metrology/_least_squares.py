@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Bools, Floats
+from turnwright._kernels import least_squares
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure
 from turnwright.progress import run_chunks
@@ -169,8 +170,6 @@ def sums_over(
     InputError
         If a sum is no finite number, as where a search leaves a form that the heights are far from.
     """
-    from turnwright._kernels import least_squares  # noqa: PLC0415 - numba is costly to import
-
     k = parameters.size
     padded = k + -k % 4
     known = np.zeros(padded)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from turnwright._arrays import Bools, Floats
+from turnwright._kernels.registration import misfit, settle
 from turnwright.metrology._rigid import Fit, Problem, fit, residuals, rows, turns
 from turnwright.pose import Pose
 from turnwright.progress import run_chunks
@@ -312,8 +313,6 @@ def _table(surface: Surface, within: float, step: float) -> tuple[Floats, float,
 
 def _scores(tabled: _Tabled, places: Floats, *, share: float = LEAST) -> Floats:
     """Return the misfit at each place, inf where too few points lie on the part, and what levels it there. (4, m)."""
-    from turnwright._kernels.registration import misfit  # noqa: PLC0415 - numba is costly to import
-
     count = tabled.points.shape[1]
     keep = max(MOST_LOOKUPS // (PASSES * max(places.shape[0], 1)), FEWEST)
     x, y, z = (np.ascontiguousarray(row[:: -(-count // keep)]) for row in tabled.points)
@@ -354,8 +353,6 @@ def _valleys(
     tabled: _Tabled, begin: Floats, step: float, problem: Problem, free: list[int], width: float
 ) -> list[Floats]:  # fmt: skip
     """Return the states of the best valleys that these places slide into, each once."""
-    from turnwright._kernels.registration import settle  # noqa: PLC0415 - numba is costly to import
-
     x, y, z = (np.ascontiguousarray(row) for row in tabled.points)
     out = np.empty((begin.shape[0], 14))
     bends = problem.bends if tabled.moves[:5].all() else np.full(6, np.nan)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turnwright._arrays import Floats
+from turnwright._kernels.regression import solve
 from turnwright.progress import run_chunks
 
 __all__ = ["WIDTHS", "regress"]
@@ -57,8 +58,6 @@ def regress(z: Floats, weight: Floats, widths: tuple[float, float | None], order
         Total degree of the polynomial.
     """
     from scipy import fft  # noqa: PLC0415 - only this needs it
-
-    from turnwright._kernels.regression import solve  # noqa: PLC0415 - numba is costly to import
 
     count, n = z.shape
     x = _axis(n, widths[0], 2 * order, real=True)

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
+from turnwright._kernels.registration import bend
 from turnwright.pose import Pose
 from turnwright.progress import run_chunks
 from turnwright.surface import Surface
@@ -344,8 +345,6 @@ def _moved(problem: Problem, state: Floats, chosen: Ints, step: Floats) -> Float
     A shift hardly differs there from a tilt: such a valley is bent in these numbers, and straight in turns about that
     centre. Numbers that are not chosen stay; of a rotation the part is turned back about its axis.
     """
-    from turnwright._kernels.registration import bend  # noqa: PLC0415 - numba is costly to import
-
     trial = state.copy()
     trial[chosen] += step
     if not {0, 1} & set(chosen.tolist()) or not {4, 5} <= set(chosen.tolist()):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, is_even
+from turnwright._kernels.neighbours import prominent, second_differences, stand_out
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure, valid_points
@@ -167,8 +168,6 @@ def despike(
 
 def _differences(z: Floats) -> tuple[Floats, Floats]:
     """Return the second differences across and along, nan where a neighbour is missing."""
-    from turnwright._kernels.neighbours import second_differences  # noqa: PLC0415 - numba is costly to import
-
     across, along = np.empty_like(z), np.empty_like(z)
     rows = max(CHUNK // z.shape[1], 1)
     run_chunks(lambda start, stop: second_differences(z, start, stop, across, along), z.shape[0], rows)
@@ -198,8 +197,6 @@ def _robust(
     z: Floats, piece: Ints, judged: Bools, threshold: float, *, closed: bool, ways: int
 ) -> tuple[Bools, tuple[float, ...], Bools]:
     """Return the spikes, the deviation of the noise and what was not judged; takes the spikes out of ``z``."""
-    from turnwright._kernels.neighbours import prominent, stand_out  # noqa: PLC0415 - numba is costly to import
-
     spread = [np.abs(d - np.median(d)) for values in _differences(z) if (d := values[~np.isnan(values)]).size]
     scale = max(NORMAL * float(np.median(np.concatenate(spread))) / 6**0.5 if spread else 0.0, QUIET)
     least = 2 if min(z.shape) > 1 else 1

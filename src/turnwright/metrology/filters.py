@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, is_even
+from turnwright._kernels.regression import advance, biweight, spline
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure, valid_points
@@ -201,8 +202,6 @@ def _check_cutoff(heights: HeightMap, cutoff: float, along: str | None, steps: t
 
 def _spline(z: Floats, cutoff: float) -> Floats:
     """Return the smoothing spline of every line; the cutoff in points."""
-    from turnwright._kernels.regression import spline  # noqa: PLC0415 - numba is costly to import
-
     out = np.empty_like(z)
     stiffness = (2 * np.sin(np.pi / cutoff)) ** -4
     run_chunks(lambda start, stop: spline(z[start:stop], stiffness, out[start:stop]), z.shape[0], LINES)
@@ -211,8 +210,6 @@ def _spline(z: Floats, cutoff: float) -> Floats:
 
 def _robust(z: Floats, valid: Bools, smooth: Callable[[Floats], Floats], wave: Floats, *, apart: bool) -> Floats:
     """Weigh and smooth again until the bounds settle: one of the map, or one of each line."""
-    from turnwright._kernels.regression import advance, biweight  # noqa: PLC0415 - numba is costly to import
-
     weight, distance, change = np.empty_like(z), np.empty_like(z), np.empty(z.shape[0])
     # Points that do not count stand at nan, from where their weight falls to 0.
     known = np.where(valid, z, np.nan)

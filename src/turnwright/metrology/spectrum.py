@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Floats, frozen, is_even
+from turnwright._kernels.rectangle import largest_rectangle
 from turnwright.errors import InputError
 from turnwright.metrology._grid import measure, valid_points
 from turnwright.metrology.form import Form, remove_form
@@ -332,8 +333,6 @@ def _cut(z: Floats, missing: str, steps: tuple[float, float], *, rows: int) -> t
     if valid.all():
         return z, ()
     if missing == "rectangle":
-        from turnwright._kernels.rectangle import largest_rectangle  # noqa: PLC0415 - numba is costly to import
-
         row, tall, column, wide = largest_rectangle(np.ascontiguousarray(valid), steps[1], steps[0])
         part = z[row : row + tall, column : column + wide]
         share = part.size / np.count_nonzero(valid)

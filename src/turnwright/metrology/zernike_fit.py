@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Floats, frozen
+from turnwright._kernels import least_squares
 from turnwright._validate import finite_tuple, positive
 from turnwright.errors import InputError
 from turnwright.metrology._grid import valid_points
@@ -191,8 +192,6 @@ def _fit(
     cloud: Cloud, indices: tuple[int, ...], indexing: Indexing, circle: tuple[float, float, float], left: Floats
 ) -> tuple[Floats, Sums, float]:
     """Return the coefficients of terms of rms 1, what they come from, and the condition; set ``left``."""
-    from turnwright._kernels import least_squares  # noqa: PLC0415 - numba is costly to import
-
     x0, y0, radius = circle
     orders = [zernike_order(index, indexing) for index in indices]
     count = 1 + max((n - abs(m)) // 2 for n, m in orders)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._kernels import text
+
 if TYPE_CHECKING:
     from turnwright._arrays import Floats, Ints
 
@@ -22,8 +24,6 @@ def hashed_rows(units: Ints, duration: Floats) -> memoryview:
     duration
         Of the block that ends at the point; 0 at the first. (n,) [s]
     """
-    from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
-
     packed = np.empty((units.shape[0], units.shape[1] + 1), dtype=np.uint32)
     text.pack(units, duration.view(np.int64), packed)
     return packed.astype("<u4", copy=False).data.cast("B")

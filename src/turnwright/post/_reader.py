@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._kernels import text as kernel
 from turnwright.errors import InputError, ProgramError
 from turnwright.path import Motion
 from turnwright.post._digest import hashed_rows
@@ -270,8 +271,6 @@ class _Cut:
 
 def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine) -> Motion:
     """Return a cut in Turnwright's own convention."""
-    from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
-
     convention = machine.convention
     dialect = dialect_of(machine)
     rows = found.rows[:, : found.points]
@@ -283,9 +282,9 @@ def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine)
     first = told.first_c if told else rows[0, 0] - 360 * np.rint(found.shifts[0][1][0] / 360)
     # A C that counts on is exact, however far a block turns it; one that rolls over takes the short way.
     cumulative = not (within and dialect.wrapped)
-    bad = text.count_on(axes["C"], first) if cumulative else -1
+    bad = kernel.count_on(axes["C"], first) if cumulative else -1
     if not cumulative or (bad >= 0 and within):
-        bad = text.unwrap(axes["C"], first)
+        bad = kernel.unwrap(axes["C"], first)
         cumulative = False
     if bad >= 0:
         why = "" if within else " (it leaves 0 to 360, so it does not roll over)"
@@ -295,7 +294,7 @@ def _motion(path: Path, found: _Cut, told: ProgramPass | None, machine: Machine)
             "rotation must stay: split the program there"
         )
     time = rows[4]
-    text.clock(time)
+    kernel.clock(time)
     axes["C"] *= convention.c_sense * (np.pi / 180)
     axes["C"] -= convention.c_sense * convention.clocking
     axes["X"] *= convention.x_side
@@ -422,8 +421,6 @@ class _Reader:
 
     def _file(self, path: Path) -> None:
         """Follow one file."""
-        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
-
         if path in self.stack or len(self.stack) >= DEEPEST:
             raise ProgramError(
                 f"{path} is called from within itself or {DEEPEST} calls deep: give every pass a sub-program of its own"
@@ -442,7 +439,7 @@ class _Reader:
             at = 0
             while at < end and not (self.over or self.ended):
                 rows, first = self._room()
-                at, last = text.parse_blocks(data, at, end, self.whole, self.real, rows, first)
+                at, last = kernel.parse_blocks(data, at, end, self.whole, self.real, rows, first)
                 self._added(rows, first, last)
                 if at < end and last < rows.shape[1]:
                     stop = text_bytes.find(b"\n", at, min(at + LONGEST, end)) + 1
@@ -516,9 +513,7 @@ class _Reader:
 
         It is gone when the next one is asked for.
         """
-        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
-
-        buffer = bytearray(BUFFER + LONGEST + 1 + text.BEHIND)
+        buffer = bytearray(BUFFER + LONGEST + 1 + kernel.BEHIND)
         data = np.frombuffer(buffer, dtype=np.uint8)
         kept = 0
         with path.open("rb") as file:
@@ -573,17 +568,15 @@ class _Reader:
             self.hashing = self.pool.submit(self._hash, rows[:, first:last], letters)
 
     def _hash(self, rows: Floats, letters: list[str]) -> None:
-        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
-
         for start in range(0, rows.shape[1], HASHED):
             some = rows[:, start : start + HASHED]
             each = 2 if self.dialect.velocities else 1
             units = np.empty((some.shape[1], each * len(letters)), dtype=np.int64)
             for column, letter in enumerate(letters):
                 scale, row = 10.0 ** self.dialect.decimals[letter], AXES.index(letter)
-                text.quantise(some[row], scale, 0.0, 0, units, each * column)
+                kernel.quantise(some[row], scale, 0.0, 0, units, each * column)
                 if each == 2:
-                    text.quantise(some[5 + row], scale, 0.0, 0, units, each * column + 1)
+                    kernel.quantise(some[5 + row], scale, 0.0, 0, units, each * column + 1)
             self.digest.update(hashed_rows(units, some[4]))
 
     def _open(self, *, timed: bool) -> None:
@@ -1010,8 +1003,6 @@ class _Reader:
 
     def _cut(self, before: Floats, step: Floats) -> None:
         """Add the block that has just led here to the cut, which begins if none is open."""
-        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
-
         inverse = self.whole[FEED_MODE] == 93
         feed = float(self.real[FEED])
         if not feed > 0:
@@ -1019,7 +1010,7 @@ class _Reader:
             stated = "without a feed" if np.isnan(feed) else f"with a feed of {feed:g}"
             raise self._error(f"cuts {stated} under {mode}, it must be above 0", f"give an F after {mode}")
         if inverse:
-            duration = text.seconds(feed, self.whole[FEED_UNIT])
+            duration = kernel.seconds(feed, self.whole[FEED_UNIT])
         else:
             length = float(np.linalg.norm(step[1:]))
             duration = 60 * (length or abs(float(step[0]))) / feed

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from turnwright._arrays import rows_of_numbers
+from turnwright._kernels import table as kernel
 from turnwright._validate import positive
 from turnwright.errors import ProgramError
 from turnwright.path import Motion
@@ -211,8 +212,6 @@ def _with_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, 
 
 def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints, Ints, float]:
     """Return radius, angle and height in units of their last decimals, these, and the distance from them."""
-    from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
-
     convention = machine.convention
     own = _own(motion)
     decimals = np.array([dialect.decimals["X"], dialect.decimals["C"], *[HEIGHT] * len(own)])
@@ -220,11 +219,11 @@ def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints,
     turn = 360 * int(scale[1])
     rows = np.empty((motion.time.size, 2 + len(own)), dtype=np.int64)
     degrees, mark = float(np.rad2deg(convention.c_sense)), float(np.rad2deg(convention.clocking))
-    text.quantise(motion.axes["X"], convention.x_side * scale[0], 0.0, 0, rows, 0)
-    text.quantise(motion.axes["C"], degrees * scale[1], mark * scale[1], turn, rows, 1)
+    kernel.quantise(motion.axes["X"], convention.x_side * scale[0], 0.0, 0, rows, 0)
+    kernel.quantise(motion.axes["C"], degrees * scale[1], mark * scale[1], turn, rows, 1)
     off = 0.0
     for column, letter in enumerate(own, 2):
-        text.quantise(motion.axes[letter], scale[2], 0.0, 0, rows, column)
+        kernel.quantise(motion.axes[letter], scale[2], 0.0, 0, rows, column)
         off = max(off, float(np.abs(rows[:, column] / scale[2] - motion.axes[letter]).max()))
     step = np.diff(rows[:, 1]) * (motion.sense * convention.c_sense) % turn
     bad = np.flatnonzero((step == 0) | (step >= turn // 2))
@@ -316,8 +315,6 @@ def _head(
 
 def _body(file: BinaryIO, rows: Ints, decimals: Ints) -> str:
     """Write the rows; return their hash."""
-    from turnwright._kernels import table as kernel  # noqa: PLC0415 - numba is costly to import
-
     digest = hashlib.sha256()
     for start in range(0, rows.shape[0], CHUNK):
         part = rows[start : start + CHUNK]

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Floats, Ints
+from turnwright._kernels import tracking as kernel
 from turnwright.errors import ProgramError
 from turnwright.machine import FAST
 from turnwright.path import Motion
@@ -381,8 +382,6 @@ def _velocity(motion: Motion) -> dict[str, Floats]:
 
     A controller begins with the velocity of the block before, and the last one must leave none.
     """
-    from turnwright._kernels import tracking as kernel  # noqa: PLC0415 - numba is costly to import
-
     velocity = {}
     for letter, position in motion.axes.items():
         speed = np.empty(position.size)
@@ -559,8 +558,6 @@ class _Job:
 
     def _cut(self, one: _Pass, spans: Iterator[tuple[BinaryIO, int, int]] | list[tuple[BinaryIO, int, int]]) -> str:
         """Write the blocks of one pass, formatted on all cores and written in order; return the hash."""
-        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
-
         scale = {letter: 10.0 ** self.dialect.decimals[letter] for letter in one.letters}
         turn = 360 * int(scale["C"])
         wraps = {"C": turn if self.dialect.wrapped else 0}
@@ -579,21 +576,21 @@ class _Job:
             for column, letter in enumerate(one.letters):
                 values = one.motion.axes[letter][start:stop]
                 factor, shift = one.factors[letter] * scale[letter], one.shifts[letter] * scale[letter]
-                text.quantise(values, factor, shift, wraps.get(letter, 0), rows, each * column)
+                kernel.quantise(values, factor, shift, wraps.get(letter, 0), rows, each * column)
                 if one.velocity is not None:
-                    text.quantise(one.velocity[letter][start:stop], factor, 0.0, 0, rows, each * column + 1)
+                    kernel.quantise(one.velocity[letter][start:stop], factor, 0.0, 0, rows, each * column + 1)
             return rows
 
         def work(chunk: _Chunk) -> tuple[int, memoryview, memoryview]:
             start, stop, mantissa, places, duration = chunk
             angle = one.motion.axes["C"][start - 1 : stop]
             factor, shift = one.factors["C"] * scale["C"], one.shifts["C"] * scale["C"]
-            bad = text.check_steps(angle, factor, shift, turn // 2, sign)
+            bad = kernel.check_steps(angle, factor, shift, turn // 2, sign)
             if bad >= 0:
                 raise _step_error(one, start - 1 + bad)
             rows = quantise(start, stop)
             out = np.empty((stop - start) * (prefix.size + 24 * (letters.size + 1)) + 8, dtype=np.uint8)
-            size = text.format_blocks(rows, letters, decimals, prefix, leading, mantissa, places, out)
+            size = kernel.format_blocks(rows, letters, decimals, prefix, leading, mantissa, places, out)
             return stop - start, hashed_rows(rows, duration), out[:size].data
 
         digest.update(hashed_rows(quantise(0, 1), np.zeros(1)))
@@ -621,15 +618,13 @@ class _Job:
 
     def _chunks(self, one: _Pass, start: int, stop: int, state: Ints) -> Iterator[_Chunk]:
         """Yield the chunks of a file with their feeds, which only one thread can choose, in order."""
-        from turnwright._kernels import text  # noqa: PLC0415 - numba is costly to import
-
         unit, every, most = self.dialect.feed_unit, self.dialect.feed_every_block, self.dialect.feed_decimals
         state[0] = min(state[0], start)
         for begin in range(start, stop, CHUNK):
             end = min(begin + CHUNK, stop)
             mantissa, places = np.empty((2, end - begin), dtype=np.int64)
             duration = np.empty(end - begin)
-            bad = text.feeds(one.motion.time, begin, end, unit, every, most, state, mantissa, places, duration)
+            bad = kernel.feeds(one.motion.time, begin, end, unit, every, most, state, mantissa, places, duration)
             longest = self.dialect.longest_block
             if bad < 0 and duration.max() > longest:
                 bad = begin + int(duration.argmax())

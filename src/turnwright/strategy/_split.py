@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from turnwright._kernels import split as kernel
 from turnwright.errors import LimitError
 
 if TYPE_CHECKING:
@@ -115,8 +116,6 @@ def smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | None) -
     LimitError
         If no motion of the slide keeps them.
     """
-    from turnwright._kernels import split as kernel  # noqa: PLC0415 - numba is costly to import
-
     low, high = float(fast.low), float(fast.high)  # type: ignore[arg-type]
     kinds = [_Kind(0, turned, height, low, high)]
     slope = np.diff(height) / np.diff(turned)
@@ -149,8 +148,6 @@ def smoothest(turned: Floats, height: Floats, fast: Axis, omega: float | None) -
 
 def _coefficients(kinds: list[_Kind], step: float, cells: int) -> Floats | None:
     """Return the coefficients of the slow share, or ``None`` if the limits cannot be kept."""
-    from turnwright._kernels import split as kernel  # noqa: PLC0415 - numba is costly to import
-
     _, turned, height, low, high = kinds[0]
     size = cells + 3
     weight = np.gradient(turned)
@@ -191,8 +188,6 @@ def _coefficients(kinds: list[_Kind], step: float, cells: int) -> Floats | None:
 
 def _limits(kinds: list[_Kind], seen: list[list[Ints]], step: float, cells: int, unit: float, level: float) -> _Rows:
     """Return the inequalities at the samples looked at."""
-    from turnwright._kernels import split as kernel  # noqa: PLC0415 - numba is costly to import
-
     parts: list[tuple[Ints, Floats, Floats, Floats]] = []
     for kind, found in zip(kinds, seen, strict=True):
         if not found:

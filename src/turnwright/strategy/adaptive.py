@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from turnwright._kernels import adaptive as kernel
+from turnwright._kernels.edge import trace as edge_trace
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
@@ -297,8 +299,6 @@ class _Curve:
 
     def at(self, turned: Floats) -> tuple[Floats, Floats]:
         """Return radius and derivative. (n,) [mm], (n,) [mm/rad]."""
-        from turnwright._kernels import adaptive as kernel  # noqa: PLC0415 - numba is costly to import
-
         radius, rate = np.empty((2, turned.size))
         kernel.spline_at(self.values, self.slopes, turned * self.density, radius, rate)
         return radius, rate * self.density
@@ -333,9 +333,6 @@ class _Steps:
     """
 
     def __init__(self, part: Part, tool: Tool, scallop: float, sense: int, way: int) -> None:
-        from turnwright._kernels import adaptive as kernel  # noqa: PLC0415 - numba is costly to import
-        from turnwright._kernels.edge import trace as edge_trace  # noqa: PLC0415
-
         self.kernel = kernel
         self.ridges = part.surface.in_pieces
         self.miss = MISS_AT_RIDGES if self.ridges else MISS
@@ -596,8 +593,6 @@ def _points(
     servo: AdaptiveToolServo, steps: _Steps, curve: _Curve, end: float, progress: Progress | None
 ) -> tuple[Floats, Floats | None]:
     """Return the angles turned at which the points stand [rad], and their lift [mm] or ``None``. (n,)."""
-    from turnwright._kernels import adaptive as kernel  # noqa: PLC0415 - numba is costly to import
-
     hermite = servo.interpolation == "hermite"
     off = servo.off_path and not hermite
     slack = servo.chord * (1 - 3 / steps.miss - (1 / ROUGH if steps.ridges else 0) - (BETWEEN if hermite else 0))
@@ -669,7 +664,6 @@ def _sampled(steps: _Steps, curve: _Curve, turned: Floats, chord: float, *, herm
         Angle turned, height, its derivative, radius, its derivative, slope of the height along the radius, and
         how far the radius may be aside. (7, n)
     """
-    from turnwright._kernels import adaptive as kernel  # noqa: PLC0415 - numba is costly to import
 
     def placed(turned: Floats) -> Floats:
         radius, rate = curve.at(turned)

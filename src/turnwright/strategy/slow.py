@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._kernels import chord as kernel
 from turnwright._validate import check_numbers, positive
 from turnwright._validate import whole as whole_number
 from turnwright.errors import GougeError, InputError, LimitError
@@ -302,7 +303,6 @@ class SlowToolServo(Strategy):
 
     def _by_chord(self, part: Part, tool: Tool, end: float, start: float, progress: Progress | None) -> Floats:
         """Return the angle turned from the inner end with the fewest points for the chord. (n,) [rad]."""
-        from turnwright._kernels import chord as kernel  # noqa: PLC0415 - numba is costly to import
         from turnwright.dilation import tip_height  # noqa: PLC0415
 
         pitch = self.feed / TURN

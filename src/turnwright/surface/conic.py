@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from turnwright._arrays import Floats, frozen
+from turnwright._kernels import polynomials, quadrics
 from turnwright._validate import check_numbers, finite
 from turnwright.errors import InputError
 from turnwright.surface._analytic import (
@@ -86,8 +87,6 @@ class Sphere(OnConic):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        from turnwright._kernels import quadrics  # noqa: PLC0415 - numba is costly to import
-
         return summed(x, y, order, (quadrics.conic, *self.base))
 
 
@@ -122,8 +121,6 @@ class Conic(OnConic):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        from turnwright._kernels import quadrics  # noqa: PLC0415
-
         return summed(x, y, order, (quadrics.conic, *self.base))
 
 
@@ -193,6 +190,4 @@ class EvenAsphere(OnConic):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        from turnwright._kernels import polynomials, quadrics  # noqa: PLC0415
-
         return summed(x, y, order, (quadrics.conic, *self.base), (polynomials.even, self._coefficients))

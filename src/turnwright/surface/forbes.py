@@ -9,6 +9,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from turnwright._arrays import Floats
+from turnwright._kernels import polynomials, quadrics
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.surface._analytic import (
@@ -182,8 +183,6 @@ class Forbes(OnConic):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        from turnwright._kernels import polynomials, quadrics  # noqa: PLC0415 - numba is costly to import
-
         departure: list[tuple[Any, ...]] = [(polynomials.disc, 1 / self.norm_radius, *self._sum)]
         if self.kind != "qcon":
             departure.append((quadrics.secant, *self.base))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, frozen, only_read
+from turnwright._kernels.bicubic import bicubic
 from turnwright._validate import check_numbers
 from turnwright.errors import DomainError, InputError
 from turnwright.surface._surface import Surface
@@ -123,8 +124,6 @@ class Gridded(Surface):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives; beyond the grid the border cells run on. See `Surface.evaluate`."""
-        from turnwright._kernels.bicubic import bicubic  # noqa: PLC0415 - numba is costly to import
-
         out = np.empty(((1, 3, 6)[order], x.size))
         bicubic(only_read(x.ravel()), only_read(y.ravel()), self.x, self.y, self._nodes, order, out)
         return tuple(part.reshape(x.shape) for part in out)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._kernels.cells import nearest
 from turnwright._validate import check_numbers, finite_tuple, positive, whole
 from turnwright.errors import InputError
 from turnwright.surface._surface import Surface
@@ -294,8 +295,6 @@ class LensArray(Surface):
 
     def _cell(self, x: Floats, y: Floats) -> tuple[Ints, Floats, Floats]:
         """Return each point's piece, and where it is from the nearest centre. Each (n,)."""
-        from turnwright._kernels.cells import nearest  # noqa: PLC0415 - numba is costly to import
-
         x, y = x.ravel(), y.ravel()
         index, u, v = np.empty(x.size, dtype=np.int64), np.empty(x.size), np.empty(x.size)
         nearest(x, y, self.centres, *self._bins, index, u, v)

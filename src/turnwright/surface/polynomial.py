@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from turnwright._arrays import Floats, Ints, frozen
+from turnwright._kernels import polynomials
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 from turnwright.surface._analytic import (
@@ -79,8 +80,6 @@ class XYPolynomial(Surface):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        from turnwright._kernels import polynomials  # noqa: PLC0415 - numba is costly to import
-
         return summed(x, y, order, (polynomials.xy, self._table, self._sizes))
 
 
@@ -155,6 +154,4 @@ class RadialPolynomial(Surface):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        from turnwright._kernels import polynomials  # noqa: PLC0415
-
         return summed(x, y, order, (polynomials.even, self._even), (polynomials.slope_integral, self._slopes))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from turnwright._arrays import Floats
+from turnwright._kernels.sines import wave
 from turnwright._validate import check_angle, check_numbers, finite_tuple, positive
 from turnwright.surface._surface import Surface
 
@@ -57,8 +58,6 @@ class SineGrid(Surface):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives. See `Surface.evaluate`."""
-        from turnwright._kernels.sines import wave  # noqa: PLC0415 - numba is costly to import
-
         along_x, along_y = np.empty((order + 1, x.size)), np.empty((order + 1, x.size))
         for points, out, a, p, phase in zip(
             (x, y), (along_x, along_y), self.amplitude, self.period, self.phase, strict=True

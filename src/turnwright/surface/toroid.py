@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._kernels import quadrics
 from turnwright._validate import check_numbers
 from turnwright.surface._analytic import curvature, summed
 from turnwright.surface._surface import Surface
@@ -78,8 +79,6 @@ class Toroid(Surface):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        from turnwright._kernels import quadrics  # noqa: PLC0415 - numba is costly to import
-
         return summed(x, y, order, (quadrics.toroid, 1 / self.radius_x, 1 / self.radius_y))
 
 
@@ -135,7 +134,5 @@ class Biconic(Surface):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        from turnwright._kernels import quadrics  # noqa: PLC0415
-
         parameters = (1 / self.radius_x, 1 / self.radius_y, float(self.conic_x), float(self.conic_y))
         return summed(x, y, order, (quadrics.biconic, *parameters))

@@ -9,6 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Floats
+from turnwright._kernels import polynomials
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.surface._analytic import MAX_DEGREE, Terms, read_terms, summed, whole
@@ -140,6 +141,4 @@ class Zernike(Surface):
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return height and derivatives, see `Surface.evaluate`."""
-        from turnwright._kernels import polynomials  # noqa: PLC0415 - numba is costly to import
-
         return summed(x, y, order, (polynomials.disc, 1 / self.radius, *self._sum))

@@ -14,6 +14,7 @@ import numpy as np
 
 from turnwright import _validate as validate
 from turnwright._arrays import Floats, only_read
+from turnwright._kernels import tiled as kernel
 from turnwright.errors import InputError, StudyError
 from turnwright.generation import Prepared, Tiles
 from turnwright.heightmap import HeightMap
@@ -99,8 +100,6 @@ class _Painter:
 
     def paint(self, tile: Tile) -> None:
         """Make a tile and its overviews, put them into the store, and then the record that it is there."""
-        from turnwright._kernels import tiled as kernel  # noqa: PLC0415 - numba is costly to import
-
         z, asked = self.heights(tile)
         record = np.zeros(self.files.records.shape[2])
         kernel.plane_sums(only_read(z), record[:PLANE])
@@ -354,8 +353,6 @@ def _paint(task: _Task, j: int, i: int) -> None:
 
 def _coarser(files: Files) -> None:
     """Make the overviews that are smaller than a tile's own, each of the one before, a band of rows at a time."""
-    from turnwright._kernels import tiled as kernel  # noqa: PLC0415 - numba is costly to import
-
     layout = files.layout
     for level in range(INNER + 1, layout.levels):
         finer, coarse = files.levels[level - 1], files.levels[level]

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Floats
+from turnwright._kernels import tiled as kernel
 from turnwright.errors import InputError
 from turnwright.metrology import Roughness
 from turnwright.tiling._bands import in_order
@@ -33,8 +34,6 @@ NM = 1e6
 
 def tiled_roughness(files: Files, form: str, progress: Progress | None) -> Roughness:
     """Return the surface parameters of a map in tiles."""
-    from turnwright._kernels import tiled as kernel  # noqa: PLC0415 - numba is costly to import
-
     if not isinstance(form, str) or form not in ("none", "mean", "plane"):
         raise InputError(
             f'the form is {form!r}, a map in tiles takes "none", "mean" or "plane": choose one of them, or subtract a '

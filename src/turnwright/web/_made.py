@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from turnwright._kernels import raster as kernel
 from turnwright.errors import InputError
 from turnwright.generation import Prepared, Tiles
 from turnwright.heightmap import HeightMap
@@ -289,8 +290,6 @@ def _resampled(stored: _Stored, columns: Floats, rows: Floats) -> tuple[Floats, 
     """
     heights = stored.heights
     if heights.radius is not None and heights.angle is not None:
-        from turnwright._kernels import raster as kernel  # noqa: PLC0415 - numba is costly to import
-
         wide = float(columns[1] - columns[0]) / stored.pixel
         many = 1 if wide < FEW else round(2 * wide)
         out = np.empty((rows.size, columns.size))

@@ -54,7 +54,7 @@ class _Colours(NamedTuple):
 
 def warm_compiler() -> None:
     """Import what compiled kernels stand on."""
-    import_module("turnwright._kernels")
+    import_module("turnwright._kernels.compiling")
 
 
 def warm_surface() -> None:
