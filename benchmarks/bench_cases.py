@@ -10,7 +10,7 @@ from itertools import count
 from multiprocessing import get_context
 from time import perf_counter
 
-from turnwright.execution import Case, Store, cluster, conduct, local
+from turnwright.studies import Case, Store, cluster, conduct, local
 
 RARELY = {
     "distributed.admin.tick.interval": "1s",

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, is_even
-from turnwright._toml import read_toml
+from turnwright._io import read_toml
 from turnwright._validate import between, check_numbers, positive, whole
 from turnwright.errors import InputError, shown
 from turnwright.heightmap import HeightMap

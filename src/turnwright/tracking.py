@@ -24,7 +24,7 @@ from turnwright.errors import InputError, LimitError
 from turnwright.machine import FAST, INTERPOLATIONS, ROTARY, Axis, Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress
-from turnwright.response import FrequencyResponse, RationalResponse, Response
+from turnwright.machine import FrequencyResponse, RationalResponse, Response
 
 __all__ = ["precorrect", "track"]
 

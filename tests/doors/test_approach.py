@@ -14,7 +14,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 import turnwright as tw
 from turnwright.errors import GougeError, InputError, JobError, LimitError, ProgramError
-from turnwright.job import Job, _approach, preview
+from turnwright.job import Job, preview
+from turnwright.job import approach as _approach
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "proof"))
 

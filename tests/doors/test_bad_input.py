@@ -356,8 +356,9 @@ def test_an_interrupted_run_leaves_nothing(kill, tmp_path):
 def test_an_interrupt_at_the_very_start_is_heard(kill, tmp_path):
     code = f"""if True:
         import os, sys
-        from turnwright import _stop, cli
-        class Struck(_stop.Stop):
+        from turnwright import cli
+        from turnwright import _signals
+        class Struck(_signals.Stop):
             def __enter__(self):
                 super().__enter__()
                 os.kill(os.getpid(), {int(kill)})
@@ -380,8 +381,9 @@ def test_an_early_interrupt_is_not_lost(kill, delay, tmp_path):
     """Imports may swallow the exception; what was wanted is done all the same."""
     code = """if True:
         import sys
-        from turnwright import _stop, cli
-        class Telling(_stop.Stop):
+        from turnwright import cli
+        from turnwright import _signals
+        class Telling(_signals.Stop):
             def __enter__(self):
                 super().__enter__()
                 print("in", flush=True)

@@ -14,9 +14,9 @@ import pytest
 from job_files import written
 
 import turnwright as tw
-from turnwright._commands import _shared
-from turnwright._stop import Stop
-from turnwright.archive import read_maps
+from turnwright.cli import shared as _shared
+from turnwright._signals import Stop
+from turnwright.report.archive import read_maps
 from turnwright.cli import main
 from turnwright.errors import InputError
 from turnwright.job import Job

@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
 
-from turnwright.job._text import as_tables, written
-from turnwright.web._examples import examples
-from turnwright.web._queue import Runs
-from turnwright.web._references import text_in
+from turnwright.job.text import as_tables, written
+from turnwright.web.examples import examples
+from turnwright.web.queue import Runs
+from turnwright.web.references import text_in
 
 HAND = """\
 # A dish for the printer.

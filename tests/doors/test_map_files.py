@@ -783,7 +783,7 @@ def test_bytes_changed_inside_an_archive_give_a_map_or_a_sentence(tmp_path, memb
 
 
 def test_a_library_that_dies_of_a_file_takes_nobody_with_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("turnwright._apart.PROGRAM", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    monkeypatch.setattr("turnwright._io.READER", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     with pytest.raises(MapError, match="is HDF5 that cannot be read"):
         read(tmp_path, datx(), "a.datx")
 

@@ -11,9 +11,10 @@ import pytest
 from job_files import written
 
 import turnwright as tw
-from turnwright._stop import Stop
+from turnwright._signals import Stop
 from turnwright.cli import main
-from turnwright.job import Job, _measure
+from turnwright.job import Job
+from turnwright.job import measurement as _measure
 
 OFFSET = 0.003
 DISH = (

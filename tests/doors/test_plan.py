@@ -13,7 +13,9 @@ from scipy.interpolate import CubicHermiteSpline
 import turnwright as tw
 from turnwright.cli import main
 from turnwright.errors import JobError
-from turnwright.job import Job, _compare, _plan, compare, plan, run
+from turnwright.job import Job, compare, plan, run
+from turnwright.job import planning as _plan
+from turnwright.job import comparison as _compare
 
 TOLERANCES = {"form_pv": "300 nm", "sq": "20 nm"}
 

@@ -14,7 +14,7 @@ import pytest
 from job_files import changed
 
 from turnwright.cli import main
-from turnwright.web import _address
+from turnwright.web import address as _address
 
 PATIENCE_S = 60
 LONG = changed(("strategy.feed", "1 um/rev"), ("strategy.points_per_rev", 3600), ("simulation.patches", []))
@@ -106,8 +106,8 @@ def test_a_workbench_without_its_extra_says_what_to_install(tmp_path, capsys, mo
 
 
 def test_to_read_a_job_takes_none_of_its_stages():
-    script = "import sys, turnwright.web._jobs as jobs; jobs.warm(); print([one for one in {} if one in sys.modules])"
-    stages = ["turnwright.job._run", "turnwright.tracking", "turnwright.generation", "turnwright.metrology", "numba"]
+    script = "import sys, turnwright.web.jobs as jobs; jobs.warm(); print([one for one in {} if one in sys.modules])"
+    stages = ["turnwright.job.running", "turnwright.tracking", "turnwright.generation", "turnwright.metrology", "numba"]
     ran = subprocess.run([sys.executable, "-c", script.format(stages)], capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "[]"
 

@@ -19,7 +19,7 @@ from pyarrow import parquet
 
 from turnwright import Job, Stages, Study, StudyError, cli, study
 from turnwright.errors import InputError
-from turnwright.execution import Store
+from turnwright.studies import Store
 
 DATA = {
     "part": {"surface": {"family": "plane"}, "radius": "0.5 mm"},
@@ -234,7 +234,7 @@ def test_a_measure_is_the_same_one_in_every_process(tmp_path):
     )
     ask = (
         "import sys; sys.path.insert(0, sys.argv[1]); from measures_of_mine import mine; "
-        "from turnwright.studies._measures import measure_of; print(measure_of(None, mine).sign)"
+        "from turnwright.studies.measures import measure_of; print(measure_of(None, mine).sign)"
     )
 
     def sign(seed):
@@ -260,7 +260,7 @@ def test_a_measure_that_fails_is_told_as_the_one_who_wrote_it_can_mend(job, thre
 
 
 def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys, monkeypatch, threads):
-    from turnwright.studies import _study
+    from turnwright.studies import variation as _study
 
     asked = [
         "study", str(job_file), "--out", str(tmp_path / "out"), "--workers", "1",
@@ -319,7 +319,7 @@ def test_a_file_that_a_job_names_travels_through_the_store(threads, tmp_path, mo
     job = Job.read({**DATA, "actual": {"tool": {"waviness_file": "edge.csv"}}}, folder=folder)
     right = study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads)
 
-    from turnwright.studies import _files
+    from turnwright.studies import files as _files
 
     # A machine that does not have the file.
     monkeypatch.setattr(_files, "_is_there", lambda _path, _digest: False)
@@ -334,7 +334,7 @@ def test_a_file_that_a_job_names_travels_through_the_store(threads, tmp_path, mo
 def test_what_a_worker_does_not_find_in_the_store_is_no_outcome_of_its_case(threads, tmp_path, monkeypatch):
     (tmp_path / "edge.csv").write_text("sweep [deg],deviation [um]\n-20,0\n-5,0\n5,0\n20,0.3\n", encoding="utf-8")
     job = Job.read({**DATA, "actual": {"tool": {"waviness_file": "edge.csv"}}}, folder=tmp_path)
-    from turnwright.studies import _files
+    from turnwright.studies import files as _files
 
     # A machine that has neither the file nor this folder.
     monkeypatch.setattr(_files, "_is_there", lambda _path, _digest: False)

@@ -16,9 +16,9 @@ import pytest
 import zarr
 
 import turnwright as tw
-from turnwright._commands import _tiling
+from turnwright.cli import tiling as _tiling
 from turnwright.cli import main
-from turnwright.execution import Cluster, LocalPool
+from turnwright.studies import Cluster, LocalPool
 
 JOB = """
 [part]

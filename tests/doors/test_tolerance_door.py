@@ -11,11 +11,12 @@ import tomli_w
 from typer.testing import CliRunner
 
 import turnwright as tw
-from turnwright._commands import Door, app
-from turnwright._stop import Stop
+from turnwright.cli.commands import Door, app
+from turnwright._signals import Stop
 from turnwright.errors import InputError, JobError, StudyError
-from turnwright.execution import Cluster, Store
-from turnwright.studies import ErrorBudget, Spread, _draws
+from turnwright.studies import Cluster, Store
+from turnwright.studies import ErrorBudget, Spread
+from turnwright.studies import draws as _draws
 
 JOB = {
     "part": {"name": "mirror", "radius": "3 mm", "surface": {"family": "sphere", "radius": "40 mm"}},

@@ -7,7 +7,7 @@ import pytest
 from job_files import written
 
 import turnwright as tw
-from turnwright.archive import read_maps
+from turnwright.report.archive import read_maps
 from turnwright.cli import main
 
 SERVO = """

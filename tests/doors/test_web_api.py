@@ -20,16 +20,16 @@ from job_files import changed, written
 from test_measuring import DISH, OFFSET, seen
 
 import turnwright as tw
-from turnwright.archive import write_comparison
+from turnwright.report.archive import write_comparison
 from turnwright.cli import main
 from turnwright.job import Job, compare, correct, diagnose, measure, preview
 from turnwright.units import convert, parse
 from turnwright.web import create_app
-from turnwright.web._examples import examples
-from turnwright.web._packed import unpack
-from turnwright.web._queue import Runs
-from turnwright.web._references import FILE_KEYS, located
-from turnwright.web._shown import write_predicted
+from turnwright.web.examples import examples
+from turnwright.web.packed import unpack
+from turnwright.web.queue import Runs
+from turnwright.web.references import FILE_KEYS, located
+from turnwright.web.shown import write_predicted
 
 HERE = "http://127.0.0.1:8765"
 PATIENCE_S = 600
@@ -231,7 +231,7 @@ def test_lines_of_the_program_lie_where_the_motion_is(client, dish):
 
 def test_a_long_program_is_found_by_its_index(tmp_path, monkeypatch):
     """The index knows every 16th line only; the nearest of all lines is the oracle."""
-    from turnwright.web import _program
+    from turnwright.web import program as _program
 
     monkeypatch.setattr(_program, "FINEST", 300)
     file = written(tmp_path, ("machine.name", "nanotech-350fg"), ("program.max_lines", 2000))
@@ -419,7 +419,7 @@ def test_runs_wait_for_their_turn_and_outlive_the_server(tmp_path, folder, dish)
 
 def test_only_keys_that_are_watched_name_files():
     """Every field of a job that holds a file is one that the server looks at."""
-    from turnwright.job._table import Table
+    from turnwright.job.table import Table
 
     def below(table):
         for child in table.__subclasses__():

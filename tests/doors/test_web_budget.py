@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.archive import write_archive
+from turnwright.report.archive import write_archive
 from turnwright.cutting.chip import RoundChip
 from turnwright.job import shares
 
@@ -18,8 +18,10 @@ pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 't
 
 from fastapi.testclient import TestClient
 
-from turnwright.web import _budget, _made, create_app
-from turnwright.web._packed import MEDIA_TYPE, unpack
+from turnwright.web import create_app
+from turnwright.web import made as _made
+from turnwright.web import budget as _budget
+from turnwright.web.packed import MEDIA_TYPE, unpack
 
 RUN = "0123456789abcdef"
 FEED, NOSE, STOCK = 0.020, 0.5, 0.020

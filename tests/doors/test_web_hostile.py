@@ -25,10 +25,13 @@ from job_files import changed
 
 import turnwright as tw
 from turnwright.errors import InputError
-from turnwright.web import _bundles, _queue, _server, create_app
-from turnwright.web._guard import Guard
-from turnwright.web._limits import FILE_BYTES, SPARE_BYTES
-from turnwright.web._workers import TooLong
+from turnwright.web import create_app
+from turnwright.web import server as _server
+from turnwright.web import queue as _queue
+from turnwright.web import bundles as _bundles
+from turnwright.web.guard import Guard
+from turnwright.web.limits import FILE_BYTES, SPARE_BYTES
+from turnwright.web.workers import TooLong
 
 HERE = "http://127.0.0.1:8765"
 RUN = "0123456789abcdef"
@@ -79,7 +82,7 @@ def cut(client, folder):
 
 
 def made_by_hand(client):
-    from turnwright.web._queue import Run
+    from turnwright.web.queue import Run
 
     runs = client.app.state.runs
     place = runs.place / RUN
@@ -389,7 +392,7 @@ def test_a_reference_leads_nowhere_else(client, reference):
 
 
 def test_reading_a_file_ends_at_its_limit(client, folder, monkeypatch):
-    from turnwright.web import _files
+    from turnwright.web import files as _files
 
     monkeypatch.setattr(_files, "FILE_S", 0.0)
     before = tree(folder)
@@ -401,7 +404,7 @@ def test_reading_a_file_ends_at_its_limit(client, folder, monkeypatch):
 
 
 def test_a_file_in_chunks_is_counted(client, folder, monkeypatch):
-    from turnwright.web import _guard
+    from turnwright.web import guard as _guard
 
     monkeypatch.setattr(_guard, "FILE_BYTES", 2**20)
     before = tree(folder)
@@ -516,7 +519,7 @@ def test_an_archive_beyond_the_limits_of_the_upload_is_not_read(client, folder):
 
 
 def test_an_archive_has_its_time(client, folder, monkeypatch):
-    from turnwright.web import _files
+    from turnwright.web import files as _files
 
     monkeypatch.setattr(_files, "FILE_S", 0.0)
     before = tree(folder)
@@ -603,7 +606,7 @@ def test_uploads_are_limited_in_kind_and_size(client, cut, folder, name):
 
 def test_an_upload_in_chunks_is_counted(client, cut, folder, monkeypatch):
     """A request in chunks says no length, so what arrives is counted; the limit is lowered, 2 GiB take their time."""
-    from turnwright.web import _guard
+    from turnwright.web import guard as _guard
 
     monkeypatch.setattr(_guard, "UPLOAD_BYTES", 2**20)
     before = tree(folder)

@@ -43,7 +43,7 @@ from workbench_page import (
 
 import turnwright as tw
 from turnwright.cli import main
-from turnwright.web._packed import unpack
+from turnwright.web.packed import unpack
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NOSE, SPHERE, FEED = 0.5, 20.0, 0.02

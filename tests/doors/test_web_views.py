@@ -13,15 +13,17 @@ import pytest
 
 import turnwright as tw
 import turnwright.machine
-from turnwright.archive import write_archive
+from turnwright.report.archive import write_archive
 from turnwright.cutting.chip import RoundChip, expected_thickest
 
 pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
 
 from fastapi.testclient import TestClient
 
-from turnwright.web import _made, _seen, create_app
-from turnwright.web._packed import MEDIA_TYPE, pack, unpack
+from turnwright.web import create_app
+from turnwright.web import seen as _seen
+from turnwright.web import made as _made
+from turnwright.web.packed import MEDIA_TYPE, pack, unpack
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STATIC = Path(create_app.__code__.co_filename).parent / "static"

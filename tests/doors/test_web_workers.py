@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
 
-from turnwright.web import _workers
-from turnwright.web._workers import Busy, TooLong, Workers
+from turnwright.web import workers as _workers
+from turnwright.web.workers import Busy, TooLong, Workers
 
 PATIENCE_S = 60
 

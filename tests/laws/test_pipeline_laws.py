@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from turnwright.contact import place
+from turnwright.placing import place
 from turnwright.generation import generate_points, generate_polar
 from turnwright.machine import Machine
 from turnwright.motion import drive

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from turnwright.contact import place
+from turnwright.placing import place
 from turnwright.machine import Axis, Controller, Machine
 from turnwright.motion import check_limits, drive
 from turnwright.part import Part

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 import turnwright as tw
-from turnwright.diagnosis._model import Deviations, Powers, Sweeps, Swept
+from turnwright.diagnosis.model import Deviations, Powers, Sweeps, Swept
 
 MACHINE = tw.Machine.load("generic")
 TOOL = tw.Tool(nose_radius=1.5, included=np.deg2rad(120), clearance=np.deg2rad(15))

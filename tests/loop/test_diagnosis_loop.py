@@ -9,7 +9,7 @@ from model_trials import FLAT, MACHINE, SPHERE, TOOL, model_maps
 from scipy.optimize import least_squares
 
 import turnwright as tw
-from turnwright.diagnosis._model import Deviations
+from turnwright.diagnosis.model import Deviations
 
 FEED = 0.005
 TRIALS = 10

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.dilation import tip_height
+from turnwright.placing import tip_height
 
 R, LENS, APERTURE, PITCH, RIM = 0.025, 10.0, 0.5, 2.0, 7.5
 DEPTH = LENS - np.sqrt(LENS**2 - APERTURE**2)

@@ -16,10 +16,10 @@ converges to that. How the paper sampled it does not say; measured below is what
 import numpy as np
 import pytest
 
-from turnwright.contact import place
+from turnwright.placing import place
 from turnwright.generation import generate, generate_points, generate_polar
 from turnwright.machine import Machine
-from turnwright.metrology import roughness
+from turnwright.metrology import areal_parameters as roughness
 from turnwright.motion import drive
 from turnwright.part import Part
 from turnwright.path import Spiral

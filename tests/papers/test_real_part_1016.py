@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from turnwright.contact import place
+from turnwright.placing import place
 from turnwright.files import read_profile
 from turnwright.generation import generate_points
 from turnwright.instrument import Instrument

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from turnwright.contact import place
-from turnwright.dilation import tip_height
+from turnwright.placing import place
+from turnwright.placing import tip_height
 from turnwright.generation import generate, generate_points
 from turnwright.machine import Machine
-from turnwright.metrology import roughness
+from turnwright.metrology import areal_parameters as roughness
 from turnwright.motion import drive
 from turnwright.part import Part
 from turnwright.strategy import SlowToolServo

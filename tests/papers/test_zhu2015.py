@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from turnwright.contact import place
+from turnwright.placing import place
 from turnwright.part import Part
 from turnwright.path import Spiral
 from turnwright.surface import SineGrid

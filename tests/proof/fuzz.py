@@ -117,7 +117,7 @@ class Inline:
     """Answers the server's questions in this process."""
 
     async def ask(self, function: str | Callable[..., Any], *arguments: Any, **_options: Any) -> Any:
-        from turnwright.web._workers import _call
+        from turnwright.web.workers import _call
 
         return _call(function, arguments)
 
@@ -162,7 +162,8 @@ def _by_name(case: Case, folder: Path, listener: Listener) -> int:
 
 def _by_command(case: Case, folder: Path, listener: Listener) -> int:
     from turnwright import cli
-    from turnwright._commands import _cutting, _materials
+    from turnwright.cli import materials as _materials
+    from turnwright.cli import cutting as _cutting
 
     @contextlib.contextmanager
     def progress_of(_stop: object, _steps: object) -> Any:

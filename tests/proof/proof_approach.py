@@ -349,7 +349,7 @@ def run(cases, seed, figures):
     """Write the programs of random jobs and follow each."""
     from turnwright.errors import TurnwrightError
     from turnwright.job import Job
-    from turnwright.job._run import Watch, planned, repeated, require_depths, written
+    from turnwright.job.running import Watch, planned, repeated, require_depths, written
 
     random = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as place:

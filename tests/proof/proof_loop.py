@@ -16,7 +16,7 @@ import numpy as np
 from tests.loop import blind_parts as blind
 
 import turnwright as tw
-from turnwright.dilation import touch
+from turnwright.placing import touch
 from turnwright.errors import CorrectionError
 from turnwright.job import Job, correct, diagnose, measure
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from turnwright.cutting._slope_change import slope_change
+from turnwright.cutting.slope_change import slope_change
 from turnwright.cutting.learning import Cuts, _Rows, _transition, learn_material
 from turnwright.material import Material
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import area_rms, roughness
+from turnwright.metrology import area_rms
+from turnwright.metrology import areal_parameters as roughness
 
 RADIUS = 2.0  # [mm]
 

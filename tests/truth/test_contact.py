@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.dilation import touch
+from turnwright.placing import touch
 
 DEG = np.pi / 180
 

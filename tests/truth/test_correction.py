@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from turnwright import HeightMap, InputError, Part, Plane
-from turnwright.surface._smoothing import _binned, _smoothed, smooth_table
+from turnwright.surface.smoothing import _binned, _smoothed, smooth_table
 
 FLAT = Part(surface=Plane(slope=(0.0, 0.0)), radius=5.0)
 

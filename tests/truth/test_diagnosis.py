@@ -7,7 +7,7 @@ import pytest
 import sympy as sp
 
 import turnwright as tw
-from turnwright.diagnosis._model import Deviations, Powers, Splines, Swept
+from turnwright.diagnosis.model import Deviations, Powers, Splines, Swept
 
 MACHINE = tw.Machine.load("generic")
 FEED = 2e-4

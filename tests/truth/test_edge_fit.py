@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from turnwright.edge_fit import fit_edge, read_edge_trace
+from turnwright.metrology import fit_edge, read_edge_trace
 from turnwright.tool import Tool, WavinessTable
 
 TRACE = Path(__file__).parents[2] / "examples" / "real_part_1021" / "edge_trace.csv"

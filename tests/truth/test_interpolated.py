@@ -7,8 +7,8 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 import turnwright as tw
-from turnwright.job import _interpolated
-from turnwright.job._interpolated import interpolated, off_curves
+from turnwright.job import interpolated as _interpolated
+from turnwright.job.interpolated import interpolated, off_curves
 
 MACHINE = tw.Machine(
     name="test",

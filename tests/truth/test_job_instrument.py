@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.job._finish import finished
+from turnwright.job.predicted_finish import finished
 
 
 def job_of(surface, **measurement):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from turnwright.contact import place
+from turnwright.placing import place
 from turnwright.machine import Axis, Controller, Machine
 from turnwright.motion import check_limits, drive
 from turnwright.part import Part

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from turnwright.job import Job, Stages, predict, run
-from turnwright.job._run import Watch, planned
-from turnwright.job._window import can_be_parted, predict_parted
+from turnwright.job.running import Watch, planned
+from turnwright.job.window import can_be_parted, predict_parted
 
 GRID = {"family": "sine grid", "amplitude": ["3 um", "2 um"], "period": ["0.9 mm", "1.3 mm"]}
 LENSES = {

@@ -6,8 +6,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from turnwright.contact import place
-from turnwright.dilation import tip_height
+from turnwright.placing import place
+from turnwright.placing import tip_height
 from turnwright.part import Part
 from turnwright.path import Spiral
 from turnwright.strategy import SlowToolServo

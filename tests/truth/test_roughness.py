@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import remove_form, roughness
+from turnwright.metrology import remove_form
+from turnwright.metrology import areal_parameters as roughness
 
 A, WAVE = 1e-4, 0.1  # amplitude and period of the sine [mm]
 
@@ -165,7 +166,7 @@ def test_missing_points_are_left_out_as_loops_over_the_definitions_leave_them_ou
 
 
 def test_the_autocorrelation_is_the_mean_product_over_valid_pairs():
-    from turnwright.metrology.roughness import _autocorrelation
+    from turnwright.metrology.areal_parameters import _autocorrelation
 
     z = holed((14, 11))
     correlation, known = _autocorrelation(z)

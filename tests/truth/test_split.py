@@ -8,7 +8,7 @@ from scipy.interpolate import BSpline
 from scipy.optimize import nnls
 
 import turnwright as tw
-from turnwright.strategy import _split
+from turnwright.strategy import split as _split
 
 TURN = 2 * np.pi
 

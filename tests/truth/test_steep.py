@@ -8,8 +8,8 @@ import pytest
 from steep_oracle import CASES, RADIUS, errors, tool_of
 
 import turnwright as tw
-from turnwright import contact
-from turnwright.dilation import Touch
+from turnwright.placing import contact
+from turnwright.placing import Touch
 
 SLOW = ("wall across", "sharp wall", "slanting wall", "ring wall")
 

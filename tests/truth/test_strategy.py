@@ -7,7 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from turnwright.contact import place
+from turnwright.placing import place
 from turnwright.errors import GougeError
 from turnwright.generation import generate_polar
 from turnwright.machine import Machine
@@ -169,9 +169,9 @@ def sharp(monkeypatch):
         asked.append(angle)
         return surface.sag(radius * np.cos(angle), radius * np.sin(angle))
 
-    module = types.ModuleType("turnwright.dilation")
+    module = types.ModuleType("turnwright.placing")
     module.tip_height = tip_height
-    monkeypatch.setitem(sys.modules, "turnwright.dilation", module)
+    monkeypatch.setitem(sys.modules, "turnwright.placing", module)
     return asked
 
 

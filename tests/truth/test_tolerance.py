@@ -17,12 +17,12 @@ from tolerance_jobs import job_of
 import turnwright as tw
 from turnwright.diagnosis import prove
 from turnwright.errors import CorrectionError
-from turnwright.execution import Store
+from turnwright.studies import Store
 from turnwright.generation import generate_points
 from turnwright.job import correct
 from turnwright.studies import ErrorBudget, Spread
-from turnwright.studies import _draws as draws_of
-from turnwright.studies._scenes import (
+from turnwright.studies import draws as draws_of
+from turnwright.studies.scenes import (
     Reach,
     drift_share,
     drifted,
@@ -33,7 +33,7 @@ from turnwright.studies._scenes import (
     scenes_of,
     stored,
 )
-from turnwright.studies._sensitivity import (
+from turnwright.studies.sensitivity import (
     MapModel,
     chance,
     grouped,
@@ -42,7 +42,7 @@ from turnwright.studies._sensitivity import (
     sobol_indices,
     unit_points,
 )
-from turnwright.studies._tolerance import _Sums
+from turnwright.studies.tolerancing import _Sums
 from turnwright.tracking import track
 
 NM = 1e6

@@ -9,7 +9,7 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from turnwright import Axis, Controller, Machine, Motion, Part, SlowToolServo, Sphere, Tool, drive, place
 from turnwright.errors import InputError, LimitError
-from turnwright.response import FrequencyResponse, SecondOrder, TransferFunction
+from turnwright.machine import FrequencyResponse, SecondOrder, TransferFunction
 from turnwright.tracking import precorrect, track
 
 RNG = np.random.default_rng(3)

@@ -14,7 +14,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.metrology import fit_zernike
 from turnwright.metrology.zernike_fit import _smallest_circle
 from turnwright.surface import Zernike
-from turnwright.surface._disc import disc_sum
+from turnwright.surface.disc import disc_sum
 from turnwright.surface.zernike import zernike_order
 
 

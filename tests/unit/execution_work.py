@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from turnwright.errors import GougeError
-from turnwright.execution import Case, Store, conduct, local
+from turnwright.studies import Case, Store, conduct, local
 from turnwright.progress import cores
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from turnwright.edge_fit import fit_edge, read_edge_trace
+from turnwright.metrology import fit_edge, read_edge_trace
 from turnwright.errors import InputError
 
 SWEEP = np.linspace(-1, 1, 400)

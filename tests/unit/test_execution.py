@@ -27,8 +27,10 @@ from execution_work import answer, begun, cases
 
 import turnwright as tw
 from turnwright.errors import InputError, StudyError
-from turnwright.execution import _conduct, _executors, case_key, cluster, conduct, local, program_version
-from turnwright.execution._store import Store
+from turnwright.studies import case_key, cluster, conduct, local, program_version
+from turnwright.studies import executors as _executors
+from turnwright.studies import cases as _conduct
+from turnwright.studies.store import Store
 from turnwright.progress import at_most, cores, free_memory_gb
 
 HERE = Path(__file__).parent
@@ -442,7 +444,7 @@ def test_a_pool_of_nothing_is_refused(wrong):
 def test_a_script_that_forgets_its_guard_is_one_sentence(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
-        "from execution_work import cases, plain\nfrom turnwright.execution import conduct, local\n"
+        "from execution_work import cases, plain\nfrom turnwright.studies import conduct, local\n"
         "with local(1) as pool:\n    conduct(plain, cases(2), executor=pool)\n"
     )
     told = subprocess.run(

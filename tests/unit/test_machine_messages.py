@@ -10,7 +10,7 @@ import pytest
 
 from turnwright.errors import InputError
 from turnwright.machine import Axis, Controller, Convention, Machine
-from turnwright.response import FrequencyResponse, SecondOrder
+from turnwright.machine import FrequencyResponse, SecondOrder
 
 NAMES = ["nanotech-350fg", "nanoform", "nanoform-fts-70", "nanoform-fts-500", "generic"]
 GOOD = """

@@ -6,7 +6,7 @@ import pytest
 
 import turnwright as tw
 from turnwright import units
-from turnwright._toml import read_toml
+from turnwright._io import read_toml
 from turnwright.errors import InputError, JobError, MapError, UnitError
 from turnwright.job import Job
 

@@ -5,7 +5,8 @@ import pytest
 
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import remove_form, roughness
+from turnwright.metrology import remove_form
+from turnwright.metrology import areal_parameters as roughness
 
 
 def plain(z, **axes):

@@ -16,8 +16,10 @@ import resource, signal, sys
 from pathlib import Path
 from types import SimpleNamespace
 import numpy as np
-from turnwright import _commands, archive
-from turnwright._commands import _materials, _tiling
+from turnwright import _commands
+from turnwright.report import archive
+from turnwright.cli import tiling as _tiling
+from turnwright.cli import materials as _materials
 from turnwright.heightmap import HeightMap
 
 def maps(folder):

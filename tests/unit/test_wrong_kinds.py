@@ -8,7 +8,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.errors import InputError
-from turnwright.execution import Store, cluster, conduct, local
+from turnwright.studies import Store, cluster, conduct, local
 from turnwright.studies import ErrorBudget, Spread
 
 WRONG = [

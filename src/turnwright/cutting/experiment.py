@@ -16,7 +16,7 @@ import numpy as np
 
 from turnwright import units
 from turnwright._arrays import Floats, Ints, rows_of_numbers
-from turnwright._toml import read_toml
+from turnwright._io import read_toml
 from turnwright._validate import positive
 from turnwright.cutting.dynamometer import CLOSES, Dynamometer, TapTest
 from turnwright.cutting.edge_cuts import (

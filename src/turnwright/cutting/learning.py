@@ -30,9 +30,9 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, Ints, freeze, frozen, same_length
 from turnwright._validate import between, check_numbers, positive
 from turnwright._validate import whole as whole_number
-from turnwright.cutting._chance import chance_of
-from turnwright.cutting._saturation import SOLID, rail, saturated
-from turnwright.cutting._slope_change import SlopeChange, slope_change
+from turnwright.cutting.chance import chance_of
+from turnwright.cutting.saturation import SOLID, rail, saturated
+from turnwright.cutting.slope_change import SlopeChange, slope_change
 from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
 from turnwright.errors import InputError
 

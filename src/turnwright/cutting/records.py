@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from turnwright import _apart as _other
+from turnwright._io import answer_parent, read_isolated
 from turnwright._arrays import Floats, rows_of_numbers
 from turnwright._validate import positive
-from turnwright.cutting._saturation import require_unsaturated
+from turnwright.cutting.saturation import require_unsaturated
 from turnwright.cutting.signals import ForceRecord
 from turnwright.errors import InputError
 
@@ -297,7 +297,7 @@ def _only(path: Path, rates: set[float]) -> float | None:
 
 def _apart(path: Path, channels: Sequence[str] | None) -> _Raw:
     """Read HDF5 in a process of its own, which may die without harm."""
-    answer = _other.ask(__name__, path, refusal=InputError, arguments=[json.dumps(list(channels or []))])
+    answer = read_isolated(__name__, path, refusal=InputError, arguments=[json.dumps(list(channels or []))])
     try:
         with np.load(io.BytesIO(answer), allow_pickle=False) as packed:
             said = json.loads(str(packed["said"]))
@@ -310,7 +310,7 @@ def _apart(path: Path, channels: Sequence[str] | None) -> _Raw:
 def main() -> int:
     """Read the HDF5 file that is named, in the other process, and send its columns out."""
     path, channels = Path(sys.argv[1]), json.loads(sys.argv[2])
-    return _other.answer(
+    return answer_parent(
         lambda: _packed(_hdf5(path, channels)),
         refusal=InputError,
         damage=(OSError, RuntimeError, KeyError, ValueError, TypeError),

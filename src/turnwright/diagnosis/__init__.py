@@ -1,11 +1,11 @@
 """Why a part is off: measured maps against the marks that tool and machine leave, by exact contact."""
 
-from turnwright.diagnosis._causes import CAUSES, DEFAULT, Cause
-from turnwright.diagnosis._diagnose import diagnose
-from turnwright.diagnosis._findings import Contribution, Diagnosis, DrawnCut, Draws, Finding
-from turnwright.diagnosis._proof import Proof, prove
-from turnwright.diagnosis._setup import CentreDefect, Move, centre_defect, handbook_offset, moves
-from turnwright.diagnosis._sight import FREE
+from turnwright.diagnosis.causes import CAUSES, DEFAULT, Cause
+from turnwright.diagnosis.diagnosing import diagnose
+from turnwright.diagnosis.findings import Contribution, Diagnosis, DrawnCut, Draws, Finding
+from turnwright.diagnosis.proof import Proof, prove
+from turnwright.diagnosis.setup import CentreDefect, Move, centre_defect, handbook_offset, moves
+from turnwright.diagnosis.sight import FREE
 
 __all__ = [
     "CAUSES",

@@ -7,8 +7,8 @@ Whatever a file claims is compared with the bytes that are there before memory i
 wrong ends in one sentence, a `turnwright.MapError`.
 """
 
-from turnwright.files._read import read_map
-from turnwright.files._write import write_map
+from turnwright.files.read import read_map
+from turnwright.files.write import write_map
 from turnwright.files.slices import read_profile
 
 __all__ = ["read_map", "read_profile", "write_map"]

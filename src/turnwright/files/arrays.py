@@ -19,7 +19,7 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError, shown
-from turnwright.files._base import MOST_POINTS, finite_or_missing, grid_map, inflated, require_bytes, require_points
+from turnwright.files.base import MOST_POINTS, finite_or_missing, grid_map, inflated, require_bytes, require_points
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError
-from turnwright.files._base import grid_map, inflated, require_points
-from turnwright.files._units import to_mm
+from turnwright.files.base import grid_map, inflated, require_points
+from turnwright.files.units import to_mm
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files._base import grid_map, inflated, require_bytes, require_points, words
-from turnwright.files._units import to_mm
+from turnwright.files.base import grid_map, inflated, require_bytes, require_points, words
+from turnwright.files.units import to_mm
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files._base import even_axes, grid_map, require_bytes, require_points
-from turnwright.files._numbers import table
-from turnwright.files._units import to_mm
+from turnwright.files.base import even_axes, grid_map, require_bytes, require_points
+from turnwright.files.numbers import table
+from turnwright.files.units import to_mm
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files._base import grid_map, require_bytes, require_points, words
+from turnwright.files.base import grid_map, require_bytes, require_points, words
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files._base import grid_map, require_points
-from turnwright.files._units import to_mm
+from turnwright.files.base import grid_map, require_points
+from turnwright.files.units import to_mm
 
 if TYPE_CHECKING:
     from pathlib import Path

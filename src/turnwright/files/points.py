@@ -16,10 +16,10 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError
-from turnwright.files._base import finite_or_missing, grid_map, require_points
-from turnwright.files._lattice import on_lattice
-from turnwright.files._numbers import table
-from turnwright.files._units import SPELLINGS, to_mm
+from turnwright.files.base import finite_or_missing, grid_map, require_points
+from turnwright.files.lattice import on_lattice
+from turnwright.files.numbers import table
+from turnwright.files.units import SPELLINGS, to_mm
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:

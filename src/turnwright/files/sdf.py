@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files._base import grid_map, require_points
+from turnwright.files.base import grid_map, require_points
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,9 +10,9 @@ import numpy as np
 from turnwright._arrays import Floats
 from turnwright._validate import whole
 from turnwright.errors import MapError
-from turnwright.files._lattice import even_places
-from turnwright.files._numbers import text_of
-from turnwright.files._read import contents, read_map
+from turnwright.files.lattice import even_places
+from turnwright.files.numbers import text_of
+from turnwright.files.read import contents, read_map
 from turnwright.files.points import read_slice
 from turnwright.profile import Profile
 

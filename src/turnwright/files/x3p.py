@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files._base import even_axes, grid_map, inflated, require_points
+from turnwright.files.base import even_axes, grid_map, inflated, require_points
 from turnwright.heightmap import HeightMap
 
 if TYPE_CHECKING:

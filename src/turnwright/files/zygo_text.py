@@ -19,8 +19,8 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright.errors import MapError
-from turnwright.files._base import grid_map, require_bytes, require_points
-from turnwright.files._numbers import numbers, table
+from turnwright.files.base import grid_map, require_bytes, require_points
+from turnwright.files.numbers import numbers, table
 from turnwright.files.metropro import MISSING, Fringes, fringe_scale
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from turnwright.job._agenda import (
+    from turnwright.job.agenda import (
         steps_of_comparison,
         steps_of_correction,
         steps_of_diagnosis,
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
         steps_of_preview,
         steps_of_run,
     )
-    from turnwright.job._artefacts import Artefact, artefact
-    from turnwright.job._compare import Candidate, Comparison, compare
-    from turnwright.job._correct import Correction, correct
-    from turnwright.job._measure import Measured, diagnose, measure, read_measurement
-    from turnwright.job._plan import Plan, Trial, plan
-    from turnwright.job._result import Pass, Prediction, Preview, Result
-    from turnwright.job._run import (
+    from turnwright.job.artefacts import Artefact, artefact
+    from turnwright.job.comparison import Candidate, Comparison, compare
+    from turnwright.job.correction import Correction, correct
+    from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
+    from turnwright.job.planning import Plan, Trial, plan
+    from turnwright.job.result import Pass, Prediction, Preview, Result
+    from turnwright.job.running import (
         finishing_motion,
         predict,
         predicted_motion,
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
         program_shares,
         run,
     )
-    from turnwright.job._schema import Job, faults
-    from turnwright.job._shape import PartShape, part_shape
-    from turnwright.job._shares import Shares, shares
-    from turnwright.job._stages import Stages
-    from turnwright.job._terms import Finish, finish
-    from turnwright.job._text import edited
-    from turnwright.job._verdict import Verdict, judge, judge_form, missed, unjudged
+    from turnwright.job.schema import Job, faults
+    from turnwright.job.shape import PartShape, part_shape
+    from turnwright.job.contributions import Shares, shares
+    from turnwright.job.stages import Stages
+    from turnwright.job.finish_terms import Finish, finish
+    from turnwright.job.text import edited
+    from turnwright.job.verdict import Verdict, judge, judge_form, missed, unjudged
 
 _HOMES = {
     "_agenda": (

@@ -1,19 +1,19 @@
 """What a height map says: its form, and the surface parameters of what remains."""
 
-from turnwright.metrology._grid import area_rms
+from turnwright.metrology.grid import area_rms
 from turnwright.metrology.alignment import Alignment
-from turnwright.metrology.bearing import Bearing, bearing
-from turnwright.metrology.best_fit import BestFit, best_fit, fizeau_view
+from turnwright.metrology.bearing_curve import Bearing, bearing
+from turnwright.metrology.best_fits import BestFit, best_fit, fizeau_view
 from turnwright.metrology.clean import Despiked, Filled, despike, fill_holes, keep_disc, trim_edge
 from turnwright.metrology.cusps import Cusps, Stretch, find_cusps
-from turnwright.metrology.features import Features, features
+from turnwright.metrology.feature_parameters import Features, features
 from turnwright.metrology.filters import Bands, Nesting, filter_map, separate_bands
 from turnwright.metrology.form import Form, remove_form
-from turnwright.metrology.lenslets import Lenslet, Lenslets, has_lenslets, lenslets
+from turnwright.metrology.lens_array import Lenslet, Lenslets, has_lenslets, lenslets
 from turnwright.metrology.profile import line_profile
-from turnwright.metrology.profile_roughness import ProfileRoughness, profile_roughness
+from turnwright.metrology.profile_parameters import ProfileRoughness, profile_roughness
 from turnwright.metrology.registration import PoseCandidate, Registration, Undetermined, register
-from turnwright.metrology.roughness import Roughness, roughness
+from turnwright.metrology.areal_parameters import Roughness, roughness
 from turnwright.metrology.slope import Slopes, slope_error
 from turnwright.metrology.spectrum import AreaSpectrum, Spectrum, area_psd, line_psd
 from turnwright.metrology.turned_edge import TurnedEdge, edge_from_cusps

@@ -11,7 +11,7 @@ from turnwright._arrays import Bools, Floats, Ints, is_even
 from turnwright._kernels.neighbours import prominent, second_differences, stand_out
 from turnwright._validate import positive
 from turnwright.errors import InputError
-from turnwright.metrology._grid import measure, valid_points
+from turnwright.metrology.grid import measure, valid_points
 from turnwright.progress import run_chunks
 
 if TYPE_CHECKING:

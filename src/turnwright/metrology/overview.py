@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.errors import InputError
-from turnwright.metrology._grid import area_rms
+from turnwright.metrology.grid import area_rms
 from turnwright.metrology.form import Form, remove_form
 from turnwright.units import say_length
 

@@ -9,7 +9,7 @@ import numpy as np
 from turnwright._arrays import Floats
 from turnwright._validate import check_angle, finite_tuple, positive
 from turnwright.errors import InputError
-from turnwright.metrology._grid import Grid, measure
+from turnwright.metrology.grid import Grid, measure
 from turnwright.profile import Profile
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import between, check_angle, positive
 from turnwright.errors import InputError
-from turnwright.metrology._grid import EVEN, point_areas, valid_points
-from turnwright.metrology._noise import MapNoise, map_noise
-from turnwright.metrology._pose_search import COVER, axisymmetric, costs, ranked, search
-from turnwright.metrology._rigid import (
+from turnwright.metrology.grid import EVEN, point_areas, valid_points
+from turnwright.metrology.noise import MapNoise, map_noise
+from turnwright.metrology.pose_search import COVER, axisymmetric, costs, ranked, search
+from turnwright.metrology.rigid import (
     FINEST,
     NAMES,
     WIDTH,
@@ -32,7 +32,7 @@ from turnwright.metrology._rigid import (
     turns,
     weights,
 )
-from turnwright.metrology._weak import ENDLESS, Doubt, doubt, held
+from turnwright.metrology.weak import ENDLESS, Doubt, doubt, held
 from turnwright.pose import Pose
 from turnwright.surface import Surface
 from turnwright.units import say_length

@@ -10,7 +10,7 @@ import numpy as np
 from turnwright._arrays import Floats, frozen, is_even
 from turnwright._validate import positive
 from turnwright.errors import InputError
-from turnwright.metrology._grid import Grid, mean, measure, valid_points
+from turnwright.metrology.grid import Grid, mean, measure, valid_points
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap

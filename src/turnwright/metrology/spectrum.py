@@ -10,7 +10,7 @@ import numpy as np
 from turnwright._arrays import Floats, frozen, is_even
 from turnwright._kernels.rectangle import largest_rectangle
 from turnwright.errors import InputError
-from turnwright.metrology._grid import measure, valid_points
+from turnwright.metrology.grid import measure, valid_points
 from turnwright.metrology.form import Form, remove_form
 from turnwright.metrology.profile import without_form
 from turnwright.profile import Profile

@@ -11,7 +11,7 @@ import numpy as np
 from turnwright._arrays import Bools, Complexes, Floats
 from turnwright._validate import positive
 from turnwright.errors import InputError
-from turnwright.metrology._grid import measure, valid_points
+from turnwright.metrology.grid import measure, valid_points
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap

@@ -13,10 +13,10 @@ from turnwright._arrays import Floats, frozen
 from turnwright._kernels import least_squares
 from turnwright._validate import finite_tuple, positive
 from turnwright.errors import InputError
-from turnwright.metrology._grid import valid_points
-from turnwright.metrology._least_squares import Cloud, Sums, solve, sums_over
+from turnwright.metrology.grid import valid_points
+from turnwright.metrology.least_squares import Cloud, Sums, solve, sums_over
 from turnwright.surface import Surface, Zernike
-from turnwright.surface._disc import disc_sum
+from turnwright.surface.disc import disc_sum
 from turnwright.surface.zernike import FIRST, Indexing, zernike_order
 
 if TYPE_CHECKING:

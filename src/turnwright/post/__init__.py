@@ -1,6 +1,6 @@
 """Programs on disk: write them, read them back, read other people's."""
 
-from turnwright.post._approach import (
+from turnwright.post.approach import (
     GAP,
     MOST_CLEARANCE,
     PLUNGE_FEED,
@@ -10,12 +10,12 @@ from turnwright.post._approach import (
     entry_shares,
     entry_words,
 )
-from turnwright.post._header import ProgramHeader, ProgramInfo, ProgramPass, ProgramWarning, after_stop, inspect_nc
-from turnwright.post._reader import read_nc
-from turnwright.post._registry import dialect_of
-from turnwright.post._sync import FastToolFiles, read_fast_tool, write_fast_tool
-from turnwright.post._table import read_table
-from turnwright.post._writer import FASTEST_PLUNGE, ProgramFiles, write_nc
+from turnwright.post.header import ProgramHeader, ProgramInfo, ProgramPass, ProgramWarning, after_stop, inspect_nc
+from turnwright.post.reader import read_nc
+from turnwright.post.registry import dialect_of
+from turnwright.post.sync import FastToolFiles, read_fast_tool, write_fast_tool
+from turnwright.post.table import read_table
+from turnwright.post.writer import FASTEST_PLUNGE, ProgramFiles, write_nc
 
 __all__ = [
     "FASTEST_PLUNGE",

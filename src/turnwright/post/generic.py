@@ -1,6 +1,6 @@
 """A generic lathe with a C axis, in plain RS-274: one program, cumulative C, an F in every block."""
 
-from turnwright.post._dialect import Dialect
+from turnwright.post.dialect import Dialect
 
 __all__ = ["GENERIC"]
 

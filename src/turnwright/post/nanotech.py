@@ -1,6 +1,6 @@
 """Moore Nanotech lathes: a main program that calls one sub-program per pass."""
 
-from turnwright.post._dialect import Dialect
+from turnwright.post.dialect import Dialect
 
 __all__ = ["NANOTECH"]
 

@@ -1,6 +1,6 @@
 """Delta Tau's PMAC controllers in position-velocity-time moves: one program of native statements, sent as it runs."""
 
-from turnwright.post._dialect import Dialect
+from turnwright.post.dialect import Dialect
 
 __all__ = ["PMAC"]
 

@@ -12,12 +12,12 @@ import numpy as np
 from turnwright.job import judge, part_shape
 from turnwright.path import Motion
 from turnwright.post import after_stop, dialect_of
-from turnwright.report._comparison import write_comparison
-from turnwright.report._measured import write_correction, write_diagnosis, write_measured
-from turnwright.report._page import Page, page_file, set_page
-from turnwright.report._study import write_study
-from turnwright.report._tiled import write_tiled
-from turnwright.report._tolerance import write_tolerance
+from turnwright.report.comparison import write_comparison
+from turnwright.report.measured import write_correction, write_diagnosis, write_measured
+from turnwright.report.page import Page, page_file, set_page
+from turnwright.report.study import write_study
+from turnwright.report.tiled import write_tiled
+from turnwright.report.tolerance import write_tolerance
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
     from turnwright.access import Access
     from turnwright.job import Job, Prediction, Result, Verdict
-    from turnwright.job._approach import Entry
+    from turnwright.job.approach import Entry
     from turnwright.machine import Machine
     from turnwright.motion import Limits
     from turnwright.part import Part
-    from turnwright.report._figures import Picture
+    from turnwright.report.figures import Picture
     from turnwright.tool import Tool
 
 __all__ = [
@@ -175,7 +175,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
     pathlib.Path
         The file written.
     """
-    from turnwright.report import _figures as draw  # noqa: PLC0415 - matplotlib is costly to import
+    from turnwright.report import figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
     path = page_file(path)
     verdicts = result.verdicts
@@ -298,7 +298,7 @@ def write_backplot(
     pathlib.Path
         The file written.
     """
-    from turnwright.report import _figures as draw  # noqa: PLC0415 - matplotlib is costly to import
+    from turnwright.report import figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
     path, program = page_file(path), File(program)
     part, machine = job.part.part, job.machine.machine
@@ -597,7 +597,7 @@ def _travel(machine: Machine, letter: str) -> str:
 
 def _maps(predictions: Sequence[Prediction], feed: float) -> tuple[list[_Map], int]:
     """Draw the predicted places, and say how many more there are."""
-    from turnwright.report import _figures as draw  # noqa: PLC0415 - matplotlib is costly to import
+    from turnwright.report import figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
     maps = []
     for one in predictions[:PICTURED]:

@@ -40,10 +40,10 @@ import numpy as np
 
 from turnwright._arrays import frozen
 from turnwright._validate import check_numbers, positive
-from turnwright.dilation import follow, touch
+from turnwright.placing import follow, touch
 from turnwright.errors import InputError, LimitError
 from turnwright.path import Spiral
-from turnwright.strategy._strategy import Strategy
+from turnwright.strategy.base import Strategy
 from turnwright.strategy.slow import SlowToolServo
 
 if TYPE_CHECKING:

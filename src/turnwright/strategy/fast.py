@@ -9,7 +9,7 @@ import numpy as np
 
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
-from turnwright.strategy._strategy import Strategy
+from turnwright.strategy.base import Strategy
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats

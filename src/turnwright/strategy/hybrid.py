@@ -13,8 +13,8 @@ from turnwright._validate import check_numbers
 from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.machine import Axis
-from turnwright.strategy._split import smoothest
-from turnwright.strategy._strategy import Strategy
+from turnwright.strategy.split import smoothest
+from turnwright.strategy.base import Strategy
 from turnwright.strategy.fast import planned, speed_of
 from turnwright.surface import Surface
 from turnwright.tool import Tool
@@ -41,7 +41,7 @@ class HybridToolServo(Strategy):
 
     *Found*, with the limits of the ``fast`` axis: Z is the motion of least jerk that keeps W within its travel, and
     within its speed and acceleration if the plan states a spindle speed. Where no limit binds, Z takes what is slower
-    than a turn, see `turnwright.strategy._split`. The bandwidth is not for the split to keep: whatever is faster than a
+    than a turn, see `turnwright.strategy.split`. The bandwidth is not for the split to keep: whatever is faster than a
     slide could follow is on W either way. `check_limits` judges it, as it does Z.
 
     Parameters
@@ -139,7 +139,7 @@ class HybridToolServo(Strategy):
             turned = np.abs(path.angle - path.angle[0])
             z, rate = smoothest(turned, tip, self.fast, omega)  # type: ignore[arg-type]
             return z, path.sense * rate
-        from turnwright.dilation import touch  # noqa: PLC0415 - numba is costly to import
+        from turnwright.placing import touch  # noqa: PLC0415 - numba is costly to import
 
         rim = float(np.abs(path.radius).max())
         at = touch(self.base, self.tool, angle=path.angle, radius=path.radius, y=path.y, sense=path.sense, rim=rim)

@@ -15,7 +15,7 @@ from turnwright._validate import whole as whole_number
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
 from turnwright.progress import require_memory
-from turnwright.strategy._strategy import Strategy, glimpsed
+from turnwright.strategy.base import Strategy, glimpsed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -303,7 +303,7 @@ class SlowToolServo(Strategy):
 
     def _by_chord(self, part: Part, tool: Tool, end: float, start: float, progress: Progress | None) -> Floats:
         """Return the angle turned from the inner end with the fewest points for the chord. (n,) [rad]."""
-        from turnwright.dilation import tip_height  # noqa: PLC0415
+        from turnwright.placing import tip_height  # noqa: PLC0415
 
         pitch = self.feed / TURN
         widest = self.max_step or WIDEST_STEP

@@ -1,6 +1,6 @@
 """Prescriptions: one family per file, each a `Surface`."""
 
-from turnwright.surface._surface import Surface
+from turnwright.surface.base import Surface
 from turnwright.surface.compound import Placed, Sum
 from turnwright.surface.conic import Conic, EvenAsphere, Plane, Sphere
 from turnwright.surface.expression import Expression

@@ -10,7 +10,7 @@ import numpy as np
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 from turnwright.pose import Pose
-from turnwright.surface._surface import COSTLIEST, Surface
+from turnwright.surface.base import COSTLIEST, Surface
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats, Ints

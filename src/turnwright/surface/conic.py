@@ -10,7 +10,7 @@ from turnwright._arrays import Floats, frozen
 from turnwright._kernels import polynomials, quadrics
 from turnwright._validate import check_numbers, finite
 from turnwright.errors import InputError
-from turnwright.surface._analytic import (
+from turnwright.surface.analytic import (
     MAX_DEGREE,
     OnConic,
     Terms,
@@ -20,7 +20,7 @@ from turnwright.surface._analytic import (
     summed,
     whole,
 )
-from turnwright.surface._surface import Surface
+from turnwright.surface.base import Surface
 
 __all__ = ["Conic", "EvenAsphere", "Plane", "Sphere"]
 

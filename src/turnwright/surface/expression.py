@@ -16,7 +16,7 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import DomainError, InputError
-from turnwright.surface._surface import COSTLIEST, Surface
+from turnwright.surface.base import COSTLIEST, Surface
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -12,7 +12,7 @@ from turnwright._arrays import Floats
 from turnwright._kernels import polynomials, quadrics
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
-from turnwright.surface._analytic import (
+from turnwright.surface.analytic import (
     MAX_DEGREE,
     OnConic,
     Terms,
@@ -22,7 +22,7 @@ from turnwright.surface._analytic import (
     whole,
     whole_pair,
 )
-from turnwright.surface._disc import DiscSum, disc_sum
+from turnwright.surface.disc import DiscSum, disc_sum
 
 __all__ = ["Forbes", "ForbesKind"]
 

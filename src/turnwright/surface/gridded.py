@@ -10,7 +10,7 @@ from turnwright._arrays import Bools, Floats, frozen, only_read
 from turnwright._kernels.bicubic import bicubic
 from turnwright._validate import check_numbers
 from turnwright.errors import DomainError, InputError
-from turnwright.surface._surface import Surface
+from turnwright.surface.base import Surface
 from turnwright.units import say_length
 
 __all__ = ["Gridded"]

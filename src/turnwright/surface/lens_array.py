@@ -11,7 +11,7 @@ from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright._kernels.cells import nearest
 from turnwright._validate import check_numbers, finite_tuple, positive, whole
 from turnwright.errors import InputError
-from turnwright.surface._surface import Surface
+from turnwright.surface.base import Surface
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

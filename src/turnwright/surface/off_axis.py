@@ -11,7 +11,7 @@ from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import check_angle, check_numbers
 from turnwright.errors import DomainError, InputError
 from turnwright.pose import Pose
-from turnwright.surface._surface import Surface
+from turnwright.surface.base import Surface
 from turnwright.surface.compound import Placed
 
 if TYPE_CHECKING:

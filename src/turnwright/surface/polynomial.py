@@ -10,7 +10,7 @@ from turnwright._arrays import Floats, Ints, frozen
 from turnwright._kernels import polynomials
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
-from turnwright.surface._analytic import (
+from turnwright.surface.analytic import (
     MAX_DEGREE,
     Terms,
     changing_length,
@@ -18,7 +18,7 @@ from turnwright.surface._analytic import (
     summed,
     whole_pair,
 )
-from turnwright.surface._surface import Surface
+from turnwright.surface.base import Surface
 
 __all__ = ["RadialPolynomial", "XYPolynomial"]
 

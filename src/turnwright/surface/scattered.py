@@ -10,7 +10,7 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, frozen
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
-from turnwright.surface._surface import Surface
+from turnwright.surface.base import Surface
 from turnwright.surface.gridded import Gridded
 from turnwright.units import say_length
 

@@ -9,7 +9,7 @@ import numpy as np
 from turnwright._arrays import Floats
 from turnwright._kernels.sines import wave
 from turnwright._validate import check_angle, check_numbers, finite_tuple, positive
-from turnwright.surface._surface import Surface
+from turnwright.surface.base import Surface
 
 __all__ = ["SineGrid"]
 

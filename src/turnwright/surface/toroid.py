@@ -9,8 +9,8 @@ import numpy as np
 
 from turnwright._kernels import quadrics
 from turnwright._validate import check_numbers
-from turnwright.surface._analytic import curvature, summed
-from turnwright.surface._surface import Surface
+from turnwright.surface.analytic import curvature, summed
+from turnwright.surface.base import Surface
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats

@@ -12,9 +12,9 @@ from turnwright._arrays import Floats
 from turnwright._kernels import polynomials
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
-from turnwright.surface._analytic import MAX_DEGREE, Terms, read_terms, summed, whole
-from turnwright.surface._disc import DiscSum, disc_sum
-from turnwright.surface._surface import Surface
+from turnwright.surface.analytic import MAX_DEGREE, Terms, read_terms, summed, whole
+from turnwright.surface.disc import DiscSum, disc_sum
+from turnwright.surface.base import Surface
 
 __all__ = ["Indexing", "Zernike", "zernike_order"]
 

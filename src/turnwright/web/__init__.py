@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from turnwright.web._app import create_app
+    from turnwright.web.app import create_app
 
 __all__ = ["create_app"]
 
@@ -18,6 +18,6 @@ def __getattr__(name: str) -> Any:
     """Import the server where it is asked for: the processes that compute for it need none."""
     if name != "create_app":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from turnwright.web._app import create_app  # noqa: PLC0415
+    from turnwright.web.app import create_app  # noqa: PLC0415
 
     return create_app

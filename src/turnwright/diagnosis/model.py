@@ -1,0 +1,320 @@
+r"""The surface left by a tool and a machine that are not the planned ones, in closed form but for two sweeps.
+
+The tip was sent to the heights at which the planned edge, :math:`(u, v, e)` at the sweep s, touches the design,
+
+.. math:: Z(\rho, \theta) = \max_s \; [\, f(\mathbf q) - e(s) \,], \qquad
+   \mathbf q = \mathrm R(\theta) \begin{pmatrix} \rho + u(s) \\ v(s) \end{pmatrix}
+
+and the real edge :math:`(\bar u, \bar v, \bar e)`, on a slide with the unplanned error :math:`\zeta`, leaves
+
+.. math:: h(\mathbf p) = \min_{\bar s} \; [\, Z(\rho, \theta) + \zeta(\rho) + \bar e(\bar s) \,], \qquad
+   \rho = \sqrt{r^2 - \bar v^2} - \bar u, \quad \theta = \varphi - \arcsin(\bar v / r)
+
+at the point :math:`\mathbf p = (r, \varphi)`, as a feed of zero would leave it. The two sweeps are found together by
+Newton's method. At both the height is stationary, so that its derivative by any error is the explicit one, with both
+sweeps held [Danskin1967]_: exact slopes for a fit, at the cost of one height.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from turnwright._arrays import Floats
+from turnwright._kernels import dilation as dilation_kernel
+from turnwright._kernels import swept as kernel
+from turnwright.placing import touch as touch_down
+from turnwright.progress import run_chunks
+from turnwright.surface import Surface
+from turnwright.tool import Tool
+
+__all__ = ["Cutting", "Deviations", "Powers", "Splines", "Sweeps", "Swept"]
+
+STEPS = 30
+"""Newton steps to both sweeps at most; four are usual."""
+
+FOUND = 1e-10
+"""Sweeps this near are found: the height is stationary in them. [rad]"""
+
+REACHED = 1e-9
+"""What stands higher than this over the surface at its own contact is held off it elsewhere. [mm]"""
+
+CHUNK = 1 << 14
+"""Points at a time."""
+
+ROWS = 14
+"""What `turnwright._kernels.swept.heights` fills."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Powers:
+    """Waviness as powers of the sweep.
+
+    Parameters
+    ----------
+    powers
+        Which, ascending.
+    """
+
+    powers: tuple[int, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of free values."""
+        return len(self.powers)
+
+    def values(self, sweep: Floats) -> Floats:
+        """Return every power and its first two derivatives. (3, count, n)."""
+        out = np.zeros((3, self.count, sweep.size))
+        highest = self.powers[-1] if self.powers else 0
+        raised = [np.ones_like(sweep)]
+        for _ in range(highest):
+            raised.append(raised[-1] * sweep)
+        for k, power in enumerate(self.powers):
+            out[0, k] = raised[power]
+            out[1, k] = power * raised[power - 1]
+            if power > 1:
+                out[2, k] = power * (power - 1) * raised[power - 2]
+        return out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Splines:
+    """Waviness as a cubic spline that is 0 at the tip, held constant beyond its ends.
+
+    Parameters
+    ----------
+    knots
+        Ascending sweeps at which the pieces meet, the ends included; it has ``knots.size + 1`` free values. (n,) [rad]
+    """
+
+    knots: Floats
+
+    @property
+    def count(self) -> int:
+        """Number of free values."""
+        return self.knots.size + 1
+
+    def values(self, sweep: Floats) -> Floats:
+        """Return every B-spline less its value at the tip, and its first two derivatives. (3, count, n)."""
+        from scipy.interpolate import BSpline  # noqa: PLC0415 - costly to import
+
+        full = np.concatenate([self.knots[:1].repeat(3), self.knots, self.knots[-1:].repeat(3)])
+        held = np.clip(sweep, self.knots[0], self.knots[-1])
+        spline = BSpline(full, np.eye(full.size - 4), 3)
+        tip = spline(np.clip(0.0, self.knots[0], self.knots[-1]))
+        inside = (held == sweep)[:, None]
+        # The first two alone span a constant with the rest: the tip's own value is that of the touching-off.
+        return np.stack([(spline(held) - tip).T, (spline(held, 1) * inside).T, (spline(held, 2) * inside).T])[:, 1:]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Deviations:
+    """What the real tool and machine are beyond the planned ones.
+
+    Parameters
+    ----------
+    offset
+        Of the tip (dx, dy, dz). [mm]
+    radius
+        Of the nose. [mm]
+    basis, waviness
+        Further deviation of the edge: what its coefficients count, and they. (k,) [mm/rad^k, or mm]
+    squareness
+        Height error per X. [rad]
+    knots, straightness
+        Height error along X at some positions, linear in between, held beyond. Each (m,) [mm]
+    late
+        Azimuth by which the height comes late against the spindle. [rad]
+    stiff
+        How much of its second derivative by the azimuth the height lacks, see `diagnose`. [rad²]
+    """
+
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    radius: float = 0.0
+    basis: Powers | Splines = Powers(powers=())
+    waviness: Floats = field(default_factory=lambda: np.zeros(0))
+    squareness: float = 0.0
+    knots: Floats = field(default_factory=lambda: np.zeros(0))
+    straightness: Floats = field(default_factory=lambda: np.zeros(0))
+    late: float = 0.0
+    stiff: float = 0.0
+
+    def slide(self, at: Floats) -> tuple[Floats, Floats]:
+        """Return the height error of the slide and its slope. Each (n,) [mm, 1]."""
+        height, slope = self.squareness * at, np.full(at.shape, self.squareness)
+        if self.knots.size:
+            height = height + np.interp(at, self.knots, self.straightness)
+            steep = np.concatenate(([0.0], np.diff(self.straightness) / np.diff(self.knots), [0.0]))
+            slope += steep[np.searchsorted(self.knots, at, side="right")]
+        return height, slope
+
+
+class Sweeps(NamedTuple):
+    """Where on the nose the planned edge touched and the real one cut. Each (n,) [rad], nan where there is no place."""
+
+    touch: Floats
+    cut: Floats
+
+
+class Cutting(NamedTuple):
+    """How the points of a map were cut. Each (n,).
+
+    ``z``, ``zx`` and ``zy`` are the height left and its slopes; ``by_tip`` (3, n) its derivatives by the offset of the
+    tip, ``by_radius`` that by the nose radius, ``by_edge`` that by a deviation of the edge where it cut, ``by_azimuth``
+    that by an azimuth by which Z is early, ``bend`` the second derivative of the height of the tip by its azimuth,
+    ``between`` the curvature that makes the cusps, and ``between_by`` (3, n) its derivatives by a deviation of the edge
+    and by the first two derivatives of that. [mm, 1, mm/rad, mm/rad², 1/mm, 1/mm²]
+    """
+
+    x: Floats
+    y: Floats
+    tip_radius: Floats
+    tip_angle: Floats
+    sweep: Floats
+    z: Floats
+    zx: Floats
+    zy: Floats
+    by_tip: Floats
+    by_radius: Floats
+    by_edge: Floats
+    by_azimuth: Floats
+    bend: Floats
+    between: Floats
+    between_by: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Swept:
+    """A design as it is cut by a tool that was planned.
+
+    Parameters
+    ----------
+    surface, tool
+        What was planned.
+    sense
+        +1 where the spindle angle grew, -1 where it fell.
+    rim
+        How far the design counts. [mm]
+    """
+
+    surface: Surface
+    tool: Tool
+    sense: int
+    rim: float
+
+    def guess(self, x: Floats, y: Floats) -> Sweeps:
+        """Return the sweeps of a tangent in the plane through the axis, nan where there is none."""
+        edge = self.tool.table(self.sense)
+        sweep = np.zeros(x.size)
+
+        def work(start: int, stop: int) -> None:
+            some = slice(start, stop)
+            with np.errstate(all="ignore"):
+                radius = np.hypot(x[some], y[some])
+                cosine, sine = x[some] / radius, y[some] / radius
+                _, zx, zy = self.surface.evaluate(x[some], y[some], 1)
+            dilation_kernel.tangent_sweep(*edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep[some])
+
+        run_chunks(work, x.size, CHUNK)
+        return Sweeps(sweep, sweep.copy())
+
+    def start(self, x: Floats, y: Floats) -> Sweeps:
+        """Return the sweeps at which the planned tool cuts some points, nan where it cannot or comes to the axis."""
+        sweeps = self.guess(x, y)
+        at = self.heights(x, y, sweeps, Deviations())
+        with np.errstate(invalid="ignore"):
+            found = np.flatnonzero(np.isfinite(at.z) & (at.tip_radius > 0))
+        reached = np.zeros(x.size, dtype=np.bool_)
+        if found.size:
+            # The tangent may be one of several: only the highest of them holds the tool.
+            tip = at.tip_radius[found], at.tip_angle[found]
+            rim = max(self.rim, float(tip[0].max()))
+            down = touch_down(self.surface, self.tool, angle=tip[1], radius=tip[0], sense=self.sense, rim=rim)
+            height = at.z[found] - self.tool.edge(sweeps.cut[found], self.sense)[2]
+            reached[found] = np.abs(down.z - height) < REACHED
+        for one in sweeps:
+            one[~reached] = np.nan
+        return sweeps
+
+    def heights(self, x: Floats, y: Floats, sweeps: Sweeps, deviations: Deviations) -> Cutting:
+        """Return how some points were cut; the sweeps are improved in place, and nan where there is no place for them.
+
+        Parameters
+        ----------
+        x, y
+            Points. (n,) [mm]
+        sweeps
+            Near the right ones.
+        deviations
+            Of the real tool and machine.
+        """
+        out = np.empty((ROWS, x.size))
+        rho, psi = np.empty(x.size), np.empty(x.size)
+
+        def work(start: int, stop: int) -> None:
+            some, part = slice(start, stop), np.empty((ROWS, stop - start))
+            self._chunk(x[some], y[some], sweeps.touch[some], sweeps.cut[some], deviations, part, rho[some], psi[some])
+            out[:, some] = part
+
+        if x.size <= CHUNK:
+            work(0, x.size)
+        else:
+            run_chunks(work, x.size, CHUNK)
+        z, zx, zy, by_x, by_y, by_z, by_radius, by_edge, by_azimuth, bend, between = out[:11]
+        return Cutting(
+            x=x, y=y, tip_radius=rho, tip_angle=psi, sweep=sweeps.cut, z=z, zx=zx, zy=zy,
+            by_tip=np.stack([by_x, by_y, by_z]), by_radius=by_radius, by_edge=by_edge, by_azimuth=by_azimuth,
+            bend=bend, between=between, between_by=out[11:],
+        )  # fmt: skip
+
+    def _chunk(
+        self, x: Floats, y: Floats, touch: Floats, cut: Floats, real: Deviations, out: Floats, rho: Floats, psi: Floats
+    ) -> None:
+        """Fill the rows, the radius and the azimuth of the tip for some points, and improve the sweeps."""
+        edge = self.tool.table(self.sense)
+        planned, wave = edge.row, edge[1:]
+        row = planned.copy()
+        row[0] += real.radius
+        row[5:8] += real.offset
+        late = self.sense * real.late
+        radius, azimuth = np.hypot(x, y), np.arctan2(y, x)
+        own = None if not self.surface.in_pieces else self.surface.piece(x, y)
+
+        def deviation() -> Floats:
+            if not real.waviness.size:
+                return np.zeros((3, x.size))
+            held = np.clip(np.nan_to_num(cut), planned[1], planned[2])
+            return np.tensordot(real.basis.values(held), real.waviness, (1, 0))
+
+        at_x, at_y = np.empty(x.size), np.empty(x.size)
+        for _ in range(STEPS):
+            more = deviation()
+            kernel.places(
+                radius, azimuth, planned, *wave, row, more, late, touch, cut, rho, psi, at_x, at_y
+            )  # fmt: skip
+            slope = real.slide(rho)[1]
+            with np.errstate(all="ignore"):
+                bent = self.surface.evaluate(at_x, at_y, 2)[1:]
+            longest = kernel.step(
+                radius, planned, *wave, row, more, late, slope, rho, psi, *bent, touch, cut
+            )  # fmt: skip
+            # A deviation that only the last step brought in has not been looked at.
+            if longest < FOUND:
+                break
+        # Beyond the arc the edge is another one, and beyond a seam the design.
+        with np.errstate(invalid="ignore"):
+            lost = ~((touch >= planned[1]) & (touch <= planned[2]) & (cut >= planned[1]) & (cut <= planned[2]))
+        touch[lost], cut[lost] = np.nan, np.nan
+        more = deviation()
+        kernel.places(radius, azimuth, planned, *wave, row, more, late, touch, cut, rho, psi, at_x, at_y)
+        with np.errstate(all="ignore"):
+            bent = self.surface.evaluate(at_x, at_y, 2)
+        kernel.heights(
+            radius, azimuth, planned, *wave, row, more, late, *real.slide(rho), rho, psi, *bent, touch, cut, out
+        )  # fmt: skip
+        out[0] -= real.stiff * out[9]
+        if own is not None:
+            out[:, self.surface.piece(at_x, at_y) != own] = np.nan

@@ -1,0 +1,115 @@
+"""What to write into the table ``measurement`` of a job where a registration leaves something open."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from turnwright.job.schema import MeasurementTable
+    from turnwright.metrology import PoseCandidate, Registration
+    from turnwright.metrology.registration import DoubtKind
+
+__all__ = ["open_questions"]
+
+LEAST_REACH = 0.01
+"""Smallest distance between two poses that a stated ``reach`` can tell apart in practice. [mm]."""
+
+LEAST_CLOCKING = np.deg2rad(0.01)
+"""Smallest turn between two poses that a stated ``clocking`` can tell apart in practice. [rad]."""
+
+RIM = 0.01
+"""Width of an edge to leave out first, over the clear radius."""
+
+
+def open_questions(registration: Registration, asked: MeasurementTable, radius: float) -> tuple[str, ...]:
+    """Return what a registration could not settle, each sentence with the keys of ``[measurement]`` that settle it.
+
+    Parameters
+    ----------
+    registration
+        Where the map lies on the part.
+    asked
+        What the job states so far.
+    radius
+        Clear radius of the part. [mm]
+    """
+    remedies: dict[DoubtKind, Callable[[], str]] = {
+        "tails": lambda: _trim(asked, radius),
+        "lost": lambda: _larger(asked),
+        "held": lambda: _hold(registration, asked),
+        "ambiguous": lambda: _single_out(registration, registration.rivals[0]),
+        "symmetric": lambda: _clock(registration),
+    }
+    return tuple(f"{fact} {remedies[kind]()}" if kind in remedies else fact for kind, fact in registration.findings)
+
+
+def _length(value: float) -> str:
+    return f"{round(value, 4) + 0.0:.6g} mm"
+
+
+def _degrees(value: float) -> str:
+    return f"{round(float(np.rad2deg(value)), 3) + 0.0:.6g} deg"
+
+
+def _keys(keys: Mapping[str, object]) -> str:
+    """Return keys as a job file states them."""
+    return ", ".join(f"{key} = {json.dumps(value)}" for key, value in keys.items())
+
+
+def _shift(registration: Registration) -> list[str]:
+    return [_length(one) for one in registration.pose.shift]
+
+
+def _trim(asked: MeasurementTable, radius: float) -> str:
+    keys: dict[str, object] = {"trim": _length(max(2 * asked.trim, RIM * radius))}
+    if asked.spikes != "robust":
+        keys = {"spikes": "robust", **keys}
+    return f"Write {_keys(keys)} in [measurement], or mirrored or inverted if the map shows the part so."
+
+
+def _larger(asked: MeasurementTable) -> str:
+    return (
+        "Unless they show what lies beyond its rim, state shift and rotation of the map, and a reach of more than "
+        f"{_length(asked.reach)}, in [measurement]."
+    )
+
+
+def _hold(registration: Registration, asked: MeasurementTable) -> str:
+    keys: dict[str, object] = {"free": [name for name in asked.free if name not in registration.held]}
+    if {"x", "y", "z"} & set(registration.held):
+        keys["shift"] = _shift(registration)
+    if "rotation" in registration.held:
+        keys["rotation"] = _degrees(registration.pose.rotation)
+    if not keys["free"]:
+        return "State shift and rotation in [measurement] as the edge of the part or a mark shows them."
+    return f"If it lies so, as its edge or a mark shows, write {_keys(keys)} in [measurement]; else other values."
+
+
+def _turn(registration: Registration, other: PoseCandidate) -> float:
+    """Return by how much another pose is turned from that of the registration. [rad]."""
+    return float(abs((other.pose.rotation - registration.pose.rotation + np.pi) % (2 * np.pi) - np.pi))
+
+
+def _single_out(registration: Registration, rival: PoseCandidate) -> str:
+    here, there = (np.array(pose.apply(*registration.pivot))[:2] for pose in (registration.pose, rival.pose))
+    apart, turned = float(np.hypot(*(here - there))), _turn(registration, rival)
+    keys: dict[str, object] = {"shift": _shift(registration), "rotation": _degrees(registration.pose.rotation)}
+    if apart > LEAST_REACH:
+        keys["reach"] = _length(apart / 2)
+    if turned > LEAST_CLOCKING:
+        keys["clocking"] = _degrees(turned / 2)
+    return (
+        f"Measure the edge of the part or a mark; if this pose is right write {_keys(keys)} in [measurement], else the "
+        "shift and rotation of the other."
+    )
+
+
+def _clock(registration: Registration) -> str:
+    step = min(_turn(registration, other) for other in registration.candidates if other.symmetric)
+    keys = {"rotation": _degrees(registration.pose.rotation), "clocking": _degrees(step / 2)}
+    return f"Write {_keys(keys)} in [measurement], with the turn that the mark shows."

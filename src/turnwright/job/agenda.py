@@ -1,0 +1,217 @@
+"""The steps of a whole run and how long each takes, estimated from the job before anything is carried out."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from turnwright.errors import TurnwrightError
+from turnwright.job.comparison import strategies_of
+from turnwright.job.planning import stage_of
+from turnwright.job.contributions import has_servos
+from turnwright.progress import Step
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from turnwright.job.schema import Job, PassTable
+    from turnwright.part import Part
+
+__all__ = [
+    "steps_of_comparison", "steps_of_correction", "steps_of_diagnosis", "steps_of_measurement", "steps_of_plan",
+    "steps_of_prediction", "steps_of_preview", "steps_of_run",
+]  # fmt: skip
+
+MILLION = 1e6
+
+ACCESS_S, DEPTH_S, APPROACH_S, REPORT_S = 0.6, 0.2, 0.3, 2.0
+PLAN_S, DRIVE_S, LIMITS_S, CHIPS_S, WRITE_S, READ_S = 0.12, 0.3, 0.06, 0.15, 0.18, 0.18
+"""For a million points of a pass. [s]"""
+
+PLACE_S, PLACE_PIECES_S = 0.25, 2.0
+"""For a million points on a smooth surface, and on one in pieces. [s]"""
+
+SERVOS_S, EXTREMES_S = 0.5, 0.4
+"""For a million points of the finishing pass. [s]"""
+
+HEIGHTS_S, MEASURED_S, DIAGNOSED_S = 1.0, 1.5, 10.0
+"""For a million heights, predicted, registered and explained. [s]"""
+
+PROOFS = 2.5
+"""Proofs of a plan, usually."""
+
+RADII, ANGLES = 24, 72
+"""Places at which the bend of a surface along the turn is looked at."""
+
+USUAL_POINTS = 360
+"""Points of a revolution where nothing else is known."""
+
+FEWEST_POINTS = 36
+
+
+def steps_of_run(job: Job) -> tuple[Step, ...]:
+    """Return the steps of `run`, and of its report."""
+    steps = [Step(stage="access", work=ACCESS_S), Step(stage="depth of cut", work=DEPTH_S)]
+    stock = job.part.part.stock
+    known = job.part.substance
+    written = 0.0
+    for cut in job.passes:
+        points, times = _points(job, cut), len(cut.names(stock))
+        steps += _placed(job, points)
+        for _ in range(times):
+            steps.append(Step(stage="limits", work=LIMITS_S * points))
+            if known is not None:
+                steps.append(Step(stage="chips", work=CHIPS_S * points))
+        written += times * points
+        stock = cut.allowance
+    points = _points(job, job.passes[-1])
+    steps += [
+        Step(stage="approach", work=APPROACH_S),
+        Step(stage="write program", work=WRITE_S * written),
+        Step(stage="read program", work=READ_S * points),
+        Step(stage="compare", work=0.2),
+    ]
+    return (*steps, *steps_of_prediction(job), Step(stage="report", work=REPORT_S))
+
+
+def steps_of_prediction(job: Job, *, tracking: bool | None = None) -> tuple[Step, ...]:
+    """Return the steps of `predict`.
+
+    Parameters
+    ----------
+    job
+        What is asked for.
+    tracking
+        Whether the axes move as the servos let them; as the job says if not given.
+    """
+    points = _points(job, job.passes[-1])
+    follows = job.simulation.tracking if tracking is None else tracking
+    steps = [Step(stage="track", work=SERVOS_S * points)] if follows else []
+    if job.actual_machine.controller.interpolation != "linear":
+        steps.append(Step(stage="interpolate", work=SERVOS_S * points))
+    grid = job.simulation.whole_part
+    places = {"whole part": grid.radii * grid.angles}
+    places |= {one.name: math.prod(axis.size for axis in one.axes) for one in job.simulation.patches}
+    for name, heights in places.items():
+        work = 0.05 + HEIGHTS_S * heights / MILLION
+        steps.append(Step(stage=f"simulate {name}", work=work))
+        if follows:
+            steps.append(Step(stage=f"simulate {name} with servos", work=work))
+        steps.append(Step(stage="roughness", work=0.1 + heights / MILLION))
+        if name == "whole part":
+            steps.append(Step(stage="highest and lowest place", work=1.5 + EXTREMES_S * points))
+            if job.tolerances.sq is not None and not job.simulation.patches:
+                steps.append(Step(stage="roughest ring", work=0.5))
+    return tuple(steps)
+
+
+def steps_of_preview(job: Job) -> tuple[Step, ...]:
+    """Return the steps of `preview`."""
+    passes = (Step(stage="plan", work=0.2 + PLAN_S * _points(job, cut)) for cut in job.passes)
+    return (Step(stage="access", work=ACCESS_S), *passes, Step(stage="depth of cut", work=DEPTH_S))
+
+
+def steps_of_plan(job: Job) -> tuple[Step, ...]:
+    """Return the steps of `plan`: one for each interpolation that it tries."""
+    points = _points(job, job.passes[-1])
+    one = sum(step.work for step in _placed(job, points)) + (WRITE_S + READ_S + EXTREMES_S) * points
+    work = PROOFS * (one + sum(step.work for step in steps_of_prediction(job, tracking=has_servos(job.actual_machine))))
+    controller = job.machine.machine.controller
+    others = () if job.machine.interpolation else controller.other_interpolations
+    return tuple(Step(stage=stage_of(name), work=work) for name in (controller.interpolation, *others))
+
+
+def steps_of_comparison(job: Job) -> tuple[Step, ...]:
+    """Return the steps of `compare`, and of its report."""
+    points = _points(job, job.passes[-1])
+    one = sum(step.work for step in _placed(job, points)) + (WRITE_S + READ_S + SERVOS_S) * points + 1.0
+    return (
+        Step(stage="what the job asks for", work=one / 2),
+        *(Step(stage=name, work=one) for name in strategies_of(job)),
+        Step(stage="report", work=REPORT_S),
+    )
+
+
+def steps_of_measurement(heights: Sequence[float]) -> tuple[Step, ...]:
+    """Return the steps of `measure`, and of its report.
+
+    Parameters
+    ----------
+    heights
+        Of each map, about.
+    """
+    steps = []
+    for count in heights:
+        work = 0.2 + MEASURED_S * count / MILLION
+        steps += [Step(stage=stage, work=work) for stage in ("register", "clean", "register all points", "judge")]
+    return (*steps, Step(stage="report", work=REPORT_S))
+
+
+def steps_of_diagnosis(heights: Sequence[float]) -> tuple[Step, ...]:
+    """Return the steps of measuring parts and explaining their errors, and of the report.
+
+    Parameters
+    ----------
+    heights
+        Of each map, about.
+    """
+    *steps, report = steps_of_measurement(heights)
+    explained = 2.0 + DIAGNOSED_S * min(sum(heights) / MILLION, 1.0)
+    return (*steps, Step(stage="diagnose", work=explained), report)
+
+
+def steps_of_correction(heights: Sequence[float]) -> tuple[Step, ...]:
+    """Return the steps of measuring parts, explaining their errors and correcting a job, and of the report.
+
+    Parameters
+    ----------
+    heights
+        Of each map, about.
+    """
+    *steps, report = steps_of_diagnosis(heights)
+    return (*steps, Step(stage="prove the correction", work=8.0), Step(stage="simulate", work=3.0), report)
+
+
+def _placed(job: Job, points: float) -> Iterator[Step]:
+    """Yield the steps that make the motion of a pass of so many million points."""
+    place = PLACE_PIECES_S if job.part.aimed.surface.in_pieces else PLACE_S
+    for stage, work in (("plan", PLAN_S), ("place", place), ("drive", DRIVE_S)):
+        yield Step(stage=stage, work=0.1 + work * points)
+
+
+def _points(job: Job, cut: PassTable) -> float:
+    """Return about how many points a pass has: they are not placed yet. [million]."""
+    part, tool = job.part.aimed, job.tool.tool
+    try:
+        servo = job.servo(cut)
+    except TurnwrightError:  # the run will say it
+        return USUAL_POINTS * part.radius / 0.01 / MILLION
+    spiral: Any = getattr(servo, "plan", servo)
+    feed = getattr(spiral, "feed", None) or math.sqrt(8 * tool.actual_radius * spiral.scallop)
+    return part.radius / feed * _per_rev(spiral, part) / MILLION
+
+
+def _per_rev(spiral: object, part: Part) -> float:
+    """Return about how many points a mean revolution has."""
+    count, arc, chord = (getattr(spiral, name, None) for name in ("points_per_rev", "arc_length", "chord"))
+    if count is not None:
+        return float(count)
+    if arc is not None:
+        return float(max(math.pi * part.radius / arc, FEWEST_POINTS))
+    if chord is None:
+        return USUAL_POINTS
+    radius = part.radius * (np.arange(RADII) + 0.5) / RADII
+    angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)[:, None]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    try:
+        with np.errstate(all="ignore"):
+            zx, zy = part.surface.gradient(radius * cosine, radius * sine)
+            zxx, zxy, zyy = part.surface.hessian(radius * cosine, radius * sine)
+            bend = radius**2 * (zxx * sine**2 - 2 * zxy * sine * cosine + zyy * cosine**2)
+            bend -= radius * (zx * cosine + zy * sine)
+            mean = 2 * math.pi * float(np.mean(np.sqrt(np.abs(bend) / (8 * chord))))
+    except TurnwrightError:  # the surface has an end within the part, which the run will say
+        return USUAL_POINTS
+    return max(mean, FEWEST_POINTS) if math.isfinite(mean) else USUAL_POINTS

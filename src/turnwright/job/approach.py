@@ -1,0 +1,355 @@
+r"""What stands in the way of the tool when it comes to a pass, and the proof that it touches nothing before it cuts.
+
+Before a pass the material reaches up to the blank, or to what the pass before has left where that is lower. At the
+azimuth :math:`\theta` the edge touches it first when the tip, on its way down at the radius :math:`\rho`, stands at
+
+.. math:: T(\theta) = \max_u \; [\, M(\rho + u, \theta) - e(u) \,].
+
+On every step of a sampled radial line the highest material counts against the lowest place of the edge, so that the
+answer errs to the safe side as long as no step hides a summit; azimuths are as dense as an eighth of the surface's
+feature size, up to 1440 of them. Outside the clear radius nothing is known of the blank: it is taken to go on at the
+slope of the rim where that rises outward, and level where it falls.
+
+A plunge stays at the radius where its pass begins. Its heights around the axis are exact: at every azimuth the edge is
+brought into contact with the part there, and all are shifted by as much as the first point of the pass stands off the
+contact, which the allowance does. As a proof apart from that search, the whole arc of the edge is compared with the
+finished surface at points of the last revolution. A fast tool adds to the lathe what these heights ask for beyond it:
+its table begins with the revolution of the plunge.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._kernels import generation as kernel
+from turnwright.placing import tip_height
+from turnwright.errors import GougeError, LimitError
+from turnwright.generation import generate_polar
+from turnwright.machine import FAST, Axis
+from turnwright.post import GAP, MOST_CLEARANCE, Approach, approach_to, entry_path, entry_shares
+from turnwright.units import say_length
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from turnwright._arrays import Floats
+    from turnwright.job.schema import Job
+    from turnwright.part import Part
+    from turnwright.path import Motion
+    from turnwright.tool import Tool
+
+__all__ = ["Entry", "entries_of"]
+
+TURN = 2 * math.pi
+
+AZIMUTHS, MOST_AZIMUTHS = 180, 1440
+"""Azimuths at which material is looked at: at least, and at most where the surface has fine features."""
+
+STEPS = 3000
+"""Steps of the radial line under the edge."""
+
+ABOVE = 5.0
+"""Height of the clear plane above the highest material. [mm]"""
+
+ROUNDING = 1e-6
+"""How far the edge may come below the finished surface in a plunge, if its pass does not begin lower. [mm]"""
+
+PROOF_POINTS, PROOF_STEPS = 360, 1200
+"""Points of the last revolution of a plunge where the edge is compared with the part, at most, and steps of its arc."""
+
+BESIDE = 0.01
+"""Least distance along z at which a pass counts as beginning beside a blank that is wider by 0.1 mm. [mm]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Entry:
+    """How the tool enters the material of a pass, proved against the material that stands before it.
+
+    Parameters
+    ----------
+    approach
+        As the program has it.
+    clearance
+        Of the clear plane above the highest point of the pass. [mm]
+    depth
+        Height of the material above the path where the pass begins; ``None`` where it begins clear of the material.
+        [mm]
+    least_gap
+        Least distance along Z between the tool and the material while C is at rest or in rapid. [mm]
+    outward
+        Whether the pass goes on away from the axis.
+    heights
+        Contact heights of the tip around the axis where the pass begins, for `turnwright.write_nc` and
+        `turnwright.write_fast_tool`. (n,) [mm]
+    beyond_travel
+        A sentence where a fast tool would pass an end of its travel in the plunge, else empty.
+    radius, material, finished
+        Radial cut at the azimuth of the first point, for a picture: distances from the axis, negative beyond it, the
+        material before the pass and the finished surface, nan where there is none. Each (n,) [mm]
+    """
+
+    approach: Approach
+    clearance: float
+    depth: float | None
+    least_gap: float
+    outward: bool
+    heights: Floats
+    beyond_travel: str
+    radius: Floats
+    material: Floats
+    finished: Floats
+
+
+def entries_of(job: Job, motions: Mapping[str, Motion]) -> dict[str, Entry]:
+    """Return how the tool enters every pass, in their order, or raise where it cannot do so safely.
+
+    Raises
+    ------
+    LimitError
+        If a pass can neither begin clear of the material nor plunge while C turns.
+    GougeError
+        If the edge comes below the finished surface in a plunge, unless the job accepts that.
+    """
+    found: dict[str, Entry] = {}
+    before: Motion | None = None
+    for name, motion in motions.items():
+        found[name] = _entry(job, name, motion, before)
+        before = motion
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Material:
+    """Heights of what stands before a pass, on radial lines all around. (n_angle, n_radius), -inf for free space."""
+
+    radius: Floats
+    angle: Floats
+    height: Floats
+
+    def touch(self, tool: Tool, sense: int, radius: float, y: float) -> Floats:
+        """Return the height at which the tip first touches, by azimuth, at a distance from the axis. (n_angle,)."""
+        line = np.concatenate([-self.radius[:0:-1], self.radius])
+        opposite = np.roll(self.height, -(self.angle.size // 2), axis=0)
+        material = np.concatenate([opposite[:, :0:-1], self.height], axis=1)
+        dx, dy, dz = tool.offset
+        low, lean = _edge(tool, sense, line - radius - dx)
+        lateral = np.abs(lean + y + dy)
+        # An edge off the radial plane meets the material beside it, as much higher as that rises around the axis.
+        if lateral.max() > 0:
+            around = np.abs(np.diff(self.height, axis=0, append=self.height[:1]))
+            rise = np.where(np.isfinite(around), around, 0.0) / np.maximum(self.radius * self.angle[1], 1e-3)
+            low = low - float(rise.max(initial=0.0)) * lateral
+        top = np.maximum(material[:, 1:], material[:, :-1]) - np.minimum(low[1:], low[:-1])
+        here = top.max(axis=1)
+        # Between two azimuths the higher one counts for both.
+        return np.asarray(np.maximum(np.maximum(here, np.roll(here, 1)), np.roll(here, -1)) - dz)
+
+
+def _edge(tool: Tool, sense: int, u: Floats) -> tuple[Floats, Floats]:
+    """Return how high the edge stands at distances from the tip, and how far off the radial plane. Each (n,) [mm]."""
+    profile = tool.profile()
+    row = profile.row
+    if profile.table.size:
+        w = np.asarray(kernel.sampled(row, profile.table, u)[0])
+    else:
+        inside = np.clip(u, row[1], row[4])
+        w = row[0] - np.sqrt(row[0] ** 2 - inside**2)
+        w = w + np.where(u < row[1], (u - row[1]) * row[3], 0.0) + np.where(u > row[4], (u - row[4]) * row[6], 0.0)
+    table = tool.table(sense).row
+    return table[3] * w, table[4] * w
+
+
+def _contact_heights(part: Part, tool: Tool, motion: Motion, turned: Floats, axes: Mapping[str, Floats]) -> Floats:
+    """Bring the edge into contact with the part around the axis, at the radius where a pass begins. (n,) [mm]."""
+    # The innermost and the outermost tip of the pass: what holds at the rim for all its tips then holds here too.
+    ends = [int(motion.axes["X"].argmin()), int(motion.axes["X"].argmax())]
+    angle = np.append(motion.axes["C"][0] + motion.sense * turned, motion.axes["C"][ends])
+    radius = np.append(sum(axes[one] for one in "XU" if one in axes), motion.axes["X"][ends])
+    y = np.append(axes["Y"], motion.axes["Y"][ends]) if "Y" in axes else None
+    z = tip_height(part.surface, tool, angle=angle, radius=radius, y=y, sense=motion.sense, rim=part.radius)[:-2]
+    return np.append(z[:-1], z[0])
+
+
+def _require_above(job: Job, name: str, plunge: Motion, start: float) -> None:
+    """Raise if the edge is below the finished surface in the last revolution of a plunge, and lower than its pass.
+
+    ``start`` is how far below contact the pass begins, where it does. [mm]
+    """
+    part, tool = job.part.aimed, job.tool.tool
+    turned = np.abs(plunge.axes["C"] - plunge.axes["C"][-1])
+    last = np.flatnonzero(turned <= TURN + 1e-9)
+    last = last[:: -(-last.size // PROOF_POINTS)]
+    u, v, e = tool.edge(np.linspace(*tool.arc, PROOF_STEPS + 1), plunge.sense)
+    along, across = plunge.axes["X"][last, None] + u, plunge.axes.get("Y", np.zeros(turned.size))[last, None] + v
+    c, s = np.cos(plunge.axes["C"][last, None]), np.sin(plunge.axes["C"][last, None])
+    x, y = along * c - across * s, along * s + across * c
+    with np.errstate(all="ignore"):
+        above = plunge.axes["Z"][last, None] + e - part.surface.evaluate(x, y, 0)[0]
+    known = np.isfinite(above) & (np.hypot(x, y) <= part.radius)
+    inside = part.surface.inside(x, y)
+    above = np.where(known if inside is None else known & inside, above, np.inf)
+    k = np.unravel_index(int(above.argmin()), above.shape)
+    if above[k] < -ROUNDING - start:
+        raise GougeError(
+            f"pass {name}: in the plunge the edge comes {say_length(-float(above[k]))} below the finished surface at "
+            f"x = {x[k]:.4g} mm, y = {y[k]:.4g} mm, the limit is {say_length(ROUNDING + start)}: state part.blank and "
+            "a lead_in with which the pass begins beside it"
+        )
+
+
+def _with_fast_tool(plunge: Motion, turned: Floats, fast: Mapping[str, Floats]) -> Motion:
+    """Return where the tip is in a plunge: X and Z with what the fast tool adds to them."""
+    if not fast:
+        return plunge
+    around = np.abs(plunge.axes["C"] - plunge.axes["C"][-1])
+    added = {FAST[one]: np.interp(np.mod(-around, TURN), turned, values) for one, values in fast.items()}
+    axes = {letter: values + added.get(letter, 0.0) for letter, values in plunge.axes.items()}
+    return replace(plunge, axes=axes)
+
+
+def _beyond_travel(job: Job, name: str, fast: Mapping[str, Floats]) -> str:
+    """Return a sentence if a fast tool would pass an end of its travel in a plunge."""
+    for letter, values in fast.items():
+        axis = job.machine.machine.axes.get(letter, Axis())
+        low, high = (-math.inf if axis.low is None else axis.low), (math.inf if axis.high is None else axis.high)
+        if values.min() < low or values.max() > high:
+            return (
+                f"pass {name}: in the plunge {letter} goes from {values.min():.5g} to {values.max():.5g} mm, its "
+                f"travel is from {low:g} to {high:g} mm: state part.blank and a lead_in with which the pass begins "
+                "beside it"
+            )
+    return ""
+
+
+def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
+    """Return how the tool enters one pass."""
+    part, tool = job.part.aimed, job.tool.tool
+    turned, axes = entry_path(motion)
+    x0, y0 = float(motion.axes["X"][0]), float(motion.axes["Y"][0]) if "Y" in motion.axes else 0.0
+    x0 += float(motion.axes["U"][0]) if "U" in motion.axes else 0.0
+    heights = _contact_heights(part, tool, motion, turned, axes)
+    path = heights + (axes["Z"][0] + axes.get("W", np.zeros(1))[0] - heights[0])
+    z, fast = entry_shares(motion, heights) if FAST.keys() & axes.keys() else (heights, {})
+    w = fast.get("W", np.zeros(turned.size))
+    plain = _before(part, tool, before, x0, _azimuths(part, max(x0, 0.0)), 0.0)
+    azimuth = np.mod(motion.axes["C"][0] + motion.sense * turned, TURN)
+    lowest = _lowest(azimuth, path, plain.angle)
+    rest = float(min(w.min(), 0.0) - w[0]) if "W" in axes else 0.0
+    touched = plain.touch(tool, motion.sense, x0, y0)
+    depth: float | None = float((touched - lowest).max()) - rest
+    if part.blank is not None:
+        wider = _before(part, tool, before, x0, plain.angle, GAP).touch(tool, motion.sense, x0, y0)
+        if float((wider - lowest).max()) - rest <= -BESIDE:
+            depth = None
+    top = _top(part, x0)
+    clearance = max(ABOVE + part.stock, top + ABOVE - float(motion.axes["Z"].max()))
+    if part.blank is not None and clearance > MOST_CLEARANCE:
+        raise LimitError(
+            f"pass {name}: the blank's radius is {part.blank.radius:g} mm, so to clear it the tool would stand "
+            f"{clearance:.4g} mm above the part, the limit is {MOST_CLEARANCE:g} mm: correct part.blank.radius"
+        )
+    if depth is not None and job.program.fast_tool == "time" and float(np.ptp(w)) > 1e-6:
+        raise LimitError(
+            f"pass {name}: a fast tool that takes its heights by time stands still while the lathe plunges, so the "
+            "tool must enter from beside the blank: state part.blank and a longer lead_in, or fast_tool = "
+            f'"position"'
+        )
+    approach = approach_to(
+        motion.lathe(), clearance=clearance, depth=depth, plunge_feed=job.program.plunge_feed, name=name, heights=z
+    )  # fmt: skip
+    if approach.plunge is not None and "gouge" not in job.accept:
+        whole = _with_fast_tool(approach.plunge, turned, fast)
+        _require_above(job, name, whole, max(float(heights[0] - path[0]), 0.0))
+    first = float(np.interp(np.mod(approach.start["C"], TURN), plain.angle, touched, period=TURN))
+    gap = min(approach.start["Z"] + float(w[0]) + rest - first, approach.clear + float(w.min()) - top)
+    least = GAP / 2 if depth is not None else BESIDE
+    if not gap >= least:
+        raise LimitError(
+            f"pass {name}: the tool would come within {gap:.4g} mm of the material while C stands still, the limit is "
+            f"{least:g} mm: state part.blank and a longer lead_in"
+        )
+    return Entry(
+        approach=approach, clearance=clearance, depth=depth, least_gap=gap,
+        beyond_travel="" if approach.plunge is None else _beyond_travel(job, name, fast),
+        outward=bool(motion.axes["X"][-1] > motion.axes["X"][0]), heights=heights,
+        **_cut_at(part, plain, float(motion.axes["C"][0])),
+    )  # fmt: skip
+
+
+def _cut_at(part: Part, material: _Material, azimuth: float) -> dict[str, Floats]:
+    """Return a radial cut of material and finished surface, see `Entry`."""
+    count = material.angle.size
+    here = round(azimuth / TURN * count) % count
+    line, height, finished = [], [], []
+    for side, row in ((-1.0, (here + count // 2) % count), (1.0, here)):
+        if side < 0 and material.radius[0] > 0:
+            continue
+        order = slice(None, None, -1) if side < 0 else slice(None)
+        radius, angle = material.radius, float(material.angle[row])
+        line.append((side * radius)[order])
+        height.append(np.where(np.isfinite(material.height[row]), material.height[row], np.nan)[order])
+        finished.append(np.where(radius <= part.radius, _sag(part, radius, angle), np.nan)[order])
+    names = ("radius", "material", "finished")
+    return {name: np.concatenate(parts) for name, parts in zip(names, (line, height, finished), strict=True)}
+
+
+def _lowest(azimuth: Floats, path: Floats, angle: Floats) -> Floats:
+    """Return the lowest height of a closed path near each of some even azimuths. (n,)."""
+    step = angle[1] - angle[0]
+    place = np.rint(azimuth / step).astype(np.int64) % angle.size
+    lowest = np.interp(angle, azimuth, path, period=TURN)
+    np.minimum.at(lowest, place, path)
+    return np.minimum(np.minimum(lowest, np.roll(lowest, 1)), np.roll(lowest, -1))
+
+
+def _sag(part: Part, radius: Floats, angle: float) -> Floats:
+    inside = np.minimum(radius, part.radius * (1 - 1e-12))
+    return np.asarray(part.surface.sag(inside * math.cos(angle), inside * math.sin(angle)))
+
+
+def _blank(part: Part, radius: Floats, angle: Floats, wider: float) -> Floats:
+    """Return the top of the blank on radial lines, its edge a little wider. (n_angle, n_radius)."""
+    rim = part.radius * (1 - 1e-12)
+    inside = np.minimum(radius, rim)
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    z = np.asarray(part.surface.sag(inside * cosine, inside * sine))
+    zx, zy = part.surface.gradient(rim * cosine[:, 0], rim * sine[:, 0])
+    slope = np.maximum(zx * cosine[:, 0] + zy * sine[:, 0], 0.0)
+    z = z + part.stock + slope[:, None] * np.maximum(radius - rim, 0.0)
+    if part.blank is not None:
+        z[:, radius > part.blank.reach + wider] = -np.inf
+    return np.asarray(z)
+
+
+def _azimuths(part: Part, radius: float) -> Floats:
+    fine = 8 * TURN * radius / part.surface.feature_size if part.surface.feature_size > 0 else MOST_AZIMUTHS
+    count = 2 * math.ceil(min(max(AZIMUTHS, fine), MOST_AZIMUTHS) / 2)
+    return np.asarray(np.arange(count) * (TURN / count), dtype=np.float64)
+
+
+def _before(part: Part, tool: Tool, before: Motion | None, x0: float, angle: Floats, wider: float) -> _Material:
+    """Return the material that stands before a pass, under the edge at its first point."""
+    row = tool.profile().row
+    half = max(-float(row[1]), float(row[4]))
+    flank = max(min(-float(row[3]), float(row[6])), 0.05)
+    reach = 2 * half + (part.stock + 4 * GAP) / flank
+    low, high = (max(x0 - reach, 0.0), x0 + reach) if x0 - reach > 0 else (0.0, max(x0 + reach, reach - x0))
+    radius = np.linspace(low, high, STEPS + 1)
+    if part.blank is not None and low < part.blank.reach + wider < high:
+        edge = part.blank.reach + wider
+        radius = np.union1d(radius, [edge, np.nextafter(edge, np.inf)])
+    height = _blank(part, radius, angle, wider)
+    if before is not None:
+        left = generate_polar(before, tool, radius=radius, angle=angle).z
+        height = np.minimum(height, np.where(np.isnan(left), np.inf, left))
+    return _Material(radius, angle, height)
+
+
+def _top(part: Part, x0: float) -> float:
+    """Return the greatest height of the blank, as far out as it or the tool reaches. [mm]."""
+    far = part.blank.reach if part.blank is not None else max(part.radius, x0)
+    return float(_blank(part, np.linspace(0, far, 401), _azimuths(part, far), 0.0).max())

@@ -1,0 +1,336 @@
+"""Where the error of a planned part comes from: cusps, interpolation, rounding, servos; each by simulation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import rounding
+from turnwright.placing import place
+from turnwright.errors import InputError
+from turnwright.generation import generate_polar
+from turnwright.job.extremes import find_extremes
+from turnwright.job.interpolated import interpolated
+from turnwright.metrology import area_rms
+from turnwright.path import Motion, Spiral
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Floats
+    from turnwright.heightmap import HeightMap
+    from turnwright.machine import Machine
+    from turnwright.part import Part
+    from turnwright.progress import Progress
+    from turnwright.tool import Tool
+
+__all__ = [
+    "Shares",
+    "apart_nm",
+    "exact_cusps",
+    "exact_motion",
+    "finish_nm",
+    "has_servos",
+    "lines",
+    "pv_nm_of",
+    "require_servos",
+    "rms_nm_of",
+    "shares",
+    "without_servos",
+]
+
+TURN = 2 * math.pi
+NM = 1e6
+
+PER_FEED = 12
+"""Samples from pass to pass: the top of a cusp is then missed by less than 1 % of its height."""
+
+MOST_RADII = 24_000
+FEWEST_ANGLES, MOST_ANGLES = 72, 720
+"""Azimuths looked at; every one crosses all passes."""
+
+RING = 12
+"""Width of the rings whose finish is looked at, in feeds."""
+
+PER_FEATURE = 4
+"""Azimuths to a feature of the surface at the rim, if they are not too many."""
+
+CLEAR = 1e-4
+"""Shift of azimuths that come near to an end of a spiral; they keep at least half of it away from both ends. [rad]"""
+
+FAINT_NM = 1e-4
+"""Heights below it are roundings of the simulation."""
+
+AXIS_FEEDS = 2
+"""Distance of the tip from the axis, in feeds, within which an Archimedean spiral leaves its highest cusp."""
+
+DENSER = 16
+"""Parts into which an exact path close about the axis divides the way from one azimuth to the next."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shares:
+    """How much each cause adds to the form error, on lines across all passes.
+
+    Parameters
+    ----------
+    cusp_nm
+        Peak to valley of what an exact path leaves: cusps, and valleys that no nose reaches.
+    cusp_away_nm
+        The same on the lines, two feeds or more away from the axis, where an Archimedean spiral leaves its highest.
+    chord_nm
+        Largest change of the surface by what the controller makes of the path between the program's points.
+    rounding_nm
+        ... by the decimals of the program.
+    tracking_nm
+        ... by how the servos answer.
+    pv_nm
+        Of all together: cut minus design, from the highest to the lowest place of the whole part.
+    rms_nm
+        Root mean square of all together over the area, on the lines.
+    sq_nm
+        Finish of all together: largest Sq of a ring a few feeds wide, straight lines across it removed.
+    error
+        Cut minus design, all together. [mm]
+    """
+
+    cusp_nm: float
+    cusp_away_nm: float
+    chord_nm: float
+    rounding_nm: float
+    tracking_nm: float
+    pv_nm: float
+    rms_nm: float
+    sq_nm: float
+    error: HeightMap
+
+    @property
+    def sentence(self) -> str:
+        """Name every contribution: that of the cusps peak to valley, the others as what they change at most."""
+        return (
+            f"cusps {_digits(self.cusp_nm)} nm, points ±{_digits(self.chord_nm)} nm, decimals "
+            f"±{_digits(self.rounding_nm)} nm, servos ±{_digits(self.tracking_nm)} nm at most"
+        )
+
+
+def shares(
+    part: Part,
+    tool: Tool,
+    spiral: Spiral,
+    motion: Motion,
+    *,
+    again: Motion | None = None,
+    meant: Motion | None = None,
+    pv_nm: float | None = None,
+    progress: Progress | None = None,
+) -> Shares:
+    """Return where the error of a plan comes from.
+
+    Parameters
+    ----------
+    part, tool
+        What is wanted, and with what it is cut.
+    spiral
+        What was planned; its path is placed once more, exactly at the azimuths that are looked at.
+    motion
+        What was made of it, for the machine that it carries.
+    again
+        The motion as it was read back from the program on disk; ``motion`` itself if not given.
+    meant
+        Where the axes shall really pass, if ``motion`` is corrected for the servos: then points count by what is meant,
+        and servos by how far the real surface is from that, the decimals' part in it included.
+    pv_nm
+        Peak to valley of all together, where it is known.
+    progress
+        Called with (surfaces done, surfaces in all).
+    """
+    machine, report = motion.machine, progress or (lambda _done, _total: None)
+    feed = spiral.feed
+    radius, angle = lines(part, feed, spiral.angle)
+
+    def made(one: Motion, done: int) -> HeightMap:
+        report(done, 6)
+        return generate_polar(one, tool, radius=radius, angle=angle)
+
+    zone, reach = _axis_zone(part, tool, feed)
+    ideal_path = exact_motion(spiral, part, tool, machine, angle, dense_to=reach)
+    exact = made(ideal_path, 0)
+    again, ideal = again or motion, without_servos(machine)
+    steady = machine.controller.interpolation == "linear"
+    sent = made(motion if steady else interpolated(motion, ideal), 1)
+    wanted = sent if meant is None else made(interpolated(meant, without_servos(machine, corrected=True)), 2)
+    moved = again if steady else interpolated(again, ideal)
+    rounded = sent if again is motion else made(moved, 3)
+    real = rounded
+    if has_servos(machine):
+        moved = interpolated(again, machine)
+        real = made(moved, 4)
+    error = real.minus(part.surface)
+    report(5, 6)
+    if pv_nm is None:
+        form = find_extremes(moved, tool, part, known=error)
+        pv_nm = math.nan if form is None else form.pv_nm
+    report(6, 6)
+    cusps = exact.minus(part.surface)
+    return Shares(
+        cusp_nm=pv_nm_of(np.append(cusps.z.ravel(), _about_axis(ideal_path, part, tool, zone))),
+        cusp_away_nm=pv_nm_of(cusps.z[:, radius > 2 * feed]),
+        chord_nm=apart_nm(wanted, exact),
+        rounding_nm=apart_nm(rounded, sent),
+        tracking_nm=apart_nm(real, rounded if meant is None else wanted),
+        pv_nm=pv_nm,
+        rms_nm=rms_nm_of(error),
+        sq_nm=finish_nm(error, feed),
+        error=error,
+    )
+
+
+def exact_cusps(spiral: Spiral, part: Part, tool: Tool, machine: Machine) -> tuple[HeightMap, float]:
+    """Return what an exact path leaves on lines across all passes [mm], and its peak to valley, about the axis too."""
+    radius, angle = lines(part, spiral.feed, spiral.angle)
+    zone, reach = _axis_zone(part, tool, spiral.feed)
+    motion = exact_motion(spiral, part, tool, machine, angle, dense_to=reach)
+    error = generate_polar(motion, tool, radius=radius, angle=angle).minus(part.surface)
+    return error, pv_nm_of(np.append(error.z.ravel(), _about_axis(motion, part, tool, zone)))
+
+
+def _axis_zone(part: Part, tool: Tool, feed: float) -> tuple[float, float]:
+    """Return how far from the axis cusps are cut by the tip next to it, and how far out their neighbours are. [mm].
+
+    On a slope the edge touches beside the tip, so that the cusp of the axis stands beside the axis.
+    """
+    radius = np.linspace(0, min(AXIS_FEEDS * feed, part.radius), 5)[:, None]
+    angle = np.linspace(0, TURN, FEWEST_ANGLES, endpoint=False)
+    slope = float(np.hypot(*part.surface.gradient(radius * np.cos(angle), radius * np.sin(angle))).max())
+    lateral = tool.actual_radius * slope / math.hypot(1, slope)
+    return min(AXIS_FEEDS * feed + lateral, part.radius), 2 * (AXIS_FEEDS * feed + lateral)
+
+
+def _about_axis(motion: Motion, part: Part, tool: Tool, zone: float) -> Floats:
+    """Return the highest and the lowest error within a distance of the axis. (2,) [mm]."""
+    found = find_extremes(motion, tool, replace(part, radius=zone))
+    return np.array([math.nan] * 2 if found is None else [found.highest.error, found.lowest.error])
+
+
+def _digits(height_nm: float) -> str:
+    """Return three digits of a height, or 0 where it is mere rounding."""
+    return f"{height_nm:.3g}" if height_nm >= FAINT_NM else "0"
+
+
+def pv_nm_of(z: Floats) -> float:
+    """Return the peak to valley of heights."""
+    return float(np.nanmax(z) - np.nanmin(z)) * NM
+
+
+def rms_nm_of(heights: HeightMap) -> float:
+    """Return the root mean square of a map, over its area."""
+    return area_rms(heights) * NM
+
+
+def lines(part: Part, feed: float, passed: Floats) -> tuple[Floats, Floats]:
+    """Return the radii and azimuths of lines across all passes of a spiral that goes by some angles.
+
+    (n,) [mm], (m,) [rad]
+    """
+    fine = TURN * part.radius / part.surface.feature_size * PER_FEATURE
+    return (
+        np.linspace(0, part.radius, min(math.ceil(part.radius / feed * PER_FEED), MOST_RADII) + 1),
+        clear_azimuths(int(np.clip(math.ceil(fine), FEWEST_ANGLES, MOST_ANGLES)), passed),
+    )
+
+
+def clear_azimuths(count: int, passed: Floats) -> Floats:
+    """Return even azimuths clear of both ends of a spiral, where a decimal of C adds or takes a revolution.
+
+    (count,) [rad]
+    """
+    step = TURN / count
+    for shift in (0.0, CLEAR, 2 * CLEAR):
+        away = np.mod(passed[[0, -1]] - shift + step / 2, step) - step / 2
+        if np.abs(away).min() >= CLEAR / 2:
+            break
+    return np.asarray(shift + step * np.arange(count))
+
+
+def finish_nm(error: HeightMap, feed: float) -> float:
+    """Return the largest Sq of a ring a few feeds wide, straight lines across it removed."""
+    assert error.radius is not None  # noqa: S101 - lines are polar
+    step = float(error.radius[1])
+    size = min(max(math.ceil(RING * feed / step), 3), error.radius.size)
+    rings = error.radius.size // size
+    z = error.z[:, : rings * size].reshape(-1, rings, size)
+    weight = error.radius[: rings * size].reshape(rings, size)
+    across = np.linspace(-1, 1, size)
+    level = z - z.mean(axis=2, keepdims=True)
+    level = level - across * ((level @ across) / (across @ across))[:, :, None]
+    return float(np.sqrt(np.nanmax((level**2 * weight).mean(axis=(0, 2)) / weight.mean(axis=1)))) * NM
+
+
+def has_servos(machine: Machine) -> bool:
+    """Say whether the machine states how any axis answers."""
+    return any(axis.response is not None or axis.dead_time for axis in machine.axes.values())
+
+
+def require_servos(machine: Machine) -> None:
+    """Raise if a machine does not state how any of its axes answers."""
+    if not has_servos(machine):
+        raise InputError(
+            f"tracking is asked for, but {machine.name} states for 0 of its {len(machine.axes)} axes how they answer: "
+            "add [axes.Z.response] to a machine file and name that file in the job, or do without"
+        )
+
+
+def without_servos(machine: Machine, *, corrected: bool = False) -> Machine:
+    """Return the machine with axes that follow at once, or, ``corrected`` for its servos, pass where they are meant to.
+
+    A spline passes inside its points; what is meant, and what is corrected for, passes through them.
+    """
+    axes = {letter: replace(axis, response=None, dead_time=None) for letter, axis in machine.axes.items()}
+    controller = machine.controller
+    if corrected and controller.interpolation in ("quadratic spline", "cubic spline"):
+        controller = replace(controller, interpolation="hermite", other_interpolations={})
+    return replace(machine, axes=axes, controller=controller)
+
+
+def apart_nm(one: HeightMap, other: HeightMap) -> float:
+    """Return the largest distance between two maps."""
+    return float(np.nanmax(np.abs(one.z - other.z))) * NM
+
+
+def exact_motion(
+    spiral: Spiral, part: Part, tool: Tool, machine: Machine, angle: Floats, *, dense_to: float = 0.0
+) -> Motion:
+    """Return a motion that is exact wherever it crosses one of the azimuths, at one radian per second.
+
+    The azimuths ascend from 0 to less than a turn, at any distance from each other. Where the tip is no farther from
+    the axis than ``dense_to`` [mm], the motion is exact at places between them too.
+    """
+    first, last = sorted((float(spiral.angle[0]), float(spiral.angle[-1])))
+    apart = 1e-11 + rounding(spiral.angle)  # so that no azimuth is one of the ends over again [rad]
+    turns = np.arange(math.floor(first / TURN), math.floor(last / TURN) + 1)
+    inner = (TURN * turns[:, None] + angle).ravel()
+    inner = inner[(inner > first + apart) & (inner < last - apart)]
+    nodes = np.concatenate(([first], inner, [last]))[:: spiral.sense]
+    far = np.abs(_between(spiral, spiral.radius, spiral.radius_rate, nodes))
+    parts = np.where(np.minimum(far[:-1], far[1:]) <= dense_to, DENSER, 1)
+    start = np.repeat(np.cumsum(parts) - parts, parts)
+    within = (np.arange(start.size) - start) / np.repeat(parts, parts)
+    nodes = np.append(np.repeat(nodes[:-1], parts) + within * np.repeat(np.diff(nodes), parts), nodes[-1])
+    radius = _between(spiral, spiral.radius, spiral.radius_rate, nodes)
+    y = None if spiral.y is None else _between(spiral, spiral.y, spiral.y_rate, nodes)
+    path = place(Spiral(angle=nodes, radius=radius, y=y), part, tool)
+    axes = {"C": path.angle, "X": path.radius, "Z": path.z - machine.z_error(path.radius)}
+    if path.y is not None:
+        axes["Y"] = path.y
+    return Motion(time=np.abs(nodes - nodes[0]), axes=axes, machine=machine)
+
+
+def _between(spiral: Spiral, values: Floats, rates: Floats | None, nodes: Floats) -> Floats:
+    """Return what the plan has between its points: straight lines, or cubics where it states rates."""
+    order, asked = spiral.sense * spiral.angle, spiral.sense * nodes
+    if rates is None:
+        return np.interp(asked, order, values)
+    from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415 - costly to import
+
+    return np.asarray(CubicHermiteSpline(order, values, spiral.sense * rates)(asked))

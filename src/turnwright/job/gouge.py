@@ -1,0 +1,146 @@
+"""Where the predicted surface lies below the design by more than the plan allows: the last look for a gouge."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from turnwright.units import say_length
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from turnwright._arrays import Floats
+    from turnwright.job.result import Prediction
+    from turnwright.job.schema import Job
+    from turnwright.path import Motion
+
+__all__ = ["Gouge", "find_gouge"]
+
+SLACK = 1e-6
+"""Depth below the design that every plan allows. [mm]"""
+
+ZONES = (5, 12)
+"""Zones along the radius and around the axis; the lowest place of each is judged."""
+
+STEPS = 3
+"""Points of the program on either side of a place whose straight lines may leave it low."""
+
+
+class Gouge(NamedTuple):
+    """A place where the predicted surface is too low: [mm] all."""
+
+    x: float
+    y: float
+    depth: float
+    allowed: float
+
+    @property
+    def sentence(self) -> str:
+        """What was found, and what is allowed."""
+        return (
+            f"the tool gouges by {say_length(self.depth)} at x = {self.x:.4g} mm, y = {self.y:.4g} mm, where decimals "
+            f"and straight lines between the points allow {say_length(self.allowed)}: take more points, or state a "
+            "chord"
+        )
+
+
+def find_gouge(job: Job, whole: Prediction, motion: Motion, rounding_limit_nm: float) -> Gouge | None:
+    """Return the place that lies lowest below what the plan allows, ``None`` if there is none or it cannot be judged.
+
+    Judged is only a job whose tool and machine are as planned, that aims at the part itself, asks for no servos and
+    writes no heights by time: whatever else deviates cuts below the design by right.
+
+    The plan allows the decimals of the program and the stated chord. Without a chord it allows what straight lines
+    between the points may leave: where a path jumps or has a kink, up to its second difference there.
+
+    Parameters
+    ----------
+    job
+        What was asked for.
+    whole
+        The whole part as predicted from the program.
+    motion
+        The finishing pass of the program read back.
+    rounding_limit_nm
+        What its decimals allow.
+    """
+    deviates = job.actual.tool.stated or job.actual.machine.stated or job.simulation.tracking
+    by_time = job.program.fast_tool == "time"  # heights of its own between the points, which no chord bounds
+    if deviates or by_time or job.part.added is not None or job.strategy.along != "z":
+        return None
+    flat = SLACK + rounding_limit_nm * 1e-6
+    chord: float | None = job.strategy.chosen(job.passes[-1]).get("chord")
+    low = [one for one in _lowest(whole) if one[2] > flat]
+    if not low:
+        return None
+    allows = _Chords(job, motion).at if chord is None else lambda _x, _y: chord
+    worst: Gouge | None = None
+    for x, y, depth in low:
+        allowed = flat + allows(x, y)
+        if depth > allowed and (worst is None or depth - allowed > worst.depth - worst.allowed):
+            worst = Gouge(x, y, depth, allowed)
+    return worst
+
+
+def _lowest(whole: Prediction) -> Iterator[tuple[float, float, float]]:
+    """Yield the lowest place of all and of each zone: x, y and how far it is below the design. [mm]."""
+    if whole.form is not None:
+        lowest = whole.form.lowest
+        yield lowest.x, lowest.y, -lowest.error
+    x, y = whole.error.points()
+    depth = np.where(np.isnan(whole.error.z), -np.inf, -whole.error.z)
+    rows, columns = depth.shape
+    for across in np.array_split(np.arange(columns), min(ZONES[0], columns)):
+        for around in np.array_split(np.arange(rows), min(ZONES[1], rows)):
+            zone = np.ix_(around, across)
+            at = int(depth[zone].argmax())
+            yield float(x[zone].flat[at]), float(y[zone].flat[at]), float(depth[zone].flat[at])
+
+
+class _Chords:
+    """How far straight lines between the points of a motion may be from the path."""
+
+    def __init__(self, job: Job, motion: Motion) -> None:
+        tool, axes = job.tool.tool, motion.axes
+        c = axes["C"]
+        self.surface = job.part.part.surface
+        self.x = axes["X"] + axes.get("U", 0.0)
+        bends = [_bend(c, one) for one in (axes["Z"] + axes.get("W", 0.0), self.x, axes.get("Y", np.zeros(c.size)))]
+        self.bend_z, self.bend_across = bends[0], bends[1] + bends[2]
+        turned = c % (2 * np.pi)
+        self.order = np.argsort(turned)
+        self.azimuth = turned[self.order]
+        self.step = float(np.abs(np.diff(c)).max())
+        row = tool.table(motion.sense).row
+        flank = max(abs(tool.arc[0]), abs(tool.arc[1]))
+        # Where the path jumps the flanks are in the cut as well.
+        self.reach = tool.actual_radius * np.sin(flank) + abs(float(row[5])) + 2 * np.tan(flank) * self.bend_z.max()
+        upright = row[4] == 0 and row[6] == 0 and not np.any(axes.get("Y", 0.0))
+        self.aside = 0.0 if upright else self.reach + float(np.abs(axes.get("Y", 0.0)).max()) + abs(float(row[6]))
+
+    def at(self, x: float, y: float) -> float:
+        """Return the most that a line near a place may be from the path. [mm]."""
+        radius = np.hypot(x, y)
+        share = self.aside / radius if radius > self.aside else 1.0
+        half = STEPS * self.step + (np.arcsin(share) if self.aside else 0.0)
+        if radius <= self.aside or half >= np.pi / 2:
+            near = self.order
+        else:
+            mid = np.arctan2(y, x)
+            bounds = ((mid + turn - half, mid + turn + half) for turn in (-2 * np.pi, 0.0, 2 * np.pi, 4 * np.pi))
+            near = np.concatenate([self.order[slice(*np.searchsorted(self.azimuth, one))] for one in bounds])
+        near = near[np.abs(self.x[near] - radius) <= self.reach + self.aside]
+        if near.size == 0:
+            return 0.0
+        slope = float(np.hypot(*self.surface.gradient(x, y)))
+        return float((self.bend_z[near] + slope * self.bend_across[near]).max())
+
+
+def _bend(c: Floats, values: Floats) -> Floats:
+    """Return twice how far each point is from the line through its neighbours. (n,) [mm]."""
+    found = np.zeros(c.size)
+    share = (c[1:-1] - c[:-2]) / (c[2:] - c[:-2])
+    found[1:-1] = 2 * np.abs(values[1:-1] - values[:-2] - share * (values[2:] - values[:-2]))
+    return found

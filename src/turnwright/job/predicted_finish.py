@@ -1,0 +1,63 @@
+"""What a job's finishing pass leaves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.placing import place
+from turnwright.generation import generate_points
+from turnwright.motion import drive
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Floats
+    from turnwright.job.schema import Job
+    from turnwright.path import Motion
+
+__all__ = ["across_feed", "cut_by", "feed_of", "finished", "motion_of"]
+
+ACROSS = 8
+"""Places across a feed, whose mean has of the cusps a share of 0.4/64 of their height at most."""
+
+
+def feed_of(job: Job) -> float:
+    """Return the feed that a job states for its finishing pass, or 0. [mm/rev]."""
+    return getattr(job.passes[-1], "feed", None) or getattr(job.strategy, "feed", None) or 0.0
+
+
+def motion_of(job: Job) -> Motion:
+    """Return the motion of a job's finishing pass."""
+    aim, tool = job.part.aimed, job.tool.tool
+    servo = job.servo(job.passes[-1])
+    path = place(servo.spiral(aim, tool), aim, tool, along=job.strategy.along)
+    return drive(path, servo, job.machine.machine, profile=job.strategy.profile(job.passes[-1]))
+
+
+def cut_by(motion: Motion, real: Job, x: Floats, y: Floats) -> Floats:
+    """Return the heights that a motion leaves with tool and machine of a job. (n,) [mm]."""
+    return generate_points(motion, real.tool.tool, x=x, y=y, machine=real.machine.machine)
+
+
+def finished(job: Job, real: Job, x: Floats, y: Floats) -> Floats:
+    """Return the heights that a job's finishing pass leaves if tool and machine are those of another job. (n,) [mm].
+
+    Parameters
+    ----------
+    job
+        That is planned and driven.
+    real
+        Whose tool cuts on whose machine.
+    x, y
+        Points. Each (n,) [mm]
+    """
+    return cut_by(motion_of(job), real, x, y)
+
+
+def across_feed(job: Job, x: Floats, y: Floats, places: int = ACROSS) -> tuple[Floats, Floats]:
+    """Return places across a feed around some points, over which cusps have their mean. Each (n, places) [mm]."""
+    radius, angle = np.hypot(x, y), np.arctan2(y, x)
+    feed = feed_of(job)
+    inside = np.minimum(radius, job.part.part.radius - feed / 2)  # the surface may end at the rim
+    across = np.abs(inside[:, None] + feed * ((np.arange(places) + 0.5) / places - 0.5))
+    return across * np.cos(angle)[:, None], across * np.sin(angle)[:, None]

@@ -1,0 +1,1010 @@
+"""The job file: data only. What each table means stands with the class that it builds."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
+
+import numpy as np
+import tomli_w
+from annotated_types import Ge, Le
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    Strict,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
+
+from turnwright import machine as lathe
+from turnwright import tool as diamond
+from turnwright._io import read_toml
+from turnwright._validate import key_of
+from turnwright._io import write_whole
+from turnwright.errors import InputError, JobError, UnitError, shown
+from turnwright.files import read_map
+from turnwright.instrument import Instrument
+from turnwright.job.prescriptions import FAMILIES, AnySurface
+from turnwright.job.strategies import KINDS, AnyStrategy, Choices
+from turnwright.job.table import (
+    Angle,
+    ExistingFile,
+    Length,
+    Size,
+    Slope,
+    Table,
+    Text,
+    Thickness,
+    existing,
+    read_columns,
+    refuse,
+    sentences,
+)
+from turnwright.job.table import faults as faults_of
+from turnwright.machine import Machine
+from turnwright.material import Material
+from turnwright.motion import require_variable
+from turnwright.part import Blank, Part
+from turnwright.pose import Pose
+from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, dialect_of
+from turnwright.surface import Gridded
+from turnwright.tool import Tool, WavinessTable
+from turnwright.units import parse, unit
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from turnwright._arrays import Floats
+    from turnwright.strategy import Strategy
+
+__all__ = ["Job", "PassTable", "faults"]
+
+Name: TypeAlias = Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _-]{0,29}$")]
+"""What a controller takes as the name of a sub-program, and any computer as that of a file."""
+
+Accepted: TypeAlias = Literal["nose radius", "included angle", "clearance", "rake", "valley", "step", "limits", "gouge"]
+
+MOST_REPEATS = 100
+"""Times that one pass is repeated: beyond this a depth is a slip of the unit."""
+
+MOST_VALUES = 100_000
+"""In all tables and lists of a job: heights and curves have files of their own."""
+
+MOST_SAMPLES = 1e8
+"""Heights in one map: beyond this a pixel is a slip of the unit."""
+
+
+def _correction(file: File) -> Gridded:
+    """Return a correction as `correct` writes it."""
+    heights = read_map(file)
+    if heights.x is None or heights.y is None or heights.scattered or np.isnan(heights.z).any():
+        raise JobError(
+            f"{file.name} is no whole grid of heights over x and y: name what turnwright correct has written"
+        )
+    return Gridded(x=heights.x, y=heights.y, z=heights.z)
+
+
+def _material(text: str, info: ValidationInfo) -> str:
+    """Return a known material's name as it is, the file of one as a whole path, looked for beside the job file."""
+    if not text.endswith(".toml"):
+        if text and Material.named(text) is None:
+            shown = text if len(text) <= 40 else f"{text[:40]}..."
+            raise JobError(
+                f"{shown!r} is not a known material: {Material.suggest(text)}; give the .toml file of one of your own, "
+                "or state a material that is not to be judged as material_note"
+            )
+        return text
+    return str(existing(File(text), info))
+
+
+class BlankTable(Table):
+    """What the part is cut from, a disc: see `turnwright.Blank`."""
+
+    radius: Size
+
+    @cached_property
+    def blank(self) -> Blank:
+        """The blank."""
+        return Blank(radius=self.radius)
+
+
+class PartTable(Table):
+    """What is asked for: see `turnwright.Part`.
+
+    Parameters
+    ----------
+    material
+        A known material in any spelling, or the ``.toml`` file of one: chips and ductile regime are judged by it.
+    correction
+        File of a table of heights that is added to the surface the tool is sent to, as `correct` writes it, so
+        that an error that repeats does not come back; the part is judged by its design as before.
+    """
+
+    surface: AnySurface
+    radius: Size
+    stock: Thickness = 0.0
+    material: Annotated[Text, AfterValidator(_material)] = ""
+    material_note: Text = ""
+    name: Text = ""
+    correction: ExistingFile | None = None
+    blank: BlankTable | None = None
+
+    @cached_property
+    def part(self) -> Part:
+        """The part as it was designed, by which everything is judged."""
+        # A path would make the program another one wherever its job lies.
+        material = self.substance.name if self.substance and self.material.endswith(".toml") else self.material
+        return Part(
+            surface=self.surface.surface,
+            radius=self.radius,
+            stock=self.stock,
+            material=material,
+            material_note=self.material_note,
+            name=self.name,
+            blank=self.blank.blank if self.blank else None,
+        )
+
+    @cached_property
+    def substance(self) -> Material | None:
+        """What is known of the material; ``None`` where the job names none."""
+        if self.material.endswith(".toml"):
+            return Material.load(self.material)
+        named = Material.named(self.material)
+        return None if named is None else Material.load(named)
+
+    @cached_property
+    def added(self) -> Gridded | None:
+        """What is added to the design so that an error that repeats does not come back, see `correct`."""
+        return None if self.correction is None else _correction(self.correction)
+
+    @cached_property
+    def aimed(self) -> Part:
+        """The part that the tool is sent to: the design with its correction."""
+        return self.part if self.added is None else replace(self.part, surface=self.part.surface + self.added)
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        _ = self.aimed, self.substance
+        return self
+
+
+def _read_waviness(values: object) -> object:
+    """Read the coefficients of sweep, sweep^2, ... each in its own unit."""
+    if not isinstance(values, list | tuple):
+        return values
+    problems: dict[tuple[str | int, ...], Exception | str] = {}
+    coefficients = []
+    for index, value in enumerate(values):
+        try:
+            coefficients.append(parse(value, f"mm/rad^{index + 1}"))
+        except UnitError as error:
+            problems[index,] = error
+    if problems:
+        raise refuse("waviness", problems, values)
+    return tuple(coefficients)
+
+
+Waviness = Annotated[
+    tuple[float, ...],
+    BeforeValidator(_read_waviness),
+    PlainSerializer(lambda values: [f"{value!r} mm/rad^{index + 1}" for index, value in enumerate(values)]),
+]
+
+
+class ToolDeviations(Table):
+    """What the actual tool has otherwise than the one planned with.
+
+    Parameters
+    ----------
+    waviness
+        Radial deviation of the edge, positive outward: coefficients of the sweep on the nose, of its square and
+        so on, such as "0.2 um/rad", "-1 um/rad^2".
+    waviness_file
+        File with the columns sweep and deviation, each with its unit in the head, in place of the coefficients.
+    radius_error
+        Actual minus nominal nose radius. [mm]
+    offset
+        Where the tip really is minus where it should be: along X, in height, along Z. [mm]
+    rake
+        Angle of the rake face against the vertical, positive leaning back from the cutting direction. [rad]
+    """
+
+    waviness: Waviness | None = None
+    waviness_file: ExistingFile | None = None
+    radius_error: Length | None = None
+    offset: tuple[Length, Length, Length] | None = None
+    rake: Angle | None = None
+
+    @cached_property
+    def stated(self) -> dict[str, Any]:
+        """The deviations that the job states, as `Tool` takes them."""
+        if self.waviness is not None and self.waviness_file is not None:
+            raise JobError("waviness and waviness_file are both given, only one can be right: remove one")
+        stated = {name: getattr(self, name) for name in ("waviness", "radius_error", "offset", "rake")}
+        if self.waviness_file is not None:
+            sweep, deviation = read_columns(self.waviness_file, {"sweep": "rad", "deviation": "mm"})
+            stated["waviness"] = WavinessTable(sweep=sweep, deviation=deviation)
+        return {name: value for name, value in stated.items() if value is not None}
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        _ = self.stated
+        return self
+
+
+class Sizes(Table):
+    """How large error sources plausibly are, each one standard deviation."""
+
+    names: ClassVar[Iterable[str]] = ()
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """What is stated, by the name of the source."""
+        sizes = {name: getattr(self, key_of(name)) for name in self.names}
+        return {name: size for name, size in sizes.items() if size is not None}
+
+
+class ToolSizes(Sizes):
+    """How large deviations of the tool plausibly are, each one standard deviation.
+
+    Parameters
+    ----------
+    offset_x
+        By how much the tip stands beside its place along X. [mm]
+    offset_y
+        By how much it stands above or below the centre. [mm]
+    offset_z
+        By how much it was touched off wrongly. [mm]
+    radius_error
+        Of the nose. [mm]
+    waviness
+        Of the edge where it is used farthest from the tip. [mm]
+    """
+
+    names = diamond.PLAUSIBLE
+
+    offset_x: Size | None = None
+    offset_y: Size | None = None
+    offset_z: Size | None = None
+    radius_error: Size | None = None
+    waviness: Size | None = None
+
+
+class MachineSizes(Sizes):
+    """How large errors of the machine plausibly are, each one standard deviation.
+
+    Parameters
+    ----------
+    squareness
+        Of the X slide to the spindle. [rad]
+    straightness
+        Of the X slide. [mm]
+    servo_lag
+        Angle by which Z comes late. [rad]
+    drift_of_x, drift_of_z
+        Over the time of a cut; as large as the maps allow if left out. [mm]
+    """
+
+    names = lathe.PLAUSIBLE
+
+    squareness: Annotated[float, unit("rad", above=0.0)] | None = None
+    straightness: Size | None = None
+    servo_lag: Annotated[float, unit("rad", above=0.0)] | None = None
+    drift_of_x: Size | None = None
+    drift_of_z: Size | None = None
+
+
+class ToolTable(ToolDeviations):
+    """The diamond: see `turnwright.Tool`."""
+
+    nose_radius: Size
+    included: Angle | None = None
+    clearance: Angle | None = None
+    edge_length: Size | None = None
+    name: Text = ""
+    plausible: ToolSizes = ToolSizes()
+
+    @cached_property
+    def tool(self) -> Tool:
+        """The tool."""
+        return Tool(
+            nose_radius=self.nose_radius,
+            included=self.included,
+            clearance=self.clearance,
+            edge_length=self.edge_length,
+            name=self.name,
+            plausible=self.plausible.stated,
+            **self.stated,
+        )
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        _ = self.tool
+        return self
+
+
+class MachineDeviations(Table):
+    """What the actual machine has otherwise than the one planned with.
+
+    Parameters
+    ----------
+    squareness
+        How far X and Z are off a right angle: the error of Z is this times X. [rad]
+    straightness_file
+        File with the columns x and error, each with its unit in the head: the error of Z over X.
+    """
+
+    squareness: Slope | None = None
+    straightness_file: ExistingFile | None = None
+
+    @cached_property
+    def stated(self) -> dict[str, Any]:
+        """The deviations that the job states, as `Machine` takes them."""
+        stated: dict[str, Any] = {} if self.squareness is None else {"squareness": self.squareness}
+        if self.straightness_file is not None:
+            stated["straightness"] = tuple(read_columns(self.straightness_file, {"x": "mm", "error": "mm"}))
+        return stated
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        _ = self.stated
+        return self
+
+
+class MachineTable(MachineDeviations):
+    """The lathe, by the name of one that comes with Turnwright or by its own file: see `turnwright.Machine.load`.
+
+    Parameters
+    ----------
+    name
+        One of the lathes that come with Turnwright; or else give a file.
+    file
+        A machine file of one's own, in place of the name.
+    dialect
+        The language of the controller, where it is not the machine's usual one.
+    interpolation
+        What the controller makes of the points, where it offers more than one way; the machine's own if left
+        out.
+    plausible
+        How large the machine's errors plausibly are, where not as its file says.
+    """
+
+    name: Text | None = None
+    file: ExistingFile | None = None
+    dialect: Text | None = None
+    interpolation: Text | None = None
+    plausible: MachineSizes = MachineSizes()
+
+    @cached_property
+    def machine(self) -> Machine:
+        """The machine."""
+        if (self.name is None) == (self.file is None):
+            raise JobError("name and file of the machine are both given or both missing: give one of them")
+        loaded = Machine.load(self.file or self.name or "")
+        own = loaded.controller.interpolation
+        machine = loaded if self.interpolation is None else loaded.interpolating(self.interpolation)
+        stated = self.stated if self.dialect is None else {**self.stated, "dialect": self.dialect}
+        machine = replace(machine, plausible={**machine.plausible, **self.plausible.stated}, **stated)
+        dialect, asked = dialect_of(machine), machine.controller.interpolation
+        # What a controller makes of plain points unasked is its own; any other must be asked for in the program.
+        if asked not in (own, dialect.interpolation):
+            raise JobError(
+                f"interpolation is {asked!r}, a program in the dialect {dialect.name} asks for "
+                f"{dialect.interpolation}: choose that, or {own}, which {machine.name} takes unasked"
+            )
+        return machine
+
+    @model_validator(mode="after")
+    def _is_known(self) -> Self:
+        _ = self.machine
+        return self
+
+
+class PassTable(Choices):
+    """One pass: what it states otherwise than the strategy, and how much it leaves and takes off.
+
+    Parameters
+    ----------
+    name
+        What the pass is called, in the program and in all results.
+    allowance
+        Material that is left above the finished surface when the pass is done; the last pass leaves none. [mm]
+    depth
+        Thickness taken off at a time: the pass is repeated, each time deeper, until its allowance is reached;
+        all at once if left out. [mm]
+    """
+
+    name: Name
+    allowance: Thickness = 0.0
+    depth: Size | None = None
+
+    def repeats(self, stock: float) -> int:
+        """Return how often the pass is cut, each time deeper, to take ``stock`` [mm] down to its allowance."""
+        return max(1, math.ceil((stock - self.allowance) / self.depth - 1e-9)) if self.depth else 1
+
+    def names(self, stock: float) -> list[str]:
+        """Return the name of each repetition."""
+        times = self.repeats(stock)
+        return [self.name] if times == 1 else [f"{self.name} {number}" for number in range(1, times + 1)]
+
+
+class Patch(Table):
+    """A rectangle on the part to be predicted.
+
+    Parameters
+    ----------
+    name
+        What the place is called.
+    centre
+        Its middle on the part. [mm]
+    size
+        Along x and y. [mm]
+    pixel
+        Distance between heights; a quarter of the feed or less shows the cusps. [mm]
+    """
+
+    name: Name
+    centre: tuple[Length, Length]
+    size: tuple[Size, Size]
+    pixel: Size
+
+    @property
+    def axes(self) -> tuple[Floats, Floats]:
+        """Columns and rows of the grid, centred, the pixel exact. [mm]."""
+        axes = []
+        for middle, size in zip(self.centre, self.size, strict=True):
+            count = math.floor(size / self.pixel + 1e-9) + 1
+            if count < 2:
+                raise JobError(
+                    f"pixel is {self.pixel:g} mm on a size of {size:g} mm, it must fit at least once: reduce it"
+                )
+            axes.append(np.asarray(middle + (np.arange(count) - (count - 1) / 2) * self.pixel, dtype=np.float64))
+        return axes[0], axes[1]
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        points = math.prod(size / self.pixel + 1 for size in self.size)
+        if points > MOST_SAMPLES:
+            raise JobError(
+                f"{self.name!r} has {points:.3g} points, the limit is {MOST_SAMPLES:.0e}: take a larger pixel"
+            )
+        _ = self.axes
+        return self
+
+
+class WholePart(Table):
+    """The polar grid over the whole part.
+
+    Parameters
+    ----------
+    radii
+        Rings from the axis to the clear radius.
+    angles
+        Heights around each ring.
+    """
+
+    radii: Annotated[int, Strict(), Ge(2)] = 400
+    angles: Annotated[int, Strict(), Ge(3)] = 360
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        if self.radii * self.angles > MOST_SAMPLES:
+            raise JobError(
+                f"radii times angles is {self.radii * self.angles}, the limit is {MOST_SAMPLES:.0e}: take fewer"
+            )
+        return self
+
+
+class SimulationTable(Table):
+    """What to predict, and whether the axes move as the machine's servos let them.
+
+    Parameters
+    ----------
+    tracking
+        Whether the axes move as the machine's servos let them; otherwise they go where they are sent.
+    whole_part
+        The polar map of the whole part.
+    patches
+        Small places at a fine pixel, of which the roughness is told.
+    """
+
+    tracking: Annotated[bool, Strict()] = False
+    whole_part: WholePart = WholePart()
+    patches: tuple[Patch, ...] = ()
+
+
+def _form(value: object) -> int | str:
+    known = ("none", "mean", "plane", "sphere")
+    if value in known or (isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 10):
+        return value
+    raise JobError(
+        f"{value!r} is neither one of {', '.join(known)} nor the degree of a polynomial, 0 to 10: give one of them"
+    )
+
+
+class RoughnessTable(Table):
+    """What is removed before the roughness of a patch is computed: see `turnwright.roughness`."""
+
+    form: Annotated[int | str, PlainValidator(_form)] = "plane"
+
+
+class InstrumentTable(Table):
+    """The instrument through which a prediction is seen: see `turnwright.Instrument`.
+
+    Parameters
+    ----------
+    name
+        One of the instruments that come with Turnwright; what else is stated here replaces its own.
+    file
+        A ``.toml`` file of an instrument of one's own, in place of the name.
+    """
+
+    name: Text | None = None
+    file: ExistingFile | None = None
+    pixel: Size | None = None
+    numerical_aperture: float | None = None
+    wavelength: Size | None = None
+    resolution: Size | None = None
+    filling: float | None = None
+    stylus_radius: Size | None = None
+    noise: Thickness | None = None
+
+    @cached_property
+    def instrument(self) -> Instrument:
+        """The instrument."""
+        if self.name is not None and self.file is not None:
+            raise JobError("name and file of the instrument are both given: give one of them")
+        if self.name is not None and self.name not in Instrument.known():
+            raise JobError(
+                f"the instrument is {shown(self.name)}, the known ones are {', '.join(Instrument.known())}: choose "
+                "one, name a .toml file, or state its pixel and resolution"
+            )
+        source = self.file or self.name
+        own = Instrument() if source is None else Instrument.load(source)
+        values = {key: getattr(self, key) for key in type(self).model_fields if key not in ("name", "file")}
+        stated = {key: value for key, value in values.items() if value is not None}
+        if not stated and source is None:
+            raise JobError("the instrument states nothing: give its name, a file, or what it resolves, such as pixel")
+        return replace(own, **stated)
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> Self:
+        _ = self.instrument
+        return self
+
+
+def _instrument(value: object) -> object:
+    """Return the table that the name or the file of an instrument stands for."""
+    if isinstance(value, str):
+        return {"file" if value.endswith(".toml") else "name": value}
+    return value
+
+
+class MeasurementTable(Table):
+    """What is known of the instrument that measures the part, and what its map may be off by: see `turnwright.measure`.
+
+    A map that the instrument shows from the other side is ``mirrored`` left to right, one whose heights grow into the
+    material is ``inverted``.
+
+    Parameters
+    ----------
+    pixel_size
+        Distance between the instrument's pixels, for a file that does not say it: one size, or one along x and
+        one along y. [mm]
+    units
+        Of x and y of a text file that states none.
+    sag_units
+        Of the heights of such a file.
+    quantity
+        What the map holds: heights, or departures from a reference along z or along its normal.
+    departure_from
+        What departures count from: "design", or any prescription.
+    mirrored
+        Whether the map shows the part from the other side, left for right.
+    inverted
+        Whether its heights grow into the material.
+    spikes
+        How single wrong heights are told from the part and taken out.
+    trim
+        Width of the edge of the map that is left out. [mm]
+    shift
+        Roughly where the middle of the map lies on the part, along x, y and z. [mm]
+    rotation
+        Roughly how the map is turned on the part. [rad]
+    reach
+        How far the map may lie from where it is said to lie. [mm]
+    clocking
+        How far it may be turned from there. [rad]
+    free
+        Which of its place and angles are found; the others stay as they are stated.
+    terms
+        Forms whose amplitude is found along with the pose, each a prescription; see `turnwright.register`.
+    form_error
+        Height at the rim by which low forms may be off, for what they do to the pose. [mm]
+    weak
+        What becomes of directions that such a form may pass for: "fit", "hold" where the map is said to lie, "raise".
+    mask
+        File with a map of the same grid: heights that are missing there, or 0 in a mask of 0 and 1, do not count.
+    instrument
+        Through which design and predicted cusps are seen before the map is compared with them: the name of a known
+        one, a ``.toml`` file, or a table of its values. What is left out does nothing.
+    loss
+        How residuals count: "linear", "huber" or "tukey"; robust until spikes are out, then linear, if left out.
+    noise
+        Standard deviation of a height; found from the map if left out. [mm]
+    reference
+        What the form error is told against.
+    causes
+        Which causes are looked for; all that a single map can tell if left out.
+    fixed
+        What fiducials fix, so that it counts as an error of the part.
+    waviness
+        Powers of the sweep that the waviness of the edge is found in.
+    worth
+        Least rms by which a correction must make the form better for certain, and least effect of a cause. [mm]
+    cutoff
+        Shortest wavelength to which the part itself is corrected; found from part and feed if left out. [mm]
+    correct
+        Which causes tool and machine are corrected for if they are certain, all if left out; the rest is compensated as
+        form of the part.
+    repeats
+        Whether drift, and form without a cause, that a single map shows are taken to come back on the next part.
+    corrected
+        Maps that this job was corrected by, as `correct` notes them, so that none is taken into account twice.
+    """
+
+    pixel_size: Size | tuple[Size, Size] | None = None
+    units: Literal["m", "mm", "um", "in"] | None = None
+    sag_units: Literal["m", "mm", "um", "nm", "in"] | None = None
+    quantity: Literal["height", "departure", "departure, along the normal"] = "height"
+    departure_from: Literal["design"] | AnySurface | None = None
+    mirrored: Annotated[bool, Strict()] = False
+    inverted: Annotated[bool, Strict()] = False
+    spikes: Literal["robust", "second difference", "none"] = "robust"
+    trim: Thickness = 0.0
+    shift: tuple[Length, Length, Length] | None = None
+    rotation: Angle | None = None
+    reach: Thickness = 5.0
+    clocking: Annotated[float, unit("rad", least=0.0)] = math.radians(30)
+    free: tuple[Literal["x", "y", "z", "rotation", "tilt_x", "tilt_y"], ...] = (
+        "x", "y", "z", "rotation", "tilt_x", "tilt_y",
+    )  # fmt: skip
+    terms: tuple[AnySurface, ...] = ()
+    form_error: Thickness = 1e-3
+    weak: Literal["fit", "hold", "raise"] = "fit"
+    mask: ExistingFile | None = None
+    instrument: Annotated[InstrumentTable, BeforeValidator(_instrument)] | None = None
+    loss: Literal["linear", "huber", "tukey"] | None = None
+    noise: Size | None = None
+    reference: Literal["true form", "best-fit sphere", "best-fit sphere, along its normal"] = "true form"
+    causes: tuple[Text, ...] | None = None
+    fixed: tuple[Literal["piston", "tilt", "decentre", "clocking"], ...] = ()
+    waviness: tuple[Annotated[int, Strict(), Ge(1), Le(9)], ...] = (3, 4, 5, 6)
+    worth: Thickness = 1e-6
+    cutoff: Size | None = None
+    correct: tuple[Text, ...] | None = None
+    repeats: Annotated[bool, Strict()] = True
+    corrected: tuple[Text, ...] = ()
+
+    @property
+    def pose(self) -> Pose | None:
+        """Roughly where the map lies on the part."""
+        if self.shift is None and self.rotation is None:
+            return None
+        return Pose(shift=self.shift or (0.0, 0.0, 0.0), rotation=self.rotation or 0.0)
+
+    @model_validator(mode="after")
+    def _is_known(self) -> Self:
+        from turnwright.diagnosis import CAUSES  # noqa: PLC0415 - the stage, which data does not need
+
+        for key in ("causes", "correct"):
+            for cause in getattr(self, key) or ():
+                if cause not in CAUSES:
+                    raise JobError(f"{key} has {cause!r}, it can have {', '.join(CAUSES)}: name one of them")
+        if (self.quantity == "height") != (self.departure_from is None):
+            raise JobError(
+                f"quantity is {self.quantity!r} and departure_from is "
+                f"{'missing' if self.departure_from is None else 'stated'}: a departure needs what it counts from, "
+                '"design" or a prescription, and a height counts from nothing'
+            )
+        if not self.free or (self.causes is not None and not self.causes):
+            raise JobError("free and causes name nothing where they are empty: name at least 1, or leave them out")
+        return self
+
+
+class Tolerances(Table):
+    """What the part must keep; what it does not keep becomes a warning.
+
+    Parameters
+    ----------
+    form_pv
+        Peak to valley of the error over the whole part. [mm]
+    sq
+        Root mean square roughness of each patch. [mm]
+    """
+
+    form_pv: Size | None = None
+    sq: Size | None = None
+
+
+class Actual(Table):
+    """What to simulate with where it differs from what is planned with.
+
+    Parameters
+    ----------
+    tool
+        What the real tool has otherwise than the one planned with.
+    machine
+        What the real machine has otherwise than the one planned with.
+    """
+
+    tool: ToolDeviations = ToolDeviations()
+    machine: MachineDeviations = MachineDeviations()
+
+
+class ProgramTable(Table):
+    """How the program is written.
+
+    Parameters
+    ----------
+    name
+        Of the files of the program, without their ending.
+    max_lines
+        Most lines in one file; the limit of the controller if left out.
+    fast_tool
+        How the table of a fast tool is read: by position of the spindle, or by time.
+    fast_tool_rate
+        Heights per second of a table by time. [Hz]
+    precorrect
+        Whether the program is corrected beforehand for what the servos will make of it.
+    plunge_feed
+        Fastest plunge into the material where a pass cannot begin beside it; C turns meanwhile. [mm/s]
+    """
+
+    name: Annotated[str, Strict(), Field(pattern=r"^[A-Za-z0-9_-]{1,30}$")] = "part"
+    max_lines: Annotated[int, Strict(), Ge(100)] | None = None
+    fast_tool: Literal["position", "time"] | None = None
+    fast_tool_rate: Annotated[float, unit("Hz", above=0.0)] | None = None
+    precorrect: Annotated[bool, Strict()] = False
+    plunge_feed: Annotated[float, unit("mm/s", above=0.0)] = PLUNGE_FEED
+
+    @model_validator(mode="after")
+    def _plunge_is_slow(self) -> Self:
+        if self.plunge_feed > FASTEST_PLUNGE:
+            raise JobError(
+                f"plunge_feed is {self.plunge_feed * 60:g} mm/min, the limit is {FASTEST_PLUNGE * 60:g} mm/min: check "
+                "its unit"
+            )
+        return self
+
+
+def _all_different(what: str, names: list[str]) -> None:
+    """Raise if two names would share a file."""
+    alike = [re.sub("[ -]+", "-", name).casefold() for name in names]
+    for name, plain in zip(names, alike, strict=True):
+        if alike.count(plain) > 1:
+            raise JobError(
+                f"{what} has the name {name!r} {alike.count(plain)} times as a file name, the limit is 1: rename one"
+            )
+
+
+class Job(Table):
+    """A job: everything that a run needs, as data. A wrong one cannot exist.
+
+    Parameters
+    ----------
+    part, tool, machine, strategy
+        What is to be cut, with what, on what and how.
+    passes
+        In the order of cutting, the last one leaves no allowance; one pass called "finish" if not given.
+    simulation, actual
+        What to predict, and what the tool and the machine have otherwise than planned.
+    roughness, tolerances
+        What is removed before roughness is computed, and what the part must keep.
+    measurement
+        What is known of the instrument that measures the part.
+    program
+        How the program is written.
+    accept
+        Findings that the shop accepts: those of `check_access` by name, "limits" of the machine, "gouge" of a path
+        along the normal or of the predicted surface. Without it they end the run, with it they are warnings.
+
+    Raises
+    ------
+    JobError
+        One sentence a line for each field that is wrong.
+
+    >>> job = Job.read({
+    ...     "part": {"surface": {"family": "sphere", "radius": "61.5 mm"}, "radius": "5 mm"},
+    ...     "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
+    ...     "machine": {"name": "generic"},
+    ...     "strategy": {"kind": "slow tool servo", "feed": "8 um/rev", "points_per_rev": 360},
+    ... })
+    >>> job.strategy.feed
+    0.008
+    """
+
+    part: PartTable
+    tool: ToolTable
+    machine: MachineTable
+    strategy: AnyStrategy
+    passes: tuple[PassTable, ...] = (PassTable(name="finish"),)
+    simulation: SimulationTable = SimulationTable()
+    actual: Actual = Actual()
+    roughness: RoughnessTable = RoughnessTable()
+    tolerances: Tolerances = Tolerances()
+    measurement: MeasurementTable = MeasurementTable()
+    program: ProgramTable = ProgramTable()
+    accept: tuple[Accepted, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _is_no_table_of_numbers(cls, data: object) -> object:
+        """Refuse what is too long to be a job, before each of its values is judged."""
+        count, waiting = 0, [data]
+        while waiting:
+            one = waiting.pop()
+            if isinstance(one, dict | list | tuple):
+                count += len(one)
+                if count > MOST_VALUES:
+                    raise JobError(
+                        f"the job has more than {MOST_VALUES:,} values, the limit: keep long tables of numbers in "
+                        "files of their own, which it names"
+                    )
+                waiting.extend(one.values() if isinstance(one, dict) else one)
+        return data
+
+    @model_validator(mode="after")
+    def _passes_fit(self) -> Self:
+        if not self.passes:
+            raise JobError("passes is empty, it needs at least 1: add one, or leave it out for a finishing pass alone")
+        allowance, names = self.part.stock, []
+        for number, cut in enumerate(self.passes, 1):
+            if cut.allowance > allowance:
+                raise JobError(
+                    f"passes[{number}].allowance is {cut.allowance:g} mm, the limit is what is left before it, "
+                    f"{allowance:g} mm: reduce it, or state the stock of the part"
+                )
+            if cut.repeats(allowance) > MOST_REPEATS:
+                raise JobError(
+                    f"passes[{number}].depth is {cut.depth:g} mm, so the pass repeats {cut.repeats(allowance)} times, "
+                    f"the limit is {MOST_REPEATS}: increase it"
+                )
+            names += cut.names(allowance)
+            allowance = cut.allowance
+            try:
+                self.servo(cut)
+            except InputError as error:
+                raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
+        _all_different("passes", names)
+        if self.strategy.along not in self.strategy.placed_along:
+            raise JobError(
+                f'strategy.along is {self.strategy.along!r}, the {self.strategy.kind} plans for "z": choose that, or a '
+                "slow tool servo"
+            )
+        self._check_fast_tool()
+        if allowance > 0:
+            raise JobError(f"the last pass leaves {allowance:g} mm, the limit is 0 mm: let it finish the part")
+        _all_different("simulation.patches", ["whole part", *(patch.name for patch in self.simulation.patches)])
+        for number, patch in enumerate(self.simulation.patches, 1):
+            reach = max(math.hypot(x, y) for x in patch.axes[0][[0, -1]] for y in patch.axes[1][[0, -1]])
+            if reach > self.part.radius:
+                raise JobError(
+                    f"simulation.patches[{number}] reaches {reach:.6g} mm from the axis, the limit is the clear radius "
+                    f"{self.part.radius:g} mm: move or shrink it"
+                )
+        _ = self.actual_tool, self.actual_machine
+        return self
+
+    @model_validator(mode="after")
+    def _servos_are_known(self) -> Self:
+        if self.simulation.tracking:
+            from turnwright.job.contributions import require_servos  # noqa: PLC0415 - the stages, which data does not need
+
+            try:
+                require_servos(self.actual_machine)
+            except InputError as error:
+                raise JobError(f"simulation.tracking: {error}") from error
+        elif self.program.precorrect:
+            raise JobError(
+                "program.precorrect is true and simulation.tracking is false, so the prediction would take the "
+                "corrections for errors: set both"
+            )
+        return self
+
+    def _check_fast_tool(self) -> None:
+        """Raise unless the job says how the table of a fast tool is written, if it has one."""
+        moves = self.strategy.moves_fast_tool
+        by, rate = self.program.fast_tool, self.program.fast_tool_rate
+        if moves != (by is not None) or (by == "time") != (rate is not None):
+            raise JobError(
+                f"program.fast_tool is {repr(by) if by else 'not stated'} and fast_tool_rate "
+                f"{f'{rate:g} Hz' if rate else 'not stated'} with the {self.strategy.kind}: a fast tool takes its "
+                'heights by "position", or by "time" with a rate in Hz, and no other strategy has any'
+            )
+        if moves and (len(self.passes) > 1 or self.passes[0].repeats(self.part.stock) > 1):
+            raise JobError(
+                "the job has several passes, the table of a fast tool belongs to 1: write a job for each of them"
+            )
+
+    def servo(self, cut: PassTable) -> Strategy:
+        """Return the strategy of one pass."""
+        if self.strategy.profile(cut) is not None:
+            require_variable(self.machine.machine)
+        return self.strategy.servo(cut, self.tool.tool, self.machine.machine)
+
+    @property
+    def actual_tool(self) -> Tool:
+        """The tool to simulate with."""
+        stated = self.actual.tool.stated
+        return replace(self.tool.tool, **stated) if stated else self.tool.tool
+
+    @property
+    def actual_machine(self) -> Machine:
+        """The machine to simulate with."""
+        stated = self.actual.machine.stated
+        return replace(self.machine.machine, **stated) if stated else self.machine.machine
+
+    @classmethod
+    def read(cls, data: object, *, folder: str | PathLike[str] = ".") -> Job:
+        """Return the job that a mapping describes, with quantities as text.
+
+        Parameters
+        ----------
+        data
+            As a TOML file reads.
+        folder
+            Where the files that it names are looked for.
+        """
+        try:
+            return cls.model_validate(data, context={"folder": folder})
+        except ValidationError as error:
+            raise JobError("\n".join(sentences(error, cls, {**FAMILIES, **KINDS}))) from error
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Job:
+        """Read a job file.
+
+        Raises
+        ------
+        JobError
+            If the file cannot be read, is not TOML, or describes no job; one sentence a line for each wrong field.
+        """
+        path = File(path)
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise JobError(f"the job file {str(path)!r} cannot be read ({error.strerror}): check its name") from error
+        try:
+            table = read_toml(data, f"the job file {str(path)!r}")
+        except InputError as error:
+            raise JobError(str(error)) from error
+        return cls.read(table, folder=path.parent)
+
+    def to_toml(self) -> str:
+        """Return the job as a file that `load` reads back to an equal job; files it names get their whole path."""
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_unset=True, exclude_none=True))
+
+    def dump(self, path: str | PathLike[str]) -> None:
+        """Write the job as a file, which appears when it is whole. See `to_toml`."""
+        write_whole(File(path), self.to_toml())
+
+
+def faults(error: ValidationError) -> list[tuple[str, str]]:
+    """Return the place of each thing that is wrong with a job, such as ``passes[1].feed``, and its sentence.
+
+    Parameters
+    ----------
+    error
+        What pydantic found, as ``Job.model_validate`` raises it.
+    """
+    return list(dict.fromkeys(faults_of(error, Job, {**FAMILIES, **KINDS})))

@@ -1,0 +1,236 @@
+"""A job's design and its predicted cusps as the instrument of its map sees them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import is_even
+from turnwright.heightmap import HeightMap
+from turnwright.job.predicted_finish import feed_of, finished
+from turnwright.metrology import filter_map
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Floats
+    from turnwright.instrument import Instrument
+    from turnwright.job.schema import Job
+    from turnwright.pose import Pose
+
+__all__ = ["SeenTexture", "design_as_seen", "texture_as_seen"]
+
+MOST_POINTS = 20_000_000
+"""Of the design, in steps that an instrument can be applied to."""
+
+WINDOW_POINTS = 600_000
+"""Of the predicted cusps."""
+
+FEED_STEPS = 8
+"""Steps of the predicted cusps in a feed, at least."""
+
+FINEST_STEPS = 2
+"""Steps in the finest of pixel and optical resolution, at least."""
+
+BALL_STEPS = 10
+"""Steps in the radius of a stylus, at least."""
+
+MARGIN = 4
+"""Finest lengths of an instrument by which a surface reaches beyond the map."""
+
+CUTOFF_FEEDS = 5
+"""Cutoff of the texture in feeds: the filter takes a share of 3e-8 of the height of cusps."""
+
+CUTOFF_STEPS = 5
+"""Steps of a map in the cutoff of the texture, at least."""
+
+LEAST_SHARE = 0.5
+"""Of the window that must be measured."""
+
+NM = 1e6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeenTexture:
+    """The cusps in the middle of a map against those that the job leaves, seen through the instrument or not.
+
+    Parameters
+    ----------
+    side
+        Of the window. (along x, along y) [mm]
+    cutoff
+        Wavelength up to which the heights count as texture. [mm]
+    measured_nm, predicted_nm, seen_nm
+        Sq as measured, as the job's tool leaves it, and of that what the instrument shows, its noise among it. [nm]
+    """
+
+    side: tuple[float, float]
+    cutoff: float
+    measured_nm: float
+    predicted_nm: float
+    seen_nm: float
+
+    @property
+    def sentence(self) -> str:
+        """What is compared, and how it agrees."""
+        return (
+            f"texture below {1e3 * self.cutoff:.3g} um in the middle {self.side[0]:.3g} x {self.side[1]:.3g} mm: Sq "
+            f"{self.measured_nm:.3g} nm measured, {self.seen_nm:.3g} nm predicted through the instrument, "
+            f"{self.predicted_nm:.3g} nm without it"
+        )
+
+
+def design_as_seen(job: Job, heights: HeightMap, pose: Pose) -> Floats | None:
+    """Return what pixel and stylus of the job's instrument add to the heights of the design. (ny, nx) [mm].
+
+    Optics are left to the cusps. Their linear filter holds for heights small against the wavelength; of a form of many
+    fringes the light far from its place averages out, where the filter would count the slow tails of the image.
+
+    Parameters
+    ----------
+    job
+        Of the part, and of what is known of the instrument.
+    heights
+        The map; departures from a reference are taken as heights already.
+    pose
+        Where it lies on the part.
+
+    Returns
+    -------
+    ndarray or None
+        0 where the design has no height; ``None`` if the job states no instrument, or the map is no even grid or needs
+        too many points between its own.
+    """
+    table = job.measurement.instrument
+    if table is None or heights.x is None or heights.y is None or heights.scattered or min(heights.z.shape) < 2:
+        return None
+    instrument = replace(table.instrument, resolution=None, numerical_aperture=None, wavelength=None)
+    if instrument.pixel is None and instrument.stylus_radius is None:
+        return np.zeros(heights.z.shape)
+    grid = _grid(heights.x, heights.y, _step_limit(instrument), _reach(instrument))
+    if grid is None:
+        return None
+    u, v, _ = pose.apply(*np.meshgrid(grid.x, grid.y), 0.0)
+    design = _inspected(job, u, v)
+    seen = instrument.see(HeightMap(x=grid.x, y=grid.y, z=design)).z - design
+    return np.nan_to_num(seen[grid.rows, grid.columns])
+
+
+def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | None:
+    """Return the texture in the middle of a map against that which the job predicts.
+
+    Parameters
+    ----------
+    job
+        That the part was cut by, and that states the instrument.
+    error
+        Cut minus design in the grid of the map, nan where nothing was measured. [mm]
+    pose
+        Where the map lies on the part.
+
+    Returns
+    -------
+    SeenTexture or None
+        ``None`` if the job states no instrument or no feed, or the window holds too few heights.
+    """
+    feed, table = feed_of(job), job.measurement.instrument
+    if table is None or not feed or error.x is None or error.y is None or error.scattered:
+        return None
+    instrument = table.instrument
+    limit = min(_step_limit(instrument), feed / FEED_STEPS)
+    steps = [float(np.diff(axis).mean()) for axis in (error.y, error.x)]
+    # The window has the shape of the map; of its pixels so many as their finer steps allow.
+    most = math.sqrt(WINDOW_POINTS) * limit
+    sizes = [min(axis.size, int(most / step)) for axis, step in zip((error.y, error.x), steps, strict=True)]
+    starts = [(axis.size - size) // 2 for axis, size in zip((error.y, error.x), sizes, strict=True)]
+    rows, columns = (slice(start, start + size) for start, size in zip(starts, sizes, strict=True))
+    window = HeightMap(x=error.x[columns], y=error.y[rows], z=error.z[rows, columns])
+    cutoff = max(CUTOFF_FEEDS * feed, CUTOFF_STEPS * max(steps) * (1 + 1e-9))
+    if min(size * step for size, step in zip(sizes, steps, strict=True)) < 2 * cutoff:
+        return None
+    if np.isfinite(window.z).mean() < LEAST_SHARE:
+        return None
+    grid = _grid(error.x[columns], error.y[rows], limit, _reach(instrument))
+    if grid is None:
+        return None
+    u, v, _ = pose.apply(*np.meshgrid(grid.x, grid.y), 0.0)
+    design = _inspected(job, u, v)
+    inside = np.isfinite(design) & (np.hypot(u, v) <= job.part.radius)
+    made = np.full(u.shape, np.nan)
+    made[inside] = finished(job, job, u[inside], v[inside])
+    surface = np.where(np.isfinite(made), design, np.nan)
+    through = (instrument.see(HeightMap(x=grid.x, y=grid.y, z=one)).z for one in (made, surface))
+    seen = next(through) - next(through)
+    known = np.isfinite(window.z) & np.isfinite(seen[grid.rows, grid.columns])
+    if known.mean() < LEAST_SHARE:
+        return None
+
+    def sq_nm(z: Floats) -> float:
+        texture = replace(window, z=np.where(known, z, np.nan))
+        return float(np.nanstd(texture.z - filter_map(texture, cutoff).z)) * NM
+
+    return SeenTexture(
+        side=(float(np.ptp(error.x[columns])), float(np.ptp(error.y[rows]))), cutoff=cutoff,
+        measured_nm=sq_nm(window.z),
+        predicted_nm=sq_nm((made - design)[grid.rows, grid.columns]),
+        seen_nm=math.hypot(sq_nm(seen[grid.rows, grid.columns]), instrument.noise * NM),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Grid:
+    """A finer grid, which reaches beyond that of a map, and where the points of the map lie on it."""
+
+    x: Floats
+    y: Floats
+    rows: slice
+    columns: slice
+
+
+def _reach(instrument: Instrument) -> float:
+    """Return how far beyond the map a surface must be known. [mm]."""
+    finest = max(instrument.pixel or 0.0, 1 / instrument.cutoff)
+    return max(MARGIN * finest, instrument.stylus_radius or 0.0)
+
+
+def _step_limit(instrument: Instrument) -> float:
+    """Return the largest steps of a surface that an instrument can be applied to. [mm]."""
+    finest = max(instrument.pixel or 0.0, 1 / instrument.cutoff)
+    ball = instrument.stylus_radius
+    return min(finest / FINEST_STEPS or math.inf, math.inf if ball is None else ball / BALL_STEPS)
+
+
+def _grid(x: Floats, y: Floats, limit: float, reach: float) -> _Grid | None:
+    """Return a grid of such steps on which the points of a map lie, or ``None`` if it has too many points."""
+    axes, places = [], []
+    if not (is_even(x) and is_even(y)):
+        return None
+    for axis in (x, y):
+        step = float(np.diff(axis).mean())
+        parts = max(math.ceil(step / limit - 1e-9), 1)
+        margin = math.ceil(reach / step * parts)
+        count = (axis.size - 1) * parts + 1
+        axes.append(axis[0] + (np.arange(count + 2 * margin) - margin) * (step / parts))
+        places.append(slice(margin, margin + count, parts))
+    if axes[0].size * axes[1].size > MOST_POINTS:
+        return None
+    return _Grid(x=axes[0], y=axes[1], rows=places[1], columns=places[0])
+
+
+def _inspected(job: Job, u: Floats, v: Floats) -> Floats:
+    """Return what an instrument without errors would show of the design: its height, or its departure. [mm]."""
+    asked = job.measurement
+    surfaces = [job.part.part.surface]
+    if asked.quantity != "height":
+        reference = asked.departure_from
+        surfaces.append(surfaces[0] if reference is None or reference == "design" else reference.surface)
+    on = np.ones(u.shape, dtype=np.bool_)
+    for surface in surfaces:
+        inside = surface.inside(u, v)
+        on &= True if inside is None else inside
+    shown = np.full(u.shape, np.nan)
+    shown[on] = surfaces[0].sag(u[on], v[on])
+    if len(surfaces) > 1:
+        shown[on] -= surfaces[1].sag(u[on], v[on])
+    return shown

@@ -1,0 +1,537 @@
+"""The lathe: what its axes can do, how they err, and how its controller counts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from turnwright import units
+from turnwright._arrays import Floats, Value, frozen
+from turnwright._io import read_toml
+from turnwright._validate import between, check_angle, check_numbers, key_of, plausible_sizes, positive
+from turnwright._validate import whole as whole_number
+from turnwright.errors import InputError
+from turnwright.machine.responses import FrequencyResponse, Response, SecondOrder, TransferFunction
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = ["INTERPOLATIONS", "Axis", "Controller", "Convention", "Machine"]
+
+INTERPOLATIONS = ("linear", "hermite", "quadratic spline", "cubic spline")
+"""What a controller makes of the points, in the order of the kernel's numbers."""
+
+ROTARY = frozenset("ABC")
+"""Letters of the axes that turn; all others slide."""
+
+FAST = MappingProxyType({"U": "X", "W": "Z"})
+"""Letters of the axes of a fast tool, and of the slides that they add to."""
+
+LATEST = 1.0
+"""A dead time beyond this is a slip of the unit. [s]"""
+
+MOST_BASES = 8
+"""Machine files that may build on each other."""
+
+PLAUSIBLE = MappingProxyType(
+    {"squareness": "rad", "straightness": "mm", "servo lag": "rad", "drift of X": "mm", "drift of Z": "mm"}
+)
+"""Errors whose plausible size a machine may state, and their units."""
+
+STEEPEST = 0.1
+"""A squareness beyond this is a slip of the unit, not an error of a machine. [rad]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Axis:
+    """Limits of one axis; ``None`` is a limit that nobody states.
+
+    Parameters
+    ----------
+    speed, acceleration, jerk
+        Largest magnitude, in mm or rad and s.
+    low, high
+        Ends of the travel. [mm or rad]
+    bandwidth_hz
+        Highest frequency at which the axis still follows; `check_limits` says what a motion has of it. [Hz]
+    bandwidth_residual
+        What may remain of a motion above that: the amplitude of a sine of the same power over two turns; ``None`` for
+        1e-5. [mm or rad]
+    response
+        How the axis answers its command; ``None`` follows exactly.
+    dead_time
+        By how much it does so later; ``None`` for at once. [s]
+
+    Raises
+    ------
+    InputError
+        If a limit is not positive, the travel ends before it begins, or the dead time is not a short one.
+    """
+
+    speed: float | None = None
+    acceleration: float | None = None
+    jerk: float | None = None
+    low: float | None = None
+    high: float | None = None
+    bandwidth_hz: float | None = None
+    bandwidth_residual: float | None = None
+    response: Response | None = None
+    dead_time: float | None = None
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        for name, power in (("speed", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
+            limit = getattr(self, name)
+            if limit is not None:
+                positive(limit, f"the {name} of an axis", f"mm{power} or rad{power}")
+        if self.bandwidth_hz is not None:
+            positive(self.bandwidth_hz, "the bandwidth of an axis", "Hz")
+        if self.bandwidth_residual is not None:
+            positive(self.bandwidth_residual, "the bandwidth_residual of an axis", "mm or rad")
+        low = -np.inf if self.low is None else self.low
+        high = np.inf if self.high is None else self.high
+        if not low < high:
+            raise InputError(f"the travel of an axis is {low:g} to {high:g} mm or rad: let low be below high")
+        between(self.dead_time or 0.0, "the dead_time of an axis", 0.0, LATEST, "s")
+
+    def amplitude(self, frequency_hz: ArrayLike) -> Floats:
+        r"""Return the largest sine that keeps travel, speed, acceleration, jerk and bandwidth, at some frequencies.
+
+        A sine of amplitude a has the peaks :math:`a\omega`, :math:`a\omega^2` and :math:`a\omega^3`; beyond the
+        bandwidth nothing is allowed, and infinity is where nobody states a limit. Any shape [mm or rad]
+
+        >>> fast = Axis(low=-0.035, high=0.035, acceleration=1e5, bandwidth_hz=700)
+        >>> fast.amplitude([100.0, 500.0, 800.0]).round(5).tolist()
+        [0.035, 0.01013, 0.0]
+        """
+        frequency = np.asarray(frequency_hz, dtype=np.float64)
+        most = np.full(frequency.shape, np.inf)
+        if self.low is not None and self.high is not None:
+            most[...] = (self.high - self.low) / 2
+        with np.errstate(divide="ignore"):
+            for limit, power in ((self.speed, 1), (self.acceleration, 2), (self.jerk, 3)):
+                if limit is not None:
+                    most = np.minimum(most, limit / (2 * np.pi * frequency) ** power)
+        return np.where(frequency > (np.inf if self.bandwidth_hz is None else self.bandwidth_hz), 0.0, most)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Controller(Value):
+    """What a controller makes of the points of a program.
+
+    Parameters
+    ----------
+    interpolation
+        "linear", "hermite" (PVT), "quadratic spline" or "cubic spline", see `track`.
+    look_ahead
+        Blocks that it knows beforehand, within which it must be able to brake; ``None`` for as many as it needs.
+    variable_speed
+        Whether the spindle may turn at another speed in every block, as times or inverse times of blocks allow.
+    other_interpolations
+        What else it offers, each with the dialect of the programs that ask for it; see `Machine.interpolating`.
+
+    Raises
+    ------
+    InputError
+        If there is no such interpolation, or it looks ahead by less than one block.
+    """
+
+    interpolation: str = "linear"
+    look_ahead: int | None = None
+    variable_speed: bool = False
+    other_interpolations: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        others = self.other_interpolations
+        if not isinstance(others, Mapping) or not all(isinstance(dialect, str) for dialect in others.values()):
+            raise InputError(
+                f"other_interpolations is {others!r}, it must name the dialect of each: write for instance "
+                '{ hermite = "pmac" }'
+            )
+        object.__setattr__(self, "other_interpolations", MappingProxyType(dict(others)))
+        if not isinstance(self.variable_speed, bool):
+            raise InputError(f"variable_speed is {self.variable_speed!r}, it must be true or false: change it")
+        for name in (self.interpolation, *others):
+            if name not in INTERPOLATIONS:
+                raise InputError(f"interpolation is {name!r}, it must be one of {', '.join(INTERPOLATIONS)}: name one")
+        if self.interpolation in others:
+            raise InputError(
+                f"other_interpolations names {self.interpolation!r}, which is the interpolation already: leave it out"
+            )
+        if self.look_ahead is not None:
+            object.__setattr__(self, "look_ahead", whole_number(self.look_ahead, "look_ahead", 1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Convention:
+    """How the controller counts, against Turnwright's own axes.
+
+    Parameters
+    ----------
+    x_side
+        +1 if the controller's X grows away from the axis on the side where the tool cuts, -1 if it falls.
+    c_sense
+        +1 if the controller's C grows with the azimuth of the part under the tool, -1 if it falls.
+    z_sign
+        +1 if the controller's Z grows out of the part, -1 if it grows into it.
+    clocking
+        Controller's C when the part's +x mark stands under the tool. [rad]
+
+    Raises
+    ------
+    InputError
+        If a sign is neither +1 nor -1, or the clocking is not finite.
+    """
+
+    x_side: int = 1
+    c_sense: int = 1
+    z_sign: int = 1
+    clocking: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        for name in ("x_side", "c_sense", "z_sign"):
+            sign = getattr(self, name)
+            if sign not in (-1, 1):
+                raise InputError(
+                    f"{name} of the convention is {sign!r}, it must be the whole number 1 or -1: give the sign"
+                )
+        check_angle(self.clocking, "clocking of the convention")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Machine(Value):
+    """A lathe with a C axis.
+
+    Parameters
+    ----------
+    name
+        What the machine is called.
+    axes
+        `Axis` by letter, at least "C", "X" and "Z".
+    spindle_rpm
+        Highest speed of the spindle as a C axis. [rev/min]
+    block_rate_hz
+        Program blocks that the controller can take in a second, coordinated over all axes.
+    dialect
+        Name of the program dialect.
+    convention
+        How the controller counts.
+    controller
+        What it makes of the points.
+    squareness
+        Height error of the tip per distance along X: Z error = squareness * X. [rad]
+    straightness
+        Height error of the tip along X beyond squareness: ascending positions and errors, linear in between, held
+        beyond. ((n,), (n,)) [mm]
+    plausible
+        How large its errors plausibly are, one standard deviation, where they are not as `CAUSES` of the diagnosis
+        says: "squareness" [rad], "straightness" [mm], "servo lag" [rad]; and "drift of X", "drift of Z" over the time
+        of a cut [mm], else as large as the maps allow.
+    sources
+        Where each fact comes from, by field ("axes.X.speed"); anything assumed says so.
+
+    Raises
+    ------
+    InputError
+        If an axis is missing, a limit is not positive, or an error of the geometry cannot be one.
+
+    Examples
+    --------
+    >>> machine = Machine.load("nanotech-350fg")
+    >>> machine.block_rate_hz
+    1000.0
+    >>> machine.sources["axes.X.acceleration"]
+    'assumed'
+    """
+
+    name: str
+    axes: Mapping[str, Axis]
+    spindle_rpm: float
+    block_rate_hz: float
+    dialect: str = "generic"
+    convention: Convention = Convention()
+    controller: Controller = Controller()
+    squareness: float = 0.0
+    straightness: tuple[Floats, Floats] | None = None
+    plausible: Mapping[str, float] = field(default_factory=dict)
+    sources: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))
+        object.__setattr__(self, "plausible", plausible_sizes(self.plausible, PLAUSIBLE))
+        object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
+        missing = sorted({"C", "X", "Z"} - set(self.axes))
+        if missing:
+            raise InputError(f"machine {self.name!r} lacks axis {', '.join(missing)}: give at least C, X and Z")
+        object.__setattr__(self, "spindle_rpm", positive(self.spindle_rpm, "spindle_rpm", "rev/min"))
+        object.__setattr__(self, "block_rate_hz", positive(self.block_rate_hz, "block_rate_hz", "blocks/s"))
+        check_angle(self.squareness, "squareness", -STEEPEST, STEEPEST)
+        if self.straightness is not None:
+            if len(self.straightness) != 2:
+                raise InputError(
+                    f"straightness has {len(self.straightness)} parts, it needs 2: give positions and errors"
+                )
+            x, error = (
+                frozen(self.straightness[0], "straightness x"),
+                frozen(self.straightness[1], "straightness error"),
+            )
+            if x.size < 2 or x.shape != error.shape or not (np.diff(x) > 0).all():
+                raise InputError(
+                    f"straightness has {x.size} positions and {error.size} errors, it needs as many of one as of the "
+                    "other, at least 2, at ascending positions: sort and complete it"
+                )
+            object.__setattr__(self, "straightness", (x, error))
+
+    @classmethod
+    def load(cls, name: str | Path) -> Machine:
+        """Return a machine that comes with Turnwright, or one described in a file of the same form.
+
+        Parameters
+        ----------
+        name
+            "nanotech-350fg", "nanoform", "nanoform-fts-70", "nanoform-fts-500", "generic", or the path of a ``.toml``
+            file. A file that says ``base = NAME`` adds to another machine, or says some of its facts anew.
+
+        Raises
+        ------
+        InputError
+            If there is no such machine, or its file is wrong; the message names the key.
+        """
+        table = _read(name, ())
+        try:
+            return _from_table(table)
+        except InputError as error:
+            raise InputError(f"machine file {str(name)!r}: {error}") from error
+
+    def interpolating(self, interpolation: str) -> Machine:
+        """Return the machine with its controller asked for one of the interpolations that it offers.
+
+        Its programs are then in the dialect that asks for it.
+
+        Raises
+        ------
+        InputError
+            If the controller does not offer it.
+
+        >>> machine = Machine.load("nanoform")
+        >>> both = replace(machine, controller=Controller(other_interpolations={"hermite": "pmac"}))
+        >>> machine.dialect, both.interpolating("hermite").dialect
+        ('generic', 'pmac')
+        """
+        own, others = self.controller.interpolation, dict(self.controller.other_interpolations)
+        if interpolation == own:
+            return self
+        if interpolation not in others:
+            raise InputError(
+                f"interpolation is {interpolation!r}, the controller of {self.name} offers "
+                f"{', '.join((own, *others))}: choose one of these, or add it to the machine file"
+            )
+        dialect = others.pop(interpolation)
+        controller = replace(
+            self.controller, interpolation=interpolation, other_interpolations={own: self.dialect, **others}
+        )
+        return replace(self, controller=controller, dialect=dialect)
+
+    def z_error(self, x: ArrayLike) -> Floats:
+        """Height of the tip where X stands at ``x``, minus what it should be. (n,) [mm]."""
+        x = np.asarray(x, dtype=np.float64)
+        error = self.squareness * x
+        if self.straightness is not None:
+            error = error + np.interp(x, *self.straightness)
+        return error
+
+    def z_error_slope(self, x: ArrayLike) -> Floats:
+        """Return the derivative of `z_error` by X, at a corner that of the line toward +X. (n,) [1]."""
+        x = np.asarray(x, dtype=np.float64)
+        slope = np.full(x.shape, self.squareness)
+        if self.straightness is not None:
+            at, error = self.straightness
+            steep = np.concatenate(([0.0], np.diff(error) / np.diff(at), [0.0]))
+            slope += steep[np.searchsorted(at, x, side="right")]
+        return slope
+
+
+def _read(name: str | Path, above: tuple[str | Path, ...]) -> dict[str, Any]:
+    """Return the tables of a machine file over those of its base; files that it names stand in the same folder."""
+    folder = resources.files("turnwright") / "machines"
+    known = sorted(Path(entry.name).stem for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    if name in known:
+        data, beside = (folder / f"{name}.toml").read_bytes(), Path()
+    else:
+        try:
+            data, beside = Path(name).read_bytes(), Path(name).parent
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or "it is no name of a file"
+            raise InputError(
+                f"machine {str(name)!r} is not one of {', '.join(known)} and cannot be read as a file ({why}): "
+                "name one of these, or give the path of a .toml file"
+            ) from error
+    table = read_toml(data, f"machine file {str(name)!r}")
+    try:
+        for axis in _table(table, "axes").values() if "axes" in table else ():
+            response = axis.get("response") if isinstance(axis, dict) else None
+            if isinstance(response, dict) and "file" in response:
+                response["file"] = str(beside / _text(response, "file"))
+        base = _text(table, "base") if "base" in table else None
+    except InputError as error:
+        raise InputError(f"machine file {str(name)!r}: {error}") from error
+    if base is None:
+        return table
+    if len(above) == MOST_BASES:
+        raise InputError(
+            f"machine file {str(name)!r}: more than {MOST_BASES} files build on each other, or in a ring: let one of "
+            "them stand alone"
+        )
+    del table["base"]
+    return _over(_read(base if base in known else beside / base, (*above, name)), table)
+
+
+def _over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+    """Return tables with those of another laid over them."""
+    both = dict(base)
+    for key, value in table.items():
+        below = base.get(key)
+        both[key] = _over(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return both
+
+
+def _from_table(table: Mapping[str, Any]) -> Machine:
+    """Build a machine from its tables."""
+    _check_keys(table, {item.name for item in fields(Machine)}, "the file")
+    for needed in ("name", "axes", "spindle_rpm", "block_rate_hz"):
+        if needed not in table:
+            raise InputError(f"{needed} is missing: add it")
+    given: dict[str, Any] = {"name": _text(table, "name"), "dialect": _text(table, "dialect", "generic")}
+    for key in ("spindle_rpm", "block_rate_hz"):
+        if isinstance(table[key], bool) or not isinstance(table[key], int | float):
+            raise InputError(f"{key} is {table[key]!r}, its unit is in its name: give a plain number")
+        given[key] = table[key]
+    given["axes"] = {letter: _axis(letter, limits) for letter, limits in _table(table, "axes").items()}
+    if "convention" in table:
+        given["convention"] = _convention(_table(table, "convention"))
+    if "controller" in table:
+        controller = _table(table, "controller")
+        _check_keys(controller, {item.name for item in fields(Controller)}, "controller")
+        given["controller"] = Controller(**controller)
+    if "squareness" in table:
+        given["squareness"] = _quantity(table["squareness"], "rad", "squareness")
+    if "straightness" in table:
+        straightness = _table(table, "straightness")
+        _check_keys(straightness, {"x_mm", "error_nm"}, "straightness")
+        x, error = (frozen(straightness.get(key, []), f"straightness.{key}") for key in ("x_mm", "error_nm"))
+        given["straightness"] = (x, error * 1e-6)
+    if "plausible" in table:
+        given["plausible"] = _plausible(_table(table, "plausible"))
+    sources = _flat(_table(table, "sources")) if "sources" in table else {}
+    facts = _flat({key: value for key, value in table.items() if key != "sources"})
+    _check_keys(sources, set(facts), "sources")
+    return Machine(**given, sources=sources)
+
+
+def _convention(table: dict[str, Any]) -> Convention:
+    _check_keys(table, {item.name for item in fields(Convention)}, "convention")
+    if "clocking" in table:
+        table = {**table, "clocking": _quantity(table["clocking"], "rad", "convention.clocking")}
+    return Convention(**table)
+
+
+def _plausible(table: Mapping[str, Any]) -> dict[str, float]:
+    """Return plausible sizes of errors by their names."""
+    name_of = {key_of(name): name for name in PLAUSIBLE}
+    _check_keys(table, set(name_of), "plausible")
+    return {name_of[key]: _quantity(size, PLAUSIBLE[name_of[key]], f"plausible.{key}") for key, size in table.items()}
+
+
+def _response(table: Mapping[str, Any]) -> Response:
+    """Build a response from its table: a file of measured values, polynomials, or a second order."""
+    if "file" in table:
+        _check_keys(table, {"file"}, "response")
+        return FrequencyResponse.load(_text(table, "file"))
+    if "numerator" in table or "denominator" in table:
+        _check_keys(table, {"numerator", "denominator"}, "response")
+        both = {key: frozen(table.get(key, []), f"response.{key}") for key in ("numerator", "denominator")}
+        return TransferFunction(**both)
+    _check_keys(table, {"frequency", "damping", "velocity_feedforward", "acceleration_feedforward"}, "response")
+    for needed in ("frequency", "damping"):
+        if needed not in table:
+            raise InputError(f"response.{needed} is missing: add it, or give a file, or numerator and denominator")
+    plain = {key: value for key, value in table.items() if key != "frequency"}
+    for key, value in plain.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"response.{key} is {value!r}, it has no unit: give a plain number")
+    return SecondOrder(frequency_hz=_quantity(table["frequency"], "Hz", "response.frequency"), **plain)
+
+
+def _axis(letter: str, limits: object) -> Axis:
+    """Build an axis from its table; sliding axes count in mm, turning ones in rad."""
+    if len(letter) != 1 or not letter.isupper():
+        raise InputError(f"axes.{letter} is not an axis: name it with one capital letter")
+    if not isinstance(limits, dict):
+        raise InputError(f"axes.{letter} is {limits!r}, it must be a table of limits: write [axes.{letter}]")
+    length = "rad" if letter in ROTARY else "mm"
+    own = {
+        "speed": f"{length}/s",
+        "acceleration": f"{length}/s^2",
+        "jerk": f"{length}/s^3",
+        "low": length,
+        "high": length,
+        "bandwidth_residual": length,
+        "dead_time": "s",
+    }
+    _check_keys(limits, {*own, "bandwidth", "response"}, f"axes.{letter}")
+    try:
+        plain = {key: _quantity(value, own[key], key) for key, value in limits.items() if key in own}
+        band = _quantity(limits["bandwidth"], "Hz", "bandwidth") if "bandwidth" in limits else None
+        response = _response(_table(limits, "response")) if "response" in limits else None
+        return Axis(**plain, bandwidth_hz=band, response=response)
+    except InputError as error:
+        raise InputError(f"axes.{letter}: {error}") from error
+
+
+def _quantity(value: object, unit: str, where: str) -> float:
+    try:
+        return units.parse(value, unit)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+def _text(table: Mapping[str, Any], key: str, default: str = "") -> str:
+    value = table.get(key, default)
+    if not isinstance(value, str) or not value:
+        raise InputError(f"{key} is {value!r}, it must be a text: put it in quotes")
+    return value
+
+
+def _table(table: Mapping[str, Any], key: str) -> dict[str, Any]:
+    value = table[key]
+    if not isinstance(value, dict):
+        raise InputError(f"{key} is {value!r}, it must be a table: write [{key}]")
+    return value
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return a nested table with dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            flat.update(_flat(value, f"{prefix}{key}."))
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def _check_keys(table: Mapping[str, Any], known: set[str], where: str) -> None:
+    for key in table:
+        if key not in known:
+            raise InputError(
+                f"{key!r} in {where} is not known, the keys are {', '.join(sorted(known))}: correct or drop it"
+            )

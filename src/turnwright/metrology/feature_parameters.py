@@ -1,0 +1,309 @@
+r"""Feature parameters of a surface: its hills and dales, and the direction of its texture.
+
+Every point belongs to the hill on which a steepest ascent from it ends (watershed). A hill whose peak stands less than
+5 % of Sz above its highest saddle is added to the hill beyond that saddle, the lowest first (Wolf pruning); so a hill
+is significant by what is known as the persistence of its peak. Dales are the hills of the surface turned upside down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats, Ints, is_even
+from turnwright._validate import between
+from turnwright.errors import InputError
+from turnwright.metrology.grid import measure, valid_points
+from turnwright.metrology.form import Form, remove_form
+from turnwright.progress import cores
+
+if TYPE_CHECKING:
+    from turnwright.heightmap import HeightMap
+
+__all__ = ["Features", "features"]
+
+NM = 1e6
+
+FIVE = 5
+"""Peaks, and pits, that the height parameters average."""
+
+SECTOR = np.deg2rad(1.0)
+"""Width of the sectors of the angular spectrum."""
+
+NEAR = np.deg2rad(8.0)
+"""Half the width of the sector over which the strongest direction is averaged."""
+
+NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""Half of the eight neighbours of a point; the others are their opposites."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Features:
+    """Feature parameters and texture direction of ISO 25178-2:2021. What cannot be stated is nan; ``notes`` says why.
+
+    Parameters
+    ----------
+    s10z_nm, s5p_nm, s5v_nm
+        Mean height of the five highest significant peaks over the mean plane, mean depth of the five deepest
+        significant pits below it, and their sum. [nm]
+    spd, svd
+        Significant peaks, and pits, per area. [1/mm²]
+    spc, svc
+        Mean curvature of these peaks, and of these pits (negative). [1/mm]
+    std
+        Direction in which the waves of the texture follow each other, from +x toward +y, in [0, π); the lay lies across
+        it. [rad]
+    peaks, pits
+        How many are significant.
+    pruning
+        Share of Sz below which a hill or a dale is none of its own.
+    form
+        What was removed first.
+    notes
+        Why a parameter is nan, or of fewer than five.
+    """
+
+    s10z_nm: float
+    s5p_nm: float
+    s5v_nm: float
+    spd: float
+    svd: float
+    spc: float
+    svc: float
+    std: float
+    peaks: int
+    pits: int
+    pruning: float
+    form: Form
+    notes: tuple[str, ...] = ()
+
+
+def features(heights: HeightMap, *, form: Form = "plane", pruning: float = 0.05, border: bool = False) -> Features:
+    """Return the feature parameters of a map after its form is removed, and the direction of its texture.
+
+    Parameters
+    ----------
+    heights
+        On a rectangular grid in even steps.
+    form
+        See `remove_form`.
+    pruning
+        Share of Sz that a peak must stand above its highest saddle.
+    border
+        Whether hills and dales that reach the border of the map, or a missing point, count: their peak may lie beyond.
+        The grooves of turning always reach it.
+
+    Raises
+    ------
+    InputError
+        If the grid is polar or uneven, or the map has too few valid heights.
+
+    Sources
+    -------
+    ISO 25178-2:2021, 4.3.4 and 5, from memory and as surfalize has it. Oracles: surfalize, grids of bumps in closed
+    form, a brute-force flooding.
+
+    >>> from turnwright.heightmap import HeightMap
+    >>> x = 0.001 * np.arange(121)
+    >>> bumps = 1e-4 * (np.cos(2 * np.pi * x / 0.020) + np.cos(2 * np.pi * x[:, None] / 0.020))
+    >>> found = features(HeightMap(x=x, y=x, z=bumps), form="mean")
+    >>> found.peaks, round(found.s10z_nm, 1)   # 7 x 7 less those at the border; from -200 to 200 nm
+    (25, 400.0)
+    """
+    between(pruning, "the pruning", 0.0, 1.0, "")
+    valid_points(heights, 9, "feature parameters")
+    grid = measure(heights)
+    if heights.polar:
+        raise InputError("the map has a polar grid, its features need a rectangular one: take a rectangular patch")
+    if any(axis.size < 3 or not is_even(axis) for axis in (grid.columns, grid.rows)):
+        raise InputError("the map is no even grid of at least 3 x 3 points, features need one: interpolate it first")
+    dx, dy = (float(np.diff(axis).mean()) for axis in (grid.columns, grid.rows))
+    z = remove_form(heights, form).z
+    valid = ~np.isnan(z)
+    z = z - z[valid].mean()
+    least = pruning * float(np.ptp(z[valid]))
+    notes: list[str] = []
+    area = int(np.count_nonzero(valid)) * dx * dy
+    found = {}
+    for name, side in (("peaks", 1.0), ("pits", -1.0)):
+        rows, columns = _summits(side * z, valid, least, border=border)
+        size = rows.size
+        if size == 0:
+            where = "" if border else ": all reach the border or a missing point (border=True counts them)"
+            notes.append(f"no significant {name}{where}")
+        elif size < FIVE:
+            notes.append(f"{size} significant {name}, the mean is of these")
+        top = np.sort(side * z[rows, columns])[::-1][:FIVE]
+        bend = _curvatures(z, rows, columns, dx, dy)
+        found[name] = (
+            size,
+            float(top.mean()) * NM if size else float("nan"),
+            float(bend.mean()) if bend.size else float("nan"),
+        )
+    (peaks, s5p, spc), (pits, s5v, svc) = found["peaks"], found["pits"]
+    return Features(
+        s10z_nm=s5p + s5v,
+        s5p_nm=s5p,
+        s5v_nm=s5v,
+        spd=peaks / area,
+        svd=pits / area,
+        spc=spc,
+        svc=svc,
+        std=_direction(z, valid, dx, dy),
+        peaks=peaks,
+        pits=pits,
+        pruning=pruning,
+        form=form,
+        notes=tuple(notes),
+    )
+
+
+def _summits(z: Floats, valid: Bools, least: float, *, border: bool) -> tuple[Ints, Ints]:
+    """Return rows and columns of the peaks that stand more than ``least`` above their highest saddle."""
+    z = np.where(valid, z, -np.inf)
+    label, count = _basins(z, valid)
+    flat = label.ravel()
+    inside = np.flatnonzero(flat)
+    order = inside[np.argsort(z.ravel()[inside], kind="stable")]
+    summit = np.zeros(count + 1, dtype=np.int64)
+    summit[flat[order]] = order  # the last one written is the highest
+    hill = _pruned(z.ravel()[summit], _saddles(z, label, count), count, least)
+    alive = np.flatnonzero(hill == np.arange(count + 1))[1:]
+    # A hill that was added to another may have had the higher peak.
+    best = summit.copy()
+    for one in np.flatnonzero(hill != np.arange(count + 1)):
+        if z.ravel()[summit[one]] > z.ravel()[best[hill[one]]]:
+            best[hill[one]] = summit[one]
+    if not border:
+        open_sides = np.zeros(z.shape, dtype=bool)
+        open_sides[[0, -1]] = open_sides[:, [0, -1]] = True
+        reached = np.unique(hill[label[(open_sides | _beside(~valid)) & valid]])
+        alive = alive[~np.isin(alive, reached)]
+    rows, columns = np.unravel_index(best[alive], z.shape)
+    return rows.astype(np.int64), columns.astype(np.int64)
+
+
+def _pairs(values: np.ndarray, step: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return views of all points that have a neighbour at a step, and of these neighbours."""
+    down, across = step
+    rows, columns = values.shape
+    low, high = max(0, -across), columns - max(0, across)
+    return values[: rows - down, low:high], values[down:, low + across : high + across]
+
+
+def _beside(there: Bools) -> Bools:
+    """Return the points that have one of the eight neighbours there."""
+    near = np.zeros(there.shape, dtype=bool)
+    for step in NEIGHBOURS:
+        one, other = _pairs(near, step)
+        first, second = _pairs(there, step)
+        one |= second
+        other |= first
+    return near
+
+
+def _basins(z: Floats, valid: Bools) -> tuple[Ints, int]:
+    """Return the hill of each point, from 1, and 0 where there is none: by steepest ascent over eight neighbours."""
+    from scipy import ndimage  # noqa: PLC0415 - only this needs it
+
+    index = np.arange(z.size, dtype=np.int64).reshape(z.shape)
+    highest, upward = np.full(z.shape, -np.inf), index.copy()
+    for step in NEIGHBOURS:
+        for back in (False, True):
+            here, there = (1, 0) if back else (0, 1)
+            best, way = _pairs(highest, step)[here], _pairs(upward, step)[here]
+            target, other = _pairs(index, step)[there], _pairs(z, step)[there]
+            higher = other > best
+            best[higher] = other[higher]
+            way[higher] = target[higher]
+    top = ~(highest > z) & valid
+    pointer = np.where(top, index, upward).ravel()
+    while True:  # each jump doubles the way that is gone
+        further = pointer[pointer]
+        if np.array_equal(further, pointer):
+            break
+        pointer = further
+    seeds, count = ndimage.label(top, structure=np.ones((3, 3)))
+    label = np.where(valid, seeds.ravel()[pointer].reshape(z.shape), 0)
+    return label.astype(np.int64), int(count)
+
+
+def _saddles(z: Floats, label: Ints, count: int) -> tuple[Ints, Ints, Floats]:
+    """Return all pairs of hills that touch, and their highest saddle, the highest first."""
+    keys, heights = [], []
+    for step in NEIGHBOURS:
+        (one, other), (here, there) = _pairs(label, step), _pairs(z, step)
+        across = (one != other) & (one > 0) & (other > 0)
+        low, high = np.minimum(one[across], other[across]), np.maximum(one[across], other[across])
+        keys.append(low * (count + 1) + high)
+        heights.append(np.minimum(here[across], there[across]))
+    key, height = np.concatenate(keys), np.concatenate(heights)
+    order = np.argsort(-height, kind="stable")
+    _, first = np.unique(key[order], return_index=True)
+    chosen = order[np.sort(first)]
+    return key[chosen] // (count + 1), key[chosen] % (count + 1), height[chosen]
+
+
+def _pruned(peak: Floats, saddles: tuple[Ints, Ints, Floats], count: int, least: float) -> Ints:
+    """Return the significant hill that each hill belongs to."""
+    joined = list(range(count + 1))  # what is connected above the saddle
+    hill = list(range(count + 1))
+    tallest = peak.tolist()
+
+    def root(of: list[int], one: int) -> int:
+        while of[one] != one:
+            of[one] = of[of[one]]
+            one = of[one]
+        return one
+
+    for one, other, height in zip(*(part.tolist() for part in saddles), strict=True):
+        first, second = root(joined, one), root(joined, other)
+        if first == second:
+            continue
+        lower, beyond = one, other
+        if tallest[first] > tallest[second]:
+            first, second, lower, beyond = second, first, other, one
+        if tallest[first] - height < least:
+            hill[root(hill, lower)] = root(hill, beyond)
+        joined[first] = second
+    return np.array([root(hill, one) for one in range(count + 1)])
+
+
+def _curvatures(z: Floats, rows: Ints, columns: Ints, dx: float, dy: float) -> Floats:
+    """Return minus half the Laplacian at points, where their neighbours are known. [1/mm]."""
+    inside = (rows > 0) & (rows < z.shape[0] - 1) & (columns > 0) & (columns < z.shape[1] - 1)
+    i, j = rows[inside], columns[inside]
+    across = (z[i, j - 1] - 2 * z[i, j] + z[i, j + 1]) / dx**2
+    along = (z[i - 1, j] - 2 * z[i, j] + z[i + 1, j]) / dy**2
+    bend = -(across + along) / 2
+    return np.asarray(bend[~np.isnan(bend)])
+
+
+def _direction(z: Floats, valid: Bools, dx: float, dy: float) -> float:
+    """Return the direction of the strongest waves: where the angular spectrum is largest. [rad]."""
+    from scipy import fft  # noqa: PLC0415 - only this needs it
+
+    window = np.multiply.outer(*(np.hanning(size + 2)[1:-1] for size in z.shape)) * valid
+    mean = float((window * np.where(valid, z, 0.0)).sum() / window.sum())
+    waves = np.abs(fft.fft2(window * np.where(valid, z - mean, 0.0), workers=cores()))
+    along_y, along_x = fft.fftfreq(z.shape[0], dy)[:, None], fft.fftfreq(z.shape[1], dx)
+    reach = min(0.5 / dx, 0.5 / dy)
+    size = np.hypot(along_x, along_y)
+    # Within the circle that both axes sample, without what the window smears around zero.
+    counted = (size <= reach) & (
+        (np.abs(along_x) > 1.5 / (z.shape[1] * dx)) | (np.abs(along_y) > 1.5 / (z.shape[0] * dy))
+    )
+    power = np.where(counted, waves * waves, 0.0)
+    if not power.any():
+        return float("nan")
+    angle = np.arctan2(along_y, along_x) % np.pi
+    count = round(np.pi / SECTOR)
+    sector = np.minimum((angle / SECTOR).astype(np.int64), count - 1)
+    density = np.bincount(sector.ravel(), weights=power.ravel(), minlength=count)
+    smooth = density + np.roll(density, 1) + np.roll(density, -1)
+    strongest = (float(np.argmax(smooth)) + 0.5) * SECTOR
+    off = (angle - strongest + np.pi / 2) % np.pi - np.pi / 2
+    near = np.abs(off) <= NEAR
+    return float((strongest + (power[near] @ off[near]) / power[near].sum()) % np.pi)

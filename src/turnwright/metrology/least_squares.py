@@ -1,0 +1,247 @@
+"""Least squares over the points of a map, whatever its grid: in chunks, on all cores, with uncertainties."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from threading import Lock
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats
+from turnwright._kernels import least_squares
+from turnwright.errors import InputError
+from turnwright.metrology.grid import measure
+from turnwright.progress import run_chunks
+
+if TYPE_CHECKING:
+    from turnwright.heightmap import HeightMap
+
+__all__ = ["Cloud", "Sums", "solve", "sums_over"]
+
+CHUNK = 8000
+"""Points at a time: some dozens of terms then stay in the cache."""
+
+CONDITION = 1e7
+"""Condition at which the normal equations no longer hold a digit."""
+
+Model: TypeAlias = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
+"""From x, y and z (n,) to the derivatives by each parameter (k, n), and what is left of z (n,)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cloud:
+    """The points of a map that count: where they are, and with which area, its mean 1 over the whole grid."""
+
+    heights: HeightMap
+    used: Bools
+    columns: Floats  # of a grid; of scattered points their x
+    rows: Floats
+    column_weight: Floats
+    row_weight: Floats
+
+    @classmethod
+    def of(cls, heights: HeightMap, used: Bools) -> Cloud:
+        """Weigh every point of a grid with its area; scattered ones count alike."""
+        if heights.scattered:
+            heights.require_calibrated()
+            x, y = heights.points()
+            one = np.ones(1)
+            return cls(heights=heights, used=used, columns=x, rows=y, column_weight=one, row_weight=one)
+        grid = measure(heights)
+        return cls(
+            heights=heights,
+            used=used,
+            columns=grid.columns,
+            rows=grid.rows,
+            column_weight=grid.column_area / grid.column_area.mean(),
+            row_weight=grid.row_width / grid.row_width.mean(),
+        )
+
+    @property
+    def even(self) -> bool:
+        """Whether all points count alike."""
+        return all(np.ptp(weight) <= 1e-6 * weight.max() for weight in (self.column_weight, self.row_weight))
+
+    def thinned(self, count: int) -> Cloud:
+        """Return about ``count`` of the points, evenly over rows and columns."""
+        number = int(np.count_nonzero(self.used))
+        if number <= count:
+            return self
+        used = np.zeros_like(self.used)
+        if self.heights.scattered:
+            used[np.flatnonzero(self.used)[:: -(-number // count)]] = True
+        else:
+            step = int(np.ceil(np.sqrt(number / count)))
+            used[::step, ::step] = self.used[::step, ::step]
+        return Cloud(
+            heights=self.heights,
+            used=used,
+            columns=self.columns,
+            rows=self.rows,
+            column_weight=self.column_weight,
+            row_weight=self.row_weight,
+        )
+
+    @property
+    def chunk(self) -> int:
+        """Rows at a time; points, where they are scattered."""
+        return CHUNK if self.heights.scattered else max(CHUNK // self.columns.size, 1)
+
+    def take(self, start: int, stop: int) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return x, y, z and the weights of the points used in some rows. Each (n,)."""
+        rows = slice(start, stop)
+        used = self.used[rows]
+        z = self.heights.z[rows][used]
+        if self.heights.scattered:
+            return self.columns[rows][used], self.rows[rows][used], z, np.ones(z.size)
+        weight = (self.row_weight[rows, None] * self.column_weight)[used]
+        row, column = self.rows[rows, None], self.columns
+        if self.heights.polar:
+            return (np.cos(row) * column)[used], (np.sin(row) * column)[used], z, weight
+        x, y = np.broadcast_arrays(column, row)
+        return x[used], y[used], z, weight
+
+    @property
+    def ends(self) -> tuple[Floats, Floats]:
+        """The first and the last used point of every row (of scattered points all): their hull is that of all."""
+        if self.heights.scattered:
+            return self.columns[self.used], self.rows[self.used]
+        some = np.flatnonzero(self.used.any(axis=1))
+        first = self.used[some].argmax(axis=1)
+        last = self.used.shape[1] - 1 - self.used[some, ::-1].argmax(axis=1)
+        row, column = np.tile(self.rows[some], 2), self.columns[np.concatenate([first, last])]
+        return (np.cos(row) * column, np.sin(row) * column) if self.heights.polar else (column, row)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sums:
+    """What least squares needs of all points: normal matrix, right-hand side, and sums of weights and squares."""
+
+    normal: Floats
+    spread: Floats  # the normal matrix with squared weights
+    right: Floats
+    weight: float
+    square: float
+    count: int
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of what is left."""
+        return float(np.sqrt(self.square / self.weight))
+
+    def covariance(self) -> Floats:
+        """Covariance of the parameters for independent noise, alike in all points, as large as what is left.
+
+        A weight is the area of a point, not a statement of its noise, so it enters as W does in A⁻¹ B A⁻¹ with A = X'WX
+        and B = X'W²X.
+        """
+        scale = 1 / np.sqrt(np.diag(self.normal))
+        inverse = np.linalg.inv(self.normal * scale * scale[:, None]) * scale * scale[:, None]
+        freedom = self.weight - np.trace(inverse @ self.spread)
+        noise = self.square / freedom if self.count > self.normal.shape[0] and freedom > 0 else np.nan
+        return np.asarray(inverse @ self.spread @ inverse * noise)
+
+
+def sums_over(
+    cloud: Cloud,
+    model: Model,
+    parameters: Floats,
+    *,
+    whole: bool = True,
+    left: Floats | None = None,
+) -> Sums:
+    """Sum over the points of a cloud.
+
+    Parameters
+    ----------
+    model
+        Derivatives and what is left of the heights.
+    parameters
+        Those whose terms are to be taken off too, for a linear model; else zeros. (k,)
+    whole
+        Whether the normal matrix is wanted; else it is zeros.
+    left
+        Set to what is left, where a point is used.
+
+    Raises
+    ------
+    InputError
+        If a sum is no finite number, as where a search leaves a form that the heights are far from.
+    """
+    k = parameters.size
+    padded = k + -k % 4
+    known = np.zeros(padded)
+    known[:k] = parameters
+    normal, spread, right = np.zeros((padded, padded)), np.zeros((padded, padded)), np.zeros(padded)
+    totals = np.zeros(3)
+    even, lock = cloud.even, Lock()
+
+    @np.errstate(all="ignore")  # what is not finite is refused below
+    def work(start: int, stop: int) -> None:
+        x, y, z, weight = cloud.take(start, stop)
+        if z.size == 0:
+            return
+        given, rest = model(x, y, z)
+        terms = given
+        if given.shape[0] != padded:
+            terms = np.zeros((padded, z.size))
+            terms[:k] = given
+        values = np.array(rest)
+        mine, mine_spread, mine_right = np.zeros_like(normal), np.zeros_like(normal), np.zeros(padded)
+        least_squares.gram(terms, weight, values, known, mine, mine_right, whole)
+        if whole and not even:
+            least_squares.gram(
+                terms, weight * weight, values.copy(), np.zeros(padded), mine_spread, mine_right * 0, True
+            )
+        with lock:
+            normal[...] += mine
+            spread[...] += mine_spread
+            right[...] += mine_right
+            totals[...] += np.array([weight.sum(), weight @ values**2, z.size])
+        if left is not None:
+            left[start:stop][cloud.used[start:stop]] = values
+
+    run_chunks(work, cloud.used.shape[0], cloud.chunk)
+    normal, spread = (np.tril(one) + np.tril(one, -1).T for one in (normal[:k, :k], spread[:k, :k]))
+    if not all(np.isfinite(total).all() for total in (normal, spread, right[:k], totals)):
+        raise InputError(
+            "the heights are so far from the form that is fitted that the sums of least squares overflow, the limit is "
+            "1e308: fit another form, or remove outliers"
+        )
+    return Sums(
+        normal=normal,
+        spread=normal * float(totals[0] / max(totals[2], 1)) if even else spread,
+        right=right[:k],
+        weight=float(totals[0]),
+        square=float(totals[1]),
+        count=int(totals[2]),
+    )
+
+
+def solve(normal: Floats, right: Floats, names: Sequence[str], what: str) -> tuple[Floats, float]:
+    """Return the step of the normal equations, and the condition of the terms, each brought to length one.
+
+    Raises
+    ------
+    InputError
+        If the points cannot tell the parameters apart, with those that are confused.
+    """
+    length = np.sqrt(np.diag(normal))
+    blind = [name for name, size in zip(names, length, strict=True) if not size > 0]
+    if blind:
+        raise InputError(
+            f"the valid heights say nothing of {len(blind)} parameters of {what} ({', '.join(blind)}), the limit is "
+            "0: hold them fixed or leave them out"
+        )
+    values, vectors = np.linalg.eigh(normal / length / length[:, None])
+    condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
+    if condition > CONDITION:
+        share = np.abs(vectors[:, 0])
+        confused = [names[i] for i in np.argsort(-share)[:6] if share[i] > 0.1]
+        raise InputError(
+            f"the heights cannot tell {', '.join(confused)} of {what} apart (condition {condition:.1e}, the limit "
+            f"is {CONDITION:.0e}): hold one of them fixed or leave it out, or measure more of the part"
+        )
+    return vectors @ (vectors.T @ (right / length) / values) / length, condition

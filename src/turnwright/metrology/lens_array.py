@@ -1,0 +1,523 @@
+r"""Lens arrays: the form of every lenslet, and where it stands.
+
+A lenslet is fitted with its design form :math:`f` (or a sphere) on the base :math:`b` of the part,
+
+.. math:: z = b(x, y) + h + f_0 + s\,[f(u/s, v/s) - f_0] + a\,u + c\,v, \qquad u = x - x_c,\; v = y - y_c
+
+by least squares of the vertical distance over the points within ``inner`` lens radii of the centre that is found, the
+derivatives exact. The centre :math:`(x_c, y_c)` and the height :math:`h` are always free. The scale :math:`s` of all
+lengths turns a sphere of radius R into one of radius s R; the slopes a, c tilt the form.
+
+Sources
+-------
+[Kong2019]_ separates lenses and base by the factors 0.95 and 1.05 of the lens radius, and takes the base first. The
+lowest pixel of a lens is not its centre: noise of 20 nm moves it by :math:`\sqrt{2 R \cdot 20\,\mathrm{nm}}`, 20 um on
+a lens of R 10 mm. Uncertainties are those of [Liang1986]_: points that stand together may err together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, overload
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats
+from turnwright._validate import between
+from turnwright.errors import InputError
+from turnwright.heightmap import HeightMap
+from turnwright.metrology.grid import valid_points
+from turnwright.metrology.lenslet_fit import (
+    FEWEST,
+    LEVELLING,
+    BaseForm,
+    Design,
+    Found,
+    arrays_in,
+    errors_of_base,
+    find_roughly,
+    fit_lenslet,
+    fit_smooth,
+    free_parameters,
+    level_on_base,
+    place_points,
+    points_of_base,
+    size_nm,
+    take_apart,
+    without_form,
+)
+from turnwright.metrology.alignment import Alignment
+from turnwright.pose import Pose
+from turnwright.progress import cores, run_chunks
+from turnwright.surface import Zernike
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from turnwright.part import Part
+    from turnwright.surface import Surface
+
+__all__ = ["Lenslet", "Lenslets", "base_forms", "has_lenslets", "lenslets"]
+
+DEGREE = 4
+"""Degree of the form that a base may have if the caller says nothing."""
+
+SAID, NM = 3, 1e6
+"""Terms of the base's form that a summary names; nm in a mm."""
+
+MOST_DEGREE = 12
+"""Degree of the form of a base that a map between lenslets can tell."""
+
+REGISTERED = 100_000
+"""Points that are enough to register an array, which is then levelled on its base."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lenslet:
+    """One lenslet, as found. What could not be found is nan, and ``finding`` says why.
+
+    Parameters
+    ----------
+    number
+        Counted from 1, in the order of the centres of the array.
+    design, centre, centre_std
+        Where its origin should be, where it is, and the standard uncertainty from noise (x, y). [mm]
+    height, height_std
+        Of its vertex above the design. [mm]
+    radius, radius_error, radius_std
+        Of curvature, from a fit in which it is free; that minus the design's; standard uncertainty. [mm]
+    tilt, tilt_std
+        Slopes (zx, zy) added to the form, if they were free. [rad]
+    sq_nm, pv_nm
+        Of the heights that the fitted form leaves, spikes left out.
+    scatter_nm
+        Rms of what no smooth form explains: noise and texture.
+    points, outliers
+        How many points the numbers rest on, and how many spikes were left out.
+    coverage
+        Share of the aperture that holds points. [1]
+    finding
+        Why it was not fitted, or what is to be known of it; empty where all is well.
+    residual
+        What the fitted form leaves, at points about the centre. [mm]
+    """
+
+    number: int
+    design: tuple[float, float]
+    centre: tuple[float, float]
+    centre_std: tuple[float, float]
+    height: float
+    height_std: float
+    radius: float
+    radius_error: float
+    radius_std: float
+    tilt: tuple[float, float]
+    tilt_std: tuple[float, float]
+    sq_nm: float
+    pv_nm: float
+    scatter_nm: float
+    points: int
+    outliers: int
+    coverage: float
+    finding: str
+    residual: HeightMap
+
+    @property
+    def measured(self) -> bool:
+        """Whether it could be fitted."""
+        return bool(np.isfinite(self.centre).all())
+
+    @property
+    def dislocation(self) -> tuple[float, float]:
+        """Found centre minus design centre (x, y). [mm]."""
+        return self.centre[0] - self.design[0], self.centre[1] - self.design[1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lenslets(Sequence[Lenslet]):
+    """All lenslets of an array in the order of its centres, and what they say together.
+
+    Parameters
+    ----------
+    items
+        The lenslets, also those that could not be fitted.
+    form
+        ``"design"`` or ``"sphere"``, what was fitted.
+    frame
+        Says in words what centres and dislocations refer to.
+    pose
+        From the map's frame to the frame of the centres.
+    alignment
+        Shift, rotation and scale of the array; ``None`` with fewer than two lenslets fitted.
+    base_points
+        Points of the base, those more than ``outer`` lens radii away from every lenslet.
+    base_sq_nm, base_pv_nm
+        Of the base minus its design at up to 300,000 of its points, spikes left out; nan without a base.
+    base_form
+        Form of the base beyond its design in its own frame, as Zernike terms by their ANSI number, each with its height
+        at the rim; it was taken off under the lenslets. ``None`` where none was fitted. [mm]
+    base_form_std
+        Standard uncertainty of each of these. [mm]
+    """
+
+    items: tuple[Lenslet, ...]
+    form: str
+    frame: str
+    pose: Pose
+    alignment: Alignment | None
+    base_points: int
+    base_sq_nm: float
+    base_pv_nm: float
+    base_form: Zernike | None
+    base_form_std: Mapping[int, float]
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    @overload
+    def __getitem__(self, index: int) -> Lenslet: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Lenslet]: ...
+    def __getitem__(self, index: int | slice) -> Lenslet | Sequence[Lenslet]:
+        """Return a lenslet, or several."""
+        return self.items[index]
+
+    @property
+    def measured(self) -> Bools:
+        """Which lenslets could be fitted. (n,)."""
+        return np.array([one.measured for one in self.items])
+
+    @property
+    def design(self) -> Floats:
+        """Where the lenslets should be. (n, 2) [mm]."""
+        return np.array([one.design for one in self.items])
+
+    @property
+    def centres(self) -> Floats:
+        """Where they are, nan where not fitted. (n, 2) [mm]."""
+        return np.array([one.centre for one in self.items])
+
+    @property
+    def dislocations(self) -> Floats:
+        """Found centres minus design centres in `frame`. (n, 2) [mm]."""
+        return self.centres - self.design
+
+    @property
+    def centred(self) -> Floats:
+        """The dislocations with their mean removed. (n, 2) [mm]."""
+        dislocations = self.dislocations
+        return dislocations - dislocations[self.measured].mean(axis=0) if self.measured.any() else dislocations
+
+    @property
+    def irregular(self) -> Floats:
+        """The dislocations without shift, rotation and scale: the same in every frame. (n, 2) [mm]."""
+        rest = np.full((len(self.items), 2), np.nan)
+        if self.alignment is not None:
+            rest[self.measured] = self.alignment.rest
+        return rest
+
+    @property
+    def summary(self) -> str:
+        """How many were found, how far they are off without the frame, and what the base is off, in a sentence."""
+        irregular = self.irregular[self.measured]
+        words = f"{len(irregular)} of {len(self)} lenslets"
+        if self.alignment is not None:
+            off = 1e3 * float(np.sqrt(np.mean(np.sum(irregular**2, axis=1))))
+            words += f", {off:.3g} um rms off beyond shift, rotation and scale"
+        if self.base_form is None:
+            return words
+        # What is uncertain may be as large as it is uncertain, so it is named too.
+        std = self.base_form_std
+        terms = sorted(dict(self.base_form.terms).items(), key=lambda term: -np.hypot(term[1], std[term[0]]))[:SAID]
+        named = ", ".join(f"ANSI {number} {value * NM:.3g} +- {std[number] * NM:.2g} nm" for number, value in terms)
+        return f"{words}; form of the base at the rim: {named}"
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What is to be known of single lenslets, one sentence each."""
+        return tuple(
+            f"lens {one.number} at ({one.design[0]:g}, {one.design[1]:g}) mm: {one.finding}"
+            for one in self.items
+            if one.finding
+        )
+
+    def table(self) -> str:
+        """Return the table that a person reads: lengths in um, forms in nm."""
+        heading = (
+            f"{'lens':>4}{'design x, y [mm]':>20}{'dislocation x, y [um]':>23}{'+-':>8}{'irregular x, y [um]':>22}"
+            f"{'height [um]':>13}{'R - design, +- [um]':>21}{'Sq [nm]':>9}{'PV [nm]':>9}{'covered':>9}"
+        )
+        lines = [heading]
+        for one, rest in zip(self.items, self.irregular, strict=True):
+            places = f"{one.number:4d}{one.design[0]:10.4f}{one.design[1]:10.4f}"
+            if not one.measured:
+                lines.append(f"{places}   {one.finding}")
+                continue
+            away = [1e3 * part for part in (*one.dislocation, max(one.centre_std), *rest)]
+            lines.append(
+                f"{places}{away[0]:12.3f}{away[1]:11.3f}{away[2]:8.3f}{away[3]:11.3f}{away[4]:11.3f}"
+                f"{1e3 * one.height:13.3f}{1e3 * one.radius_error:12.3f}{1e3 * one.radius_std:9.3f}"
+                f"{one.sq_nm:9.1f}{one.pv_nm:9.1f}{one.coverage:9.0%}"
+            )
+        return "\n".join(lines)
+
+    def csv(self) -> str:
+        """Return one row for each lenslet, in the units of the heading; empty cells where nothing was found."""
+        heading = (
+            "lens,design_x_mm,design_y_mm,centre_x_mm,centre_y_mm,centre_std_x_mm,centre_std_y_mm,dislocation_x_mm,"
+            "dislocation_y_mm,irregular_x_mm,irregular_y_mm,height_mm,height_std_mm,radius_mm,radius_error_mm,"
+            "radius_std_mm,tilt_x_rad,tilt_y_rad,sq_nm,pv_nm,scatter_nm,points,outliers,coverage,finding"
+        )
+        lines = [heading]
+        for one, rest in zip(self.items, self.irregular, strict=True):
+            values = (
+                *one.design, *one.centre, *one.centre_std, *one.dislocation, *rest, one.height, one.height_std,
+                one.radius, one.radius_error, one.radius_std, *one.tilt, one.sq_nm, one.pv_nm, one.scatter_nm,
+            )  # fmt: skip
+            cells = [str(one.number), *("" if np.isnan(value) else f"{value:.9g}" for value in values)]
+            cells += [str(one.points), str(one.outliers), f"{one.coverage:.4f}", one.finding.replace(",", ";")]
+            lines.append(",".join(cells))
+        return "\n".join(lines) + "\n"
+
+
+def lenslets(
+    heights: HeightMap,
+    part: Part,
+    *,
+    inner: float = 0.95,
+    outer: float = 1.05,
+    pose: Pose | None = None,
+    form: str = "design",
+    radius: bool = False,
+    tilt: bool = False,
+    aperture: float | None = None,
+    level: bool = True,
+    base_degree: int = DEGREE,
+) -> Lenslets:
+    """Find every lenslet of a measured array: its centre, its height, its radius, and the form error it has.
+
+    A lenslet is found up to about half its radius from where it should be.
+
+    Parameters
+    ----------
+    heights
+        The measured map; missing points are missing, spikes are left out.
+    part
+        The design: a `LensArray`, alone or added to a base, and placed as a whole or on its base.
+    inner, outer
+        Points within ``inner`` lens radii of a found centre belong to the lenslet, those beyond ``outer`` of all to
+        the base; between them lies the rim, which no instrument shows well.
+    pose
+        From the map's frame to the part's; ``Pose()`` if the map is in the part's frame already. By default the map
+        is registered, see `register`.
+    form
+        ``"design"``, the design form; ``"sphere"``, the best sphere, its radius free.
+    radius
+        Whether the radius of the design form is free: its form error is then that of the form alone.
+    tilt
+        Whether the tilt of each lenslet is free. On a sphere a tilt is a shift, which is refused.
+    aperture
+        Radius of a lenslet; by default that of the array or, where lenslets fill their cells, that of the circle
+        that the cell holds. [mm]
+    level
+        Whether tilt, height and, where the base fixes it better than the lenslets do, rotation are those of the base:
+        base first, then the lenslets on it. Without it they are those of the pose. `Lenslets.frame` says what was done.
+    base_degree
+        Degree up to which the base may have a form of its own, in Zernike terms from the second degree on: fitted
+        together with its level between the rims of the lenslets that were found, and taken off under them. 0 for none;
+        without ``level``, or where lenslets fill their cells, there is none.
+
+    Raises
+    ------
+    InputError
+        If the part has no lens array or several, the form cannot tell its own centre, a factor is out of range, or
+        the map has no heights.
+
+    Sources
+    -------
+    [Kong2019]_. Oracles: SciPy's dense fit of the true surface; closed forms.
+
+    >>> from turnwright.part import Part
+    >>> from turnwright.surface import LensArray, Sphere
+    >>> array = LensArray.square(pitch=1.0, rows=2, columns=2, lenslet=Sphere(radius=5.0))
+    >>> x = np.linspace(-1, 1, 201)
+    >>> moved = array.placed(shift=(0.003, 0, 0))
+    >>> made = HeightMap(x=x, y=x, z=moved.sag(x, x[:, None]))
+    >>> found = lenslets(made, Part(surface=array, radius=1.0), pose=Pose())
+    >>> found[0].dislocation[0].__round__(9), found[3].measured
+    (0.003, True)
+    """
+    _check(inner, outer, form, base_degree)
+    degree = base_degree if level else 0
+    design = take_apart(part, form, aperture, degree)
+    free = free_parameters(design, inner, radius=radius or form == "sphere", tilt=tilt)
+    heights.require_calibrated()
+    valid_points(heights, 1, "a fit of lenslets")
+    pose, rotation_std, doubt = _registered(heights, part, degree) if pose is None else (pose, float("inf"), "")
+    pose = design.outer.inverse.after(pose)
+    points = place_points(heights, pose, design)
+    starts = np.zeros((design.centres.shape[0], 6))
+    starts[:, :2] = design.centres
+    seen = np.zeros(starts.shape[0], dtype=np.bool_)
+
+    def find(k: int) -> None:
+        if (rough := find_roughly(points, design, k, inner)) is not None:
+            starts[k], seen[k] = rough, True
+
+    _each(starts.shape[0], find)
+    base = points_of_base(points, design, starts, outer)
+    frame = "the part's frame: shift, rotation, tilt and height by the pose"
+    own = BaseForm(np.empty(0), np.empty((0, 0)), np.empty(0))
+    # The second time from so near that the step is linear and what is left is form.
+    for _ in range(2 if level and base.size >= FEWEST else 0):
+        correction, frame, own = level_on_base(points, base, design, starts, seen, rotation_std)
+        pose = correction.after(pose)
+        points = place_points(heights, pose, design)
+        starts[:, 0], starts[:, 1], _ = correction.apply(starts[:, 0], starts[:, 1], 0.0)
+        base = points_of_base(points, design, starts, outer)
+    plain, points = points, without_form(points, design, own)
+    found: dict[int, Found] = {}
+
+    def fit(k: int) -> None:
+        found[k] = fit_lenslet(points, design, k, starts, free, inner, own)
+
+    _each(starts.shape[0], fit)
+    points = plain
+    items = tuple(_lenslet(k, found[k], design) for k in range(starts.shape[0]))
+    measured = [one for one in items if one.measured]
+    alignment = None
+    if len(measured) > 1:
+        alignment = Alignment.of([one.design for one in measured], [one.centre for one in measured])
+    base = points_of_base(points, design, np.array([found[k].local for k in range(starts.shape[0])]), outer)
+    error, weight = errors_of_base(points, base, design)[0], points.weight[base]
+    few = np.flatnonzero(np.isfinite(error))
+    few, size = few[:: few.size // LEVELLING + 1], (float("nan"), float("nan"))
+    if few.size >= FEWEST:
+        x, y = (part[base[few]] / design.reach for part in (points.x, points.y))
+        keep = few[fit_smooth(x, y, error[few]).keep]
+        size = size_nm(error[keep], weight[keep])
+    return Lenslets(
+        items=items,
+        form=form,
+        frame=frame + doubt,
+        pose=design.outer.after(pose),
+        alignment=alignment,
+        base_points=base.size,
+        base_sq_nm=size[0],
+        base_pv_nm=size[1],
+        base_form=own.surface(design),
+        base_form_std=dict(zip(design.terms, own.std.tolist(), strict=False)),
+    )
+
+
+def _check(inner: float, outer: float, form: str, base_degree: int) -> None:
+    """Raise unless what is asked can be done."""
+    between(inner, "inner, the share of its radius that belongs to a lenslet,", 0.1, 1.0, "lens radii")
+    between(outer, "outer, where the base begins,", inner, 10.0, "lens radii")
+    if form not in ("design", "sphere"):
+        raise InputError(f'form is {form!r}, it can be "design" or "sphere": choose one of them')
+    if not 0 <= base_degree <= MOST_DEGREE or base_degree == 1:
+        raise InputError(
+            f"base_degree is {base_degree!r}, it can be 0 or 2 to {MOST_DEGREE}: the pose takes what is of degree 1"
+        )
+
+
+def base_forms(part: Part, degree: int = DEGREE) -> tuple[Zernike, ...]:
+    """Return the forms that the base of a lens array may have, each 1 mm at the rim; none where lenslets leave no base.
+
+    Parameters
+    ----------
+    part
+        A `LensArray`, alone or on a base.
+    degree
+        Of the Zernike terms, from the second on.
+    """
+    return tuple(
+        Zernike(terms={number: 1.0}, radius=part.radius, indexing="ansi", normalised=False)
+        for number in take_apart(part, "design", None, degree).terms
+    )
+
+
+def _registered(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, float, str]:
+    """Return where the map lies, how well its rotation is known [rad], and the words of a doubt.
+
+    The form of the base is found along with it.
+    """
+    from turnwright.metrology.registration import register  # noqa: PLC0415 - costly to import
+
+    # Displaced lenslets are no reason to turn the rest, so they pull less the farther off they are.
+    registration = register(
+        _thinned(heights, REGISTERED), part, loss="huber", terms=base_forms(part, degree), form_error=0.0
+    )
+    others, doubt = len(registration.candidates), ""
+    if others:
+        doubt = f"; {others} other poses fit nearly as well, so which lenslet is which is not certain: give a pose"
+    return registration.pose, registration.std.get("rotation", float("inf")), doubt
+
+
+def has_lenslets(surface: Surface) -> bool:
+    """Say whether a surface holds one lens array, so that `lenslets` can look at it."""
+    return len(arrays_in(surface)) == 1
+
+
+def _lenslet(k: int, found: Found, design: Design) -> Lenslet:
+    """Say in the part's frame what was found."""
+
+    def place(at: Floats, height: float) -> tuple[float, float]:
+        x, y = at[:1].copy(), at[1:2].copy()
+        base = float(design.base.evaluate(x, y, 0)[0][0]) if design.base is not None else 0.0
+        px, py, _ = design.outer.apply(at[0], at[1], base + design.vertex + height)
+        return float(px), float(py)
+
+    nan = (float("nan"), float("nan"))
+    turn = design.outer.matrix[:2, :2]
+
+    def std(first: int) -> tuple[float, float]:
+        span = slice(first, first + 2)
+        x, y = np.sqrt(np.diag(turn @ found.covariance[span, span] @ turn.T))
+        return float(x), float(y)
+
+    p = found.parameters
+    tilted = p is not None and np.isfinite(found.covariance[4, 4])
+    tilt = turn @ p[4:6] if p is not None and tilted else nan
+    return Lenslet(
+        number=k + 1,
+        design=place(design.centres[k], 0.0),
+        centre=place(p[:2], float(p[2])) if p is not None else nan,
+        centre_std=std(0) if p is not None else nan,
+        height=float(p[2]) if p is not None else float("nan"),
+        height_std=float(np.sqrt(found.covariance[2, 2])),
+        radius=design.radius * (1 + found.growth[0]),
+        radius_error=design.radius * found.growth[0],
+        radius_std=abs(design.radius) * found.growth[1],
+        tilt=(float(tilt[0]), float(tilt[1])),
+        tilt_std=std(4) if tilted else nan,
+        sq_nm=found.size_nm[0],
+        pv_nm=found.size_nm[1],
+        scatter_nm=found.scatter_nm,
+        points=found.points,
+        outliers=found.outliers,
+        coverage=found.coverage,
+        finding=found.finding,
+        residual=found.residual,
+    )
+
+
+def _thinned(heights: HeightMap, most: int) -> HeightMap:
+    """Return so many valid points of a map, chosen without a pattern that the raster could beat with."""
+    valid = np.flatnonzero(~np.isnan(heights.z).ravel())
+    if valid.size > most:
+        valid = np.sort(np.random.default_rng(0).choice(valid, most, replace=False))
+    x, y, z = (part.ravel()[valid] for part in (*heights.points(), heights.z))
+    return HeightMap(x=x, y=y, z=z, name=heights.name)
+
+
+def _each(count: int, work: Callable[[int], None]) -> None:
+    """Do the work for every lenslet, on all cores."""
+
+    def some(start: int, stop: int) -> None:
+        for k in range(start, stop):
+            work(k)
+
+    run_chunks(some, count, max(1, count // (8 * cores())))

@@ -1,0 +1,704 @@
+"""The fit of one lenslet, and the base between the lenslets. The formula stands in `turnwright.metrology.lens_array`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+from turnwright._arrays import Bools, Floats, Ints
+from turnwright._validate import positive
+from turnwright.errors import InputError
+from turnwright.heightmap import HeightMap
+from turnwright.metrology.grid import measure
+from turnwright.metrology.alignment import Alignment
+from turnwright.pose import Pose
+from turnwright.surface import LensArray, Placed, Plane, Sphere, Sum, Surface, Zernike
+
+if TYPE_CHECKING:
+    from turnwright.part import Part
+
+__all__ = [
+    "FEWEST",
+    "LEVELLING",
+    "BaseForm",
+    "Design",
+    "Found",
+    "arrays_in",
+    "errors_of_base",
+    "find_roughly",
+    "fit_lenslet",
+    "fit_smooth",
+    "free_parameters",
+    "level_on_base",
+    "place_points",
+    "points_of_base",
+    "size_nm",
+    "take_apart",
+    "without_form",
+]
+
+NM = 1e6
+
+FEWEST = 30
+"""Points below which a lenslet is not fitted."""
+
+LEAST_COVERAGE = 0.5
+"""Share of the aperture that must hold points."""
+
+WHOLE = 0.95
+"""Share of the aperture above which a lenslet counts as wholly measured; pixels at the rim are lost to the raster."""
+
+TOLD_APART = 1e-4
+"""Least share of a parameter's effect, in squares, that the others cannot imitate: a 100-fold uncertainty."""
+
+COARSE = 4000
+"""Points of a lenslet that are enough to find it."""
+
+STEPS = 12
+"""Rounds of fit and separation, at most; each shrinks the error of the centre about five times."""
+
+SETTLED = 2e-6
+"""Step of the centre, in lens radii, at which separation and fit agree."""
+
+DEGREE = 6
+"""Of the polynomial that stands for the smooth form when spikes and scatter are judged."""
+
+OUTLIER = 6.0
+"""Standard deviations, estimated from the median, beyond which a point is a spike."""
+
+GRAIN = 5e-6
+"""What a spike must exceed even on a map without noise. [mm]"""
+
+BLOCKS = 12
+"""Blocks across a lenslet, and twice that across a base, within which points may err together."""
+
+PER_BLOCK = 8
+"""Points that a block should hold."""
+
+LEVELLING = 300_000
+"""Points of the base that are enough to level it."""
+
+UNSEEN = 50e-6
+"""Form that passes for a rotation is never taken to be less than this at the rim. [mm]"""
+
+AGREE = 3.0
+"""Standard deviations up to which base and lenslets agree about the rotation."""
+
+FLAT = 1e-9
+"""A slope, or a height over a length, that has no effect."""
+
+SIGMA = 1.4826
+"""Standard deviation of a normal scatter over the median of its magnitudes."""
+
+
+class Points(NamedTuple):
+    """Valid points in the frame of the array's base, sorted by squares of the plane. Each (n,)."""
+
+    x: Floats
+    y: Floats
+    z: Floats
+    departure: Floats  # from the base alone
+    weight: Floats  # the area that each stands for
+    low: Floats  # where the first square begins
+    step: float  # side of a square
+    squares: int  # of them along x and along y
+    first: Ints  # where the points of each square begin
+
+    def near(self, centre: Floats, radius: float) -> Ints:
+        """Return which points lie within a radius of a centre. (k,)."""
+        ends = np.floor((np.stack([centre[:2] - radius, centre[:2] + radius]) - self.low) / self.step)
+        (left, bottom), (right, top) = np.clip(ends, -1, self.squares).astype(np.int64)
+        left, right = max(left, 0), min(right, self.squares - 1)
+        spans = [
+            np.arange(self.first[row * self.squares + left], self.first[row * self.squares + right + 1])
+            for row in range(max(bottom, 0), min(top, self.squares - 1) + 1)
+            if left <= right
+        ]
+        chosen = np.concatenate(spans) if spans else np.empty(0, dtype=np.int64)
+        away = (self.x[chosen] - centre[0]) ** 2 + (self.y[chosen] - centre[1]) ** 2
+        return np.asarray(chosen[away <= radius**2])
+
+
+class Design(NamedTuple):
+    """What the array should be."""
+
+    outer: Pose  # from the frame of base and array to the part's
+    base: Surface | None  # all that is added to the array
+    centres: Floats
+    radii: Floats
+    lens: Surface  # about its own origin, turned as the array is
+    vertex: float  # height of the lens at its origin
+    radius: float  # of curvature there, nan if it has none
+    surround: Surface | None  # what lies between the lenslets; None where they fill their cells
+    reach: float  # the clear radius
+    terms: tuple[int, ...]  # ANSI numbers of the Zernike terms of the base's form
+
+
+class Free(NamedTuple):
+    """Which parameters are fitted, and which beside them for the radius; None if the form does not tell it."""
+
+    columns: list[int]
+    with_radius: list[int] | None
+
+
+class Smooth(NamedTuple):
+    """Which points are no spikes, the smooth form at all points, and how many terms it has."""
+
+    keep: Bools
+    form: Floats
+    terms: int
+
+
+class BaseForm(NamedTuple):
+    """The form of the base beyond its design: what each Zernike term has at the rim, and how well that is known."""
+
+    amplitudes: Floats  # (k,) [mm]
+    covariance: Floats  # at the rotation of the frame (k, k) [mm²]
+    turned: Floats  # what the uncertainty of that rotation adds to each, as a standard deviation (k,) [mm]
+
+    @property
+    def std(self) -> Floats:
+        """Standard uncertainty of each term. (k,) [mm]."""
+        return np.sqrt(np.diag(self.covariance) + self.turned**2)
+
+    def surface(self, design: Design) -> Zernike | None:
+        """Return the form as a surface in the frame of the base; ``None`` where none was fitted."""
+        if not self.amplitudes.size:
+            return None
+        return Zernike(
+            terms=dict(zip(design.terms, self.amplitudes.tolist(), strict=True)),
+            radius=design.reach, indexing="ansi", normalised=False,
+        )  # fmt: skip
+
+
+class Found(NamedTuple):
+    """What the fit of one lenslet gave, in the frame of the base."""
+
+    parameters: Floats | None  # None where it was not fitted
+    covariance: Floats  # (6, 6), nan for what was not free
+    growth: tuple[float, float]  # scale less one, and its uncertainty
+    local: Floats  # the centre, or where it was last looked for
+    residual: HeightMap
+    size_nm: tuple[float, float]
+    scatter_nm: float
+    points: int
+    outliers: int
+    coverage: float
+    finding: str
+
+
+def arrays_in(surface: Surface) -> list[Surface]:
+    """Return the terms of a surface that hold a lens array."""
+    while isinstance(surface, Placed):
+        surface = surface.surface
+    if isinstance(surface, Sum):
+        return [term for term in surface.terms if arrays_in(term)]
+    return [surface] if isinstance(surface, LensArray) else []
+
+
+def terms_up_to(degree: int) -> tuple[int, ...]:
+    """Return the ANSI numbers of the Zernike terms from the second degree up to one."""
+    return tuple(range(3, (degree + 1) * (degree + 2) // 2))
+
+
+def shapes_at(design: Design, x: Floats, y: Floats) -> Floats:
+    """Return the terms of the base's form, each 1 mm at the rim. (k, n)."""
+    x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+    shapes = np.empty((len(design.terms), x.size))
+    for k, number in enumerate(design.terms):
+        one = Zernike(terms={number: 1.0}, radius=design.reach, indexing="ansi", normalised=False)
+        shapes[k] = one.evaluate(x, y, 0)[0]
+    return shapes
+
+
+def take_apart(part: Part, form: str, aperture: float | None, degree: int) -> Design:
+    """Take the part apart: base, array, where both sit; the base may have a form up to a degree."""
+    outer, surface = Pose(), part.surface
+    while isinstance(surface, Placed):
+        outer, surface = outer.after(surface.pose), surface.surface
+    terms = surface.terms if isinstance(surface, Sum) else (surface,)
+    arrays = [term for term in terms if arrays_in(term)]
+    if len(arrays) != 1:
+        raise InputError(
+            f"the surface of the part, a {type(part.surface).__name__}, holds {len(arrays)} lens arrays, it must hold "
+            "1: give a LensArray, or a base with one added to it"
+        )
+    rest = tuple(term for term in terms if term is not arrays[0])
+    array, inside = arrays[0], Pose()
+    while isinstance(array, Placed):
+        inside, array = inside.after(array.pose), array.surface
+    if not isinstance(array, LensArray) or inside.tilt != (0.0, 0.0):
+        raise InputError(
+            f"the lens array is tilted against its base by {np.rad2deg(inside.tilt)} deg or hidden in a placed sum, "
+            "the limit is 0 deg: place base and array together"
+        )
+    x, y, _ = inside.apply(array.centres[:, 0], array.centres[:, 1], 0.0)
+    centres = np.stack([x, y], axis=1)
+    lens, surround = array.lenslet, array.surround
+    if surround is not None and not isinstance(surround, Surface):
+        surround = Plane(slope=(0.0, 0.0)).placed(shift=(0.0, 0.0, float(surround)))
+    if inside != Pose():
+        lens = lens.placed(shift=(0.0, 0.0, inside.shift[2]), rotation=inside.rotation)
+        if surround is not None:
+            surround = surround.placed(shift=inside.shift, rotation=inside.rotation)
+    radii = lens_radii(centres, array.aperture if aperture is None else aperture, part.radius)
+    z, zx, zy, zxx, zxy, zyy = (float(value[0]) for value in lens.evaluate(np.zeros(1), np.zeros(1), 2))
+    mean = ((1 + zy * zy) * zxx - 2 * zx * zy * zxy + (1 + zx * zx) * zyy) / (2 * (1 + zx * zx + zy * zy) ** 1.5)
+    vertex = z if np.isfinite(z) else 0.0
+    curved = bool(np.isfinite(mean) and abs(mean) * radii.max() > FLAT)
+    if form == "sphere":
+        if not curved:
+            raise InputError(
+                f"the lenslet's curvature at its vertex is {mean:g} per mm, a sphere to start from needs one other "
+                "than 0: fit the design form"
+            )
+        lens = Sphere(radius=1 / mean).placed(shift=(0.0, 0.0, vertex))
+    return Design(
+        outer=outer,
+        base=(Sum(terms=rest) if len(rest) > 1 else rest[0]) if rest else None,
+        centres=centres,
+        radii=radii,
+        lens=lens,
+        vertex=vertex,
+        radius=1 / mean if curved else float("nan"),
+        surround=surround,
+        reach=part.radius,
+        terms=terms_up_to(degree) if surround is not None else (),
+    )
+
+
+def lens_radii(centres: Floats, aperture: float | None, reach: float) -> Floats:
+    """Return the radius of every lenslet: the aperture, or that of the largest circle in its cell. (n,) [mm]."""
+    if aperture is not None:
+        return np.full(centres.shape[0], positive(aperture, "aperture of a lenslet", "mm"))
+    if centres.shape[0] == 1:
+        return np.array([reach])
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - scipy is costly to import
+
+    distance, _ = cKDTree(centres).query(centres, k=2)
+    return np.asarray(distance)[:, 1] / 2
+
+
+def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -> Free:
+    """Return which parameters are fitted, after a look at whether the form tells them apart."""
+    free = [0, 1, 2, *([3] if radius else []), *([4, 5] if tilt else [])]
+    reach = inner * float(design.radii.min())
+    u, v = (part.ravel() for part in np.meshgrid(*2 * [np.linspace(-reach, reach, 41)]))
+    within = u * u + v * v <= reach**2
+    _, slopes = model(design, np.zeros(6), u[within], v[within], [0, 1, 2, 3, 4, 5])
+    slopes = slopes[np.isfinite(slopes).all(axis=1)]
+    names = ("centre along x", "centre along y", "height", "radius", "tilt along x", "tilt along y")
+
+    def alone(columns: list[int]) -> dict[int, float]:
+        """Return how much of the effect of each parameter no other one can imitate, in squares."""
+        size = np.sqrt(np.mean(slopes[:, columns] ** 2, axis=0))
+        # A slope, a height and a relative size that have less effect than this have none.
+        if (size <= FLAT * np.where(np.array(columns) == 3, reach, 1.0)).any():
+            return {columns[int(np.argmin(size))]: 0.0}
+        scaled = slopes[:, columns] / size
+        left = []
+        for k in range(len(columns)):
+            others = np.delete(scaled, k, axis=1)
+            missed = scaled[:, k] - others @ np.linalg.lstsq(others, scaled[:, k], rcond=None)[0]
+            left.append(float(np.mean(missed**2)))
+        return dict(zip(columns, left, strict=True))
+
+    for column, share in alone(free).items():
+        if share < TOLD_APART:
+            raise InputError(
+                f"the form of the lenslet tells the {names[column]} from the other free parameters by {share:.1g} of "
+                f"its effect, in squares, the limit is {TOLD_APART:g}: "
+                + ("leave the tilt fixed" if tilt else "fit a form with more curvature, or a larger aperture")
+            )
+    known = np.isfinite(design.radius) and min(alone(sorted({*free, 3})).values()) >= TOLD_APART
+    return Free(columns=free, with_radius=sorted({*free, 3}) if known else None)
+
+
+def model(design: Design, parameters: Floats, x: Floats, y: Floats, free: list[int]) -> tuple[Floats, Floats]:
+    """Return what a lenslet adds to the base (n,), and its derivatives by the free parameters (n, k).
+
+    The parameters are those of the module's formula: centre x, y, height, scale less one, slopes; about the origin.
+    """
+    at_x, at_y, height, growth, slope_x, slope_y = parameters
+    dx, dy = x - at_x, y - at_y
+    u, v = dx / (1 + growth), dy / (1 + growth)
+    z, zx, zy = design.lens.evaluate(u, v, 1)
+    z -= design.vertex
+    value = design.vertex + height + (1 + growth) * z + slope_x * dx + slope_y * dy
+    slopes = np.empty((x.size, len(free)))
+    for place, column in enumerate(free):
+        match column:
+            case 0:
+                slopes[:, place] = -zx - slope_x
+            case 1:
+                slopes[:, place] = -zy - slope_y
+            case 2:
+                slopes[:, place] = 1.0
+            case 3:
+                slopes[:, place] = z - u * zx - v * zy
+            case _:
+                slopes[:, place] = dx if column == 4 else dy
+    return value, slopes
+
+
+def place_points(heights: HeightMap, pose: Pose, design: Design) -> Points:
+    """Bring the map into the frame of the base, within the clear radius, sorted by squares of the plane."""
+    valid = ~np.isnan(heights.z)
+    x, y, z = (part[valid] for part in (*heights.points(), heights.z))
+    if heights.scattered:
+        weight = np.ones(x.size)
+    else:
+        grid = measure(heights)
+        weight = (grid.row_width[:, None] * grid.column_area)[valid]
+        weight /= weight.max()
+    x, y, z = pose.apply(x, y, z)
+    part_x, part_y, _ = design.outer.apply(x, y, z)
+    kept = (part_x**2 + part_y**2 <= design.reach**2) & (weight > 0)
+    if design.base is not None and (inside := design.base.inside(x, y)) is not None:
+        kept &= inside
+    if not kept.any():
+        raise InputError(
+            f"0 of the {x.size} valid points of the map lie within the clear radius {design.reach:g} mm of the part: "
+            "check the pose and the units"
+        )
+    step = max(float(design.radii.max()) / 2, design.reach / 1000)
+    count = int(2 * design.reach / step) + 3
+    low = np.array([x[kept].min(), y[kept].min()])
+    across, along = ((part - start) / step for part, start in zip((x, y), low, strict=True))
+    cell = np.minimum(along[kept].astype(np.int64), count - 1) * count
+    cell += np.minimum(across[kept].astype(np.int64), count - 1)
+    order = np.flatnonzero(kept)[np.argsort(cell, kind="stable")]
+    x, y, z, weight = (np.ascontiguousarray(part[order]) for part in (x, y, z, weight))
+    base = design.base.evaluate(x, y, 0)[0] if design.base is not None else 0.0
+    first = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=count * count))])
+    return Points(x, y, z, z - base, weight, low, step, count, first)
+
+
+def without_form(points: Points, design: Design, form: BaseForm) -> Points:
+    """Return the points with the form of the base taken off their departure."""
+    if not form.amplitudes.size:
+        return points
+    return points._replace(departure=points.departure - form.amplitudes @ shapes_at(design, points.x, points.y))
+
+
+def least_squares_step(slopes: Floats, error: Floats, weight: Floats) -> Floats:
+    """Return the weighted least-squares step. (k,)."""
+    weighted = slopes * weight[:, None]
+    normal = weighted.T @ slopes
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    step = np.linalg.lstsq(normal / np.outer(size, size), weighted.T @ error / size, rcond=1e-12)[0]
+    return np.asarray(step / size)
+
+
+def find_roughly(points: Points, design: Design, k: int, inner: float) -> Floats | None:
+    """Find a lenslet roughly, from its middle outward; return its parameters, or ``None``."""
+    radius, parameters = float(design.radii[k]), np.zeros(6)
+    parameters[:2] = design.centres[k]
+    free = [0, 1, 2]
+    for share in (0.5, 0.75, inner):
+        chosen = points.near(parameters, share * radius)
+        if chosen.size < FEWEST:  # on coarse pixels the middle holds too few
+            continue
+        chosen = chosen[:: chosen.size // COARSE + 1]
+        x, y, departure, weight = (part[chosen] for part in (points.x, points.y, points.departure, points.weight))
+        for _ in range(STEPS):
+            value, slopes = model(design, parameters, x, y, free)
+            error = departure - value
+            keep = np.isfinite(error)
+            off = np.abs(error - np.median(error[keep])) if keep.any() else error
+            keep &= off <= max(OUTLIER * SIGMA * float(np.median(off[keep])), GRAIN) if keep.any() else False
+            if np.count_nonzero(keep) < FEWEST:
+                return None
+            step = least_squares_step(slopes[keep], error[keep], weight[keep])
+            parameters[free] += step
+            if not np.hypot(*(parameters[:2] - design.centres[k])) < radius:
+                return None
+            if np.hypot(*step[:2]) < 1e-4 * radius:
+                break
+    return parameters if chosen.size >= FEWEST else None
+
+
+def fit_smooth(x: Floats, y: Floats, error: Floats) -> Smooth:
+    """Fit a polynomial to what a form leaves, spikes left out. The points lie in [-1, 1]."""
+    degree = DEGREE
+    while degree and (degree + 1) * (degree + 2) // 2 * PER_BLOCK > error.size:
+        degree -= 1
+    along_x, along_y = legvander(x, degree), legvander(y, degree)
+    terms = np.stack([along_x[:, i] * along_y[:, j] for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)
+    off = np.abs(error - np.median(error))
+    # Form itself may stand out this much; what it is, the first polynomial shows.
+    keep = off <= max(2 * OUTLIER * SIGMA * float(np.median(off)), GRAIN)
+    normal, right, form = terms.T @ terms, terms.T @ error, error
+    for _ in range(6):
+        spikes = terms[~keep]
+        solved = np.linalg.lstsq(normal - spikes.T @ spikes, right - spikes.T @ error[~keep], rcond=1e-12)[0]
+        form = terms @ solved
+        off = np.abs(error - form)
+        last, keep = keep, off <= max(OUTLIER * SIGMA * float(np.median(off)), GRAIN)
+        if np.array_equal(last, keep):
+            break
+    return Smooth(keep, form, terms.shape[1])
+
+
+def number_blocks(u: Floats, v: Floats, most: int) -> tuple[Ints, float]:
+    """Number the blocks that points of the unit disc lie in, and return how much of the disc they cover. (n,)."""
+    count = int(np.clip(np.sqrt(u.size / PER_BLOCK), 3, most))
+    row, column = (np.clip((part + 1) / 2 * count, 0, count - 1).astype(np.int64) for part in (v, u))
+    number = row * count + column
+    middle = (2 * np.arange(count) + 1) / count - 1
+    disc = (np.hypot(middle, middle[:, None]) <= 1).ravel()
+    filled = np.bincount(number, minlength=count * count) > 0
+    return number, float(np.count_nonzero(filled & disc) / np.count_nonzero(disc))
+
+
+def clustered_covariance(slopes: Floats, rest: Floats, weight: Floats, blocks: Ints, terms: int) -> Floats:
+    """Return the covariance of fitted parameters when points of one block may err together. (k, k)."""
+    weighted = slopes * weight[:, None]
+    inverse = np.linalg.pinv(weighted.T @ slopes, rcond=1e-15)
+    score = np.stack([np.bincount(blocks, weights=column * rest) for column in weighted.T], axis=1)
+    count = int(np.count_nonzero(np.bincount(blocks)))
+    # A polynomial of as many terms was taken off: it has taken its share of the scatter with it.
+    together = score.T @ score * (count / max(count - terms, 1))
+    return np.asarray(inverse @ together @ inverse)
+
+
+def size_nm(error: Floats, weight: Floats) -> tuple[float, float]:
+    """Return rms and peak to valley. [nm]."""
+    return float(np.sqrt(np.average(error**2, weights=weight))) * NM, float(np.ptp(error)) * NM
+
+
+def missing(parameters: Floats, count: int, coverage: float, finding: str) -> Found:
+    """Return a lenslet that could not be fitted."""
+    empty = np.empty(0)
+    nan = float("nan")
+    return Found(
+        None, np.full((6, 6), nan), (nan, nan), parameters[:2], HeightMap(x=empty, y=empty, z=empty), (nan, nan), nan,
+        count, 0, coverage, finding,
+    )  # fmt: skip
+
+
+def fit_lenslet(
+    points: Points, design: Design, k: int, starts: Floats, free: Free, inner: float, base: BaseForm
+) -> Found:  # fmt: skip
+    """Fit one lenslet over the points around its own centre."""
+    parameters, reach = starts[k].copy(), inner * float(design.radii[k])
+    apart = np.hypot(*(starts[:, :2] - starts[k, :2]).T)
+    grain = 0.0
+    rivals = starts[(apart < 2.2 * reach) & (apart > 0), :2]
+    for _ in range(STEPS):
+        chosen = points.near(parameters, reach + grain)
+        for rival in rivals:  # where cells touch, a lenslet's neighbour may stand inside of its circle
+            x, y = points.x[chosen], points.y[chosen]
+            own = (x - parameters[0]) ** 2 + (y - parameters[1]) ** 2
+            chosen = chosen[own <= (x - rival[0]) ** 2 + (y - rival[1]) ** 2]
+        if chosen.size < FEWEST:
+            words = f"{chosen.size} points within {inner:g} of its radius, a fit needs {FEWEST}: measure more of it"
+            return missing(parameters, chosen.size, 0.0, words)
+        x, y, departure, weight = (part[chosen] for part in (points.x, points.y, points.departure, points.weight))
+        before = parameters[:2].copy()
+        value, _ = model(design, parameters, x, y, free.columns)
+        u, v, error = (x - before[0]) / reach, (y - before[1]) / reach, departure - value
+        # A point at the rim counts with the share of its pixel that lies within, so that no point jumps in or out.
+        grain = reach * float(np.sqrt(np.pi / chosen.size)) / 2
+        weight = weight * np.clip((reach * (1 - np.hypot(u, v)) / grain + 1) / 2, 0, 1)
+        known = np.isfinite(error) & (weight > 0)
+        if np.count_nonzero(known) < FEWEST:
+            words = f"its form is defined at {np.count_nonzero(known)} points, a fit needs {FEWEST}: check the design"
+            return missing(parameters, chosen.size, 0.0, words)
+        x, y, u, v, departure, weight = (part[known] for part in (x, y, u, v, departure, weight))
+        smooth = fit_smooth(u, v, error[known])
+        x, y, u, v, departure, weight = (part[smooth.keep] for part in (x, y, u, v, departure, weight))
+        gauss_newton(design, parameters, x, y, departure, weight, free.columns)
+        if not np.hypot(*(parameters[:2] - design.centres[k])) < design.radii[k]:
+            words = f"no such form within its radius of {design.radii[k]:g} mm: check the pose and the design"
+            return missing(starts[k], x.size, 0.0, words)
+        if np.hypot(*(parameters[:2] - before)) < SETTLED * reach:
+            break
+    return judge(design, free, parameters, (x, y, u, v, departure, weight), smooth, base)
+
+
+def gauss_newton(
+    design: Design, parameters: Floats, x: Floats, y: Floats, departure: Floats, weight: Floats, free: list[int]
+) -> Floats:
+    """Improve the parameters in place until they stay; return the derivatives at the end. (n, k)."""
+    reach = np.ptp(x) + 1e-300
+    for _ in range(STEPS):
+        value, slopes = model(design, parameters, x, y, free)
+        error = departure - value
+        known = np.isfinite(error)
+        step = least_squares_step(slopes[known], error[known], weight[known])
+        parameters[free] += step
+        parameters[3] = max(parameters[3], -0.9)
+        if np.hypot(*step[:2]) < 1e-9 * reach and np.abs(step[2:]).max() < 1e-9:
+            break
+    return model(design, parameters, x, y, free)[1]
+
+
+def judge(
+    design: Design, free: Free, parameters: Floats, data: tuple[Floats, ...], smooth: Smooth, base: BaseForm
+) -> Found:  # fmt: skip
+    """Say what a fit is worth."""
+    x, y, u, v, departure, weight = data
+    value, slopes = model(design, parameters, x, y, free.columns)
+    error = departure - value
+    blocks, coverage = number_blocks(u, v, BLOCKS)
+    outliers = smooth.keep.size - x.size
+    if coverage < LEAST_COVERAGE:
+        words = f"{coverage:.0%} of its aperture is measured, a fit needs {LEAST_COVERAGE:.0%}: measure more of it"
+        return missing(parameters, x.size, coverage, words)
+    spread = float(np.average((departure - np.average(departure, weights=weight)) ** 2, weights=weight))
+    left = float(np.average(error**2, weights=weight))
+    if left > spread / 2:
+        words = (
+            f"the form leaves {np.sqrt(left) * NM:.0f} nm rms of {np.sqrt(spread) * NM:.0f} nm, so no such lenslet is "
+            "there: check the pose and the design"
+        )
+        return missing(parameters, x.size, coverage, words)
+    rest = error - fit_smooth(u, v, error).form
+    covariance = np.full((6, 6), np.nan)
+    covariance[np.ix_(free.columns, free.columns)] = clustered_covariance(slopes, rest, weight, blocks, smooth.terms)
+    if base.amplitudes.size:
+        # What the form of the base is off moves what stands on it.
+        moved = np.stack([least_squares_step(slopes, one, weight) for one in shapes_at(design, x, y)], axis=1)
+        covariance[np.ix_(free.columns, free.columns)] += moved @ base.covariance @ moved.T
+    growth = float("nan"), float("nan")
+    if free.with_radius is not None:
+        other = parameters.copy()
+        slopes = gauss_newton(design, other, x, y, departure, weight, free.with_radius)
+        place = free.with_radius.index(3)
+        variance = clustered_covariance(slopes, rest, weight, blocks, smooth.terms)[place, place]
+        growth = float(other[3]), float(np.sqrt(variance))
+    return Found(
+        parameters=parameters,
+        covariance=covariance,
+        growth=growth,
+        local=parameters[:2],
+        residual=HeightMap(x=x - parameters[0], y=y - parameters[1], z=error, name="lenslet residual"),
+        size_nm=size_nm(error, weight),
+        scatter_nm=float(np.sqrt(np.average(rest**2, weights=weight))) * NM,
+        points=x.size,
+        outliers=outliers,
+        coverage=coverage,
+        finding="" if coverage >= WHOLE else f"only {coverage:.0%} of its aperture is measured",
+    )
+
+
+def points_of_base(points: Points, design: Design, centres: Floats, outer: float) -> Ints:
+    """Return the points beyond ``outer`` lens radii of all lenslets. (m,)."""
+    base = np.full(points.x.size, design.surround is not None)
+    if design.surround is not None:
+        for centre, radius in zip(centres, design.radii, strict=True):
+            base[points.near(centre, outer * radius)] = False
+    return np.flatnonzero(base)
+
+
+def errors_of_base(points: Points, base: Ints, design: Design) -> tuple[Floats, Floats]:
+    """Return how far the base is off (m,), and what a turn of the points about x, y, z and a shift along z does to it.
+
+    Returns
+    -------
+    error, slopes
+        (m,) [mm] and (m, 4).
+    """
+    x, y, z, error = points.x[base], points.y[base], points.z[base], points.departure[base]
+    zx, zy = np.zeros(x.size), np.zeros(x.size)
+    for surface in (design.base, design.surround):
+        if surface is not None:
+            height, slope_x, slope_y = surface.evaluate(x, y, 1)
+            zx += slope_x
+            zy += slope_y
+            if surface is design.surround:
+                error = error - height
+    slopes = np.stack([y + zy * z, -x - zx * z, np.ones(x.size), zx * y - zy * x], axis=1)
+    return error, slopes
+
+
+def level_on_base(
+    points: Points, base: Ints, design: Design, starts: Floats, seen: Bools, rotation_std: float
+) -> tuple[Pose, str, BaseForm]:
+    """Return turn and shift along z that bring the base onto its design, words for the frame, and the base's form.
+
+    ``rotation_std`` is that of the pose where too few lenslets are seen to tell it. [rad]
+    """
+    base = base[:: base.size // LEVELLING + 1]
+    weight = points.weight[base]
+    error, slopes = errors_of_base(points, base, design)
+    known = np.isfinite(error)
+    base, error, slopes, weight = base[known], error[known], slopes[known], weight[known]
+    middle = np.array([np.mean(points.x[base]), np.mean(points.y[base])])
+    size = max(float(np.hypot(points.x[base] - middle[0], points.y[base] - middle[1]).max()), 1e-300)
+    u, v = (points.x[base] - middle[0]) / size, (points.y[base] - middle[1]) / size
+    smooth = fit_smooth(u, v, error)
+    base = base[smooth.keep]
+    u, v, error, slopes, weight = (part[smooth.keep] for part in (u, v, error, slopes, weight))
+    # Tilts, height and form together, and next to them the rotation.
+    shapes, turned = shapes_at(design, points.x[base], points.y[base]).T, slopes[:, 3]
+    level, slopes = slopes[:, :3], np.concatenate([slopes[:, :3], -shapes], axis=1)
+    blocks, _ = number_blocks(u, v, 2 * BLOCKS)
+    alike = least_squares_step(slopes, turned, weight)[3:]
+    chosen, by_base = np.append(-least_squares_step(slopes, error, weight), 0.0), False
+    lattice = Alignment.of(design.centres[seen], starts[seen, :2]) if np.count_nonzero(seen) > 2 else None
+    unsure = rotation_std
+    if lattice is not None:
+        unsure = float(np.hypot(lattice.rotation, lattice.rotation_std))
+    tells = _rotation_of_base(design, (u, v, error, weight, blocks), level, shapes, turned, alike)
+    if tells is not None:
+        whole, base_std = tells
+        by_base = base_std < (rotation_std if lattice is None else lattice.rotation_std)
+        if lattice is not None:  # what the lenslets contradict is form
+            gap = abs(float(whole[-1]) + lattice.rotation)
+            by_base &= gap <= AGREE * float(np.hypot(base_std, lattice.rotation_std))
+        if by_base:
+            chosen, unsure = whole, base_std
+    # What the terms leave errs together over a block, so it counts as it does.
+    left = error + slopes @ chosen[:-1] + turned * chosen[-1]
+    spread = fit_smooth(u, v, left)
+    covariance = clustered_covariance(slopes, left, weight, blocks, spread.terms)[3:, 3:]
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - scipy is costly to import
+
+    matrix = Rotation.from_rotvec([chosen[0], chosen[1], chosen[-1]]).as_matrix()
+    words = (
+        f"the part's frame: tilt and height by the base, shift by the pose, rotation by the {_words(by_base, unsure)}"
+    )
+    own = BaseForm(chosen[3:-1], covariance, alike * unsure if np.isfinite(unsure) else 0.0 * alike)
+    return Pose.of(matrix, (0.0, 0.0, chosen[2])), words, own
+
+
+def _words(by_base: bool, unsure: float) -> str:
+    """Say what the rotation is by, and how well it is known."""
+    name = "base" if by_base else "pose"
+    return f"{name} within {unsure * 1e6:.2g} urad" if np.isfinite(unsure) else name
+
+
+def _rotation_of_base(
+    design: Design, data: tuple[Floats, Floats, Floats, Floats, Ints], level: Floats, shapes: Floats, turned: Floats,
+    alike: Floats,
+) -> tuple[Floats, float] | None:  # fmt: skip
+    """Return level, form and rotation by the base, and how unsure the last is; ``None`` where it has no effect.
+
+    The form that passes for the rotation, ``alike`` for each rad, is left out: it is taken to be as large as the
+    largest of those that do not, which are seen.
+    """
+    u, v, error, weight, blocks = data
+    along = turned - level @ least_squares_step(level, turned, weight)
+    strength = float(np.sqrt(np.average(along**2, weights=weight)))
+    if strength <= FLAT * design.reach:
+        return None
+    way = alike / max(float(np.sqrt(alike @ alike)), 1e-300)
+    others = np.eye(alike.size) - np.outer(way, way)
+    apart = np.concatenate([level, -shapes @ others, turned[:, None]], axis=1)
+    whole = -least_squares_step(apart, error, weight)
+    whole[3:-1] = others @ whole[3:-1]
+    left = error + apart @ whole
+    smooth = fit_smooth(u, v, left)
+    rest = left - smooth.form
+    noise = clustered_covariance(along[:, None], rest, weight, blocks, smooth.terms)[0, 0]
+    form = np.average(smooth.form**2, weights=weight) - smooth.terms * np.average(rest**2, weights=weight) / u.size
+    variance = float(noise) + max(float(form), 0.0) / strength**2
+    if alike.size:
+        # By so much the base seems turned for each mm of that form.
+        leak = float(least_squares_step(apart, shapes @ way, weight)[-1])
+        variance += (leak * max(float(np.abs(whole[3:-1]).max()), UNSEEN)) ** 2
+    return whole, float(np.sqrt(variance))

@@ -1,0 +1,226 @@
+"""The noise of a map, from the map itself: white from neighbours, correlated from what smooth terms leave."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.polynomial.legendre import legvander2d
+
+from turnwright.metrology.rigid import FINEST, Problem, residuals, rows, turns
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Bools, Floats, Ints
+    from turnwright.heightmap import HeightMap
+
+__all__ = ["MapNoise", "map_noise"]
+
+RUN = 4
+"""Neighbours in a row whose third difference is the noise: it has no height, slope or curvature in it."""
+
+RUNS = 4000
+"""Runs along each axis of a grid that are looked at."""
+
+THIRD = 20.0
+"""Variance of the third difference of independent heights over their own."""
+
+ALONG = 0.9
+"""Cosine between a run and the direction of cutting from which no cusps lie across it."""
+
+FEWEST_ALONG = 300
+"""Runs along the direction of cutting that are enough to do without the others."""
+
+CLOSE = 6
+"""Scattered points next to each other whose plane is taken off."""
+
+IN_A_CELL = 10
+"""Scattered points in a cell, on average, where such are looked for."""
+
+MEDIAN_OF_THREE = 2.365974
+"""Median of chi-square with three degrees of freedom, what the plane of six points leaves."""
+
+SMOOTH = 6
+"""Degree of the smooth terms that are form and no noise."""
+
+OUTLIER = 6.0
+"""Residual over scatter beyond which a point is no noise."""
+
+FEWEST = 400
+"""Points from which a correlation can be judged."""
+
+LEAST_SHARE = 0.3
+"""Share of a correlated noise that is taken to be left, at least, by the smooth terms."""
+
+CELL_POINTS, MOST_CELLS = 4, 64
+
+
+class MapNoise(NamedTuple):
+    """What a map's noise is.
+
+    ``white`` is the standard deviation of what is independent from point to point [mm], ``correlated`` that of the rest
+    [mm], ``length`` the radius within which the latter errs together [mm], and ``area`` what one independent cell of it
+    covers over that of one point: so many points err as one.
+    """
+
+    white: float
+    correlated: float
+    length: float
+    area: float
+
+    @property
+    def effective(self) -> float:
+        """Standard deviation of independent heights that would leave a pose as uncertain. [mm]."""
+        return float(np.sqrt(self.white**2 + self.correlated**2 * max(self.area, 1.0)))
+
+
+def map_noise(problem: Problem, some: Problem, state: Floats, heights: HeightMap, which: Ints) -> MapNoise:
+    """Return the noise of a map, about a pose near enough for its residual to be smooth from neighbour to neighbour.
+
+    Parameters
+    ----------
+    problem, some
+        All points, and those of them that a correlation is judged by.
+    state
+        The pose.
+    heights, which
+        The map, and the index of each point in it.
+    """
+    left = _in_cells(problem, state) if heights.scattered else _in_runs(problem, state, heights, which)
+    white = max(left, FINEST)
+    count = problem.points.shape[1]
+    return _correlated(some, state, white, count)
+
+
+def _in_runs(problem: Problem, state: Floats, heights: HeightMap, which: Ints) -> float:
+    """Return the scatter of third differences over a grid, along the direction of cutting where it can be. [mm]."""
+    known = np.zeros(heights.z.shape, dtype=np.bool_)
+    known.ravel()[which] = True
+    place = np.cumsum(known.ravel()) - 1
+    random = np.random.default_rng(0)
+    found: list[Ints] = []
+    for axis in (0, 1):
+        begin = _begins(known, axis)
+        if begin.size > RUNS:
+            begin = np.sort(random.choice(begin, RUNS, replace=False))
+        stride = heights.z.shape[1] if axis == 0 else 1
+        found.append(place[begin + stride * np.arange(RUN)[:, None]])
+    runs = np.concatenate(found, axis=1)
+    if runs.size == 0:
+        return 0.0
+    few = problem.only(runs.ravel())
+    residual = residuals(few, state).reshape(runs.shape)
+    difference = np.abs(residual[3] - 3 * residual[2] + 3 * residual[1] - residual[0]) / np.sqrt(THIRD)
+    at = _lateral(few, state)
+    first, last = (at[:, k * runs.shape[1] : (k + 1) * runs.shape[1]] for k in (0, RUN - 1))
+    way, middle = last - first, (last + first) / 2
+    across = np.abs(way[0] * middle[1] - way[1] * middle[0])  # of the tangent, which is (-y, x) there
+    size = np.hypot(*way) * np.hypot(*middle)
+    along = across >= ALONG * size
+    good = np.isfinite(difference)
+    if np.count_nonzero(good & along) >= FEWEST_ALONG:
+        good &= along
+    return _scatter(difference[good])
+
+
+def _lateral(problem: Problem, state: Floats) -> Floats:
+    """Return where points lie on the part across its axis. (2, n) [mm]."""
+    return np.asarray(turns(state)[0][:2] @ problem.points + state[:2, None])
+
+
+def _begins(known: Bools, axis: int) -> Ints:
+    """Return the flat index of the first of every run of valid neighbours along an axis."""
+    if known.shape[axis] < RUN:
+        return np.empty(0, dtype=np.int64)
+    count = known.shape[axis] - RUN + 1
+    whole = np.zeros(known.shape, dtype=np.bool_)
+    head = tuple(slice(0, count) if k == axis else slice(None) for k in (0, 1))
+    whole[head] = True
+    for step in range(RUN):
+        whole[head] &= known[tuple(slice(step, step + count) if k == axis else slice(None) for k in (0, 1))]
+    return np.flatnonzero(whole)
+
+
+def _scatter(size: Floats) -> float:
+    """Return the standard deviation that magnitudes stand for, robustly; their rms where most of them are zero."""
+    if size.size == 0:
+        return 0.0
+    return 1.4826 * float(np.median(size)) or float(np.sqrt(np.mean(size**2)))
+
+
+def _in_cells(problem: Problem, state: Floats) -> float:
+    """Return the scatter of scattered points about the planes of their neighbours. [mm]."""
+    at = _lateral(problem, state)
+    low, high = at.min(axis=1), at.max(axis=1)
+    width, height = np.maximum(high - low, 1e-300)
+    side = np.sqrt(width * height * IN_A_CELL / at.shape[1])
+    columns = int(width / side) + 1
+    cell = ((at[1] - low[1]) / side).astype(np.int64) * columns + ((at[0] - low[0]) / side).astype(np.int64)
+    order = np.argsort(cell, kind="stable")
+    first = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    size = np.diff(first, append=cell.size)
+    first = first[size >= CLOSE]
+    if first.size == 0:
+        return 0.0
+    if first.size > RUNS:
+        first = np.random.default_rng(0).choice(first, RUNS, replace=False)
+    chosen = order[first[:, None] + np.arange(CLOSE)]
+    few = problem.only(chosen.ravel())
+    residual = residuals(few, state).reshape(chosen.shape)
+    x, y = (one.reshape(chosen.shape) for one in _lateral(few, state))
+    good = np.isfinite(residual).all(axis=1)
+    plane = np.stack([np.ones_like(x), x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)], axis=-1)
+    base, _ = np.linalg.qr(plane[good])
+    off = residual[good]
+    off = off - np.einsum("mij,mj->mi", base, np.einsum("mij,mi->mj", base, off))
+    square = (off * off).sum(axis=1)
+    if square.size == 0:
+        return 0.0
+    return float(np.sqrt(np.median(square) / MEDIAN_OF_THREE)) or float(np.sqrt(np.mean(square) / (CLOSE - 3)))
+
+
+def _correlated(some: Problem, state: Floats, white: float, count: int) -> MapNoise:
+    """Add what errs together: its variance, and its power at long wavelengths, from means over cells."""
+    found = rows(some, state, slice(0, some.points.shape[1]))
+    if found.residual.size < FEWEST:
+        return MapNoise(white, 0.0, 0.0, 0.0)
+    x, y, left = found.at[0], found.at[1], found.residual
+    low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
+    u, v = 2 * (x - low[0]) / max(high[0] - low[0], 1e-300) - 1, 2 * (y - low[1]) / max(high[1] - low[1], 1e-300) - 1
+    terms = legvander2d(u, v, (SMOOTH, SMOOTH)).reshape(left.size, -1)
+    degree = np.add.outer(np.arange(SMOOTH + 1), np.arange(SMOOTH + 1)).ravel()
+    terms = terms[:, degree <= SMOOTH]
+    keep = np.ones(left.size, dtype=np.bool_)
+    for _ in range(2):
+        solved = np.linalg.lstsq(terms[keep], left[keep], rcond=1e-12)[0]
+        rest = left - terms @ solved
+        keep = np.abs(rest) <= OUTLIER * max(1.4826 * float(np.median(np.abs(rest))), FINEST)
+    x, y, rest = x[keep], y[keep], rest[keep]
+    excess = float(np.mean(rest**2)) * left.size / (left.size - terms.shape[1]) - white**2
+    cells = int(np.clip(np.sqrt(rest.size / CELL_POINTS), 4, MOST_CELLS))
+    side = float((high - low).max()) / cells * (1 + 1e-9)
+    number = ((y - low[1]) / side).astype(np.int64) * cells + ((x - low[0]) / side).astype(np.int64)
+    points = np.bincount(number, minlength=cells * cells).reshape(cells, cells)
+    there = points > 0
+    mean = np.bincount(number, weights=rest, minlength=cells * cells).reshape(cells, cells) / np.maximum(points, 1)
+    both = [np.fft.rfft2(one, s=(2 * cells, 2 * cells)) for one in (mean * there, there.astype(np.float64))]
+    products, pairs = (np.fft.irfft2(np.abs(one) ** 2, s=(2 * cells, 2 * cells)) for one in both)
+    lag = np.minimum(np.arange(2 * cells), 2 * cells - np.arange(2 * cells))
+    ring = np.rint(np.hypot(lag, lag[:, None])).astype(np.int64).ravel()
+    known = pairs.ravel() > 0.5
+    sums = np.bincount(ring[known], weights=products.ravel()[known])
+    weight = np.bincount(ring[known], weights=pairs.ravel()[known])
+    counts = np.bincount(ring[known])
+    correlation = sums / np.maximum(weight, 1.0)
+    correlation[0] -= white**2 * float(np.mean(1 / points[there]))
+    # Up to where it first changes its sign: what lies beyond is the form that the smooth terms left, and chance.
+    below = correlation <= 0
+    end = int(np.argmax(below)) if below.any() else correlation.size
+    power = float((correlation[:end] * counts[:end]).sum()) * side * side
+    if excess <= 0 or power <= 0:
+        return MapNoise(white, 0.0, 0.0, 0.0)
+    covered = float(np.count_nonzero(there)) * side * side
+    # As many of its independent cells as there were smooth terms went with them.
+    share = max(1 - terms.shape[1] * power / excess / covered, LEAST_SHARE)
+    excess, power = excess / share, power / share
+    per_point = covered / count * some.points.shape[1] / left.size
+    return MapNoise(white, float(np.sqrt(excess)), float(np.sqrt(power / excess / np.pi)), power / excess / per_point)

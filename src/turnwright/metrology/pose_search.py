@@ -1,0 +1,435 @@
+"""Where a map may lie on a part: laid on a table of the design at every place, the best slide into their valleys."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from turnwright._arrays import Bools, Floats
+from turnwright._kernels.registration import misfit, settle
+from turnwright.metrology.rigid import Fit, Problem, fit, residuals, rows, turns
+from turnwright.pose import Pose
+from turnwright.progress import run_chunks
+from turnwright.surface import LensArray, Placed, Sum, Surface
+
+__all__ = ["Lattice", "axisymmetric", "costs", "lattice_of", "ranked", "search"]
+
+SMALLEST_TABLE, LARGEST_TABLE = 256, 1000
+
+STEP_IN_FEATURES = 1.0
+"""Distance of places of the search over the feature size of a surface: an eighth of a wave."""
+
+STEPS_ON_RADIUS = 5
+"""Places on the radius at least."""
+
+SETTLED = 60
+"""Places that slide into their valleys; with a full turn of clocking twice as many."""
+
+REFINED = 8
+"""Valleys that are fitted to the surface itself."""
+
+CALMING = 8
+"""Most steps at each scale of Tukey's loss, which only has to lead to where least squares begins."""
+
+SLIDES = 40
+"""Most steps into a valley."""
+
+PASSES = 2
+"""Times that a place is levelled before its misfit counts: the first has to take the tilt that goes with its place."""
+
+FEWEST = 150
+"""Points that a place is judged by at least."""
+
+FOLDS = (2, 3, 4, 5, 6, 8, 12)
+"""Symmetries about the axis that parts have."""
+
+QUIET = 1e-6
+"""Misfit below which nothing is poor. [mm]."""
+
+CALM = 4.0
+"""Median residuals beyond which a point does not pull where something else than the part may be in the map."""
+
+POOR = 4.0
+"""Mean square over the best one's at which a place is not refined."""
+
+MOST_LOOKUPS = 30_000_000
+"""Points times places of the search; beyond it points are left out, down to the fewest."""
+
+MOST_REPEATS = 60
+PLACES_AT_A_TIME = 64
+COVER = 0.95
+"""Share of the points that a place must explain, of those that others explain as well."""
+
+LEAST = 0.5
+"""Share of the points that must lie on the part, of those that can."""
+
+TRUNCATION = 7.5
+"""Median residuals, five standard deviations, beyond which a point costs no more; one off the part costs as much."""
+
+RIM = 0.01
+"""Share of the radius by which a point may lie beyond the part and not cost: the rim is not known to better."""
+
+
+class _Tabled(NamedTuple):
+    """Levelled points (3, n), and the square table of the part that they are laid on. [mm]."""
+
+    points: Floats
+    start: Floats  # the state that levelled them
+    table: Floats
+    low: float
+    step: float
+    moves: Bools  # which of shift (x, y, z) and turns about x, y, z may move
+
+
+class Lattice(NamedTuple):
+    """What repeats on a surface: two steps of its pattern in the part frame (2, 2), and how fine it is. [mm]."""
+
+    steps: Floats | None
+    fine: float
+
+
+def lattice_of(surface: Surface) -> Lattice:
+    """Return the pattern of lenses of a surface; no steps where there is none or where it does not repeat."""
+    turn, inner = 0.0, surface
+    while isinstance(inner, Placed):
+        turn, inner = turn + inner.rotation, inner.surface
+    if isinstance(inner, Sum):
+        found = [lattice_of(term) for term in inner.terms]
+        fine = min(one.fine for one in found)
+        patterns = [one for one in found if one.steps is not None]
+        steps = patterns[0].steps if len(patterns) == 1 else None
+    elif isinstance(inner, LensArray):
+        fine = inner.feature_size if inner.aperture is None else min(inner.feature_size, inner.aperture / 4)
+        steps = _repeat(inner.centres)
+    else:
+        return Lattice(None, inner.feature_size)
+    if steps is not None:
+        c, s = np.cos(turn), np.sin(turn)
+        steps = steps @ np.array([[c, s], [-s, c]])
+    return Lattice(steps, fine)
+
+
+def _repeat(centres: Floats) -> Floats | None:
+    """Return the two shortest shifts that bring most centres onto others. (2, 2), or None."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - scipy is costly to import
+
+    if centres.shape[0] < 4:
+        return None
+    tree = cKDTree(centres)
+    middle = int(np.argmin(np.hypot(*(centres - centres.mean(axis=0)).T)))
+    shifts = centres[tree.query(centres[middle], k=min(25, centres.shape[0]))[1]] - centres[middle]
+    kept: list[Floats] = []
+    for shift in shifts[1:]:
+        length = np.hypot(*shift)
+        if kept and abs(kept[0][0] * shift[1] - kept[0][1] * shift[0]) < 0.3 * length * np.hypot(*kept[0]):
+            continue
+        meets = np.asarray(tree.query(centres + shift)[0]) < 1e-6 * length
+        # What runs over the edge of a round array meets nothing.
+        if meets.mean() > 0.4:
+            kept.append(shift)
+        if len(kept) == 2:
+            return np.array(kept)
+    return None
+
+
+def axisymmetric(surface: Surface, radius: float) -> bool:
+    """Say whether a surface is the same at every clocking."""
+    angle = np.linspace(0, 2 * np.pi, 37)[:-1]
+    rings = radius * np.array([0.13, 0.37, 0.61, 0.83, 0.997])[:, None]
+    x, y = rings * np.cos(angle), rings * np.sin(angle)
+    (z,) = surface.evaluate(np.ascontiguousarray(x), np.ascontiguousarray(y), 0)
+    return bool(np.nanmax(np.ptp(z, axis=1)) < 1e-12 * max(1.0, float(np.nanmax(np.abs(z)))))
+
+
+def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach: float, clocking: float) -> list[Fit]:
+    """Return fits to the problem's (few) points from every valley within reach, the best first: see `costs`.
+
+    Parameters
+    ----------
+    state
+        The start (6 + terms,); lateral places up to ``reach`` mm and turns up to ``clocking`` rad from it count.
+    """
+    pattern = lattice_of(problem.surface)
+    start = level(problem, state, free, size)
+    lateral = [k for k in (0, 1, 3) if k in free]
+    points = _levelled(problem, start) if lateral and (reach > 0 or clocking > 0) else None
+    if points is None:
+        return [fit(problem, start, free, size, close=1e-9)]
+    a = min(1 / size[3], problem.within)
+    step = min(pattern.fine * STEP_IN_FEATURES if np.isfinite(pattern.fine) else np.inf, a / STEPS_ON_RADIUS)
+    if 3 not in free:
+        clocking = 0.0
+    tabled = _Tabled(points, start, *_table(problem.surface, problem.within, step), _moves(free))
+    # A turn about the middle of the map moves the frame that the reach is stated in.
+    reach += 2 * np.sin(min(clocking, np.pi) / 2) * min(float(np.hypot(*state[:2])), a) if reach > 0 else 0.0
+    turn_step = min(step / a * 1.5, 0.35)
+    angles = _turns(clocking, turn_step)
+    along = [_axis(reach, step) if k in free else np.zeros(1) for k in (0, 1)]
+    cell: Floats
+    if pattern.steps is not None and 0 in free and 1 in free:
+        count = np.maximum(np.ceil(np.hypot(*pattern.steps.T) / step), 2)
+        u, v = np.meshgrid(np.arange(count[0]) / count[0], np.arange(count[1]) / count[1])
+        cell = np.stack([u.ravel() - 0.5, v.ravel() - 0.5], axis=-1) @ pattern.steps
+        if cell.shape[0] > along[0].size * along[1].size:
+            pattern = Lattice(None, pattern.fine)
+    if pattern.steps is None or 0 not in free or 1 not in free:
+        x, y = np.meshgrid(*along)
+        cell = np.stack([x.ravel(), y.ravel()], axis=-1)
+    places = np.concatenate([np.repeat(cell, angles.size, axis=0), np.tile(angles, cell.shape[0])[:, None]], axis=1)
+    places += np.array([start[0], start[1], 0.0])
+    scores = _scores(tabled, places)
+    chosen = _peaks(places, scores[0], 1.6 * step, 1.6 * turn_step, SETTLED * (2 if clocking > 1.0 else 1))
+    begin = np.concatenate([places, scores[1:].T], axis=1)[chosen]
+    begin = np.concatenate([begin, [[start[0], start[1], 0.0, start[2], 0.0, 0.0]]])
+    fits = []
+    for width in (np.inf, CALM):
+        # Calm, for what is no part of the part, such as a flange beyond its rim, must not pull.
+        states = [start, *_valleys(tabled, begin, step, problem, free, width)]
+        found = (_refined(problem, each, free, size, calm=width < np.inf) for each in states)
+        fits += [one for one in found if one is not None]
+    if pattern.steps is not None and fits:
+        fits += _repeats(problem, fits, pattern.steps, state, reach, free, size, tabled)
+    if fits:
+        fits += _twins(problem, ranked(problem, fits)[0], state, free, size, clocking)
+    fits = _covering(problem, fits)
+    near = [one for one in fits if np.abs(one.state[:2] - state[:2]).max() <= reach + step / 2]
+    return near if near and near[0].cost <= POOR * fits[0].cost + QUIET**2 else fits
+
+
+def costs(problem: Problem, fits: list[Fit]) -> Floats:
+    """Return what each fit costs: the mean square over *all* points, each at most that of an outlier. (m,) [mm²].
+
+    A point that does not come to lie on the part costs as much as an outlier, so that no pose gains by losing it. What
+    an outlier is, the fit with the least median residual says, that of the points that can lie on the part.
+    """
+    if not fits:
+        return np.empty(0)
+    sizes = []
+    for one in fits:
+        off = np.abs(residuals(problem, one.state))
+        beyond = np.isnan(off)
+        at = turns(one.state)[0][:2] @ problem.points[:, beyond] + one.state[:2, None]
+        off[beyond] = np.where(np.hypot(*at) > problem.within * (1 + RIM), np.inf, np.nan)
+        sizes.append(off)
+    most = max(*(int(np.count_nonzero(np.isfinite(off))) for off in sizes), 1)
+    least = min(float(np.partition(np.where(np.isnan(off), 0.0, off), most // 2)[most // 2]) for off in sizes)
+    limit = TRUNCATION * max(least, QUIET / 100)
+    return np.array([np.nanmean(np.minimum(off, limit) ** 2) for off in sizes])
+
+
+def ranked(problem: Problem, fits: list[Fit]) -> list[Fit]:
+    """Return the fits, the one that costs least first."""
+    return [fits[k] for k in np.argsort(costs(problem, fits), kind="stable")]
+
+
+def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Floats, clocking: float) -> list[Fit]:
+    """Return fits where a symmetry of the part has them.
+
+    A turn about the part's axis turns the place of the pivot and adds to the rotation, which is the last of the angles.
+    """
+    found: list[Fit] = []
+    if clocking > 0:
+        turns_tried = {round(2 * np.pi * k / n, 12) for n in FOLDS for k in range(1, n)}
+        for turn in sorted(turns_tried):
+            twin = best.state.copy()
+            c, s = np.cos(turn), np.sin(turn)
+            twin[:2] = c * twin[0] - s * twin[1], s * twin[0] + c * twin[1]
+            twin[3] = state[3] + (twin[3] + turn - state[3] + np.pi) % (2 * np.pi) - np.pi
+            if abs(twin[3] - state[3]) > clocking:
+                continue
+            left = residuals(problem, twin)
+            left = left[np.isfinite(left)]
+            if left.size > LEAST * best.used and np.median(left * left) < POOR * best.cost + QUIET**2:
+                found.append(fit(problem, twin, free, size, steps=25, close=1e-9))
+    return found
+
+
+def _covering(problem: Problem, fits: list[Fit]) -> list[Fit]:
+    """Return the fits, the best first, that leave no more of the map beyond the part than the best one does."""
+    fits = ranked(problem, fits)
+    return [one for one in fits if one.used >= COVER * fits[0].used]
+
+
+def level(problem: Problem, state: Floats, free: list[int], size: Floats) -> Floats:
+    """Return the state with height and tilts fitted, whatever the lateral place is."""
+    state = state.copy()
+    tilts = [k for k in (2, 4, 5) if k in free]
+    if not tilts:
+        return state
+    calm = replace(problem, terms=(), normal=False, loss="huber")
+    left = residuals(calm, state[:6])
+    left = left[np.isfinite(left)]
+    if 2 in free and left.size:
+        state[2] -= float(np.median(left))
+    found = fit(calm, state[:6], tilts, size, steps=12, close=1e-6)
+    state[:6] = found.state
+    return state
+
+
+def _levelled(problem: Problem, state: Floats) -> Floats | None:
+    """Return the points (3, n) as the state turns them, about the pivot, without gross outliers."""
+    found = rows(problem, state, slice(0, problem.points.shape[1]))
+    if found.which.size < 10:
+        return None
+    limit = 4 * np.quantile(np.abs(found.residual), 0.95) + 1e-9
+    bad = found.which[np.abs(found.residual) > limit]
+    arm = turns(state)[0] @ problem.points
+    return np.ascontiguousarray(np.delete(arm, bad, axis=1))
+
+
+def _axis(reach: float, step: float) -> Floats:
+    """Return places from -reach to reach no farther apart than the step."""
+    half = int(np.ceil(reach / step))
+    return np.linspace(-reach, reach, 2 * half + 1) if half else np.zeros(1)
+
+
+def _turns(clocking: float, step: float) -> Floats:
+    """Return turns from -clocking to clocking no farther apart than the step; a full turn closes on itself."""
+    if clocking < np.pi * (1 - 1e-9):
+        return _axis(clocking, step)
+    return np.linspace(-np.pi, np.pi, int(np.ceil(2 * np.pi / step)), endpoint=False)
+
+
+def _moves(free: list[int]) -> Bools:
+    """Return which of shift (x, y, z) and turns about x, y, z the kernels may move."""
+    return np.array([k in free for k in (0, 1, 2, 4, 5, 3)])
+
+
+def _table(surface: Surface, within: float, step: float) -> tuple[Floats, float, float]:
+    """Tabulate the surface over the part, nan outside; return its lower corner and its step too."""
+    count = int(min(max(2 * within / (step / 4), SMALLEST_TABLE), LARGEST_TABLE))
+    axis = np.linspace(-within, within, count)
+    x, y = np.meshgrid(axis, axis)
+    table = np.full(x.shape, np.nan)
+    there = x * x + y * y <= (within * (1 + 2 / count)) ** 2
+    inside = surface.inside(x, y)
+    if inside is not None:
+        there &= inside
+    table[there] = surface.evaluate(x[there], y[there], 0)[0]
+    return table, -within, float(axis[1] - axis[0])
+
+
+def _scores(tabled: _Tabled, places: Floats, *, share: float = LEAST) -> Floats:
+    """Return the misfit at each place, inf where too few points lie on the part, and what levels it there. (4, m)."""
+    count = tabled.points.shape[1]
+    keep = max(MOST_LOOKUPS // (PASSES * max(places.shape[0], 1)), FEWEST)
+    x, y, z = (np.ascontiguousarray(row[:: -(-count // keep)]) for row in tabled.points)
+    places = np.ascontiguousarray(places)
+    out = np.empty((5, places.shape[0]))
+
+    def work(start: int, stop: int) -> None:
+        part = np.empty((5, stop - start))
+        misfit(
+            x, y, z, places[start:stop], float(tabled.start[2]), tabled.table, tabled.low, tabled.step, tabled.moves,
+            PASSES, part,
+        )  # fmt: skip
+        out[:, start:stop] = part
+
+    run_chunks(work, places.shape[0], PLACES_AT_A_TIME)
+    most = max(out[0].max(), 1.0)
+    # A flat valley is the same everywhere: there the more of the map lies on the part, the better.
+    score = np.where(out[0] >= share * most, out[1] * (most / np.maximum(out[0], 1)) ** 2, np.inf)
+    return np.concatenate([score[None], out[2:]])
+
+
+def _peaks(places: Floats, score: Floats, apart: float, turn_apart: float, most: int) -> list[int]:
+    """Return the best places that are not on the flank of a better one."""
+    kept: list[int] = []
+    order = np.argsort(score)[: np.count_nonzero(np.isfinite(score))]
+    sorted_places = places[order]
+    open_ = np.ones(order.size, dtype=np.bool_)
+    while len(kept) < most and open_.any():
+        first = int(np.argmax(open_))
+        kept.append(int(order[first]))
+        best = sorted_places[first]
+        turn = np.abs((sorted_places[:, 2] - best[2] + np.pi) % (2 * np.pi) - np.pi)
+        open_ &= (np.hypot(sorted_places[:, 0] - best[0], sorted_places[:, 1] - best[1]) > apart) | (turn > turn_apart)
+    return kept
+
+
+def _valleys(
+    tabled: _Tabled, begin: Floats, step: float, problem: Problem, free: list[int], width: float
+) -> list[Floats]:  # fmt: skip
+    """Return the states of the best valleys that these places slide into, each once."""
+    x, y, z = (np.ascontiguousarray(row) for row in tabled.points)
+    out = np.empty((begin.shape[0], 14))
+    bends = problem.bends if tabled.moves[:5].all() else np.full(6, np.nan)
+
+    def work(start: int, stop: int) -> None:
+        part = np.empty((stop - start, 14))
+        settle(
+            x, y, z, np.ascontiguousarray(begin[start:stop]), bends, tabled.table, tabled.low, tabled.step,
+            tabled.moves, SLIDES, width, part,
+        )  # fmt: skip
+        out[start:stop] = part
+
+    begin = begin.copy()
+    run_chunks(work, begin.shape[0], 2)
+    most = max(out[:, 0].max(), 1.0)
+    cost = np.where(out[:, 0] >= LEAST * most, out[:, 1] * (most / np.maximum(out[:, 0], 1)) ** 2, np.inf)
+    levelled = turns(tabled.start)[0]
+    states: list[Floats] = []
+    for k in np.argsort(cost):
+        if not np.isfinite(cost[k]) or len(states) >= REFINED:
+            break
+        pose = Pose.of(out[k, 5:].reshape(3, 3) @ levelled, (0.0, 0.0, 0.0))
+        state = tabled.start.copy()
+        found = np.array([*out[k, 2:5], pose.rotation, *pose.tilt])
+        pose_numbers = [one for one in free if one < 6]
+        state[pose_numbers] = found[pose_numbers]
+        state[3] = tabled.start[3] + (state[3] - tabled.start[3] + np.pi) % (2 * np.pi) - np.pi
+        gaps = [np.abs(state[:6] - other[:6]) for other in states]
+        if all(max(gap[:2].max(), problem.within * gap[3:].max()) > step / 20 for gap in gaps):
+            states.append(state)
+    return states
+
+
+def _refined(problem: Problem, state: Floats, free: list[int], size: Floats, *, calm: bool = False) -> Fit | None:
+    """Fit from a valley of the table; calm, by Tukey's loss first."""
+    pose = [k for k in free if k < 6]
+    if calm:
+        state = fit(replace(problem, loss="tukey"), state, pose, size, steps=CALMING, close=1e-7).state
+    found = fit(problem, state, pose, size, steps=25, close=1e-7)
+    if len(pose) < len(free):
+        # Where a term and a turn pass for each other the pose alone goes half-way to a twin.
+        both = [fit(problem, one, free, size, steps=25, close=1e-9) for one in (found.state, state)]
+        found = min(both, key=lambda one: one.cost)
+    return found if found.used > 0 else None
+
+
+def _repeats(
+    problem: Problem, fits: list[Fit], steps: Floats, state: Floats, reach: float, free: list[int], size: Floats,
+    tabled: _Tabled,
+) -> list[Fit]:  # fmt: skip
+    """Return fits from every repeat of the pattern within reach of the best that was found."""
+    start = tabled.start
+    base = ranked(problem, fits)[0]
+    most = int(np.ceil((2 * reach) / np.sqrt(abs(np.linalg.det(steps))))) + 1
+    i, j = np.meshgrid(np.arange(-most, most + 1), np.arange(-most, most + 1))
+    at = base.state[:2] + np.stack([i.ravel(), j.ravel()], axis=-1) @ steps
+    at = at[np.abs(at - state[:2]).max(axis=1) <= reach + np.hypot(*steps.T).min() / 2]
+    places = np.concatenate([at, np.full((at.shape[0], 1), base.state[3] - start[3])], axis=1)
+    if not places.size:
+        return []
+    scores = _scores(tabled, places, share=COVER)
+    most_score = POOR * float(scores[0].min())
+    chosen = [int(k) for k in np.argsort(scores[0])[:MOST_REPEATS] if scores[0][k] <= most_score]
+    found = []
+    for k in chosen:
+        # Where a repeat is another cell of the pattern, the tilt that goes with its place is another.
+        turn = _matrix_of(scores[2, k], scores[3, k], places[k, 2]) @ turns(start)[0]
+        pose = Pose.of(turn, (0.0, 0.0, 0.0))
+        moved = start.copy()
+        numbers = [one for one in free if one < 6]
+        moved[numbers] = np.array([*places[k, :2], scores[1, k], pose.rotation, *pose.tilt])[numbers]
+        found.append(_refined(problem, moved, free, size))
+    return [one for one in found if one is not None]
+
+
+def _matrix_of(a: float, b: float, turn: float) -> Floats:
+    """Return the matrix of a turn about z and then about the axis (a, b, 0) by its length. (3, 3)."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - scipy is costly to import
+
+    return np.asarray((Rotation.from_rotvec([a, b, 0.0]) * Rotation.from_rotvec([0.0, 0.0, turn])).as_matrix())

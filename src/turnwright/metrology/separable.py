@@ -1,0 +1,179 @@
+"""Polynomials of x and y on a grid, fitted by least squares through sums over its rows and columns alone.
+
+A polynomial in x and y is a sum of products of a function of the column and a function of the row, on a rectangular
+grid (Legendre polynomials of x and of y) and on a polar one (polynomials of the radius, and cosines and sines of the
+angle). So is the product of two such terms. The normal matrix then needs only the moments of the valid points, and the
+right-hand side those of the heights: matrix products of a block of rows with narrow tables, whatever is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss, legvander
+
+from turnwright._arrays import Bools, Floats, Ints
+from turnwright.metrology.grid import Grid
+
+__all__ = ["subtract_polynomial"]
+
+BLOCK = 1 << 15
+"""Points at a time: they stay in the cache, and products so small are not handed to the threads of BLAS, which for
+tables as narrow as these cost ten times what they save."""
+
+MAX_STEPS = 20
+
+SETTLED = 1e-11
+"""Change of the parameters, relative to the largest, at which they no longer change the heights."""
+
+
+class Basis(NamedTuple):
+    """The terms of a polynomial as products, and the products of two terms in a basis of their own."""
+
+    columns: Floats  # (n_columns, p), functions of the column
+    rows: Floats  # (n_rows, q), functions of the row
+    terms: Ints  # (2, k), which two make each term
+    column_moments: Floats  # (n_columns, a), what the product of two column functions is a sum of
+    row_moments: Floats  # (n_rows, b)
+    column_products: Floats  # (a, p, p), by these coefficients
+    row_products: Floats  # (b, q, q)
+
+
+def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, polar: bool) -> Floats:
+    """Return heights without the polynomial of a total degree that fits them best in z, each with its area.
+
+    The normal equations lose half of the digits, and each further step wins them back.
+
+    Parameters
+    ----------
+    z
+        Heights. (n_rows, n_columns) [mm]
+    valid
+        Where they count; the rest comes back as nan.
+    """
+    basis = (_polar if polar else _rectangular)(grid, valid, degree)
+    normal = _normal(basis, grid, valid)
+    total = np.zeros(basis.terms.shape[1])
+    left = np.empty_like(z)
+    last = np.inf
+    for _ in range(MAX_STEPS):
+        # Points on one line cannot carry every term; the solution of least norm is as good as any there.
+        step = np.linalg.lstsq(normal, _right(basis, grid, z, valid, total, left), rcond=1e-13)[0]
+        size = np.abs(step).max()
+        if size >= last:
+            break
+        total = total + step
+        last = size
+        if size <= SETTLED * np.abs(total).max():
+            break
+    _right(basis, grid, z, valid, total, left)
+    return left
+
+
+def legendre(axis: Floats, degree: int) -> Floats:
+    """Return the Legendre polynomials up to a degree. (n, degree + 1)."""
+    return np.asarray(legvander(axis, degree), dtype=np.float64)
+
+
+def quadrature(degree: int) -> tuple[Floats, Floats]:
+    """Return nodes and weights that integrate products of three, two of this degree and one of twice of it."""
+    nodes, weight = leggauss(2 * degree + 1)
+    return np.asarray(nodes, dtype=np.float64), np.asarray(weight, dtype=np.float64)
+
+
+def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:
+    count = max(BLOCK // shape[1], 1)
+    for start in range(0, shape[0], count):
+        yield slice(start, start + count)
+
+
+def _normal(basis: Basis, grid: Grid, valid: Bools) -> Floats:
+    """Return the normal matrix. (k, k)."""
+    along = basis.column_moments * grid.column_area[:, None]
+    across = basis.row_moments * grid.row_width[:, None]
+    if valid.all():
+        moments = np.outer(across.sum(axis=0), along.sum(axis=0))
+    else:
+        moments = np.zeros((across.shape[1], along.shape[1]))
+        for rows in _blocks(valid.shape):
+            moments += across[rows].T @ (valid[rows].astype(np.float64) @ along)
+    p, q = basis.terms
+    both = np.tensordot(moments, basis.column_products[:, p[:, None], p], 1)
+    return np.asarray(np.einsum("bkl,bkl->kl", basis.row_products[:, q[:, None], q], both))
+
+
+def _right(basis: Basis, grid: Grid, z: Floats, valid: Bools, total: Floats, left: Floats) -> Floats:
+    """Set ``left`` to what the polynomial leaves, and return the right-hand side for the next step. (k,)."""
+    p, q = basis.terms
+    table = np.zeros((basis.rows.shape[1], basis.columns.shape[1]))
+    table[q, p] = total
+    weighted = basis.columns * grid.column_area[:, None]
+    across = basis.rows * grid.row_width[:, None]
+    sums = np.zeros_like(table)
+    columns = np.ascontiguousarray(basis.columns.T)
+    for rows in _blocks(z.shape):
+        block = z[rows] - (basis.rows[rows] @ table) @ columns
+        block[~valid[rows]] = 0.0
+        sums += across[rows].T @ (block @ weighted)
+        block[~valid[rows]] = np.nan
+        left[rows] = block
+    return np.asarray(sums[q, p])
+
+
+def _unit(axis: Floats, used: Bools) -> Floats:
+    """Return an axis with what is used of it brought to [-1, 1]."""
+    low, high = axis[used][[0, -1]]
+    return np.asarray((axis - (low + high) / 2) / (((high - low) / 2) or 1.0))
+
+
+def _products(values: Floats, moments: Floats, weight: Floats) -> Floats:
+    """Expand the products of functions, given on the nodes of a quadrature, in functions orthogonal under it."""
+    norm = weight @ moments**2
+    return np.asarray(np.einsum("na,np,nq,n->apq", moments / norm, values, values, weight, optimize=True))
+
+
+def _rectangular(grid: Grid, valid: Bools, degree: int) -> Basis:
+    """Legendre polynomials of x and y, over the rectangle that holds the valid points."""
+    x, y = (_unit(axis, np.any(valid, axis=way)) for axis, way in ((grid.columns, 0), (grid.rows, 1)))
+    nodes, weight = quadrature(degree)
+    table = _products(legendre(nodes, degree), legendre(nodes, 2 * degree), weight)
+    terms = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)], dtype=np.int64).T
+    return Basis(
+        columns=legendre(x, degree),
+        rows=legendre(y, degree),
+        terms=terms,
+        column_moments=legendre(x, 2 * degree),
+        row_moments=legendre(y, 2 * degree),
+        column_products=table,
+        row_products=table,
+    )
+
+
+def _polar(grid: Grid, valid: Bools, degree: int) -> Basis:
+    r"""Zernike polynomials, :math:`r^m P_k^{(0,m)}(2r^2 - 1)` with the cosine or sine of m times the angle."""
+    from scipy.special import eval_jacobi  # noqa: PLC0415 - only polar maps need it
+
+    orders = [(n, m) for n in range(degree + 1) for m in range(n % 2, n + 1, 2)]
+
+    def radial(r: Floats) -> Floats:
+        return np.stack([r**m * eval_jacobi((n - m) // 2, 0, m, 2 * r * r - 1) for n, m in orders], axis=1)
+
+    def turns(angle: Floats, highest: int) -> Floats:
+        m = np.arange(highest + 1)
+        return np.hstack([np.cos(angle[:, None] * m), np.sin(angle[:, None] * m[1:])])
+
+    radius = grid.columns / (grid.columns[valid.any(axis=0)][-1] or 1.0)
+    nodes, weight = quadrature(degree)
+    around = np.linspace(0, 2 * np.pi, 4 * degree + 2, endpoint=False)
+    places = [(at, m, sine) for at, (_, m) in enumerate(orders) for sine in ((False, True) if m else (False,))]
+    return Basis(
+        columns=radial(radius),
+        rows=turns(grid.rows, degree),
+        terms=np.array([(at, degree + m if sine else m) for at, m, sine in places], dtype=np.int64).T,
+        column_moments=legendre(2 * radius - 1, 2 * degree),
+        row_moments=turns(grid.rows, 2 * degree),
+        column_products=_products(radial((nodes + 1) / 2), legendre(nodes, 2 * degree), weight),
+        row_products=_products(turns(around, degree), turns(around, 2 * degree), np.ones_like(around)),
+    )

@@ -1,0 +1,158 @@
+"""What a surface cannot tell of its pose: what noise and a plausible error of form would do to each direction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from turnwright._arrays import Floats
+from turnwright.metrology.rigid import Fit, Problem, Rows, rows, turns, weights
+from turnwright.surface import Surface, Zernike
+
+__all__ = ["Doubt", "doubt", "held", "plausible"]
+
+NOTHING = 1e-12
+"""Singular value, as a share of the largest one, at which a direction changes nothing but rounding."""
+
+ENDLESS = 1e6
+"""Standard deviation of a direction that nothing fixes. [mm]."""
+
+CELLS = 8
+"""Cells of the map, each way, within which residuals may hang together."""
+
+CLEAR = 2.0
+"""Variance over that of independent residuals from which they do; chance alone stays below."""
+
+FORMS = range(3, 15)
+"""ANSI numbers of the forms that a pose may be mistaken for: degrees 2, 3 and 4."""
+
+
+class Doubt(NamedTuple):
+    """Covariances of the free numbers (k, k), from noise and from form, in mm of movement of the rim. [mm²]."""
+
+    noise: Floats
+    form: Floats
+
+    @property
+    def total(self) -> Floats:
+        """Both together."""
+        return self.noise + self.form
+
+
+def plausible(radius: float) -> list[Zernike]:
+    """Return the forms that a pose may be mistaken for, each 1 mm at the rim."""
+    return [Zernike(terms={j: 1.0}, radius=radius, indexing="ansi", normalised=False) for j in FORMS]
+
+
+def doubt(
+    problem: Problem,
+    found: Fit,
+    free: Sequence[int],
+    size: Floats,
+    *,
+    noise: float,
+    count: int,
+    form: float,
+    white: bool,
+) -> Doubt:
+    r"""Return how uncertain the free numbers are.
+
+    Noise of standard deviation s gives :math:`s^2 N^{-1}` with :math:`N = J W J^T`. A form error g moves the answer by
+    :math:`N^{-1} J W g`; each of the plausible forms has the standard deviation ``form`` at the rim.
+
+    Parameters
+    ----------
+    noise
+        Standard deviation of a height [mm], independent from point to point over ``count`` points.
+    white
+        Whether it is known to be independent. Otherwise residuals that hang together, as those of a displaced lenslet
+        do, widen the answer: their pulls are added up over cells of the part before they are squared.
+    """
+    chosen = np.asarray(free, dtype=np.int64)
+    at = rows(problem, found.state, slice(0, problem.points.shape[1]))
+    root = np.sqrt(problem.weighed(weights(at.residual, found.scale, problem.loss)[0], at.which))
+    # Singular values reach down to rounding; eigenvalues of the normal equations stop at its square root.
+    columns = _of_design(problem, found.state, at)[chosen] * size[chosen, None]
+    points, singular, vectors = np.linalg.svd((columns * root).T, full_matrices=False)
+    fixed = singular > NOTHING * max(singular[0], 1e-300)
+    inverse = np.where(fixed, 1 / np.where(fixed, singular, 1.0), 0.0)
+    share = at.which.size / max(count, 1)
+    std = np.where(fixed, np.minimum(noise * inverse * np.sqrt(share), ENDLESS), ENDLESS)
+    variance = (vectors.T * std**2) @ vectors
+    if problem.area is not None:
+        # An area is no statement of a point's noise: it enters as W does in A⁻¹ J W² Jᵀ A⁻¹ with A = J W Jᵀ.
+        spread = np.eye(chosen.size)
+        spread[np.ix_(fixed, fixed)] = (points[:, fixed].T * problem.area[at.which]) @ points[:, fixed]
+        variance = (vectors.T * std) @ spread @ (vectors.T * std).T
+    if not white and problem.surface.in_pieces and fixed.all():
+        variance = _widened(problem.surface, variance, share, at, singular, vectors, points * root[:, None])
+    if form == 0:
+        return Doubt(variance, np.zeros_like(variance))
+    x, y = np.ascontiguousarray(at.at[0]), np.ascontiguousarray(at.at[1])
+    shapes = np.stack([shape.evaluate(x, y, 0)[0] for shape in plausible(problem.within)], axis=-1)
+    moved = form * (vectors.T * inverse) @ (points.T @ (root[:, None] * shapes))
+    return Doubt(variance, moved @ moved.T)
+
+
+def _of_design(problem: Problem, state: Floats, at: Rows) -> Floats:
+    """Return the derivatives as the design has them: an error of form must not seem to fix what the design does not.
+
+    Turned about its centre, a sphere stays what it is; heights that are off it by e change by e times the slope.
+    """
+    if problem.normal:
+        return at.columns
+    slope_x, slope_y = -at.columns[0], -at.columns[1]
+    lever = np.stack([at.residual * slope_y, -at.residual * slope_x, np.zeros_like(at.residual)])
+    columns = at.columns.copy()
+    columns[3:6] -= turns(state)[1] @ lever
+    return columns
+
+
+def _widened(
+    surface: Surface, variance: Floats, share: float, at: Rows, singular: Floats, vectors: Floats, pulls: Floats
+) -> Floats:
+    """Return the covariance with the excess of residuals that hang together over those that do not."""
+    low, high = at.at[:2].min(axis=1, keepdims=True), at.at[:2].max(axis=1, keepdims=True)
+    i, j = np.minimum((CELLS * (at.at[:2] - low) / np.maximum(high - low, 1e-300)).astype(np.int64), CELLS - 1)
+    cell = i * CELLS + j
+    piece = surface.piece(np.ascontiguousarray(at.at[0]), np.ascontiguousarray(at.at[1]))
+    if piece is not None:  # a lenslet hangs together; what lies between them goes by cells
+        _, number, size = np.unique(piece, return_inverse=True, return_counts=True)
+        cell = np.where(size[number] < cell.size / CELLS, CELLS**2 + number, cell)
+    pull = pulls * at.residual[:, None]
+    sums = np.stack([np.bincount(cell, weights=column) for column in pull.T])
+    scatter = float((pull * pull).sum()) / singular.size
+    if scatter == 0:
+        return variance
+    # In the frame of the singular vectors independent residuals have the same scatter along all of them.
+    ratio, axes = np.linalg.eigh(sums @ sums.T / scatter)
+    excess = np.where(ratio > CLEAR, ratio - 1, 0.0) / share
+    stretch = (vectors.T / singular) @ axes
+    white = float(np.trace(variance)) / float(np.sum(1 / singular**2))
+    return np.asarray(variance + (stretch * (white * excess)) @ stretch.T)
+
+
+def held(covariance: Floats, limit: float) -> tuple[Floats, list[int]]:
+    """Return the directions whose standard deviation is beyond the limit, and numbers that hold them when fixed.
+
+    Returns
+    -------
+    tuple
+        Directions (k, m), those that nothing fixes first, and m of the k numbers: those that they move most. Each of
+        the former moves one of these numbers by 1, the others not at all; the rest are unit vectors.
+    """
+    from scipy.linalg import qr  # noqa: PLC0415 - scipy is costly to import
+
+    values, vectors = np.linalg.eigh(covariance)
+    weak = vectors[:, values > limit**2][:, ::-1]
+    free = int(np.count_nonzero(values > (ENDLESS / 10) ** 2))
+    numbers: list[int] = []
+    if free:
+        numbers = [int(k) for k in qr(weak[:, :free].T, pivoting=True, mode="r")[1][:free]]
+        weak[:, :free] = weak[:, :free] @ np.linalg.inv(weak[numbers, :free])
+    for k in range(free, weak.shape[1]):
+        order = np.argsort(-np.abs(weak[:, k]))
+        numbers.append(next(int(one) for one in order if one not in numbers))
+    return weak, numbers

@@ -1,0 +1,297 @@
+"""What a program says about itself, and reading it back."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.errors import ProgramError
+from turnwright.post.approach import entry_words
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from os import PathLike
+
+    from turnwright.machine import Machine
+    from turnwright.post.approach import Approach
+    from turnwright.post.dialect import Dialect
+
+__all__ = ["ProgramHeader", "ProgramInfo", "ProgramPass", "ProgramWarning", "inspect_nc"]
+
+SIGNATURE = "( TURNWRIGHT PROGRAM 1 )"
+SUB_SIGNATURE = "( TURNWRIGHT SUB-PROGRAM 1 )"
+ENTRY = ", ENTRY"
+"""What follows the name of a pass where its plunge begins: its blocks are no cut."""
+NO_HASH = "0" * 64
+BOM = b"\xef\xbb\xbf"
+"""Three bytes that some text editors put before the first line."""
+
+
+class ProgramWarning(UserWarning):
+    """A program was read that is not, or may not be, the one that was written."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramHeader:
+    """What a program's header tells the person at the lathe, beside what it must say anyway.
+
+    Parameters
+    ----------
+    design, tool, notes
+        Plain text; brackets, line breaks and letters beyond ASCII are replaced by what a controller can read, control
+        characters are left out.
+    date
+        Day of writing; today (UTC) if it is not given.
+    """
+
+    design: str = ""
+    tool: str = ""
+    date: str = ""
+    notes: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramPass:
+    """One pass of a program.
+
+    Parameters
+    ----------
+    name
+        What the pass is called.
+    points
+        Number of points, one more than its cutting blocks.
+    minutes
+        Time of the cut, without approach and retract. [min]
+    first_c
+        Controller's C at the first point, cumulative. [deg]
+    sense
+        +1 where the azimuth of the part under the tool grows, else -1.
+    hash
+        SHA-256 over the points as written: one row of little-endian unsigned 32-bit integers per point, the axis words
+        without their decimal points modulo 2^32, then the two halves of the bits of the block's duration [s, float64],
+        combined by exclusive or.
+    """
+
+    name: str
+    points: int
+    minutes: float
+    first_c: float
+    sense: int
+    hash: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramInfo:
+    """What a program's header says.
+
+    Parameters
+    ----------
+    header
+        Design, tool, date and notes.
+    software, machine, dialect
+        Who wrote it, for which machine and controller.
+    convention
+        How its controller counts, as one line of text.
+    passes
+        The passes, in the order in which they are cut.
+    """
+
+    header: ProgramHeader
+    software: str
+    machine: str
+    dialect: str
+    convention: str
+    passes: tuple[ProgramPass, ...]
+
+
+def plain(text: str) -> str:
+    """Return text that can stand inside a controller's comment."""
+    one_line = " ".join(text.split()).translate(str.maketrans("()", "[]"))
+    return "".join(letter for letter in one_line if letter.isprintable()).encode("ascii", "replace").decode()
+
+
+def comments(key: str, text: str) -> list[str]:
+    """Return a comment, or several of at most 120 letters where the text is long."""
+    return [f"( {key}: {part} )" for part in textwrap.wrap(plain(text), 100)]
+
+
+def convention_line(machine: Machine) -> str:
+    """Return the machine's convention as one line that can be compared."""
+    convention = machine.convention
+    return (
+        f"X SIDE {convention.x_side:+d}, C SENSE {convention.c_sense:+d}, Z SIGN {convention.z_sign:+d}, "
+        f"CLOCKING {np.rad2deg(convention.clocking) + 0.0:.9f} DEG"
+    )
+
+
+def language(machine: Machine, dialect: Dialect) -> list[str]:
+    """Return the two comments without which the numbers of a file mean nothing; every file carries them."""
+    return [f"( DIALECT: {dialect.name} )", f"( CONVENTION: {convention_line(machine)} )"]
+
+
+def software() -> str:
+    """Return the name and version of this program."""
+    try:
+        return f"TURNWRIGHT {version('turnwright')}"
+    except PackageNotFoundError:
+        return "TURNWRIGHT, NOT INSTALLED"
+
+
+def _feed_line(dialect: Dialect) -> str:
+    """Return the comment that says what the time of a block is."""
+    if dialect.velocities:
+        return (
+            "( FEED: PVT IS THE MILLISECONDS OF A BLOCK, AFTER A COLON STANDS THE VELOCITY AT ITS END, MM/S OR DEG/S; "
+            "F IS MM/S; FROM REST TO REST )"
+        )
+    said = "THE SECONDS OF A BLOCK" if dialect.feed == "seconds" else "ONE OVER THE MINUTES OF A BLOCK"
+    kept = "" if dialect.feed_every_block else ", IN FORCE UNTIL THE NEXT F"
+    return f"( FEED: UNDER G93, F IS {said}{kept}; WITH {dialect.feed_decimals} DECIMALS AT MOST )"
+
+
+def after_stop(dialect: Dialect) -> tuple[str, ...]:
+    """Return what to do at the lathe after a program was stopped, as sentences."""
+    again = "Retract in Z first, then begin the pass again with its approach"
+    if dialect.wrapped:
+        return (again,)
+    before = "Before that, set C by whole turns to within 360 deg of where that approach begins, else it unwinds"
+    return again, before
+
+
+def lines(
+    header: ProgramHeader,
+    machine: Machine,
+    dialect: Dialect,
+    passes: Sequence[ProgramPass],
+    approaches: Sequence[Approach],
+    begins: Sequence[str],
+    links_s: float,
+) -> list[str]:
+    """Return the header as comment lines; its length does not depend on the hashes.
+
+    ``begins`` has the words of C at which the approaches begin.
+    """
+    convention = machine.convention
+    written = [SIGNATURE, f"( SOFTWARE: {software()} )"]
+    for key in ("design", "tool", "notes"):
+        text = getattr(header, key)
+        written += comments(key.upper(), text) if text else []
+    spoken, counted = language(machine, dialect)
+    written += [
+        f"( DATE: {plain(header.date)} )",
+        f"( MACHINE: {plain(machine.name)} )",
+        spoken,
+        "( UNITS: MM AND DEGREES, ABSOLUTE )",
+        _feed_line(dialect),
+        f"( X: {'GROWS' if convention.x_side > 0 else 'FALLS'} AWAY FROM THE AXIS ON THE SIDE WHERE THE TOOL CUTS )",
+        f"( Z: {'GROWS' if convention.z_sign > 0 else 'FALLS'} OUT OF THE PART, TOWARD THE TOOL )",
+        f"( C: {'GROWS' if convention.c_sense > 0 else 'FALLS'} WITH THE AZIMUTH OF THE PART UNDER THE TOOL, "
+        + (
+            "WRITTEN FROM 0 TO 360, SHORT WAY )"
+            if dialect.wrapped
+            else "CUMULATIVE FROM PASS TO PASS; FROM C BELOW IS LESS WHOLE TURNS )"
+        ),
+        f"( MARK: C = {np.rad2deg(convention.clocking) + 0.0:.5f} WHERE THE +X MARK OF THE PART IS UNDER THE TOOL )",
+        counted,
+        "( SPINDLE: C AXIS, NO M03 OR M04; M03 IS CLOCKWISE SEEN FROM BEHIND THE SPINDLE )",
+        "( BEFORE THE START: SELECT WORK OFFSET AND TOOL )",
+    ]
+    for one, approach, begin in zip(passes, approaches, begins, strict=True):
+        written.append(f"( ENTRY {one.name}: {entry_words(approach).upper()} )")
+        if not dialect.wrapped:
+            written.append(f"( APPROACH {one.name}: BEGINS AT {begin} )")
+        written.append(
+            f"( TURNS {one.name}: C {'GROWS' if one.sense * convention.c_sense > 0 else 'FALLS'}, SEEN FROM THE TOOL "
+            f"THE PART TURNS {'CLOCKWISE, AS M04' if one.sense > 0 else 'COUNTER-CLOCKWISE, AS M03'} )"
+        )
+        written.append(
+            f"( CUT {one.name}: {one.points} POINTS, {one.minutes:.3f} MINUTES, FROM C {one.first_c:.6f}, "
+            f"SENSE {one.sense:+d}, SHA256 {one.hash} )"
+        )
+    written += [
+        f"( MINUTES: {sum(one.minutes for one in passes):.3f} )",
+        f"( LINKS: {links_s / 60:.3f} MINUTES FOR APPROACH, PLUNGE AND RETRACT )",
+        *(f"( AFTER A STOP: {one.upper()} )" for one in after_stop(dialect)),
+    ]
+    return written
+
+
+FIELD = re.compile(r"^\( ([A-Z]+): (.*) \)$")
+CUT = re.compile(
+    r"^\( CUT (.{1,60}): (\d{1,15}) POINTS, (\d{1,15}\.\d{1,15}) MINUTES, FROM C (-?\d{1,15}\.\d{1,15}), "
+    r"SENSE ([+-]1), SHA256 ([0-9a-f]{64}) \)$"
+)
+
+
+def _info(text: str, signature: str) -> ProgramInfo | None:
+    """Return what a header says, or ``None`` if the text does not begin with the signature."""
+    rows = [row.lstrip("; \t").rstrip() for row in text.splitlines()]
+    if not rows or rows[0] != signature:
+        return None
+    fields: dict[str, list[str]] = {}
+    passes = []
+    for row in rows[1:]:
+        if not row.startswith("("):
+            break
+        if match := CUT.match(row):
+            name, points, minutes, first_c, sense, digest = match.groups()
+            passes.append(
+                ProgramPass(
+                    name=name,
+                    points=int(points),
+                    minutes=float(minutes),
+                    first_c=float(first_c),
+                    sense=int(sense),
+                    hash=digest,
+                )
+            )
+        elif match := FIELD.match(row):
+            fields.setdefault(match[1], []).append(match[2])
+    entries = {key: " ".join(parts) for key, parts in fields.items()}
+    return ProgramInfo(
+        header=ProgramHeader(**{key: entries.get(key.upper(), "") for key in ("design", "tool", "date", "notes")}),
+        software=entries.get("SOFTWARE", ""),
+        machine=entries.get("MACHINE", ""),
+        dialect=entries.get("DIALECT", ""),
+        convention=entries.get("CONVENTION", ""),
+        passes=tuple(passes),
+    )
+
+
+def read_info(path: Path, signature: str = SIGNATURE) -> ProgramInfo | None:
+    """Return what the header of a file says, or ``None`` if it does not begin with the signature."""
+    require_regular(path)
+    with path.open("rb") as file:
+        return _info(file.read(1 << 18).removeprefix(BOM).decode("latin-1"), signature)
+
+
+def require_regular(path: Path) -> None:
+    """Raise for a device or a pipe, which may never end."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ProgramError(f"{path} cannot be read, it is a device or a pipe and not a file: give a file on disk")
+
+
+def inspect_nc(path: str | PathLike[str]) -> ProgramInfo:
+    """Return what a program's header says, without reading its cuts.
+
+    Raises
+    ------
+    ProgramError
+        If the file cannot be opened or was not written by Turnwright.
+    """
+    path = Path(path)
+    try:
+        info = read_info(path)
+    except OSError as error:
+        raise ProgramError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
+    if info is None:
+        raise ProgramError(
+            f"{path} has no Turnwright header, its first line must be {SIGNATURE!r}: use read_nc instead"
+        )
+    return info

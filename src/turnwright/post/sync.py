@@ -1,0 +1,440 @@
+"""A lathe's program and, beside it, the heights of a fast tool: by position or by time."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from turnwright._arrays import rows_of_numbers
+from turnwright._kernels import table as kernel
+from turnwright._validate import positive
+from turnwright.errors import ProgramError
+from turnwright.path import Motion
+from turnwright.post.approach import PLUNGE_FEED, entry_path, entry_shares
+from turnwright.post.header import NO_HASH, convention_line, inspect_nc, plain, require_regular, software
+from turnwright.post.reader import read_nc
+from turnwright.post.registry import dialect_of
+from turnwright.post.writer import CHUNK, ProgramFiles, _disk_error, _velocity, write_nc
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from os import PathLike
+    from typing import BinaryIO
+
+    from turnwright._arrays import Floats, Ints
+    from turnwright.machine import Machine
+    from turnwright.post.dialect import Dialect
+    from turnwright.post.header import ProgramHeader
+    from turnwright.progress import Progress
+
+__all__ = ["FastToolFiles", "read_fast_tool", "write_fast_tool"]
+
+SIGNATURE = "# TURNWRIGHT FAST TOOL 1"
+COLUMNS = {"position": ("radius_mm", "angle_deg"), "time": ()}
+"""What stands in a row before the fast tool's own axes."""
+OWN = {"W": "height_mm", "U": "outward_mm"}
+"""Columns of the fast tool's axes."""
+HEIGHT = 7
+"""Decimals of a height, or of what U adds: a tenth of a nanometre."""
+MOST_LEFT_OUT = 0.05
+"""Share of the stroke that straight lines between the heights of a stream may leave out."""
+MOST_ROWS = 300_000_000
+"""Beyond this no memory holds the motion."""
+SAME = 1e-6
+"""Share of the time between two heights within which a block of the program is at the same time as one of them."""
+BOWED = 1e-6
+"""How far Z of a controller that makes cubics may be from the lathe's share of a motion between its blocks. [mm]"""
+FEWEST = 4
+"""Blocks of which there are some between the first and the last."""
+BEGUN = 1e-6
+"""How far the first and the last row of a cut may be from the ends of the program's, which are both rounded. [rad]"""
+APART = 1e-5
+"""How far the radius of a table may be from the X of its program, which are both rounded. [mm]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FastToolFiles:
+    """What `write_fast_tool` left on disk.
+
+    Parameters
+    ----------
+    program
+        The files of the lathe.
+    table
+        The file of the fast tool.
+    by
+        "position" or "time".
+    rows
+        Rows of the cut in the table.
+    entry_rows
+        Rows of the plunge before them.
+    off
+        Largest distance of the motion's W, or U, from the straight lines between the rows, at its own points. [mm]
+    """
+
+    program: ProgramFiles
+    table: Path
+    by: str
+    rows: int
+    entry_rows: int
+    off: float
+
+
+def write_fast_tool(
+    motion: Motion,
+    machine: Machine,
+    path: str | PathLike[str],
+    *,
+    by: Literal["position", "time"],
+    rate_hz: float | None = None,
+    header: ProgramHeader | None = None,
+    clearance: float = 5.0,
+    depth: float | Mapping[str, float | None] | None = 0.0,
+    plunge_feed: float = PLUNGE_FEED,
+    entry_heights: Floats | None = None,
+    progress: Progress | None = None,
+) -> FastToolFiles:
+    """Write the program of the lathe without W, see `write_nc` and `Motion.lathe`, and a table of W beside it.
+
+    A fast tool with a second axis U, which adds to X, has one more column.
+
+    The table is text, part.fast.csv beside part.nc. By position it has a row of radius, angle and height for every
+    point of the motion: the radius is the X of the program, the angle its C within one turn, with as many decimals, so
+    that the tool's controller reads both from the scales of the lathe; between two rows heights run straight over the
+    angle turned. Where the tool plunges, the table begins with the revolution at the radius where the cut begins, which
+    holds for every turn of the plunge. By time it has one height every 1/``rate_hz`` s, straight in between, and the
+    first one belongs to the first point of the cut, where the approach of the program ends. Heights add to Z, out of
+    the part, whatever the convention of the lathe, and U to the distance from the axis; their last decimal is 0.1 nm.
+    The first lines say all this, the hash of the rows and that of the program they belong to.
+
+    The table is written under another name beside its place before the program is, and put in place after it: if
+    anything fails before, nothing changes.
+
+    Parameters
+    ----------
+    motion
+        With an axis W.
+    machine
+        Names the dialect and the convention.
+    path
+        The main program.
+    by
+        What the table is synchronised by.
+    rate_hz
+        Heights per second, by time only. [Hz]
+    header, clearance, depth, plunge_feed, entry_heights, progress
+        See `write_nc`; the heights are Z and W together, at the angles of `turnwright.post.entry_path`. Without them
+        lathe and fast tool are extrapolated, and what the fast tool may fall beyond the part does not slow the plunge.
+
+    Raises
+    ------
+    ProgramError
+        If the motion has no W, there is not a rate with time alone or it is too low for the motion, the angle within a
+        row stands still, or the files cannot be written.
+    """
+    path = Path(path)
+    if "W" not in motion.axes:
+        raise ProgramError(
+            f"the motion has the axes {', '.join(motion.axes)}, a fast tool needs W: use write_nc, or plan it "
+            "with FastToolServo or HybridToolServo"
+        )
+    if by not in COLUMNS:
+        raise ProgramError(f'by is {by!r}, it must be "position" or "time": choose one')
+    if (rate_hz is None) != (by == "position"):
+        raise ProgramError(
+            f"a table by {by} has the rate {rate_hz}, by time it needs one and by position it has none: correct it"
+        )
+    dialect = dialect_of(machine)
+    table = path.parent / f"{path.stem}.fast.csv"
+    hidden = table.with_name(f".{table.name}.{os.getpid()}")
+    _require_straight(motion, dialect)
+    lathe_heights, whole = entry_heights, motion
+    if depth is not None:
+        lathe_heights, entered = _with_entry(motion, entry_heights)
+        whole = entered if by == "position" else motion
+    rows, decimals, off = _position(whole, machine, dialect) if by == "position" else _stream(motion, rate_hz)
+    counts = rows.shape[0], whole.time.size - motion.time.size
+    try:
+        try:
+            with hidden.open("wb") as file:
+                file.write(_head(motion, machine, dialect, counts, rate_hz, path, (NO_HASH, NO_HASH)))
+                digest = _body(file, rows, decimals)
+            program = write_nc(
+                motion.lathe(), machine, path, header=header, clearance=clearance, depth=depth, plunge_feed=plunge_feed,
+                entry_heights=lathe_heights, progress=progress,
+            )  # fmt: skip
+            with hidden.open("r+b") as file:
+                file.write(_head(motion, machine, dialect, counts, rate_hz, path, (digest, program.hash)))
+            hidden.replace(table)
+        except OSError as error:
+            raise _disk_error(table, error) from error
+    finally:
+        hidden.unlink(missing_ok=True)
+    return FastToolFiles(program=program, table=table, by=by, rows=counts[0] - counts[1], entry_rows=counts[1], off=off)
+
+
+def _require_straight(motion: Motion, dialect: Dialect) -> None:
+    """Raise if the lathe's controller leaves the heights between its blocks that its fast tool reckons with."""
+    lathe = motion.lathe()
+    if not dialect.velocities or lathe.time.size < FEWEST:
+        return
+    from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415 - costly to import
+
+    curve = CubicHermiteSpline(lathe.time, lathe.axes["Z"], _velocity(lathe)["Z"])
+    # The first block and the last come from rest and to it.
+    steady = (motion.time >= lathe.time[1]) & (motion.time <= lathe.time[-2])
+    off = float(np.abs(curve(motion.time[steady]) - motion.axes["Z"][steady]).max(initial=0.0))
+    if off > BOWED:
+        raise ProgramError(
+            f"between its blocks Z is up to {off * 1e6:.3g} nm off what the fast tool reckons with, as programs in the "
+            f"dialect {dialect.name} make cubics of them, the limit is {BOWED * 1e6:g} nm: leave blocks_per_rev out"
+        )
+
+
+def _with_entry(motion: Motion, heights: Floats | None) -> tuple[Floats | None, Motion]:
+    """Return the lathe's heights in a plunge, where those of both are known, and the motion with a turn before it."""
+    turned, axes = entry_path(motion)
+    lathe, fast = entry_shares(motion, axes["Z"] + axes["W"] if heights is None else np.asarray(heights, np.float64))
+    ahead = turned[-1] - turned[:-1]
+    before = {letter: values[:-1] for letter, values in {**axes, **fast}.items()}
+    before["C"] = motion.axes["C"][0] - motion.sense * ahead
+    entered = {letter: np.concatenate([before[letter], values]) for letter, values in motion.axes.items()}
+    time = np.concatenate([motion.time[0] - ahead, motion.time])
+    return None if heights is None else lathe, Motion(time=time, axes=entered, machine=motion.machine)
+
+
+def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints, Ints, float]:
+    """Return radius, angle and height in units of their last decimals, these, and the distance from them."""
+    convention = machine.convention
+    own = _own(motion)
+    decimals = np.array([dialect.decimals["X"], dialect.decimals["C"], *[HEIGHT] * len(own)])
+    scale = 10.0**decimals
+    turn = 360 * int(scale[1])
+    rows = np.empty((motion.time.size, 2 + len(own)), dtype=np.int64)
+    degrees, mark = float(np.rad2deg(convention.c_sense)), float(np.rad2deg(convention.clocking))
+    kernel.quantise(motion.axes["X"], convention.x_side * scale[0], 0.0, 0, rows, 0)
+    kernel.quantise(motion.axes["C"], degrees * scale[1], mark * scale[1], turn, rows, 1)
+    off = 0.0
+    for column, letter in enumerate(own, 2):
+        kernel.quantise(motion.axes[letter], scale[2], 0.0, 0, rows, column)
+        off = max(off, float(np.abs(rows[:, column] / scale[2] - motion.axes[letter]).max()))
+    step = np.diff(rows[:, 1]) * (motion.sense * convention.c_sense) % turn
+    bad = np.flatnonzero((step == 0) | (step >= turn // 2))
+    if bad.size:
+        raise ProgramError(
+            f"row {bad[0] + 2} of the fast tool's table turns C by {step[bad[0]] / scale[1]:g} deg, the limits are one "
+            f"unit of the program, {1 / scale[1]:g} deg, and half a turn: use other points per turn"
+        )
+    return rows, decimals, off
+
+
+def _stream(motion: Motion, rate_hz: float | None) -> tuple[Ints, Ints, float]:
+    """Return the heights at a steady rate in units of their last decimal, this, and the distance from them."""
+    rate = positive(rate_hz or 0.0, "rate_hz", "Hz")
+    time = motion.time - motion.time[0]
+    count = math.ceil(time[-1] * rate - 1e-6) + 1
+    if count > MOST_ROWS:
+        raise ProgramError(f"the stream has {count:.3g} heights, the limit is {MOST_ROWS:.0e}: lower rate_hz")
+    at = np.arange(count) / rate
+    own = [motion.axes[letter] for letter in _own(motion)]
+    rows = np.stack([np.rint(np.interp(at, time, values) * 10.0**HEIGHT) for values in own], axis=1).astype(np.int64)
+    again = [np.interp(time, at, column / 10.0**HEIGHT) for column in rows.T]
+    off = max(float(np.abs(back - values).max()) for back, values in zip(again, own, strict=True))
+    stroke = max(float(np.ptp(values)) for values in own)
+    if off > MOST_LEFT_OUT * stroke + 10.0**-HEIGHT:
+        raise ProgramError(
+            f"{rate:g} heights per second leave out up to {off * 1e3:.3g} um of the fast tool's motion, the limit is "
+            f"{MOST_LEFT_OUT:.0%} of its stroke of {stroke * 1e3:.3g} um: raise the rate, the points of the motion "
+            f"come at up to {1 / float(np.diff(time).min()):.4g} Hz"
+        )
+    return rows, np.full(len(own), HEIGHT), off
+
+
+def _own(motion: Motion) -> list[str]:
+    """Return the letters of the fast tool's axes, in the order of their columns."""
+    return [letter for letter in OWN if letter in motion.axes]
+
+
+def _head(
+    motion: Motion,
+    machine: Machine,
+    dialect: Dialect,
+    counts: tuple[int, int],
+    rate_hz: float | None,
+    path: Path,
+    hashes: tuple[str, str],
+) -> bytes:
+    """Return the first lines, ``counts`` of all rows and of those of the entry; their length depends on no hash."""
+    away = "GROWS" if machine.convention.x_side > 0 else "FALLS"
+    grows = "GROWS" if motion.sense * machine.convention.c_sense > 0 else "FALLS"
+    if rate_hz is None:
+        lines_of_kind = [
+            "# BY: POSITION",
+            f"# RADIUS: X OF THE PROGRAM, MM, {away} AWAY FROM THE AXIS, DECIMALS {dialect.decimals['X']}",
+            f"# ANGLE: C OF THE PROGRAM, DEGREES FROM 0 TO 360, {grows} FROM ROW TO ROW BY LESS THAN HALF A TURN",
+            f"# ANGLE DECIMALS: {dialect.decimals['C']}",
+            "# BETWEEN ROWS: STRAIGHT OVER THE ANGLE TURNED",
+            f"# ENTRY ROWS: {counts[1]}, "
+            + (
+                "ONE TURN AT THE RADIUS WHERE THE CUT BEGINS, FOR EVERY TURN OF THE PLUNGE"
+                if counts[1]
+                else "NO PLUNGE"
+            ),
+        ]
+        names = COLUMNS["position"]
+    else:
+        lines_of_kind = [
+            "# BY: TIME",
+            f"# RATE: {float(rate_hz)!r} HEIGHTS PER SECOND",
+            "# START: THE FIRST HEIGHT IS THAT OF THE FIRST POINT OF THE CUT, WHERE THE APPROACH OF THE PROGRAM ENDS",
+            "# BETWEEN ROWS: STRAIGHT OVER TIME",
+        ]
+        names = COLUMNS["time"]
+    lines = [
+        SIGNATURE,
+        f"# SOFTWARE: {software()}",
+        f"# MACHINE: {plain(machine.name)}",
+        f"# CONVENTION: {convention_line(machine)}",
+        *lines_of_kind,
+        f"# HEIGHT: MM THAT THE FAST TOOL ADDS TO Z, OUT OF THE PART, DECIMALS {HEIGHT}",
+        *(["# OUTWARD: MM THAT IT ADDS TO THE DISTANCE FROM THE AXIS, DECIMALS 7"] if "U" in motion.axes else []),
+        f"# ROWS: {counts[0]}",
+        f"# PROGRAM: {plain(path.name)}, SHA256 {hashes[1]}",
+        f"# SHA256: {hashes[0]}",
+        ",".join([*names, *(OWN[letter] for letter in _own(motion))]),
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def _body(file: BinaryIO, rows: Ints, decimals: Ints) -> str:
+    """Write the rows; return their hash."""
+    digest = hashlib.sha256()
+    for start in range(0, rows.shape[0], CHUNK):
+        part = rows[start : start + CHUNK]
+        out = np.empty(part.size * 24 + 8, dtype=np.uint8)
+        data = out[: kernel.format_rows(part, decimals, out)].tobytes()
+        digest.update(data)
+        file.write(data)
+    return digest.hexdigest()
+
+
+def read_fast_tool(path: str | PathLike[str], machine: Machine, *, progress: Progress | None = None) -> Motion:
+    """Read a program and the table beside it back as one motion, with the axis W.
+
+    By position the motion has a point at every row of the table, by time at every block of the program and at every
+    height of the stream; in between, all that a controller does straight is straight.
+
+    Parameters
+    ----------
+    path
+        The main program; the table is part.fast.csv beside part.nc.
+    machine
+        Names the dialect and the convention.
+    progress
+        See `read_nc`.
+
+    Raises
+    ------
+    ProgramError
+        If a file cannot be read or is damaged, the table belongs to another program or convention, or the two do not
+        fit.
+    """
+    path = Path(path)
+    file = path.parent / f"{path.stem}.fast.csv"
+    fields, names, table = _read(file)
+    if fields["CONVENTION"] != convention_line(machine):
+        raise ProgramError(
+            f"{file} is written for {fields['CONVENTION']}, {machine.name} has {convention_line(machine)}: read it "
+            "with its own machine"
+        )
+    info = inspect_nc(path)
+    whole = hashlib.sha256("\n".join(one.hash for one in info.passes).encode()).hexdigest()
+    if not fields["PROGRAM"].endswith(f"SHA256 {whole}"):
+        raise ProgramError(f"{file} belongs to another program than {path}: write both again")
+    motion = read_nc(path, machine, progress=progress)
+    if fields["BY"] == "TIME":
+        match = re.match(r"\d{1,17}(?:\.\d{0,25})?(?:e[+-]?\d{1,2})?", fields.get("RATE", ""))
+        rate = float(match[0]) if match else 0.0
+        if rate <= 0:
+            raise ProgramError(f"{file} states no rate: write it again")
+        at = np.arange(len(table)) / rate
+        after = np.clip(np.searchsorted(motion.time, at), 1, motion.time.size - 1)
+        beside = np.minimum(np.abs(at - motion.time[after - 1]), np.abs(motion.time[after] - at))
+        # Two times that are one but for rounding would leave C no way to turn between them.
+        time = np.union1d(motion.time, at[(beside * rate > SAME) & (at < motion.time[-1])])
+        blocks = np.searchsorted(time, motion.time)
+        rows = {name: np.interp(time, at, column) for name, column in zip(names, table.T, strict=True)}
+    else:
+        match = re.match(r"\d{1,9}(?=,)", fields.get("ENTRY ROWS", ""))
+        if match is None or int(match[0]) > len(table) - 2:
+            raise ProgramError(f"{file} does not say how many of its {len(table)} rows are the entry: write it again")
+        table = table[int(match[0]) :]
+        time = _turned(file, table, motion, machine)
+        blocks = None
+        rows = dict(zip(names, table.T, strict=True))
+    axes = {letter: np.interp(time, motion.time, values) for letter, values in motion.axes.items()}
+    own = {letter: rows[name] for letter, name in OWN.items() if name in rows}
+    return Motion(time=time, axes={**axes, **own}, machine=machine, stated_blocks=blocks)
+
+
+def _turned(file: Path, table: Floats, motion: Motion, machine: Machine) -> Floats:
+    """Return when the program is at each row of a table by position."""
+    convention = machine.convention
+    step = np.diff(table[:, 1])
+    degrees = np.concatenate([[0.0], np.cumsum(step - 360 * np.rint(step / 360))]) + table[0, 1]
+    c = convention.c_sense * (np.deg2rad(degrees) - convention.clocking)
+    c += 2 * np.pi * np.rint((motion.axes["C"][0] - c[0]) / (2 * np.pi))
+    if not (np.diff(c) * motion.sense > 0).all():
+        raise ProgramError(f"{file} does not turn as its program does: write both again")
+    ahead = motion.sense * motion.axes["C"]
+    if abs(c[0] - motion.axes["C"][0]) > BEGUN:
+        raise ProgramError(
+            f"{file} has its first row of the cut at C {np.rad2deg(c[0]):.3f} deg where its program begins at "
+            f"{np.rad2deg(motion.axes['C'][0]):.3f} deg, so its number of entry rows was edited: write both again"
+        )
+    time: Floats = np.interp(motion.sense * c, ahead, motion.time)
+    x = np.interp(motion.sense * c, ahead, motion.axes["X"]) * convention.x_side
+    off = np.abs(x - table[:, 0])
+    worst = int(np.argmax(off))
+    if off[worst] > APART or abs(c[-1] - motion.axes["C"][-1]) > BEGUN:
+        ends = np.rad2deg([c[-1], motion.axes["C"][-1]])
+        raise ProgramError(
+            f"{file} has the radius {table[worst, 0]:g} mm where its program has X {x[worst]:g} mm, and ends at C "
+            f"{ends[0]:.3f} deg where that ends at {ends[1]:.3f} deg: write both again"
+        )
+    return time
+
+
+def _read(file: Path) -> tuple[dict[str, str], list[str], Floats]:
+    """Return what the first lines of a table say, the names of its columns, and its rows."""
+    try:
+        require_regular(file)
+        data = file.read_bytes()
+    except OSError as error:
+        raise ProgramError(f"{file} cannot be read ({error.strerror}): check its name and place") from error
+    text = data[: 1 << 14].decode("latin-1")
+    fields = dict(re.findall(r"^# ([A-Z0-9 ]+): (.*)$", text, re.MULTILINE))
+    needed = ("BY", "CONVENTION", "ROWS", "PROGRAM", "SHA256")
+    first = re.search(r"^(?!#).*\n", text, re.MULTILINE)
+    names = first[0].strip().split(",") if first else []
+    before = COLUMNS.get(fields.get("BY", "").lower())
+    known = before is not None and names in ([*before, "height_mm"], [*before, *OWN.values()])
+    if not text.startswith(SIGNATURE) or first is None or not known or not all(name in fields for name in needed):
+        raise ProgramError(f"{file} is no table of a fast tool, which begins with {SIGNATURE!r}: give the right file")
+    body = data[first.end() :]
+    if hashlib.sha256(body).hexdigest() != fields["SHA256"]:
+        raise ProgramError(f"{file} has other rows than it was written with, it was damaged or edited: write it again")
+    try:
+        table = rows_of_numbers(body.decode("latin-1").splitlines(), ",")
+    except ValueError as error:
+        raise ProgramError(f"{file} holds something else than rows of numbers ({error}): write it again") from error
+    if str(table.shape[0]) != fields["ROWS"]:
+        raise ProgramError(f"{file} has {table.shape[0]} rows, its head says {fields['ROWS']}: write it again")
+    return fields, names, table

@@ -1,0 +1,150 @@
+"""Read a plain table of C X Z points, such as other people's path planners leave."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import rows_of_numbers
+from turnwright.errors import InputError, ProgramError
+from turnwright.path import Motion
+from turnwright.post.header import ProgramWarning, require_regular
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from turnwright._arrays import Bools, Floats
+    from turnwright.machine import Machine
+
+__all__ = ["read_table"]
+
+COLUMNS = {"c_deg": "C", "x_mm": "X", "y_mm": "Y", "z_mm": "Z"}
+
+
+def read_table(
+    path: str | PathLike[str],
+    machine: Machine,
+    *,
+    spindle_rpm: float | None = None,
+    block_rate_hz: float | None = None,
+) -> Motion:
+    """Read a comma-separated table with the columns C_deg, X_mm, Z_mm (and Y_mm), in the machine's convention.
+
+    C may run either way and may start again after each turn. A point that repeats the one before is dropped. Rows in
+    which C stands still while the tool moves are a plunge or a retract: at the two ends they are left out, with a
+    warning, between cutting rows they are refused.
+
+    Parameters
+    ----------
+    path
+        The table; its first line names the columns.
+    machine
+        Names the convention in which the table is written.
+    spindle_rpm
+        Constant speed of the spindle. [rev/min]
+    block_rate_hz
+        Or: constant rate at which the rows are taken. [1/s]
+
+    Raises
+    ------
+    ProgramError
+        If not exactly one of speed and rate is given, or the table cannot be read or is not one motion.
+
+    Warns
+    -----
+    ProgramWarning
+        If plunge or retract rows were left out.
+    """
+    path = Path(path)
+    given = [value for value in (spindle_rpm, block_rate_hz) if value is not None]
+    if len(given) != 1 or not 0 < given[0] < np.inf:
+        raise ProgramError(
+            f"{path} needs one speed above 0, spindle_rpm is {spindle_rpm} and block_rate_hz {block_rate_hz}: give one"
+        )
+    values = _columns(path)
+    rows = np.arange(2, len(values["C"]) + 2)  # line in the file
+    moved = np.zeros(len(rows), dtype=bool)
+    moved[:1] = True
+    for column in values.values():
+        moved[1:] |= np.diff(column) != 0
+    values, rows = {letter: column[moved] for letter, column in values.items()}, rows[moved]
+    turning = _steps(values["C"]) != 0
+    cutting = np.flatnonzero(turning)
+    if not cutting.size:
+        raise ProgramError(f"{path} never moves C, at least 1 row must: give a table of a C-axis motion")
+    first, last = int(cutting[0]), int(cutting[-1]) + 1
+    _refuse_standstill(path, turning[first:last], rows[first + 1 :])
+    left_out = len(rows) - (last + 1 - first)
+    if left_out:
+        warnings.warn(
+            f"{path}: {left_out} rows of plunge and retract, in which C stands still, were left out",
+            ProgramWarning,
+            stacklevel=2,
+        )
+    axes = {letter: column[first : last + 1].copy() for letter, column in values.items()}
+    steps = _steps(axes["C"])
+    if (np.abs(steps) == 180).any() or not ((steps > 0).all() or (steps < 0).all()):
+        bad = int(np.flatnonzero((np.abs(steps) == 180) | (steps * steps[0] <= 0))[0])
+        raise ProgramError(
+            f"{path} line {rows[first + bad + 1]} turns C back or by half a turn, the sense must stay: split the table"
+        )
+    convention = machine.convention
+    angle = np.concatenate([[0.0], np.cumsum(steps)]) + axes["C"][0]
+    axes["C"] = convention.c_sense * (np.deg2rad(angle) - convention.clocking)
+    axes["X"] *= convention.x_side
+    axes["Z"] *= convention.z_sign
+    time = (
+        np.arange(len(angle)) / block_rate_hz
+        if block_rate_hz is not None
+        else np.abs(angle - angle[0]) / (6 * given[0])  # 1 rev/min is 6 deg/s
+    )
+    try:
+        return Motion(time=time, axes=axes, machine=machine)
+    except InputError as error:
+        raise ProgramError(f"{path} does not hold a motion: {error}") from error
+
+
+def _steps(degrees: Floats) -> Floats:
+    """Return each step of C as the one below half a turn. (n - 1,) [deg]."""
+    step = np.diff(degrees)
+    return np.asarray(step - 360 * np.rint(step / 360))
+
+
+def _refuse_standstill(path: Path, turning: Bools, rows: np.ndarray) -> None:
+    """Raise if C stands still between cutting rows."""
+    if not turning.all():
+        bad = rows[int(np.flatnonzero(~turning)[0])]
+        raise ProgramError(f"{path} line {bad} moves the tool while C stands still in mid-cut: split the table there")
+
+
+def _columns(path: Path) -> dict[str, Floats]:
+    """Return the columns by axis letter."""
+    try:
+        require_regular(path)
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise ProgramError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
+    except UnicodeDecodeError as error:
+        raise ProgramError(f"{path} is not a table of text: give comma-separated numbers") from error
+    head, _, body = text.partition("\n")
+    names = [name.strip().lower() for name in head.split(",")]
+    letters = [COLUMNS.get(name) for name in names]
+    if not {"C", "X", "Z"} <= set(letters) or None in letters or len(set(letters)) < len(letters):
+        raise ProgramError(
+            f"{path} has the columns {head.strip()[:60]!r}, it needs C_deg, X_mm, Z_mm (and may have Y_mm): name them"
+        )
+    if not body.strip():
+        raise ProgramError(f"{path} has no rows, at least 2 are needed: give the points below the names")
+    try:
+        table = rows_of_numbers(io.StringIO(body), ",", comments="#")
+    except ValueError as error:
+        raise ProgramError(f"{path} holds something that is not a number ({error}): correct it") from error
+    if table.shape[1] != len(letters) or not np.isfinite(table).all():
+        bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+        where = f"line {bad[0] + 2} is not finite" if bad.size else f"rows have {table.shape[1]} numbers"
+        raise ProgramError(f"{path} has {len(letters)} columns and its {where}: correct the table")
+    return {str(letter): np.ascontiguousarray(table[:, k]) for k, letter in enumerate(letters)}

@@ -1,0 +1,707 @@
+"""Write a program: quantised, hashed, formatted on all cores, and put in place only when it is whole."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import math
+import re
+import shutil
+import tempfile
+from collections import deque
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, TypeAlias
+
+import numpy as np
+
+from turnwright._arrays import Floats, Ints
+from turnwright._kernels import tracking as kernel
+from turnwright.errors import ProgramError
+from turnwright.machine import FAST
+from turnwright.path import Motion
+from turnwright.post.approach import (
+    DOWN,
+    MOST_CLEARANCE,
+    PLUNGE_FEED,
+    TRAVERSE,
+    Approach,
+    approach_to,
+    link_seconds,
+)
+from turnwright.post.digest import hashed_rows
+from turnwright.post.header import (
+    ENTRY,
+    NO_HASH,
+    SUB_SIGNATURE,
+    ProgramHeader,
+    ProgramPass,
+    language,
+    lines,
+)
+from turnwright.post.registry import dialect_of
+from turnwright.progress import Progress, cores
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from os import PathLike
+
+    from turnwright.machine import Machine
+    from turnwright.post.dialect import Dialect
+
+__all__ = ["ProgramFiles", "write_nc"]
+
+CHUNK = 1 << 16
+"""Points formatted at a time: their text and numbers together stay near 10 MB."""
+FASTEST_PLUNGE = 1.0
+"""A plunge beyond this is a slip of the unit. [mm/s]"""
+LARGEST = 1e9
+"""Beyond any machine, and safe in 64-bit integers at six decimals. [mm or deg]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramFiles:
+    """What `write_nc` left on disk.
+
+    Parameters
+    ----------
+    files
+        The main program, then the sub-programs in the order of their calls; none where they are gone again.
+    lines, bytes
+        In all files together.
+    minutes
+        Time of the cuts. [min]
+    links_minutes
+        Time of approaches, plunges and retracts, from the first clear plane on. [min]
+    passes
+        Each pass with its points, minutes and hash.
+    approaches
+        How the tool comes to each pass, by its name.
+    """
+
+    files: tuple[Path, ...]
+    lines: int
+    bytes: int
+    minutes: float
+    links_minutes: float
+    passes: tuple[ProgramPass, ...]
+    approaches: Mapping[str, Approach]
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the whole program: of the passes' hashes, one a line."""
+        return hashlib.sha256("\n".join(one.hash for one in self.passes).encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Pass:
+    """A motion with all that its numbers need to become words."""
+
+    name: str
+    motion: Motion
+    letters: tuple[str, ...]
+    factors: Mapping[str, float]  # Turnwright's unit to the controller's, without decimals
+    shifts: Mapping[str, float]
+    clocking: float  # of C, which is shifted by as many turns more as it counts on [deg]
+    dialect: Dialect
+    velocity: Mapping[str, Floats] | None  # at the points, from rest to rest; only where the dialect says it
+    approach: Approach
+
+    def units(self, letter: str, value: float) -> int:
+        """Return a position as written, without its decimal point and without wrapping."""
+        scale = 10.0 ** self.dialect.decimals[letter]
+        return int(np.rint(value * (self.factors[letter] * scale) + self.shifts[letter] * scale))
+
+    @property
+    def first_c(self) -> float:
+        """Controller's C at the first point as the motion counts it, whatever turns C has counted on. [deg]."""
+        places = self.dialect.decimals["C"]
+        turns = round((self.shifts["C"] - self.clocking) / 360)
+        units = self.units("C", float(self.motion.axes["C"][0])) - turns * 360 * 10**places
+        return float(units / 10.0**places)
+
+    def word(self, letter: str, value: float) -> str:
+        """Return one word of the approach."""
+        places = self.dialect.decimals[letter]
+        units = self.units(letter, value)
+        if letter == "C" and self.dialect.wrapped:
+            units %= 360 * 10**places
+        sign = "-" if units < 0 else ""
+        return f"{letter}{sign}{abs(units) // 10**places}.{abs(units) % 10**places:0{places}d}"
+
+
+_Chunk: TypeAlias = tuple[int, int, Ints, Ints, Floats]
+
+
+def write_nc(
+    motion: Motion | Mapping[str, Motion],
+    machine: Machine,
+    path: str | PathLike[str],
+    *,
+    header: ProgramHeader | None = None,
+    clearance: float = 5.0,
+    depth: float | Mapping[str, float | None] | None = 0.0,
+    plunge_feed: float = PLUNGE_FEED,
+    entry_heights: Floats | Mapping[str, Floats | None] | None = None,
+    max_lines: int | None = None,
+    progress: Progress | None = None,
+) -> ProgramFiles:
+    """Write a motion, or the named passes of a job in their order, as a program for a machine's controller.
+
+    The numbers are fixed-point, rounded to the dialect's last decimal, and so is a block's time. Every pass begins with
+    an approach from ``clearance`` above its highest point and ends with a retract to there. From 0.1 mm above the
+    material the tool comes down only while C turns: at the radius where the pass begins it follows the heights of one
+    revolution there, raised by less and less, by no more in a revolution than the pass advances (or 1 um) and in no
+    block faster than ``plunge_feed``. `run` has these heights exactly, from part and tool; a motion alone does not
+    hold them, and without ``entry_heights`` they are extrapolated from its first three revolutions: then C turns so
+    much slower than in the pass, up to a minute a revolution, that what this may add keeps the feed too. Where C is
+    cumulative it begins within a turn of 0 and counts on from pass to pass, so that the spindle is never unwound.
+
+    All files are written beside their final place and put there, the main program last, when the whole program is
+    complete; if anything fails before that, the folder is as it was. Sub-programs that an earlier program of this name
+    left and that this one does not call are removed.
+
+    Parameters
+    ----------
+    motion
+        One motion, which becomes the pass "finish", or motions by pass name.
+    machine
+        Names the dialect and the convention.
+    path
+        The main program. Sub-programs stand beside it: part.nc, part.finish.001.nc, ...
+    header
+        Design, tool, date and notes for the header.
+    clearance
+        Height of approach and retract above the highest point of the pass, more than the stock stands proud. [mm]
+    depth
+        Height of the material above the path where the pass begins, for all passes or by name; ``None`` for a pass that
+        begins clear of all material, which is approached without a plunge. [mm]
+    plunge_feed
+        Fastest plunge into material. [mm/s]
+    entry_heights
+        Z for one revolution at the radius where the pass begins, for a motion or by name, at the angles of
+        `turnwright.post.entry_path`. (n,) [mm]
+    max_lines
+        Most lines in one file, if not the dialect's own limit.
+    progress
+        Called with (points done, points in all).
+
+    Raises
+    ------
+    ProgramError
+        If the dialect is unknown, a number does not fit, C stands still or jumps by half a turn within a block, a
+        block is too short or too long, or the files cannot be written.
+
+    Sources
+    -------
+    The dialects' own sources stand in their files. Oracle of the formatting: Python's decimal module.
+
+    Examples
+    --------
+    >>> from turnwright.machine import Axis, Machine
+    >>> machine = Machine(
+    ...     name="lathe", axes=dict.fromkeys("CXZ", Axis()), spindle_rpm=1000, block_rate_hz=1000, dialect="nanotech"
+    ... )
+    >>> axes = {"C": [6.1, 6.2, 6.3], "X": [5.0, 4.9, 4.8], "Z": [0.25, 0.24, 0.23]}
+    >>> motion = Motion(time=[0.0, 0.001, 0.002], axes=axes, machine=machine)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     done = write_nc(motion, machine, Path(folder) / "part.nc")
+    ...     text = done.files[-1].read_text()
+    >>> [file.name for file in done.files]
+    ['part.nc', 'part.finish.001.nc']
+    >>> print(text[text.rindex("G93") : text.rindex("G94")].rstrip())
+    G93
+    C355.23383 X4.900000 Z0.240000 F0.001
+    C0.96341 X4.800000 Z0.230000
+    """
+    path = Path(path)
+    dialect = dialect_of(machine)
+    if not 0 < clearance <= MOST_CLEARANCE:
+        raise ProgramError(
+            f"clearance is {clearance:g} mm, the limits are above 0 and up to {MOST_CLEARANCE:g} mm: give its height"
+        )
+    if not 0 < plunge_feed <= FASTEST_PLUNGE:
+        raise ProgramError(
+            f"plunge_feed is {plunge_feed * 60:g} mm/min, the limits are above 0 and up to {FASTEST_PLUNGE * 60:g} "
+            "mm/min: give it in mm/s"
+        )
+    motions = {"finish": motion} if isinstance(motion, Motion) else motion
+    approaches = _approaches(motions, clearance, depth, plunge_feed, entry_heights)
+    passes = _passes(motions, machine, dialect, approaches)
+    limit = dialect.max_lines if max_lines is None else max_lines
+    if limit < 100:
+        raise ProgramError(f"max_lines is {limit}, approach and retract need at least 100: allow longer files")
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=path.parent))
+    except OSError as error:
+        raise _disk_error(path, error) from error
+    try:
+        header = header or ProgramHeader()
+        header = replace(header, date=header.date or datetime.now(UTC).date().isoformat())
+        job = _Job(
+            folder,
+            path,
+            dialect=dialect,
+            machine=machine,
+            header=header,
+            limit=limit,
+            progress=progress,
+        )
+        written = job.write(passes)
+        _put_in_place(folder, path.parent, [path.name, *written], _stale(path, written))
+        return job.summary(written)
+    except OSError as error:
+        raise _disk_error(path, error) from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _disk_error(path: Path, error: OSError) -> ProgramError:
+    """Return the sentence for a disk that refuses."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return ProgramError(
+            f"the disk is full while writing {path}, nothing was changed there: free some space, or write elsewhere"
+        )
+    if error.errno == errno.EFBIG:
+        return ProgramError(
+            f"{path} cannot be written, a file grew beyond the largest that the system allows here ({error.strerror}), "
+            "nothing was changed: raise that limit (ulimit -f), or write elsewhere"
+        )
+    if error.errno in (errno.ENOENT, errno.ENOTDIR):
+        return ProgramError(
+            f"{path} cannot be written, {path.parent} is not a folder: make it first, or write elsewhere"
+        )
+    return ProgramError(f"{path} cannot be written ({error.strerror}), nothing was changed: check the folder's rights")
+
+
+def _approaches(
+    motions: Mapping[str, Motion],
+    clearance: float,
+    depth: float | Mapping[str, float | None] | None,
+    plunge_feed: float,
+    entry_heights: Floats | Mapping[str, Floats | None] | None,
+) -> dict[str, Approach]:
+    """Return the approach to every pass by its name."""
+    approaches = {}
+    depths = dict.fromkeys(motions, depth) if depth is None or isinstance(depth, int | float) else depth
+    around = entry_heights if isinstance(entry_heights, Mapping) else dict.fromkeys(motions, entry_heights)
+    for name, motion in motions.items():
+        height, heights = depths[name], around.get(name)
+        if height is not None and not np.isfinite(height):
+            raise ProgramError(f"depth of pass {name} is {height:g} mm, it must be finite: give the material's height")
+        approaches[name] = approach_to(
+            motion, clearance=clearance, depth=height, plunge_feed=plunge_feed, name=name,
+            heights=None if heights is None else np.asarray(heights, dtype=np.float64),
+        )  # fmt: skip
+    return approaches
+
+
+def _passes(
+    motions: Mapping[str, Motion], machine: Machine, dialect: Dialect, approaches: Mapping[str, Approach]
+) -> list[_Pass]:
+    """Return the passes ready to be written, or raise for what cannot be."""
+    if not motions:
+        raise ProgramError("a program without passes was asked for, it needs at least 1: give a motion")
+    convention = machine.convention
+    factors = {
+        "C": float(np.rad2deg(convention.c_sense)),
+        "X": float(convention.x_side),
+        "Y": 1.0,
+        "Z": float(convention.z_sign),
+    }
+    clocking = float(np.rad2deg(convention.clocking))
+    shifts = {"C": clocking, "X": 0.0, "Y": 0.0, "Z": 0.0}
+    passes: list[_Pass] = []
+    for name, motion in motions.items():
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _-]{0,39}", name):
+            raise ProgramError(
+                f"a pass is called {name!r}, a controller allows up to 40 letters, digits, blanks and - _: rename it"
+            )
+        fast = sorted(FAST.keys() & motion.axes.keys())
+        if fast:
+            raise ProgramError(
+                f"pass {name} moves axis {' and '.join(fast)}, the fast tool's, which is in no program of a lathe: use "
+                "write_fast_tool, or write motion.lathe() for the lathe alone"
+            )
+        unknown = set(motion.axes) - set(dialect.decimals)
+        if unknown:
+            raise ProgramError(
+                f"pass {name} moves axis {', '.join(sorted(unknown))}, the dialect {dialect.name} knows "
+                f"{', '.join(dialect.decimals)}: leave it out"
+            )
+        velocity = _velocity(motion) if dialect.velocities else None
+        if not dialect.wrapped:
+            start = approaches[name].start["C"] * factors["C"] + clocking
+            turns = _turns_on(passes[-1] if passes else None, start, motion.sense * convention.c_sense)
+            shifts = {**shifts, "C": clocking + 360.0 * turns}
+        _require_sizes(name, motion.axes, factors, shifts, "reaches", "mm or deg: check its unit")
+        if velocity is not None:
+            _require_sizes(name, velocity, factors, {}, "moves at", "mm/s or deg/s: check the time of its blocks")
+        passes.append(
+            _Pass(
+                name=name, motion=motion, letters=dialect.letters(motion.axes), factors=factors, shifts=shifts,
+                clocking=clocking, dialect=dialect, velocity=velocity, approach=approaches[name],
+            )
+        )  # fmt: skip
+    if len({one.letters for one in passes}) > 1:
+        raise ProgramError(
+            "some passes move Y and others do not, one program needs the same axes in all: give every pass a Y"
+        )
+    names = {_file_part(one.name) for one in passes}
+    if len(names) < len(passes):
+        raise ProgramError("two passes would share a file name: give them names that differ in more than blanks")
+    return passes
+
+
+def _turns_on(before: _Pass | None, start: float, sense: int) -> int:
+    """Return how many turns C counts on, so that it turns less than once to the start of an approach, given in deg.
+
+    It comes from the end of the pass before, or from 0 where there is none.
+    """
+    end = 0.0 if before is None else float(before.motion.axes["C"][-1]) * before.factors["C"] + before.shifts["C"]
+    return sense * math.ceil(sense * (end - start) / 360.0)
+
+
+def _require_sizes(
+    name: str, numbers: Mapping[str, Floats], factors: Mapping[str, float], shifts: Mapping[str, float], what: str,
+    remedy: str,
+) -> None:  # fmt: skip
+    """Raise if a number of an axis, times its factor and shifted, does not fit into a word."""
+    for letter, values in numbers.items():
+        largest = max(abs(values.min()), abs(values.max())) * abs(factors[letter]) + abs(shifts.get(letter, 0.0))
+        if largest > LARGEST:
+            raise ProgramError(f"axis {letter} of pass {name} {what} {largest:.3g}, the limit is {LARGEST:g} {remedy}")
+
+
+def _velocity(motion: Motion) -> dict[str, Floats]:
+    """Return the velocities that a motion states, or else those of the parabolas that `track` takes; from rest to rest.
+
+    A controller begins with the velocity of the block before, and the last one must leave none.
+    """
+    velocity = {}
+    for letter, position in motion.axes.items():
+        speed = np.empty(position.size)
+        if motion.velocity is None:
+            kernel.rates(motion.time, position, speed)
+        else:
+            speed[:] = motion.velocity[letter]
+        speed[[0, -1]] = 0.0
+        velocity[letter] = speed
+    return velocity
+
+
+def _file_part(name: str) -> str:
+    """Return a pass name as part of a file name."""
+    return name.replace(" ", "-")
+
+
+class _Job:
+    """One program being written into a folder that nobody sees yet."""
+
+    def __init__(
+        self,
+        folder: Path,
+        path: Path,
+        *,
+        dialect: Dialect,
+        machine: Machine,
+        header: ProgramHeader,
+        limit: int,
+        progress: Progress | None,
+    ) -> None:
+        self.folder, self.path, self.dialect, self.machine = folder, path, dialect, machine
+        self.header, self.limit, self.progress = header, limit, progress
+        self.lines = self.bytes = self.done = self.total = 0
+        self.links_s = 0.0
+        self.told: list[ProgramPass] = []
+        self.approaches: dict[str, Approach] = {}
+        self.begins: list[str] = []
+
+    def write(self, passes: list[_Pass]) -> list[str]:
+        """Write all files into the folder; return the names of the sub-programs in the order of their calls."""
+        self.total = sum(one.motion.time.size for one in passes)
+        self.told = [self._tell(one, NO_HASH) for one in passes]
+        self.approaches = {one.name: one.approach for one in passes}
+        self.begins = [one.word("C", one.approach.start["C"]) for one in passes]
+        self.links_s = link_seconds([(one.approach, one.motion) for one in passes], self.machine)
+        main = [*self.dialect.setup]
+        blocks = self.total + sum(plunge.time.size for one in passes if (plunge := one.approach.plunge) is not None)
+        inline = not self.dialect.always_call and blocks + 100 * (len(passes) + 1) <= self.limit
+        if not (inline or self.dialect.call):
+            raise ProgramError(
+                f"the program has {blocks} blocks, the limit is {self.limit} lines, and the dialect "
+                f"{self.dialect.name} calls no sub-programs: allow more lines"
+            )
+        subs: list[str] = []
+        with (self.folder / self.path.name).open("wb") as file:
+            if inline:
+                # The header tells the hashes, which are known at the end: it is written twice, at one length.
+                self._text(file, self._head() + main)
+                for index, one in enumerate(passes):
+                    self._text(file, [f"( PASS: {one.name} )", *self._approach(one)])
+                    if one.approach.plunge is not None:
+                        self._text(file, [*self._plunge_begins(one), *self._plunge(one), f"( PASS: {one.name} )"])
+                    self._text(file, self.dialect.begin())
+                    self.told[index] = self._tell(one, self._cut(one, [(file, 1, one.motion.time.size)]))
+                    self._text(file, self._retract(one))
+                self._text(file, ["M30"])
+                file.seek(0)
+                file.write("\n".join(self.dialect.commented(self._head())).encode())
+            else:
+                for index, one in enumerate(passes):
+                    names, digest = self._sub_programs(one)
+                    self.told[index] = self._tell(one, digest)
+                    subs += names
+                    main += [f"( PASS {index + 1} OF {len(passes)} )"]
+                    main += [self.dialect.call.format(file=name) for name in names]
+                self._text(file, [*self._head(), *main, "M30"])
+        return subs
+
+    def _head(self) -> list[str]:
+        approaches = list(self.approaches.values())
+        return lines(self.header, self.machine, self.dialect, self.told, approaches, self.begins, self.links_s)
+
+    def summary(self, written: list[str]) -> ProgramFiles:
+        """Return what was written, under the final names."""
+        return ProgramFiles(
+            files=tuple(self.path.parent / name for name in [self.path.name, *written]),
+            lines=self.lines,
+            bytes=self.bytes,
+            minutes=sum(one.minutes for one in self.told),
+            links_minutes=self.links_s / 60,
+            passes=tuple(self.told),
+            approaches=self.approaches,
+        )
+
+    def _tell(self, one: _Pass, digest: str) -> ProgramPass:
+        time = one.motion.time
+        return ProgramPass(
+            name=one.name,
+            points=time.size,
+            minutes=float(time[-1] - time[0]) / 60,
+            first_c=one.first_c,
+            sense=one.motion.sense,
+            hash=digest,
+        )
+
+    def _text(self, file: BinaryIO, rows: list[str]) -> None:
+        if not rows:
+            return
+        data = ("\n".join(self.dialect.commented(rows)) + "\n").encode("ascii")
+        file.write(data)
+        self.lines += len(rows)
+        self.bytes += len(data)
+
+    def _approach(self, one: _Pass) -> list[str]:
+        """Return the lines to where the tool has come straight down, C at rest."""
+        start, say = one.approach.start, self.dialect
+        others = " ".join(one.word(letter, start[letter]) for letter in ("X", "Y") if letter in one.letters)
+        return [
+            *say.end(),
+            *say.straight(one.word("Z", one.approach.clear), TRAVERSE * 60, "CLEAR OF THE PART"),
+            *say.straight(others, TRAVERSE * 60),
+            *say.rapid(one.word("C", start["C"])),
+            *say.straight(one.word("Z", start["Z"]), DOWN * 60, "ABOVE THE MATERIAL"),
+        ]
+
+    def _plunge_begins(self, one: _Pass) -> list[str]:
+        """Return the lines before a plunge, or the rest of one; they keep its blocks apart from those of the cut."""
+        return [f"( PASS: {one.name}{ENTRY} )", *self.dialect.plunge()]
+
+    def _plunge(self, one: _Pass) -> list[str]:
+        """Return the blocks of a plunge."""
+        motion = one.approach.plunge
+        if motion is None:
+            return []
+        velocity = _velocity(motion) if self.dialect.velocities else None
+        text = BytesIO()
+        before = self.lines, self.bytes, self.done, self.progress
+        self.progress = None
+        self._cut(replace(one, motion=motion, velocity=velocity), [(text, 1, motion.time.size)])
+        self.lines, self.bytes, self.done, self.progress = before  # what is written of it counts when it is
+        return text.getvalue().decode("ascii").splitlines()
+
+    def _retract(self, one: _Pass) -> list[str]:
+        clear = one.word("Z", one.approach.clear)
+        return [*self.dialect.end(), *self.dialect.straight(clear, DOWN * 60, "CLEAR OF THE PART")]
+
+    def _sub_programs(self, one: _Pass) -> tuple[list[str], str]:
+        """Write one pass into numbered files; return their names and the hash."""
+        points, plunge = one.motion.time.size, self._plunge(one)
+        each = self.limit - 30
+        count = -(-(len(plunge) + points - 1) // each)
+        names = [f"{self.path.stem}.{_file_part(one.name)}.{k + 1:03d}{self.path.suffix}" for k in range(count)]
+
+        def files() -> Iterator[tuple[BinaryIO, int, int]]:
+            for k, name in enumerate(names):
+                first, last = k * each - len(plunge) + 1, (k + 1) * each - len(plunge) + 1
+                entry = plunge[k * each : (k + 1) * each]
+                with (self.folder / name).open("wb") as file:
+                    part = f", PART {k + 1} OF {len(names)}" if len(names) > 1 else ""
+                    self._text(file, [SUB_SIGNATURE, f"( PASS: {one.name}{part} )"])
+                    self._text(file, [*language(self.machine, self.dialect), *(self._approach(one) if k == 0 else [])])
+                    if entry:
+                        self._text(file, [*self._plunge_begins(one), *entry])
+                    if last > 1:
+                        # A plunge that ends here, or ended with the file before, gives way to the cut.
+                        begins = first <= 1
+                        self._text(file, [f"( PASS: {one.name} )"] if begins and plunge else [])
+                        self._text(file, self.dialect.begin() if begins else ["G93 G1"])
+                        yield file, max(first, 1), min(last, points)
+                    self._text(file, [*(self._retract(one) if k == len(names) - 1 else []), "M99"])
+
+        return names, self._cut(one, files())
+
+    def _cut(self, one: _Pass, spans: Iterator[tuple[BinaryIO, int, int]] | list[tuple[BinaryIO, int, int]]) -> str:
+        """Write the blocks of one pass, formatted on all cores and written in order; return the hash."""
+        scale = {letter: 10.0 ** self.dialect.decimals[letter] for letter in one.letters}
+        turn = 360 * int(scale["C"])
+        wraps = {"C": turn if self.dialect.wrapped else 0}
+        words = one.letters if one.velocity is None else [half for letter in one.letters for half in (letter, ":")]
+        letters = np.array([ord(letter) for letter in words], dtype=np.int64)
+        decimals = np.array([self.dialect.decimals[letter] for letter in one.letters], dtype=np.int64)
+        decimals = np.repeat(decimals, len(words) // len(one.letters))
+        prefix = np.frombuffer(self.dialect.block.encode(), dtype=np.uint8)
+        leading = np.frombuffer(b"PVT" if self.dialect.velocities else b"", dtype=np.uint8)
+        sign = float(one.motion.sense) * self.machine.convention.c_sense
+        digest = hashlib.sha256()
+
+        def quantise(start: int, stop: int) -> Ints:
+            rows = np.empty((stop - start, len(words)), dtype=np.int64)
+            each = len(words) // len(one.letters)
+            for column, letter in enumerate(one.letters):
+                values = one.motion.axes[letter][start:stop]
+                factor, shift = one.factors[letter] * scale[letter], one.shifts[letter] * scale[letter]
+                kernel.quantise(values, factor, shift, wraps.get(letter, 0), rows, each * column)
+                if one.velocity is not None:
+                    kernel.quantise(one.velocity[letter][start:stop], factor, 0.0, 0, rows, each * column + 1)
+            return rows
+
+        def work(chunk: _Chunk) -> tuple[int, memoryview, memoryview]:
+            start, stop, mantissa, places, duration = chunk
+            angle = one.motion.axes["C"][start - 1 : stop]
+            factor, shift = one.factors["C"] * scale["C"], one.shifts["C"] * scale["C"]
+            bad = kernel.check_steps(angle, factor, shift, turn // 2, sign)
+            if bad >= 0:
+                raise _step_error(one, start - 1 + bad)
+            rows = quantise(start, stop)
+            out = np.empty((stop - start) * (prefix.size + 24 * (letters.size + 1)) + 8, dtype=np.uint8)
+            size = kernel.format_blocks(rows, letters, decimals, prefix, leading, mantissa, places, out)
+            return stop - start, hashed_rows(rows, duration), out[:size].data
+
+        digest.update(hashed_rows(quantise(0, 1), np.zeros(1)))
+        self._count(1)
+        state = np.zeros(3, dtype=np.int64)
+        threads = cores()
+        with ThreadPoolExecutor(threads) as pool, ThreadPoolExecutor(1) as hasher:
+            hashed = hasher.submit(digest.update, b"")
+            for file, start, stop in spans:
+                state[1] = 0  # a file begins with its own feed
+                for points, rows, data in _in_order(pool, work, self._chunks(one, start, stop, state), 2 * threads):
+                    hashed.result()
+                    hashed = hasher.submit(digest.update, rows)
+                    file.write(data)
+                    self.bytes += len(data)
+                    self.lines += points
+                    self._count(points)
+            hashed.result()
+        return digest.hexdigest()
+
+    def _count(self, points: int) -> None:
+        self.done += points
+        if self.progress is not None:
+            self.progress(self.done, self.total)
+
+    def _chunks(self, one: _Pass, start: int, stop: int, state: Ints) -> Iterator[_Chunk]:
+        """Yield the chunks of a file with their feeds, which only one thread can choose, in order."""
+        unit, every, most = self.dialect.feed_unit, self.dialect.feed_every_block, self.dialect.feed_decimals
+        state[0] = min(state[0], start)
+        for begin in range(start, stop, CHUNK):
+            end = min(begin + CHUNK, stop)
+            mantissa, places = np.empty((2, end - begin), dtype=np.int64)
+            duration = np.empty(end - begin)
+            bad = kernel.feeds(one.motion.time, begin, end, unit, every, most, state, mantissa, places, duration)
+            longest = self.dialect.longest_block
+            if bad < 0 and duration.max() > longest:
+                bad = begin + int(duration.argmax())
+            if bad >= 0:
+                span = one.motion.time[bad] - one.motion.time[bad - 1]
+                raise ProgramError(
+                    f"block {bad} of pass {one.name} lasts {span:.6g} s, the limits are 1e-6 s to {longest:g} s: check "
+                    "the spindle speed and the points per turn"
+                )
+            if self.dialect.velocities:  # whose times have lines of their own
+                self.lines += int(np.count_nonzero(mantissa))
+            yield begin, end, mantissa, places, duration
+
+
+def _step_error(one: _Pass, index: int) -> ProgramError:
+    """Return the sentence for a block that turns C too little or too far."""
+    places = one.dialect.decimals["C"]
+    angle = one.motion.axes["C"]
+    step = abs(one.units("C", float(angle[index])) - one.units("C", float(angle[index - 1]))) / 10.0**places
+    if step >= 180:
+        return ProgramError(
+            f"block {index} of pass {one.name} turns C by {step:g} deg, the limit is below 180 deg, beyond "
+            "which nobody can tell the sense: use more points per turn"
+        )
+    return ProgramError(
+        f"block {index} of pass {one.name} turns C by {step:g} deg, the least is one unit of the program, "
+        f"{10.0**-places:.{places}f} deg: use fewer points per turn"
+    )
+
+
+def _in_order(
+    pool: ThreadPoolExecutor,
+    work: Callable[[_Chunk], tuple[int, memoryview, memoryview]],
+    chunks: Iterator[_Chunk],
+    ahead: int,
+) -> Iterator[tuple[int, memoryview, memoryview]]:
+    """Yield ``work(chunk)`` in the order of the chunks, with a few of them in flight."""
+    waiting: deque[Future[tuple[int, memoryview, memoryview]]] = deque()
+    try:
+        for chunk in chunks:
+            waiting.append(pool.submit(work, chunk))
+            if len(waiting) > ahead:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def _stale(path: Path, written: list[str]) -> list[str]:
+    """Return sub-programs of an earlier, longer program of this name, so that nobody cuts with them by mistake."""
+    pattern = re.compile(re.escape(path.stem) + r"\.[A-Za-z0-9_-]+\.\d{3,}" + re.escape(path.suffix))
+    stale = []
+    for entry in path.parent.iterdir():
+        if pattern.fullmatch(entry.name) and entry.name not in written and entry.is_file():
+            with entry.open("rb") as file:
+                if file.read(len(SUB_SIGNATURE)) == SUB_SIGNATURE.encode():
+                    stale.append(entry.name)
+    return stale
+
+
+def _put_in_place(source: Path, target: Path, names: list[str], stale: list[str]) -> None:
+    """Move the files of a whole program to where they belong, the main one last; undo everything if one fails."""
+    kept = source / "earlier"
+    kept.mkdir()
+    order = [*stale, *names[1:], names[0]]
+    try:
+        for name in order:
+            if (target / name).exists():
+                (target / name).replace(kept / name)
+            if name in names:
+                (source / name).replace(target / name)
+    except BaseException:
+        for name in order:
+            if (kept / name).exists():
+                (kept / name).replace(target / name)
+            elif name in names and not (source / name).exists():
+                (target / name).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,795 @@
+"""The pictures of the report: vector axes around raster maps, in the colours of the page.
+
+Every picture is an inline SVG whose ink, lines and series are CSS variables, so one copy serves a light page, a dark
+page and paper. matplotlib never sees more than some ten thousand points.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import MaxNLocator
+
+from turnwright._io import write_whole
+from turnwright.metrology import area_rms
+from turnwright.profile import Profile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from os import PathLike
+
+    from matplotlib.axes import Axes
+
+    from turnwright._arrays import Floats
+    from turnwright.access import AccessFinding
+    from turnwright.cutting.chip import ChipMap
+    from turnwright.diagnosis import Move
+    from turnwright.heightmap import HeightMap
+    from turnwright.job import Candidate
+    from turnwright.job.approach import Entry
+    from turnwright.material import Material
+    from turnwright.metrology import Spectrum
+    from turnwright.part import Part
+    from turnwright.path import Motion, Path
+    from turnwright.tool import Tool
+
+__all__ = [
+    "Picture",
+    "access_map",
+    "approach_view",
+    "axes_over_time",
+    "chip_map",
+    "contact",
+    "density",
+    "error_map",
+    "minutes_and_errors",
+    "over_radius",
+    "places_map",
+    "profile",
+    "rings",
+    "sag_map",
+    "shares_of",
+    "spiral",
+    "tool_moves",
+    "view",
+    "write_picture",
+    "z_over_turns",
+]
+
+TURN = 2 * math.pi
+NM = 1e6
+
+PIXELS = 480
+"""Side of a map that is drawn from a function or a polar grid."""
+
+MOST_PIXELS = 900
+"""Longest side of a map that is drawn as it is; a longer one is drawn with every second pixel, third, and so on."""
+
+GAP_WORDS = "0.1 mm"
+"""Height above the material at which C begins to turn, in words."""
+
+FEW = 1e-3
+"""Share of the area below which no line is drawn around what is beyond a limit."""
+
+SPAN = 99.9
+"""Share of the heights that the colours of an error map reach over; what lies beyond has the end colour. [%]"""
+
+INK, LINE, PAPER = "#010203", "#020304", "#030405"
+SERIES = ("#040506", "#050607", "#060708")
+VARIABLES = {INK: "ink", LINE: "line", PAPER: "panel", SERIES[0]: "one", SERIES[1]: "two", SERIES[2]: "three"}
+"""Stand-ins that no picture uses, and the CSS variables of the page that replace them."""
+
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "turnwright",
+    "font.size": 8.5,
+    "axes.titlesize": 8.5,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": LINE,
+    "axes.linewidth": 0.8,
+    "xtick.color": LINE,
+    "ytick.color": LINE,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "grid.color": LINE,
+    "grid.linewidth": 0.5,
+    "grid.alpha": 0.6,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    "lines.linewidth": 1.2,
+    "legend.frameon": False,
+}
+
+# Heights run over a map that is even to the eye, errors and angles away from a neutral middle; all can be told apart
+# with any colour vision.
+HEIGHTS, ERRORS, ANGLES = "viridis", "RdBu_r", "PuOr_r"
+
+
+class Picture(NamedTuple):
+    """An inline SVG."""
+
+    svg: str
+    alt: str
+
+
+class _Canvas:
+    """A figure on its way to the page."""
+
+    def __init__(self, width: float, height: float, dpi: int) -> None:
+        self.layout = ConstrainedLayoutEngine(compress=True)
+        self.figure = Figure(figsize=(width, height), dpi=dpi, layout=self.layout)
+        self.svg = ""
+
+
+@contextmanager
+def _canvas(width: float, height: float, dpi: int = 130) -> Iterator[_Canvas]:
+    """Yield a figure of that size [in]; afterwards its ``svg`` is fit for a page."""
+    with mpl.rc_context(STYLE):
+        canvas = _Canvas(width, height, dpi)
+        yield canvas
+        # Laid out here, once, and printed at once: `savefig` would draw everything twice more, unseen, to be sure.
+        if canvas.figure.get_layout_engine() is canvas.layout:
+            canvas.layout.execute(canvas.figure)
+            canvas.figure.set_layout_engine("none")
+        text = io.StringIO()
+        printer: Any = FigureCanvasSVG(canvas.figure)
+        printer.print_svg(text, metadata={"Date": None, "Creator": None})
+    svg = text.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r' (?:id="[A-Za-z]+[\w.]*_\d+"|xmlns(?::\w+)?="[^"]*")', "", svg)
+    for colour, variable in VARIABLES.items():
+        svg = svg.replace(colour, f"var(--{variable})")
+    canvas.svg = svg
+
+
+def _length(extent: float) -> tuple[float, str]:
+    """Return the factor and the unit that a length in mm is best shown in."""
+    if extent >= 0.5:
+        return 1.0, "mm"
+    return (1e3, "µm") if extent >= 5e-4 else (1e6, "nm")
+
+
+def _bar(canvas: _Canvas, axes: Axes, image: Any, label: str, extend: str = "neither") -> None:
+    bar: Any = canvas.figure.colorbar(image, ax=axes, label=label, extend=extend, shrink=0.86, aspect=24)
+    bar.outline.set_linewidth(0.6)
+    bar.solids.set_rasterized(True)
+    bar.ax.yaxis.set_major_locator(MaxNLocator(6))
+
+
+def _square(radius: float) -> tuple[Floats, Floats, Floats]:
+    """Return x, y and the distance from the axis over the square around a part. Each (n, n) [mm]."""
+    x, y = np.meshgrid(*2 * [np.linspace(-radius, radius, PIXELS)])
+    return x, y, np.hypot(x, y)
+
+
+def _over_disc(radius: float, values: Floats, inside: Floats) -> Floats:
+    """Spread values inside the disc over the square, nan elsewhere."""
+    whole = np.full(inside.shape, np.nan)
+    whole[inside <= radius] = values
+    return whole
+
+
+def _plan(axes: Axes, image: Floats, radius: float, **how: Any) -> Any:
+    """Draw a map of the whole part."""
+    drawn = axes.imshow(
+        image, origin="lower", extent=(-radius, radius, -radius, radius), interpolation="nearest", **how
+    )
+    turn = np.linspace(0, TURN, 241)
+    axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=INK, linewidth=0.7)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]")
+    return drawn
+
+
+def sag_map(part: Part) -> Picture:
+    """Draw the design from above."""
+    x, y, r = _square(part.radius)
+    sag = _over_disc(part.radius, part.surface.sag(x[r <= part.radius], y[r <= part.radius]), r)
+    factor, unit = _length(float(np.nanmax(sag) - np.nanmin(sag)))
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        image = _plan(axes, sag * factor, part.radius, cmap=HEIGHTS)
+        if np.nanmax(sag) > np.nanmin(sag):
+            few = (slice(None, None, 4),) * 2
+            lines: dict[str, Any] = {"colors": "white", "linestyles": "solid", "linewidths": 0.5, "alpha": 0.55}
+            axes.contour(x[few], y[few], sag[few] * factor, levels=9, **lines)
+        _bar(canvas, axes, image, f"design height z [{unit}]")
+    low, high = float(np.nanmin(sag)) * factor, float(np.nanmax(sag)) * factor
+    return Picture(canvas.svg, f"Map of the design height over the part, from {low:.4g} to {high:.4g} {unit}.")
+
+
+def view(part: Part) -> Picture:
+    """Draw the design in perspective, its height stretched."""
+    radius, angle = np.meshgrid(np.linspace(0, part.radius, 91), np.linspace(0, TURN, 181))
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    z = part.surface.sag(x, y)
+    factor, unit = _length(float(np.ptp(z)))
+    stretch = 0.7 * part.radius / np.ptp(z) if np.ptp(z) > 0 else 1.0
+    with _canvas(4.6, 3.7, dpi=150) as canvas:
+        canvas.figure.set_layout_engine("none")
+        axes: Any = canvas.figure.add_axes((-0.06, -0.03, 1.04, 1.06), projection="3d")
+        surface = axes.plot_surface(
+            x, y, z * factor, cmap=HEIGHTS, rstride=1, cstride=1, linewidth=0, antialiased=False
+        )
+        surface.set_rasterized(True)
+        axes.set_box_aspect((1, 1, 0.35), zoom=0.92)
+        axes.view_init(elev=32, azim=-58)
+        for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+            axis.set_pane_color((0, 0, 0, 0))
+            axis.line.set_color(LINE)
+            axis._axinfo["grid"].update(color=LINE, linewidth=0.4)  # noqa: SLF001 - mplot3d offers no other way
+            axis.set_major_locator(MaxNLocator(4))
+        axes.tick_params(pad=0)
+        axes.set_xlabel("x [mm]", labelpad=0)
+        axes.set_ylabel("y [mm]", labelpad=0)
+        axes.set_zlabel(f"z [{unit}]", labelpad=2)
+    return Picture(canvas.svg, f"Perspective view of the design, heights stretched about {stretch:.3g} times.")
+
+
+def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
+    """Draw where on the nose the part is touched, and the tightest places by the numbers of the access table."""
+    x, y, r = _square(part.radius)
+    inside = r <= part.radius
+    zx, zy = part.surface.gradient(x[inside], y[inside])
+    sweep = np.arctan((x[inside] * zx + y[inside] * zy) / np.maximum(r[inside], 1e-12))
+    image = np.degrees(_over_disc(part.radius, sweep, r))
+    limit = max(float(np.nanmax(np.abs(image))), 1e-6)
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        drawn = _plan(axes, image, part.radius, cmap=ANGLES, vmin=-limit, vmax=limit)
+        places: dict[tuple[float, float], list[str]] = {}
+        for number, finding in enumerate(findings, 1):
+            if finding.where is not None:
+                # Places closer than a marker share one.
+                at = next(
+                    (have for have in places if math.dist(have, finding.where) < 0.09 * part.radius), finding.where
+                )
+                places.setdefault(at, []).append(str(number))
+        for where, numbers in places.items():
+            box = {"boxstyle": "round,pad=0.28", "facecolor": PAPER, "edgecolor": INK, "linewidth": 0.8}
+            axes.text(*where, " ".join(numbers), ha="center", va="center", fontsize=7.5, bbox=box)
+        _bar(canvas, axes, drawn, "contact on the nose, from its tip [deg]")
+    return Picture(
+        canvas.svg,
+        f"Map of the angle on the nose that touches the part, within {limit:.3g} deg of the tip, with the "
+        "tightest places marked by the numbers of the table.",
+    )
+
+
+def approach_view(name: str, entry: Entry, tool: Tool) -> Picture:
+    """Draw the radial cut where a pass begins: the material before it, the finished surface, the tool and its way."""
+    approach = entry.approach
+    end = approach.start if approach.plunge is None else {k: float(v[-1]) for k, v in approach.plunge.axes.items()}
+    x, z, top = end["X"], end["Z"], approach.start["Z"]
+    depth = max(entry.depth or 0.0, 0.0)
+    wide = 2.2 * math.sqrt(2 * tool.actual_radius * max(depth, 0.02)) + 0.1
+    sweep = np.linspace(-1.4, 1.4, 401)
+    u, _, e = tool.edge(sweep)
+    low, high = (x - wide, x + 1.6 * wide) if entry.outward else (x - 1.6 * wide, x + wide)
+    rim = entry.radius[np.isfinite(entry.finished)]
+    if approach.plunge is None and rim.size:
+        low = min(low, float(rim.max()) - 0.4 * wide)
+    near = (entry.radius >= low) & (entry.radius <= high)
+    radius, material, finished = entry.radius[near], entry.material[near], entry.finished[near]
+    heights = np.concatenate([material, finished, [z, top]])
+    heights = heights[np.isfinite(heights)]
+    span = float(np.ptp(heights))
+    bottom, ceiling = float(heights.min()) - 0.35 * span, max(float(heights.max()), top) + 0.25 * span
+    with _canvas(5.2, 4.2) as canvas:
+        axes = canvas.figure.add_subplot()
+        there = np.isfinite(material)
+        axes.fill_between(
+            radius, np.where(there, material, bottom), bottom, where=there, color=LINE, alpha=0.8, linewidth=0,
+            label="material before the pass",
+        )  # fmt: skip
+        axes.plot(radius, finished, color=SERIES[1], linewidth=1.4, label="finished surface")
+        for height, style, label in ((top, "--", "tool, C at rest until here"), (z, "-", "tool where the pass begins")):
+            axes.plot(x + u, height + e, color=SERIES[0], linestyle=style, linewidth=1.2, label=label)
+        if approach.plunge is None:
+            axes.annotate(
+                "", (x, z), (x, ceiling), arrowprops={"arrowstyle": "->", "color": INK, "linewidth": 0.9}
+            )  # fmt: skip
+        else:
+            axes.annotate("", (x, top), (x, ceiling), arrowprops={"arrowstyle": "->", "color": INK, "linewidth": 0.9})
+            axes.annotate(
+                "", (x, z), (x, top), arrowprops={"arrowstyle": "->", "color": SERIES[2], "linewidth": 1.6}
+            )  # fmt: skip
+            axes.plot([], [], color=SERIES[2], linewidth=1.6, label="plunge, C turning")
+        goes = 0.5 * wide if entry.outward else -0.5 * wide
+        axes.annotate("", (x + goes, z), (x, z), arrowprops={"arrowstyle": "->", "color": SERIES[0], "linewidth": 1.6})
+        axes.set(xlim=(low, high), ylim=(bottom, ceiling), xlabel="distance from the axis [mm]", ylabel="z [mm]")
+        axes.set_title(f"pass {name}")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, fontsize=7)
+        axes.grid(visible=True)
+    how = "begins clear of the material" if approach.plunge is None else "plunges while C turns"
+    return Picture(
+        canvas.svg,
+        f"Side view of the approach to pass {name}, which {how}: the material before it, the finished surface, the "
+        f"tool {GAP_WORDS} above the material and where the pass begins.",
+    )
+
+
+def _turn_number(motion: Motion) -> Floats:
+    return np.asarray(np.abs(motion.axes["C"] - motion.axes["C"][0]) / TURN)
+
+
+def spiral(motion: Motion, turn: Motion, feed: float) -> Picture:
+    """Draw the spiral in plan, and some turns of it where the given single turn stands."""
+    turns, x = _turn_number(motion), motion.axes["X"]
+    count = float(turns[-1])
+    every = max(1, math.ceil(count / 36))
+    dense = np.linspace(0, TURN, 181)
+    with _canvas(10.6, 4.2) as canvas:
+        plan, zoom = canvas.figure.subplots(1, 2, width_ratios=(1, 1.25))
+        for first in np.arange(0, count, every):
+            at = first + dense / TURN
+            at = at[at <= count]
+            angle = motion.axes["C"][0] + motion.sense * at * TURN
+            radius = np.interp(at, turns, x)
+            plan.plot(radius * np.cos(angle), radius * np.sin(angle), color=SERIES[0], linewidth=0.5)
+        plan.set_aspect("equal")
+        plan.set(
+            xlabel="x [mm]",
+            ylabel="y [mm]",
+            title=f"{count:.0f} turns" + (f", every {every}th drawn" if every > 1 else ""),
+        )
+        for side in ("top", "right"):
+            plan.spines[side].set_visible(False)
+
+        middle = turn.time.size // 2
+        radius, azimuth = float(turn.axes["X"][middle]), float(turn.axes["C"][middle])
+        spacing = abs(float(turn.axes["C"][middle] - turn.axes["C"][middle - 1])) * abs(radius) or feed
+        reach, half = 6 * spacing, 4.5 * feed
+        along = np.linspace(-reach, reach, 41)
+        here = abs(azimuth - motion.axes["C"][0]) / TURN
+        factor, unit = _length(max(reach, half) / 4)
+        for neighbour in range(-5, 6):
+            at = here + neighbour + motion.sense * along / max(abs(radius), 1e-12) / TURN
+            shown = (at >= 0) & (at <= count)
+            zoom.plot(
+                (np.interp(at, turns, x)[shown] - radius) * 1e3, along[shown] * factor, color=SERIES[0], linewidth=0.9
+            )
+        arc = (turn.axes["C"] - azimuth) * radius
+        near = np.abs(arc) <= reach
+        zoom.plot((turn.axes["X"][near] - radius) * 1e3, arc[near] * factor, "o", color=SERIES[1], markersize=3.6)
+        zoom.set(
+            xlim=(-half * 1e3, half * 1e3), ylim=(-reach * factor, reach * factor), xlabel="across the turns [µm]",
+            ylabel=f"along the turn [{unit}]", title=f"turns around radius {abs(radius):.4g} mm, and points of one",
+        )  # fmt: skip
+        zoom.grid(visible=True)
+    return Picture(
+        canvas.svg,
+        f"Plan view of the spiral of {count:.0f} turns, and an enlarged place at radius {abs(radius):.4g} mm "
+        f"where the points of one turn stand {spacing * 1e3:.3g} µm apart.",
+    )
+
+
+def _band(axes: Axes, at: Floats, values: Floats, bins: int) -> None:
+    """Draw how far values reach, along a position that is cut in bins."""
+    edges = np.linspace(at.min(), at.max(), bins + 1)
+    number = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, bins - 1)
+    low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
+    np.minimum.at(low, number, values)
+    np.maximum.at(high, number, values)
+    filled = low <= high
+    middle = (edges[1:] + edges[:-1])[filled] / 2
+    axes.fill_between(
+        middle, low[filled], high[filled], facecolor=SERIES[0], edgecolor=SERIES[0], linewidth=1.0, alpha=0.75
+    )
+    axes.set_axisbelow(True)
+    axes.grid(visible=True)
+    axes.margins(x=0)
+
+
+def contact(path: Path) -> Picture:
+    """Draw which part of the nose works at which distance from the axis."""
+    sweep = np.degrees(path.sweep)
+    with _canvas(4.6, 2.9) as canvas:
+        axes = canvas.figure.add_subplot()
+        axes.axhline(0, color=LINE, linewidth=0.8)
+        _band(axes, np.hypot(path.contact_x, path.contact_y), sweep, 200)
+        axes.set(xlabel="distance of the contact from the axis [mm]", ylabel="contact on the nose [deg]")
+    return Picture(
+        canvas.svg,
+        f"Range of the contact on the nose, over the distance from the axis: {sweep.min():.3g} to "
+        f"{sweep.max():.3g} deg from the tip.",
+    )
+
+
+def chip_map(name: str, part: Part, chips: ChipMap, material: Material | None) -> Picture:
+    """Draw the thickest chip over the part, with a line where it is critical."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - costly to import, and only chips need it
+
+    inside = chips.inside
+    factor, unit = _length(chips.thickest)
+    thickness = chips.thickness[inside] * factor
+    x, y, r = _square(part.radius)
+    on = r <= part.radius
+    _, nearest = cKDTree(np.column_stack((chips.x[inside], chips.y[inside]))).query(np.column_stack((x[on], y[on])))
+    drawn = _over_disc(part.radius, thickness[nearest], r)
+    # A few places at the axis or at the rim are not what the colours are for.
+    low, high = np.nanpercentile(drawn, (0.2, 99.8))
+    said = f"Thickest chip of the pass {name}, up to {chips.thickest * factor:.3g} {unit}"
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        image = _plan(axes, drawn, part.radius, cmap=HEIGHTS, vmin=low, vmax=high)
+        if material is not None and material.critical is not None:
+            limit = material.critical.at(rake=chips.rake, angle=chips.angle)[inside] * NM
+            used = (chips.thickness[inside] * NM / limit)[nearest]
+            beyond = float(np.mean(used > 1))
+            bears = " to ".join(dict.fromkeys((f"{limit.min():.3g}", f"{limit.max():.3g}")))
+            where = f"on {100 * beyond:.3g} % of the area" if beyond else "nowhere"
+            said += f"; the material bears {bears} nm, which is exceeded {where}"
+            if FEW < beyond < 1 - FEW:
+                some = (slice(None, None, 4),) * 2
+                line = _over_disc(part.radius, used, r)[some]
+                axes.contour(x[some], y[some], line, levels=[1.0], colors="white", linewidths=1.0)
+                said += ", bounded by the white line"
+        axes.plot(*chips.where, "o", color=INK, fillstyle="none", markersize=7, markeredgewidth=1.2, clip_on=False)
+        axes.set(title=name)
+        _bar(canvas, axes, image, f"thickest chip [{unit}]", _beyond(thickness, low, high))
+    return Picture(canvas.svg, f"{said}. The ring is where it is thickest.")
+
+
+def _beyond(values: Floats, low: float, high: float) -> str:
+    """Return at which ends a bar of colours has an arrow."""
+    below, above = bool((values < low).any()), bool((values > high).any())
+    return "both" if below and above else "min" if below else "max" if above else "neither"
+
+
+def z_over_turns(turns: Sequence[Motion]) -> Picture:
+    """Draw the height and the speed of Z over single turns."""
+    with _canvas(4.6, 3.9) as canvas:
+        height, speed = canvas.figure.subplots(2, 1, sharex=True)
+        # A fast tool adds to the slide.
+        tips = [turn.axes["Z"] + turn.axes.get("W", 0.0) for turn in turns]
+        name = "Z and W" if "W" in turns[0].axes else "Z"
+        factor, unit = _length(max(float(np.ptp(tip)) for tip in tips))
+        for turn, tip, colour, line in zip(turns, tips, SERIES, ("-", "--", "-."), strict=False):
+            middle = float(tip.min() + tip.max()) / 2
+            few = slice(None, None, max(1, math.ceil(turn.time.size / 1500)))
+            angle = np.degrees(np.abs(turn.axes["C"] - turn.axes["C"][0]))
+            label = f"r {abs(float(turn.axes['X'][turn.time.size // 2])):.3g} mm"
+            height.plot(angle[few], (tip[few] - middle) * factor, line, color=colour, label=label)
+            rate = np.gradient(tip, turn.time) if turn.time.size > 2 else np.zeros(turn.time.size)
+            speed.plot(angle[few], rate[few], line, color=colour)
+        height.set(ylabel=f"{name} from its middle [{unit}]")
+        height.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), handlelength=2.4, columnspacing=1.2)
+        speed.set(xlabel="spindle angle from the start of the turn [deg]", ylabel=f"{name} speed [mm/s]", xlim=(0, 360))
+        speed.xaxis.set_major_locator(MaxNLocator(steps=[1, 3, 6, 9]))
+        speed.set_xticks(np.arange(0, 361, 60))
+        for axes in (height, speed):
+            axes.grid(visible=True)
+    return Picture(canvas.svg, f"Height and speed of {name} over single turns at the rim, half-way and near the axis.")
+
+
+def axes_over_time(motion: Motion) -> Picture:
+    """Draw where X and Z stand over the whole program."""
+    seconds = motion.time - motion.time[0]
+    scale, unit = (1 / 60, "min") if seconds[-1] > 120 else (1.0, "s")
+    letters = [letter for letter in motion.axes if letter != "C"]
+    with _canvas(4.6, 1.9 + len(letters)) as canvas:
+        panels = canvas.figure.subplots(len(letters), 1, sharex=True)
+        for axes, letter in zip(panels, letters, strict=True):
+            _band(axes, seconds * scale, motion.axes[letter], min(seconds.size, 400))
+            axes.set(ylabel=f"{letter} [mm]")
+        panels[-1].set(xlabel=f"time [{unit}]")
+    named = f"{', '.join(letters[:-1])} and {letters[-1]}"
+    return Picture(canvas.svg, f"Range of {named} over the {seconds[-1] * scale:.4g} {unit} of the finishing pass.")
+
+
+def _resampled(heights: HeightMap) -> tuple[Floats, tuple[float, float, float, float]]:
+    """Return the nearest heights of a polar map on a square, and its extent. (n, n), [mm]."""
+    if heights.radius is None or heights.angle is None:
+        raise TypeError
+    reach = float(heights.radius[-1])
+    x, y, r = _square(reach)
+    column = np.searchsorted((heights.radius[1:] + heights.radius[:-1]) / 2, r)
+    start = float(heights.angle[0])
+    around = np.append(heights.angle, start + TURN)
+    row = (
+        np.searchsorted((around[1:] + around[:-1]) / 2, start + (np.arctan2(y, x) - start) % TURN) % heights.angle.size
+    )
+    return np.where(r <= reach, heights.z[row, column], np.nan), (-reach, reach, -reach, reach)
+
+
+def error_map(heights: HeightMap) -> Picture:
+    """Draw cut minus design, colours centred at zero."""
+    with _canvas(4.6, 3.7) as canvas:
+        _draw_map(canvas, heights, "cut minus design [nm]")
+    low, high = _range_nm(heights.z)
+    return Picture(canvas.svg, f"Map of cut minus design, from {low:.4g} to {high:.4g} nm.")
+
+
+def _range_nm(z: Floats) -> tuple[float, float]:
+    known = z[np.isfinite(z)]
+    return (float(known.min()) * NM, float(known.max()) * NM) if known.size else (0.0, 0.0)
+
+
+def _draw_map(canvas: _Canvas, heights: HeightMap, label: str) -> None:
+    """Draw heights over their grid, or scattered ones at their places, colours centred at zero."""
+    axes = canvas.figure.add_subplot()
+    sizes = np.abs(heights.z[np.isfinite(heights.z)]) * NM
+    limit = float(np.percentile(sizes, SPAN)) if sizes.size else 1.0
+    beyond = bool(sizes.size and sizes.max() > limit * 1.001)
+    limit = limit or 1e-3
+    colours: dict[str, Any] = {"cmap": ERRORS, "vmin": -limit, "vmax": limit}
+    if heights.polar:
+        image, extent = _resampled(heights)
+        drawn = _plan(axes, image * NM, float(extent[1]), **colours)
+    else:
+        assert heights.x is not None  # noqa: S101 - a map that is not polar has x and y
+        assert heights.y is not None  # noqa: S101
+        x, y = heights.x, heights.y
+        centre = (float(x.min() + x.max()) / 2, float(y.min() + y.max()) / 2)
+        factor, unit = _length(float(max(np.ptp(x), np.ptp(y)))) if heights.calibrated else (1.0, "pixels")
+        if heights.scattered:
+            few = heights.thinned(PIXELS**2 // 8)
+            across, along = few.points()
+            drawn = axes.scatter(
+                (across - centre[0]) * factor, (along - centre[1]) * factor, c=few.z * NM, s=2, rasterized=True,
+                **colours,
+            )  # fmt: skip
+            axes.set_aspect("equal")
+        else:
+            stride = math.ceil(max(heights.z.shape) / MOST_PIXELS)
+            grown = [float(np.diff(axis[:2]).sum()) / 2 or 0.5 / factor for axis in (x, y)]
+            extent = tuple(
+                (end - middle) * factor
+                for end, middle in (
+                    (x[0] - grown[0], centre[0]), (x[-1] + grown[0], centre[0]),
+                    (y[0] - grown[1], centre[1]), (y[-1] + grown[1], centre[1]),
+                )
+            )  # fmt: skip
+            drawn = axes.imshow(
+                heights.z[::stride, ::stride] * NM, origin="lower", extent=extent, interpolation="antialiased",
+                **colours,
+            )  # fmt: skip
+        shift = " mm" if heights.calibrated else ""
+        axes.set(
+            xlabel=f"x from {round(centre[0], 9) + 0.0:.6g}{shift} [{unit}]",
+            ylabel=f"y from {round(centre[1], 9) + 0.0:.6g}{shift} [{unit}]",
+        )
+    _bar(canvas, axes, drawn, label, extend="both" if beyond else "neither")
+
+
+def write_picture(shown: HeightMap | Profile, path: str | PathLike[str]) -> None:
+    """Write a picture of a map or a profile for other programs: ``.png``, ``.svg`` or ``.pdf``, by the suffix.
+
+    Parameters
+    ----------
+    shown
+        Heights, as they are to be drawn.
+    path
+        Of the file.
+
+    """
+    file = File(path)
+    kind = file.suffix.lower().removeprefix(".")
+    plain = {key: value for key, value in STYLE.items() if not key.endswith(("color", "labelcolor"))}
+    with mpl.rc_context({**plain, "figure.facecolor": "white", "savefig.facecolor": "white"}):
+        canvas = _Canvas(6.4, 3.2 if isinstance(shown, Profile) else 4.8, 160)
+        if isinstance(shown, Profile):
+            axes = canvas.figure.add_subplot()
+            factor, unit = _length(float(np.ptp(shown.distance)))
+            axes.plot(shown.distance * factor, shown.z * NM, linewidth=0.8)
+            axes.set(xlabel=f"distance [{unit}]", ylabel="height [nm]")
+            axes.grid(visible=True)
+            axes.margins(x=0)
+        else:
+            _draw_map(canvas, shown, "height [nm]")
+        picture = io.BytesIO()
+        canvas.figure.savefig(picture, format=kind, metadata={"Date": None} if kind == "svg" else None)
+    write_whole(file, picture.getvalue())
+
+
+def places_map(heights: HeightMap, radius: float, *, like: HeightMap | None = None) -> Picture:
+    """Draw scattered errors over the part, the mean of those in each pixel, colours centred at zero.
+
+    Of errors that stand ``like`` the valid heights of a grid, the rms is that over the area.
+    """
+    x, y = heights.points()
+    z = heights.z * NM
+    used = np.isfinite(z) & (np.hypot(x, y) <= radius * (1 + 1e-9))
+    x, y, z = x[used], y[used], z[used]
+    # Pixels no finer than the points.
+    side = int(np.clip(np.sqrt(max(z.size, 1)) * 0.8, 16, PIXELS))
+    column, row = (np.minimum(((at / radius + 1) / 2 * side).astype(np.int64), side - 1) for at in (x, y))
+    count = np.bincount(row * side + column, minlength=side * side)
+    sums = np.bincount(row * side + column, weights=z, minlength=side * side)
+    image = np.where(count > 0, sums / np.maximum(count, 1), np.nan).reshape(side, side)
+    shown = np.abs(image[np.isfinite(image)])
+    limit = (float(np.percentile(shown, SPAN)) if shown.size else 0.0) or 1e-3
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        drawn = _plan(axes, image, radius, cmap=ERRORS, vmin=-limit, vmax=limit)
+        _bar(canvas, axes, drawn, "[nm]", extend="both" if shown.size and shown.max() > limit * 1.001 else "neither")
+    rms = area_rms(replace(heights, z=np.where(used, heights.z, np.nan)), like=like) * NM if z.size else 0.0
+    low, high = (float(z.min()), float(z.max())) if z.size else (0.0, 0.0)
+    return Picture(canvas.svg, f"From {low:.4g} to {high:.4g} nm, {rms:.3g} nm rms.")
+
+
+def over_radius(heights: HeightMap, radius: float) -> Picture:
+    """Draw errors over the distance from the axis: their mean around it, and between which 90 of 100 lie."""
+    x, y = heights.points()
+    r, z = np.hypot(x, y), heights.z * NM
+    used = np.isfinite(z) & (r <= radius)
+    r, z = r[used], z[used]
+    bins = int(np.clip(z.size / 200, 8, 120))
+    number = np.minimum((r / radius * bins).astype(np.int64), bins - 1)
+    order = np.argsort(number, kind="stable")
+    groups = np.split(z[order], np.searchsorted(number[order], np.arange(1, bins)))
+    filled = [k for k, group in enumerate(groups) if group.size]
+    middle = (np.array(filled) + 0.5) / bins * radius
+    mean, low, high = (
+        np.array([function(groups[k]) for k in filled])
+        for function in (np.mean, lambda group: np.percentile(group, 5), lambda group: np.percentile(group, 95))
+    )
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        axes.fill_between(middle, low, high, facecolor=SERIES[0], edgecolor="none", alpha=0.3)
+        axes.plot(middle, mean, color=SERIES[0])
+        axes.axhline(0, color=LINE, linewidth=0.8)
+        axes.set(xlabel="distance from the axis [mm]", ylabel="cut minus design [nm]")
+        axes.grid(visible=True)
+        axes.margins(x=0)
+    return Picture(canvas.svg, "Mean over each turn, and the band that holds 90 of 100 heights.")
+
+
+def tool_moves(moves: Sequence[Move]) -> Picture:
+    """Draw where to move the tool: seen from above along X and Z, and along the axis of the spindle for its height."""
+    by: dict[str, float] = {move.axis: move.by for move in moves}
+    largest = max(abs(one) for one in by.values())
+
+    def arrow(axes: Axes, way: tuple[float, float], name: str) -> None:
+        start = (0.0, 0.0)
+        axes.annotate("", xy=way, xytext=start, arrowprops={"arrowstyle": "-|>", "color": SERIES[1], "linewidth": 2.0})
+        aside = 0.18 * math.copysign(1.0, way[1] or 1.0)
+        axes.text(way[0], way[1] + aside, f"{name} {by[name] * 1e3:+.3g} µm", ha="center", va="center")
+
+    with _canvas(4.6, 2.6) as canvas:
+        above, along = canvas.figure.subplots(1, 2)
+        nose = np.linspace(-np.pi / 2, np.pi / 2, 61)
+        above.plot(0.5 * np.sin(nose), 0.5 - 0.5 * np.cos(nose), color=INK, linewidth=1.0)
+        above.axhline(0.0, color=LINE, linewidth=0.8)
+        for name, way in (("X", (1.0, 0.0)), ("Z", (0.0, 1.0))):
+            if name in by:
+                size = 0.5 + 0.5 * abs(by[name]) / largest
+                arrow(above, (way[0] * math.copysign(size, by[name]), way[1] * math.copysign(size, by[name])), name)
+        above.set(title="from above")
+        along.plot(np.cos(4 * nose), np.sin(4 * nose), color=LINE, linewidth=0.8)
+        along.plot([0, 0.35], [0, 0], color=INK, linewidth=2.0)
+        if "tool height" in by:
+            arrow(along, (0.0, math.copysign(0.8, by["tool height"])), "tool height")
+        along.set(title="along the spindle")
+        for axes in (above, along):
+            axes.set(xlim=(-1.9, 1.9), ylim=(-1.5, 1.5), aspect="equal", xticks=[], yticks=[])
+            for side in axes.spines.values():
+                side.set_visible(False)
+    return Picture(
+        canvas.svg,
+        "Which way to move the tool. Left X points to the right and Z away from the part; right the tool stands at +X, "
+        "and up the spindle angle under it grows.",
+    )
+
+
+def rings(heights: HeightMap) -> Picture:
+    """Draw the mean of a polar error map around the axis, and its range, over the radius."""
+    if heights.radius is None:
+        raise TypeError
+    filled = np.isfinite(heights.z).any(axis=0)
+    radius, z = heights.radius[filled], heights.z[:, filled] * NM
+    few = slice(None, None, max(1, math.ceil(radius.size / 600)))
+    low, mean, high = (end(z[:, few], axis=0) for end in (np.nanmin, np.nanmean, np.nanmax))
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        axes.axhline(0, color=LINE, linewidth=0.8)
+        axes.fill_between(
+            radius[few], low, high, color=SERIES[0], alpha=0.3, linewidth=0, label="range around the ring"
+        )
+        axes.plot(radius[few], mean, color=SERIES[0], label="mean around the ring")
+        axes.set(xlabel="distance from the axis [mm]", ylabel="cut minus design [nm]")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+        axes.margins(x=0)
+        axes.grid(visible=True)
+    return Picture(canvas.svg, "Mean and range of cut minus design around each ring, over the distance from the axis.")
+
+
+def profile(heights: HeightMap, feed: float) -> Picture:
+    """Draw a cut through the cusps: across the turns, through the middle of a rectangular map."""
+    x, y = heights.x, heights.y
+    if x is None or y is None:
+        raise TypeError
+    over_x = abs(x[0] + x[-1]) >= abs(y[0] + y[-1])
+    along, other = (x, y) if over_x else (y, x)
+    middle = other.size // 2
+    z = (heights.z[middle] if over_x else heights.z[:, middle]) * NM
+    at = (along - (along[0] + along[-1]) / 2) * 1e3
+    shown = np.abs(at) <= 7500 * feed
+    if np.count_nonzero(shown) < 20:
+        shown = np.ones(at.shape, dtype=bool)
+    few = slice(None, None, max(1, math.ceil(np.count_nonzero(shown) / 3000)))
+    letter, across = ("x", "y") if over_x else ("y", "x")
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        axes.axhline(0, color=LINE, linewidth=0.8)
+        axes.plot(at[shown][few], z[shown][few], color=SERIES[0])
+        axes.set(
+            xlabel=f"{letter} from the middle, at {across} = {other[middle]:.5g} mm [µm]",
+            ylabel="cut minus design [nm]",
+        )
+        axes.margins(x=0)
+        axes.grid(visible=True)
+    return Picture(canvas.svg, f"Profile of cut minus design along {letter}, cusps {feed * 1e3:.3g} µm apart.")
+
+
+def density(spectrum: Spectrum) -> Picture:
+    """Draw a power spectral density over spatial frequency, both logarithmic."""
+    kept = (spectrum.frequency > 0) & (spectrum.density > 0)
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        axes.loglog(spectrum.frequency[kept], spectrum.density[kept], color=SERIES[0])
+        axes.set(xlabel="spatial frequency [1/mm]", ylabel=f"power spectral density [{spectrum.unit}]")
+        axes.margins(x=0)
+        axes.grid(visible=True)
+    return Picture(canvas.svg, f"Power spectral density up to {spectrum.frequency[-1]:.3g} per mm.")
+
+
+def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
+    """Draw what each strategy leaves over the minutes that it takes."""
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        at = [(one.limits.cycle_time_s / 60, one.shares.pv_nm) for one in tried if one.limits and one.shares]
+        # Nobody else is both quicker and better: these are worth a choice.
+        best = sorted(here for here in at if not any(o != here and o[0] <= here[0] and o[1] <= here[1] for o in at))
+        axes.plot(*zip(*best, strict=True), color=LINE, linewidth=0.8)
+        gap = 0.04 * np.ptp(at, axis=0) + 1e-12
+        labels: list[tuple[Any, Floats]] = []
+        for number, (minutes, pv) in enumerate(at, 1):
+            axes.plot(minutes, pv, "o", color=SERIES[0] if (minutes, pv) in best else LINE, markersize=5)
+            # Points that hide each other share a label, which stands with the first of them.
+            here = np.array([minutes, pv])
+            near = next((label for label, other in labels if (np.abs(other - here) < gap).all()), None)
+            if near is None:
+                label = axes.annotate(str(number), (minutes, pv), (5, 4), textcoords="offset points")
+                labels.append((label, here))
+            else:
+                near.set_text(f"{near.get_text()}, {number}")
+        axes.set(xlabel="minutes", ylabel="form error PV [nm]")
+        axes.margins(0.12)
+        axes.grid(visible=True)
+    named = ", ".join(f"{number} {one.name}" for number, one in enumerate(tried, 1))
+    return Picture(canvas.svg, f"Form error over cutting time: {named}. The line joins those that no other one beats.")
+
+
+def shares_of(tried: Sequence[Candidate]) -> Picture:
+    """Draw how much each cause adds, strategy by strategy."""
+    causes = {"cusps": "cusp_nm", "chord": "chord_nm", "servos": "tracking_nm"}
+    with _canvas(4.6, 3.7) as canvas:
+        axes = canvas.figure.add_subplot()
+        rows = np.arange(len(tried))
+        for k, ((cause, name), colour) in enumerate(zip(causes.items(), SERIES, strict=True)):
+            sizes = [getattr(one.shares, name) for one in tried]
+            axes.barh(rows + (k - 1) * 0.26, sizes, height=0.24, color=colour, label=cause)
+        axes.set_yticks(rows, [str(number) for number in range(1, len(tried) + 1)])
+        axes.invert_yaxis()
+        axes.set(xlabel="largest share [nm]", ylabel="strategy")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+        axes.grid(visible=True, axis="x")
+        axes.set_axisbelow(True)
+    return Picture(canvas.svg, "Cusps, chord and servos of every strategy, numbered as in the table.")

@@ -1,0 +1,417 @@
+"""What cannot be set exactly: distributions, each with its source or a stated assumption."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from turnwright import _validate as validate
+from turnwright._io import read_toml
+from turnwright._validate import check_numbers, positive
+from turnwright.errors import InputError
+from turnwright.surface.zernike import zernike_order
+from turnwright.units import parse, write
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import ArrayLike
+
+    from turnwright._arrays import Floats
+
+__all__ = ["MOST_DRAWS", "ErrorBudget", "Spread", "group_of", "unit_of"]
+
+MOST_DRAWS = 10_000_000
+"""Cases of a study, at most."""
+
+
+class _Kind(NamedTuple):
+    """A family of distributions."""
+
+    numbers: tuple[str, ...]  # what its numbers are called
+    rule: str  # what must hold between them
+
+
+KINDS = MappingProxyType(
+    {
+        "normal": _Kind(("mean", "deviation"), "a deviation above 0"),
+        "uniform": _Kind(("low", "high"), "low below high"),
+        "triangular": _Kind(("low", "most likely", "high"), "numbers that ascend, low below high"),
+        "truncated normal": _Kind(("mean", "deviation", "low", "high"), "a deviation above 0, low below high"),
+    }
+)
+"""The families that a budget knows, as a text states them: ``normal(0, 2) um``."""
+
+NAMES = MappingProxyType(
+    {
+        "tool offset x": "mm",
+        "tool offset y": "mm",
+        "tool offset z": "mm",
+        "radius error": "mm",
+        "squareness": "rad",
+        "drift x": "mm",
+        "drift z": "mm",
+        "chuck tilt x": "rad",
+        "chuck tilt y": "rad",
+    }
+)
+"""Errors that have no number, and their units."""
+
+NUMBERED = (
+    (re.compile(r"waviness P([2-9]|1[0-2])"), "mm"),
+    (re.compile(r"waviness c([1-9])"), "mm/rad^{}"),
+    (re.compile(r"servo [A-Z]"), "1"),
+    (re.compile(r"mounting Z([1-9][0-9]?)"), "mm"),
+    (re.compile(r"instrument Z([1-9][0-9]?)"), "mm"),
+)
+"""Errors of which there are many, and their units."""
+
+ARTEFACTS = ("tilted flat", "concave sphere")
+"""What can be cut and measured beforehand."""
+
+OWN_CUT = ("drift", "mounting", "chuck tilt")
+"""Groups that are different in every cut: an artefact tells nothing of what they will be for the part."""
+
+LEAST_TERM = 4
+"""Fringe terms below are piston and tilts, which no mount and no instrument tells."""
+
+QUANTILE = 1e-9
+"""What a draw stays within, as far as it is foreseen: a study of a million cases leaves it once in a thousand."""
+
+_TEXT = re.compile(r"\s*([a-z ]+?)\s*\(([^()]*)\)\s*(\S*)\s*")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """What a number may be.
+
+    Parameters
+    ----------
+    kind
+        ``"normal"``, ``"uniform"``, ``"triangular"`` or ``"truncated normal"``.
+    numbers
+        Of a normal distribution mean and standard deviation; of a uniform one its ends; of a triangular one low, most
+        likely and high; of a truncated normal one mean, standard deviation, low and high. In the unit of what it is of:
+        mm, rad or their ratios.
+    source
+        Where it is known from, or ``"assumed: ..."`` and why.
+
+    Raises
+    ------
+    InputError
+        If there is no such distribution, or it has no source.
+
+    >>> spread = Spread.read("uniform(-1, 1) um", "mm", source="assumed: a dial indicator")
+    >>> float(spread.quantile(0.75)), round(spread.deviation * 1e3, 4)
+    (0.0005, 0.5774)
+    """
+
+    kind: str
+    numbers: tuple[float, ...]
+    source: str
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        validate.thing(self.source, str, "the source of a distribution")
+        if not isinstance(self.kind, str) or self.kind not in KINDS:
+            raise InputError(f"the distribution {self.kind!r} is not one of {', '.join(KINDS)}: choose one of them")
+        known = KINDS[self.kind]
+        validate.thing(self.numbers, Sequence, f"what states the {self.kind}")
+        numbers = tuple(validate.number(one, f"a number of the {self.kind}") for one in self.numbers)
+        if len(numbers) != len(known.numbers):
+            raise InputError(
+                f"{self.kind} has {len(numbers)} numbers, it needs {len(known.numbers)} "
+                f"({', '.join(known.numbers)}): complete or correct them"
+            )
+        object.__setattr__(self, "numbers", numbers)
+        n = self.numbers
+        right = n[1] > 0 if "normal" in self.kind else n[0] < n[-1] and list(n) == sorted(n)
+        if not right or (self.kind == "truncated normal" and not n[2] < n[3]):
+            raise InputError(f"{self.kind}({', '.join(f'{one:g}' for one in n)}) cannot be, it needs {known.rule}")
+        if not self.source.strip():
+            raise InputError(f"{self.kind} has no source: say where it is known from, or 'assumed: ...' and why")
+
+    @classmethod
+    def read(cls, text: object, unit: str, *, source: str) -> Spread:
+        """Return the distribution that a text states, such as ``normal(0, 2) um``, in some unit."""
+        validate.thing(unit, str, "the unit of a distribution")
+        match = _TEXT.fullmatch(text) if isinstance(text, str) else None
+        if match is None:
+            example = "" if unit == "1" else " um" if unit == "mm" else f" {unit}"
+            raise InputError(f"{text!r} is no distribution: write it such as 'normal(0, 0.5){example}'")
+        kind, inside, written = match.groups()
+        numbers = tuple(parse(f"{one.strip()} {written}".strip(), unit) for one in inside.split(","))
+        return cls(kind=kind, numbers=numbers, source=source)
+
+    def text(self, unit: str) -> str:
+        """Return the distribution as text that `read` takes back."""
+        return f"{self.kind}({', '.join(repr(one) for one in self.numbers)}) {'' if unit == '1' else unit}".strip()
+
+    def shown(self, unit: str) -> str:
+        """Return the distribution as people read it."""
+        friendly = {"mm": "um", "rad": "urad"}.get(unit, unit)
+        factor = {"mm": 1e3, "rad": 1e6}.get(unit, 1.0)
+        inside = ", ".join(f"{one * factor:.6g}" for one in self.numbers)
+        return f"{self.kind}({inside}) {'' if unit == '1' else friendly}".strip()
+
+    def quantile(self, chance: ArrayLike) -> Floats:
+        """Return the value that is not exceeded with some chance, any shape."""
+        return np.asarray(_scipy(self.kind, self.numbers).ppf(chance), dtype=np.float64)[()]
+
+    def density_halved(self, values: Floats) -> Floats:
+        """Return how much likelier values are with half the spread about the same mean than with all of it. (n,)."""
+        own = _scipy(self.kind, self.numbers)
+        return np.asarray(2 * own.pdf(2 * values - own.mean()) / own.pdf(values), dtype=np.float64)
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation."""
+        return float(_scipy(self.kind, self.numbers).std())
+
+    @property
+    def mean(self) -> float:
+        """Mean."""
+        return float(_scipy(self.kind, self.numbers).mean())
+
+    @property
+    def largest(self) -> float:
+        """Magnitude that no draw will exceed, as far as it is foreseen."""
+        return float(np.abs(self.quantile([QUANTILE, 1 - QUANTILE])).max())
+
+
+@cache
+def _scipy(kind: str, numbers: tuple[float, ...]) -> Any:
+    from scipy import stats  # noqa: PLC0415 - costly to import
+
+    a, b = numbers[:2]
+    if kind == "normal":
+        return stats.norm(a, b)
+    if kind == "uniform":
+        return stats.uniform(a, b - a)
+    if kind == "triangular":
+        high = numbers[2]
+        return stats.triang((b - a) / (high - a), a, high - a)
+    low, high = numbers[2:]
+    return stats.truncnorm((low - a) / b, (high - a) / b, a, b)
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of an error by its name."""
+    validate.thing(name, str, "the name of an error")
+    if name in NAMES:
+        return NAMES[name]
+    for pattern, unit in NUMBERED:
+        match = pattern.fullmatch(name)
+        if match is not None:
+            return unit.format(match.group(1)) if "{}" in unit else unit
+    known = [*NAMES, "waviness P3", "waviness c4", "servo Z", "mounting Z5", "instrument Z5"]
+    near = difflib.get_close_matches(name, known, n=1)
+    remedy = f"did you mean {near[0]!r}?" if near else f"the known ones are {', '.join(known)} and so on, name one"
+    raise InputError(f"a budget knows no error {name!r}: {remedy}")
+
+
+def group_of(name: str) -> str:
+    """Return the group that an error belongs to, ``drift`` of an artefact being another one than that of the part."""
+    of, _, rest = name.partition(": ")
+    plain = rest or of
+    group = plain if plain in {"radius error", "squareness"} else plain.rpartition(" ")[0]
+    return f"{of}: {group}" if rest else group
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorBudget:
+    r"""What tool, machine and mount may be off by, when a part is cut.
+
+    Parameters
+    ----------
+    errors
+        A distribution for each name: ``tool offset x``, ``y``, ``z``; ``radius error``; ``waviness P3`` and so on, a
+        Legendre polynomial over the arc of the edge, by its root mean square, or ``waviness c3``, a power of the
+        sweep; ``squareness``; ``servo X`` (any axis), how much higher its natural frequency is than the machine
+        says, as a share; ``drift x`` and ``drift z``, how far the tool has moved against the part at the end of the
+        cut; ``mounting Z5`` and so on, a fringe Zernike term over the clear radius by which the mount bends the part
+        while it is cut; ``chuck tilt x`` and ``y``, by how much the part leans in the chuck; ``instrument Z5`` and so
+        on, what the instrument that measures an artefact shows of a perfect one.
+    noise
+        Standard deviation of each height that the instrument measures. [mm]
+    settling
+        Time constant with which the drift dies away; ``None`` for one that goes on evenly. [s]
+    artefacts
+        What is cut and measured beforehand: any of ``"tilted flat"`` and ``"concave sphere"``.
+    name
+        Of the budget.
+
+    Raises
+    ------
+    InputError
+        If an error is not known, or a number cannot be.
+
+    Notes
+    -----
+    Drift, mounting and chuck tilt are drawn anew for every cut; tool, slides and servos stay between artefact and part.
+    """
+
+    errors: Mapping[str, Spread]
+    noise: float
+    settling: float | None = None
+    artefacts: tuple[str, ...] = ARTEFACTS
+    name: str = ""
+    _units: Mapping[str, str] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        validate.thing(self.errors, Mapping, "the errors of a budget")
+        if not self.errors:
+            raise InputError("a budget has 0 errors, it needs at least 1: say what cannot be set exactly")
+        units = {name: unit_of(name) for name in self.errors}
+        for name in self.errors:
+            if name.startswith(("mounting", "instrument")):
+                term = int(name.rpartition("Z")[2])
+                if term < LEAST_TERM:
+                    raise InputError(
+                        f"{name} is piston or tilt, the first fringe term that counts is Z{LEAST_TERM}: leave it out"
+                    )
+                zernike_order(term, "fringe")
+        kinds = {name[9] for name in self.errors if name.startswith("waviness")}
+        if len(kinds) > 1:
+            raise InputError("the waviness is stated by P and by c, one of both can be right: leave the other out")
+        if self.noise < 0:
+            raise InputError(f"the noise is {self.noise:g} mm, it must be at least 0 mm: give its standard deviation")
+        if self.settling is not None:
+            positive(self.settling, "settling", "s")
+        validate.thing(self.name, str, "the name of a budget")
+        if isinstance(self.artefacts, str):  # which as a tuple would be one of letters
+            raise InputError(f"artefacts is {self.artefacts!r}, it must be a list of names: write it so")
+        stated = self.artefacts if isinstance(self.artefacts, list | tuple) else (self.artefacts,)
+        named = [str(one) for one in stated]
+        if not named or sorted(named) != sorted(one for one in ARTEFACTS if one in named):
+            raise InputError(f"artefacts are {named}, they can be {', '.join(ARTEFACTS)}: name each once")
+        object.__setattr__(self, "errors", MappingProxyType(dict(self.errors)))
+        object.__setattr__(self, "artefacts", tuple(self.artefacts))
+        object.__setattr__(self, "_units", MappingProxyType(units))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return ErrorBudget.read, (self.to_table(),)
+
+    @classmethod
+    def read(cls, table: Mapping[str, Any]) -> ErrorBudget:
+        """Return the budget that a mapping describes, with quantities as text, as a TOML file reads."""
+        validate.thing(table, Mapping, "a budget")
+        known = {"name", "noise", "settling", "artefacts", "errors"}
+        for key in table:
+            if key not in known:
+                raise InputError(f"{key!r} is not a key of a budget, the keys are {', '.join(sorted(known))}: drop it")
+        errors = table.get("errors")
+        if not isinstance(errors, Mapping) or "noise" not in table:
+            raise InputError('a budget needs the table [errors] and noise = "1 nm" or the like: add what is missing')
+        artefacts = table.get("artefacts", ARTEFACTS)
+        if not isinstance(artefacts, list | tuple) or not all(isinstance(one, str) for one in artefacts):
+            raise InputError(f"artefacts is {artefacts!r}, it must be a list of names: write it so")
+        spreads: dict[str, Spread] = {}
+        for name, one in errors.items():
+            if not isinstance(one, Mapping) or set(one) != {"spread", "source"} or not isinstance(one["source"], str):
+                raise InputError(
+                    f'{name} is {one!r}, it needs a spread and its source: write {{ spread = "normal(0, 1) um", '
+                    'source = "..." }'
+                )
+            try:
+                spreads[name] = Spread.read(one["spread"], unit_of(name), source=one["source"])
+            except InputError as error:
+                raise InputError(f"{name}: {error}") from error
+        try:
+            noise = parse(table["noise"], "mm")
+            settling = None if table.get("settling") is None else parse(table["settling"], "s")
+        except InputError as error:
+            raise InputError(f"noise or settling: {error}") from error
+        return cls(
+            errors=spreads, noise=noise, settling=settling, artefacts=tuple(artefacts), name=str(table.get("name", ""))
+        )
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> ErrorBudget:
+        """Read a budget file.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read, is not TOML, or describes no budget.
+        """
+        path = Path(validate.path(path, "the budget file"))
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            why = error.strerror
+            raise InputError(f"the budget file {str(path)!r} cannot be read ({why}): check its name") from error
+        try:
+            return cls.read(read_toml(data, f"the budget file {str(path)!r}"))
+        except InputError as error:
+            raise InputError(f"{path.name}: {error}") from error
+
+    @classmethod
+    def typical(cls) -> ErrorBudget:
+        """Return the budget that comes with Turnwright: all of it assumed, and each assumption stated."""
+        file = resources.files("turnwright") / "budgets" / "typical.toml"
+        return cls.read(read_toml(file.read_bytes(), "the typical budget"))
+
+    def to_table(self) -> dict[str, Any]:
+        """Return the budget as `read` takes it, every digit kept."""
+        table: dict[str, Any] = {"name": self.name, "noise": write(self.noise, "mm"), "artefacts": list(self.artefacts)}
+        if self.settling is not None:
+            table["settling"] = write(self.settling, "s")
+        table["errors"] = {
+            name: {"spread": spread.text(self._units[name]), "source": spread.source}
+            for name, spread in self.errors.items()
+        }
+        return table
+
+    def unit(self, name: str) -> str:
+        """Return the unit of an error, that of an artefact's own too."""
+        found = self._units.get(name.rpartition(": ")[2]) if isinstance(name, str) else None
+        if found is None:
+            raise InputError(f"the budget has no error {name!r}, it has {', '.join(self.errors)}: name one of them")
+        return found
+
+    def only(self, *groups: str) -> ErrorBudget:
+        """Return the budget with the errors of some groups alone, such as ``"tool offset"`` and ``"drift"``."""
+        kept = {name: spread for name, spread in self.errors.items() if group_of(name) in list(map(str, groups))}
+        if not kept:
+            every = ", ".join(dict.fromkeys(map(group_of, self.errors)))
+            raise InputError(
+                f"no error of the budget is of {', '.join(map(str, groups))}, its groups are {every}: name some"
+            )
+        return replace(self, errors=kept)
+
+    def inputs(self, *, correction: bool) -> dict[str, Spread]:
+        """Return all that is drawn for a case: with a correction, what the artefacts have of their own too."""
+        validate.thing(correction, bool, "whether there is a correction")
+        part = {name: spread for name, spread in self.errors.items() if group_of(name) != "instrument"}
+        if not correction:
+            return part
+        own = {name: spread for name, spread in self.errors.items() if group_of(name) in {*OWN_CUT, "instrument"}}
+        return part | {f"{kind}: {name}": spread for kind in self.artefacts for name, spread in own.items()}
+
+    def draw(self, count: int, *, seed: int, correction: bool) -> dict[str, Floats]:
+        """Return independent random draws of all inputs. Each (count,).
+
+        The draws of the part are the same with and without a correction.
+        """
+        count, seed = validate.whole(count, "the number of draws", 1, MOST_DRAWS), validate.whole(seed, "the seed", 0)
+        drawn = {}
+        for name, spread in self.inputs(correction=correction).items():
+            entropy = [seed, *name.encode()]
+            drawn[name] = spread.quantile(np.random.default_rng(entropy).random(count))
+        return drawn
+
+    def largest(self, *names: str) -> float:
+        """Return the sum of what errors may be at most, as far as it is foreseen; of those that begin so."""
+        begins = tuple(validate.thing(name, str, "what an error begins with") for name in names)
+        return sum(spread.largest for name, spread in self.errors.items() if name.startswith(begins))

@@ -1,0 +1,437 @@
+"""What a study varies: ranges, lists and distributions over fields of a job; and the cases a design makes of it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import product
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from turnwright import _validate as validate
+from turnwright.errors import InputError, UnitError
+from turnwright.studies.fields import Field, Token, changed, data_of, field_of
+from turnwright.units import convert, parse
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Floats
+    from turnwright.job import Job
+
+__all__ = ["DESIGNS", "MOST_CASES", "Design", "Varied", "Vary", "design_cases", "read_varied", "stated"]
+
+Vary: TypeAlias = Any
+"""A text such as "0.1..1 mm:10", a list of texts or numbers, or a frozen distribution of ``scipy.stats``."""
+
+Design: TypeAlias = Literal["grid", "random", "sobol", "halton", "latin hypercube"]
+
+DESIGNS: tuple[str, ...] = get_args(Design)
+
+MOST_CASES = 1_000_000
+"""Beyond this a study is a slip of a count."""
+
+LEAST_SHARE = 1e-12
+"""A distribution without ends is not asked for its ends."""
+
+NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+RANGE = re.compile(rf"({NUMBER})\s*([^.:]*?)\s*\.\.\s*({NUMBER})\s*([^.:]*?)\s*(?::\s*([0-9]+))?\s*(log)?")
+DRAWN = re.compile(rf"(uniform|normal)\s*\(\s*({NUMBER})\s*,\s*({NUMBER})\s*\)\s*(.*)")
+ONE = re.compile(rf"({NUMBER})\s*(.*)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Varied:
+    """A field that a study varies, and over what.
+
+    Parameters
+    ----------
+    field
+        Which one.
+    unit
+        Of its values, as they were given; empty for what has none.
+    values
+        Of a list, or of a range with a count; empty where only a range or a distribution is known.
+    low, high, log
+        The ends of a range, ``None`` without one; whether it is even in the logarithm.
+    drawn
+        A distribution, with ``ppf``, in the unit of the values.
+    """
+
+    field: Field
+    unit: str = ""
+    values: tuple[Token, ...] = ()
+    low: float | None = None
+    high: float | None = None
+    log: bool = False
+    drawn: Any = None
+
+    @property
+    def name(self) -> str:
+        """The field's dotted name."""
+        return self.field.name
+
+    @property
+    def heading(self) -> str:
+        """The name with its unit, as a column is headed."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def at(self, share: Floats) -> list[Token]:
+        """Return the values at some shares of probability, each between 0 and 1. (n,)."""
+        if self.drawn is not None:
+            found = np.asarray(self.drawn.ppf(np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)), dtype=np.float64)
+        elif self.low is not None and self.high is not None:
+            low, high = self.low, self.high
+            if self.field.kind == "whole":  # half a step beyond, so that the ends come as often as what is between
+                low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
+            if self.log:
+                found = np.exp(math.log(low) + share * (math.log(high) - math.log(low)))
+            else:
+                found = low + share * (high - low)
+            if self.field.kind == "whole":
+                found = np.clip(found, low + 0.5, high - 0.5)  # at the very ends
+        else:
+            picks = np.minimum((share * len(self.values)).astype(np.int64), len(self.values) - 1)
+            return [self.values[pick] for pick in picks]
+        if self.field.kind == "whole":
+            return [round(float(value)) for value in found]
+        return [float(value) for value in found]
+
+
+def read_varied(job: Job, name: str, given: Vary) -> Varied:
+    """Return what is varied, of what a person wrote.
+
+    Parameters
+    ----------
+    job
+        Whose field it is.
+    name
+        Of the field, see `field_of`.
+    given
+        See `Vary`. Numbers in a list, and distributions, are in the unit of the house (mm, rad, mm/rev, rpm).
+
+    Raises
+    ------
+    InputError
+        If there is no such field, or it takes no such value.
+    """
+    field = field_of(job, name)
+    found = _read(field, given)
+    tokens: list[Token] = [one for one in (found.low, found.high) if one is not None]
+    for token in (*found.values, *(tokens if not found.values and field.kind != "whole" else ())):
+        field.check(token, found.unit)
+    if field.kind == "whole" and math.floor(found.high or 0.0) < math.ceil(found.low or 0.0):
+        raise InputError(f"{name} takes whole numbers, {found.low:g} to {found.high:g} holds none: widen the range")
+    if found.log and not (found.low or 0.0) > 0:
+        raise InputError(f"{name}: a range that is even in the logarithm begins at {found.low:g}: begin above 0")
+    return found
+
+
+def _read(field: Field, given: Vary) -> Varied:
+    if isinstance(given, str):
+        return _read_text(field, given)
+    if hasattr(given, "ppf"):
+        if field.kind not in ("quantity", "number", "whole"):
+            raise InputError(f"{field.name} is no number, so it has no distribution: give a list of its values")
+        return Varied(field=field, unit=_own(field), drawn=given)
+    if isinstance(given, Sequence | np.ndarray):
+        return _read_list(field, list(given))
+    return _read_list(field, [given])
+
+
+def _own(field: Field) -> str:
+    return field.units[0] if field.units and field.units[0] != "1" else ""
+
+
+def _read_list(field: Field, given: list[Any]) -> Varied:
+    """Return what a list of texts or numbers says; all values get the unit of the first text that has one."""
+    if not given:
+        raise InputError(f"{field.name} is varied over 0 values: give at least 1")
+    plain = [one.item() if isinstance(one, np.generic) else one for one in given]
+    if field.kind in ("text", "flag"):
+        return Varied(field=field, values=tuple(_flag(field, one) for one in plain))
+    if any(isinstance(one, str) for one in plain):
+        return _in_one_unit(field, [one if isinstance(one, str) else f"{one!r} {_own(field)}" for one in plain])
+    for one in plain:
+        if isinstance(one, bool) or not isinstance(one, int | float):
+            raise InputError(f"{field.name} cannot be {one!r}: give numbers, or texts with a unit")
+    whole = field.kind == "whole"
+    return Varied(
+        field=field, unit=_own(field), values=tuple(one if whole else validate.number(one, field.name) for one in plain)
+    )
+
+
+def _flag(field: Field, one: Any) -> Token:
+    if not isinstance(one, str):
+        return one  # type: ignore[no-any-return] # checked by the field
+    if field.kind == "flag" and one.strip() in ("true", "false"):
+        return one.strip() == "true"
+    return field.spelled(one.strip())
+
+
+def _read_text(field: Field, text: str) -> Varied:
+    """Return what a text says: a range, a distribution, or values parted by commas."""
+    if field.kind in ("text", "flag"):
+        return _read_list(field, text.split(","))
+    drawn = DRAWN.fullmatch(text.strip())
+    if drawn:
+        return _read_drawn(field, *drawn.groups())
+    if ".." in text:
+        between = RANGE.fullmatch(text.strip())
+        if between is None:
+            raise InputError(
+                f"{field.name}: {text!r} is not a range: write it such as '0.1..1 mm:10', with the number of values "
+                "behind the colon, or '0.1..1 mm:10 log'"
+            )
+        return _read_range(field, text, *between.groups())
+    if re.search(r"\d,\d", text):
+        raise InputError(
+            f"{field.name}: {text!r} has a comma between digits, which may part values or be a decimal comma: write a "
+            "decimal point, and a space behind each comma that parts values"
+        )
+    return _in_one_unit(field, text.split(","))
+
+
+def _in_one_unit(field: Field, texts: list[str]) -> Varied:
+    """Return values of which some bear a unit: it serves all before it that bear none; the last heads the column."""
+    read: list[tuple[str, str]] = []
+    for text in texts:
+        match = ONE.fullmatch(text.strip())
+        if match is None:
+            raise InputError(f"{field.name} cannot be {text.strip()!r}: write one number and one unit")
+        read.append((match[1], match[2]))
+    own = next((units for _, units in reversed(read) if units), "")
+    unit = _unit(field, own, texts[-1])
+    values = []
+    for number, units in reversed(read):
+        value, own = _number(field, number), units or own
+        if own != unit:
+            _unit(field, own, f"{number} {own}")
+            try:
+                value = convert(float(value), own, unit)
+            except UnitError as error:
+                raise UnitError(f"{field.name}: {error}") from error
+        values.append(value)
+    return Varied(field=field, unit=unit, values=tuple(reversed(values)))
+
+
+def _number(field: Field, digits: str) -> Token:
+    """Return a number as its field takes it."""
+    if field.kind == "whole":
+        if re.fullmatch(r"[+-]?[0-9]+", digits) is None:
+            raise InputError(f"{field.name} cannot be {digits}: it takes whole numbers, give one")
+        return int(digits)
+    return float(digits)
+
+
+def _unit(field: Field, written: str, quoted: str) -> str:
+    """Return a unit that measures what the field is."""
+    if field.kind != "quantity":
+        if written:
+            raise InputError(
+                f"{field.name} takes a plain number, {quoted.strip()!r} has the unit {written!r}: leave it out"
+            )
+        return ""
+    if field.over_time(written):
+        return written
+    errors: list[UnitError] = []
+    for known in field.units:
+        try:
+            parse(f"1 {written}", known)
+        except UnitError as error:
+            errors.append(error)
+        else:
+            return written
+    said = str(errors[0]).replace(repr(f"1 {written}"), repr(quoted.strip()))
+    raise UnitError(f"{field.name}: {said}")
+
+
+def _read_drawn(field: Field, kind: str, first: str, second: str, units: str) -> Varied:
+    from scipy import stats  # noqa: PLC0415 - costly to import
+
+    unit = _unit(field, units, f"1 {units}")
+    one, two = float(first), float(second)
+    if kind == "uniform":
+        if not -math.inf < one < two < math.inf:
+            raise InputError(
+                f"{field.name}: uniform({first}, {second}) does not ascend between two numbers: give the lower "
+                "end first"
+            )
+        return Varied(field=field, unit=unit, low=one, high=two)
+    if not (math.isfinite(one) and 0 < two < math.inf):
+        raise InputError(f"{field.name}: normal({first}, {second}) has no spread: give a deviation above 0")
+    return Varied(field=field, unit=unit, drawn=stats.norm(one, two))
+
+
+def _read_range(
+    field: Field, text: str, first: str, own: str, last: str, units: str, count: str | None, log: str | None
+) -> Varied:
+    """Return a range; its values are those of exact decimals, so 0.1..1:10 holds 0.3 and not 0.30000000000000004."""
+    unit = _unit(field, units, f"{last} {units}")
+    if own and own != units:
+        raise InputError(f"{field.name}: {text!r} has two units, {own!r} and {units!r}: write one, at the end")
+    low, high = float(first), float(last)
+    if not math.isfinite(low) or not math.isfinite(high) or low == high:
+        raise InputError(f"{field.name}: {text!r} has no width: give two different ends")
+    if count is None:
+        return Varied(field=field, unit=unit, low=min(low, high), high=max(low, high), log=bool(log))
+    number = int(count)
+    if not 2 <= number <= MOST_CASES:
+        raise InputError(
+            f"{field.name}: {text!r} has {number} values, it needs from 2 to {MOST_CASES:_}: change the count"
+        )
+    if log:
+        if not min(low, high) > 0:
+            raise InputError(
+                f"{field.name}: {text!r} is even in the logarithm and reaches {min(low, high):g}: stay above 0"
+            )
+        values = [float(value) for value in np.geomspace(low, high, number)]
+        values[0], values[-1] = low, high
+    else:
+        start, width = Fraction(first), Fraction(last) - Fraction(first)
+        values = [float(start + width * index / (number - 1)) for index in range(number)]
+    if field.kind == "whole":
+        if log:
+            values = list(dict.fromkeys(float(round(value)) for value in values))
+        if any(value != round(value) for value in values):
+            odd = next(value for value in values if value != round(value))
+            raise InputError(f"{field.name} takes whole numbers, {text!r} holds {odd:.6g}: choose another count")
+        tokens: tuple[Token, ...] = tuple(round(value) for value in values)
+    else:
+        tokens = tuple(values)
+    return Varied(field=field, unit=unit, values=tokens, low=min(low, high), high=max(low, high), log=bool(log))
+
+
+def design_cases(
+    job: Job,
+    varied: Sequence[Varied],
+    *,
+    design: str | Sequence[Mapping[str, Any]] = "grid",
+    count: int | None = None,
+    seed: int | None = None,
+) -> tuple[tuple[Varied, ...], list[tuple[Token, ...]]]:
+    """Return the cases of a study: for each a value of every field, in the fields' order.
+
+    Parameters
+    ----------
+    job
+        The job.
+    varied
+        What is varied. A list of cases names its fields itself.
+    design
+        "grid" for every value with every other, the last field fastest; "random", "sobol", "halton" (both scrambled) or
+        "latin hypercube" for ``count`` cases drawn from ranges and distributions; or the cases themselves, a mapping
+        for each.
+    count, seed
+        Of what is drawn.
+
+    Raises
+    ------
+    InputError
+        If the design does not fit what is varied.
+    """
+    if not isinstance(design, str):
+        if varied:
+            raise InputError(
+                f"a list of cases says itself what is varied, and {varied[0].name} is varied beside it: leave one out"
+            )
+        fields, rows = _listed(job, design)
+    else:
+        fields = tuple(varied)
+        if not fields:
+            raise InputError("nothing is varied: name at least 1 field of the job with its values")
+        names = [one.name for one in fields]
+        places = [one.field.place for one in fields]
+        for name, place in zip(names, places, strict=True):
+            if places.count(place) > 1:
+                raise InputError(f"{name} is varied {places.count(place)} times, the limit is 1: keep one of them")
+        rows = _gridded(fields, count) if design == "grid" else _drawn(fields, design, count, seed)
+    if not rows:
+        raise InputError("the design has 0 cases: give at least 1")
+    changed(data_of(job), [(one.field, one.unit, token) for one, token in zip(fields, rows[0], strict=True)])
+    return fields, rows
+
+
+def _gridded(fields: tuple[Varied, ...], count: int | None) -> list[tuple[Token, ...]]:
+    if count is not None:
+        raise InputError(f"a grid has as many cases as its values make, {count} are asked for: choose design = sobol")
+    for one in fields:
+        if not one.values:
+            raise InputError(
+                f"{one.name} has no single values for a grid: write the number of them behind a colon, such as "
+                "'0.1..1 mm:10', or choose another design, such as sobol"
+            )
+    cases = math.prod(len(one.values) for one in fields)
+    if cases > MOST_CASES:
+        raise InputError(
+            f"the grid has {cases:_} cases, the limit is {MOST_CASES:_}: take fewer values, or draw a design"
+        )
+    return list(product(*(one.values for one in fields)))
+
+
+def _drawn(fields: tuple[Varied, ...], design: str, count: int | None, seed: int | None) -> list[tuple[Token, ...]]:
+    if design not in DESIGNS:
+        raise InputError(f"design is {design!r}, it can be {', '.join(DESIGNS)}: choose one of them")
+    if count is None:
+        raise InputError(
+            f"the design {design!r} has no number of cases, it needs from 1 to {MOST_CASES:_}: state how many cases"
+        )
+    count = validate.whole(count, f"the number of cases of the design {design!r}", 1, MOST_CASES)
+    shares = _shares(design, len(fields), count, None if seed is None else validate.whole(seed, "the seed", 0))
+    return list(zip(*(one.at(shares[:, number]) for number, one in enumerate(fields)), strict=True))
+
+
+def _shares(design: str, width: int, count: int, seed: int | None) -> Floats:
+    """Return points of the unit cube. (count, width)."""
+    if design == "random":
+        return np.random.default_rng(seed).random((count, width))
+    from scipy.stats import qmc  # noqa: PLC0415 - costly to import
+
+    if design == "sobol":  # balanced in powers of two, of which the first ones are taken
+        return np.asarray(qmc.Sobol(width, seed=seed).random_base2(math.ceil(math.log2(count)))[:count])  # type: ignore[call-arg, unused-ignore]
+    if design == "halton":
+        return np.asarray(qmc.Halton(width, seed=seed).random(count))  # type: ignore[call-arg, unused-ignore]
+    return np.asarray(qmc.LatinHypercube(width, seed=seed).random(count))  # type: ignore[call-arg, unused-ignore]
+
+
+def _listed(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied, ...], list[tuple[Token, ...]]]:
+    """Return the cases of a list."""
+    if not design:
+        raise InputError("the list of cases is empty: give at least 1")
+    for number, case in enumerate(design, 1):
+        if not isinstance(case, Mapping):
+            raise InputError(f"case {number} of the list is {case!r}: write a mapping from fields to values")
+    names = list(design[0])
+    for number, case in enumerate(design, 1):
+        if list(case) != names and set(case) != set(names):
+            raise InputError(
+                f"case {number} of the list has {', '.join(case)}, the first has {', '.join(names)}: name the same"
+            )
+    fields = tuple(read_varied(job, name, [case[name] for case in design]) for name in names)
+    return fields, [tuple(one.values[number] for one in fields) for number in range(len(design))]
+
+
+def stated(job: Job, varied: Varied) -> Token | None:
+    """Return the job's own value of a field, in the unit in which it is varied; ``None`` where it states none."""
+    data: Any = job.model_dump(mode="json")
+    for step in varied.field.place:
+        if isinstance(data, dict):
+            data = next((one for key, one in data.items() if str(key) == str(step)), None)
+        else:
+            data = data[step] if isinstance(data, list) and isinstance(step, int) and step < len(data) else None
+    if varied.field.kind != "quantity" or data is None:
+        return data if isinstance(data, int | float | str) else None
+    if not isinstance(data, str):  # a coefficient of a series, which is in the house's unit once it is read
+        return convert(float(data), varied.field.units[0], varied.unit or "1")
+    if varied.field.over_time(varied.unit):
+        speed = job.strategy.spindle_speed
+        return None if speed is None else convert(parse(data, "mm/rev") * speed, "mm/min", varied.unit)
+    for known in varied.field.units:
+        try:
+            parse(f"1 {varied.unit}", known)
+            return parse(data, varied.unit or "1")
+        except UnitError:
+            continue
+    return None

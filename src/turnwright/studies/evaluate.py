@@ -1,0 +1,51 @@
+"""One case of a study, in a worker: from the data of a job to a row of measures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from turnwright.job import Job, Stages
+from turnwright.studies.files import at_hand, moved
+from turnwright.studies.measures import Measure, evaluate, measure_of
+
+if TYPE_CHECKING:
+    from turnwright.studies import Store
+
+__all__ = ["REFUSED", "SECONDS", "carry_out"]
+
+REFUSED = "refused"
+"""Column of why `run` would refuse a job whose measures are there all the same."""
+
+SECONDS = "seconds"
+"""Column of what a case took."""
+
+
+def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store | None) -> dict[str, Any]:
+    """Return the row of a case: its measures, why `run` would refuse it, and what it took.
+
+    Parameters
+    ----------
+    data
+        The data of the job, and the digests of the files that it names.
+    shared
+        The names of the measures, functions of one's own by name, and under which names the store has the files.
+    store
+        Where to find files that this machine does not have.
+    """
+    start = time.perf_counter()
+    with at_hand(data["files"], shared.get("files", {}), store) as places:
+        job = Job.read(moved(data["job"], places))
+        stages = Stages(job)
+        own = shared.get("own", {})
+        measures = [_measure(job, name, own) for name in shared["measures"]]
+        row = evaluate(stages, measures)
+    if stages.refused:
+        row[REFUSED] = "; ".join(stages.refused)
+    row[SECONDS] = round(time.perf_counter() - start, 4)
+    return row
+
+
+def _measure(job: Job, name: str, own: Mapping[str, Any]) -> Measure:
+    return Measure(name=name, unit="", stage="place", own=own[name]) if name in own else measure_of(job, name)

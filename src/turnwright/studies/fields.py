@@ -1,0 +1,417 @@
+"""Any field of a job by its name, as the job file writes it: what it holds, in which unit, and how to change it."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from types import NoneType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, get_args, get_origin
+
+from pydantic import TypeAdapter, ValidationError
+
+from turnwright.errors import InputError, UnitError
+from turnwright.job.prescriptions import Series
+from turnwright.job.table import Table, sentences
+from turnwright.units import parse, unit
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from turnwright.job import Job
+
+__all__ = ["Data", "Field", "Token", "changed", "data_of", "field_of"]
+
+Token: TypeAlias = float | int | str | bool
+"""A value of a field: a number in the field's unit, a whole or plain number, a text or a flag."""
+
+_STEP = re.compile(r"\[[0-9]{1,9}\]|[^.\[\]]+")
+_NAME = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[[0-9]{1,9}\])*")
+"""Keys with dots between them, and numbers of entries in brackets, from 1."""
+
+PER_MINUTE = "mm/min"
+"""What measures a feed over time, which a job states over a turn."""
+
+TOUCHED: dict[str, tuple[str, ...]] = {
+    "spindle_speed": ("spindle_speeds",),
+    "spindle_speeds": ("spindle_speed",),
+}
+"""Fields that exclude each other: where one is varied, the other is no longer stated."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """A field of a job.
+
+    Parameters
+    ----------
+    name
+        As it was asked for, such as ``passes.finish.feed``.
+    place
+        Its keys in the data of the job.
+    units
+        In which its numbers may be given, the first one is the house's; empty for what has none.
+    kind
+        "quantity", "number", "whole", "flag" or "text".
+    annotation
+        Its type in the table that it belongs to.
+    among
+        How many entries the list has that it is one of; 0 where any number may be.
+    """
+
+    name: str
+    place: tuple[str | int, ...]
+    units: tuple[str, ...]
+    kind: Literal["quantity", "number", "whole", "flag", "text"]
+    annotation: Any
+    among: int = 0
+
+    @property
+    def is_feed(self) -> bool:
+        """Whether it is an advance per revolution, which may be given over time."""
+        return self.units == ("mm/rev",)
+
+    def over_time(self, units: str) -> bool:
+        """Say whether these units measure a feed over time."""
+        if not self.is_feed:
+            return False
+        with suppress(UnitError):
+            parse(f"1 {units}", PER_MINUTE)
+            return True
+        return False
+
+    def written(self, token: Token, units: str) -> Token:
+        """Return a value as a job file takes it."""
+        return f"{float(token)!r} {units}".rstrip() if self.kind == "quantity" and not isinstance(token, str) else token
+
+    def spelled(self, text: str) -> Token:
+        """Return what a text means where a field takes words: a whole number if one of its words is that number."""
+        for one in _alternatives(self.annotation):
+            known = get_args(_bare(one)) if get_origin(_bare(one)) is Literal else ()
+            if _bare(one) is int and text.isdigit():
+                return int(text)
+            for word in known:
+                if str(word) == text:
+                    return word  # type: ignore[no-any-return] # a text or a number
+        return text
+
+    def check(self, token: Token, units: str) -> None:
+        """Raise unless the field takes a value, whatever the rest of the job says.
+
+        Raises
+        ------
+        InputError
+            Naming the field, the value and the remedy.
+        """
+        if self.over_time(units):
+            if not float(token) > 0:
+                raise InputError(f"{self.name}: {token!r} {units} is not above 0 {units}: give a larger value")
+            return
+        try:
+            TypeAdapter(self.annotation).validate_python(self.written(token, units))
+        except ValidationError as error:
+            said = sentences(error, Table, {})[0]
+            raise InputError(f"{self.name}{said}" if said.startswith(" ") else f"{self.name}: {said}") from error
+
+
+class Data(NamedTuple):
+    """The data of a job, as a job file reads."""
+
+    stated: dict[str, Any]  # what the file states
+    whole: dict[str, Any]  # with the defaults of what it does not
+
+
+def data_of(job: Job) -> Data:
+    """Return the data of a job."""
+    return Data(job.model_dump(mode="json", exclude_unset=True, exclude_none=True), job.model_dump(mode="json"))
+
+
+def field_of(job: Job, name: str) -> Field:
+    """Return a field of a job by its dotted name, as the file writes it.
+
+    Entries of a list are named by their name, or counted from 1 in brackets, as in the messages of a job; a field need
+    not have a value in the file.
+
+    Parameters
+    ----------
+    job
+        Whose tables say what there is.
+    name
+        Such as ``tool.nose_radius``, ``passes.finish.feed``, ``simulation.patches[1].pixel`` or
+        ``actual.tool.offset[1]``.
+
+    Raises
+    ------
+    InputError
+        If there is no such field, naming the nearest.
+    """
+    if not isinstance(name, str):
+        raise InputError(f"{name!r} is no name of a field: write it as in the job file, such as 'tool.nose_radius'")
+    steps = _STEP.findall(name) if _NAME.fullmatch(name) else name.split(".")
+    value: Any = job
+    annotation: Any = type(job)
+    place: list[str | int] = []
+    units: tuple[str, ...] | None = None
+    among = 0
+    for number, step in enumerate(steps):
+        before = _joined(steps[:number])
+        if _table(value, annotation) is not None and step.startswith("[") and hasattr(value, "terms"):
+            place.append("terms")  # a sum may be written as a list
+            value, annotation = value.terms, type(value).model_fields["terms"].annotation
+        table = _table(value, annotation)
+        if table is not None:
+            if step not in table.model_fields:
+                raise InputError(_unknown(name, before, step, list(table.model_fields)))
+            units = _unit_of_entry(table, step, steps[number + 1 :])
+            at = table.model_fields[step]
+            annotation = Annotated.__class_getitem__((at.annotation, *at.metadata)) if at.metadata else at.annotation  # type: ignore[attr-defined]
+            value = None if value is None else getattr(value, step)
+            place.append(step)
+        elif _is_mapping(annotation):
+            value = None if value is None else _entry(value, step)
+            annotation = get_args(_bare(annotation))[1]
+            place.append(step)
+        else:
+            index = _index(name, before, step, value, annotation)
+            among = 0 if _element(annotation, 99) is not None else _length(None, annotation)
+            annotation = _element(annotation, index)
+            value = value[index] if value is not None and index < len(value) else None
+            place.append(index)
+    if _table(value, annotation) is not None or _is_mapping(annotation) or _element(annotation, 0) is not None:
+        raise InputError(
+            f"{name} is {_inside(value, annotation)}: name one value in it, such as "
+            f"{_joined([name, _some(value, annotation)])}"
+        )
+    return replace(_leaf(name, tuple(place), annotation, units), among=among if isinstance(place[-1], int) else 0)
+
+
+def _leaf(name: str, place: tuple[str | int, ...], annotation: Any, units: tuple[str, ...] | None) -> Field:
+    """Return the field at the end of a name."""
+    reader = _unit_in(annotation)
+    if units is not None:
+        return Field(name=name, place=place, units=units, kind="quantity", annotation=Any)
+    if reader is not None:
+        return Field(name=name, place=place, units=reader.units, kind="quantity", annotation=annotation)
+    plain = {_bare(one) for one in _alternatives(annotation)}
+    kinds = {str: "text", bool: "flag", int: "whole", float: "number"}
+    kind = next((kinds[one] for one in kinds if one in plain), "text")
+    return Field(name=name, place=place, units=(), kind=kind, annotation=annotation)  # type: ignore[arg-type] # one of them
+
+
+def _unit_of_entry(table: type[Table], step: str, rest: list[str]) -> tuple[str, ...] | None:
+    """Return the unit of a coefficient, which its place in a series says and no type does."""
+    if len(rest) != 1:
+        return None
+    if step == "waviness" and rest[0].startswith("["):
+        return (f"mm/rad^{rest[0][1:-1]}",)
+    if issubclass(table, Series) and step in table.series:
+        key = str(int(rest[0][1:-1]) - 1) if rest[0].startswith("[") else rest[0]
+        power = table._power(step, key)  # noqa: SLF001 - as the tables of its own package ask it
+        return (f"mm^{power}" if power > 0 else f"1/mm^{-power}" if power < 0 else "1",)
+    return None
+
+
+def _alternatives(annotation: Any) -> list[Any]:
+    """Return what a field may hold, apart from nothing."""
+    bare = _bare(annotation)
+    if _is_union(bare):
+        return [one for part in get_args(bare) if part is not NoneType for one in _alternatives(part)]
+    return [annotation]
+
+
+def _is_union(annotation: Any) -> bool:
+    import types  # noqa: PLC0415 - for this one name
+    from typing import Union  # noqa: PLC0415
+
+    return get_origin(annotation) in (types.UnionType, Union)
+
+
+def _bare(annotation: Any) -> Any:
+    """Return a type without what is annotated to it."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    return annotation
+
+
+def _table(value: Any, annotation: Any) -> type[Table] | None:
+    """Return the table that a field holds, or would hold."""
+    if value is not None:
+        return type(value) if isinstance(value, Table) else None
+    for one in _alternatives(annotation):
+        bare = _bare(one)
+        if isinstance(bare, type) and issubclass(bare, Table):
+            return bare
+    return None
+
+
+def _is_mapping(annotation: Any) -> bool:
+    return any(get_origin(_bare(one)) is dict for one in _alternatives(annotation))
+
+
+def _element(annotation: Any, index: int) -> Any:
+    """Return the type of an entry of a list, ``None`` if it has none there."""
+    for one in _alternatives(annotation):
+        bare = _bare(one)
+        if get_origin(bare) is tuple:
+            inner = get_args(bare)
+            if len(inner) == 2 and inner[1] is Ellipsis:
+                return inner[0]
+            return inner[index] if index < len(inner) else None
+    return None
+
+
+def _joined(steps: list[str]) -> str:
+    """Return keys and numbers of entries as a name writes them."""
+    return ".".join(filter(None, steps)).replace(".[", "[")
+
+
+def _entry(value: Mapping[Any, Any], step: str) -> Any:
+    return next((one for key, one in value.items() if str(key) == step), None)
+
+
+def _index(name: str, before: str, step: str, value: Any, annotation: Any) -> int:
+    """Return the number of a list's entry that is named or counted."""
+    if _element(annotation, 0) is None:
+        raise InputError(f"{name} is not a field of this job, {before} holds nothing further: vary {before} itself")
+    names = [str(getattr(one, "name", "")) for one in value or ()]
+    if step in names:
+        return names.index(step)
+    tables = any(isinstance(one, Table) for one in value or ())
+    index = int(step[1:-1]) - 1 if step.startswith("[") else -1
+    if index < 0 or _element(annotation, index) is None or (tables and index >= len(names)):
+        known = [one for one in names if one] or [f"[1] to [{max(_length(value, annotation), 1)}]"]
+        raise InputError(_unknown(name, before, step, known))
+    if value is None and _table(None, _element(annotation, 0)) is not None:
+        raise InputError(f"{name} is not a field of this job, {before} has no entries: add one to the job")
+    return index
+
+
+def _length(value: Any, annotation: Any) -> int:
+    return len(value) if value else sum(_element(annotation, index) is not None for index in range(10))
+
+
+def _unknown(name: str, before: str, step: str, known: list[str]) -> str:
+    """Say that a field is not there, and which one was probably meant."""
+    close = difflib.get_close_matches(step.lower(), known, n=1, cutoff=0.5)
+    remedy = (
+        f"did you mean {_joined([before, close[0]])}?"
+        if close
+        else f"{before or 'a job'} has {', '.join(known)}, use one of them"
+    )
+    return f"{name} is not a field of this job: {remedy}"
+
+
+def _inside(value: Any, annotation: Any) -> str:
+    return "a table" if _table(value, annotation) is not None or _is_mapping(annotation) else "a list"
+
+
+def _some(value: Any, annotation: Any) -> str:
+    table = _table(value, annotation)
+    if table is not None:
+        return next(iter(table.model_fields))
+    if _is_mapping(annotation):
+        return str(next(iter(value))) if value else "2"
+    return str(getattr(value[0], "name", "[1]")) if value else "[1]"
+
+
+def _unit_in(annotation: Any) -> unit | None:
+    """Return how a field reads its unit, if it has one."""
+    if isinstance(annotation, unit):
+        return annotation
+    for inner in get_args(annotation):
+        found = _unit_in(inner)
+        if found is not None:
+            return found
+    return None
+
+
+def changed(base: Data, changes: list[tuple[Field, str, Token]]) -> dict[str, Any]:
+    """Return the data of a job with some fields changed.
+
+    Parameters
+    ----------
+    base
+        The data of the job.
+    changes
+        Fields, the units of their values, and the values. A feed over time is divided by the spindle speed of the same
+        case, rounded once.
+
+    Raises
+    ------
+    InputError
+        If a feed over time meets no spindle speed.
+    """
+    import copy  # noqa: PLC0415 - for this one call
+
+    data: dict[str, Any] = copy.deepcopy(base.stated)
+    for field, units, token in sorted(changes, key=lambda one: one[0].over_time(one[1])):
+        value = field.written(token, units)
+        if field.over_time(units):
+            value = f"{_per_turn(field, float(token), units, data)!r} mm/rev"
+        _put(base.whole, data, field, value)
+    return data
+
+
+def _per_turn(field: Field, token: float, units: str, data: Mapping[str, Any]) -> float:
+    """Return the advance per revolution of one over time. [mm/rev]."""
+    tables = [data["strategy"]]
+    if field.place[0] == "passes":
+        tables.insert(0, data["passes"][field.place[1]])
+    for table in tables:
+        if "spindle_speed" in table:
+            rpm = parse(table["spindle_speed"], "rpm")
+            return float(Fraction(parse(f"{token!r} {units}", PER_MINUTE)) / Fraction(rpm))
+        if "spindle_speeds" in table:
+            break
+    raise InputError(
+        f"{field.name} is given in {units}, and the job states no single spindle speed to divide it by: state or vary "
+        "strategy.spindle_speed, or give the feed per rev"
+    )
+
+
+def _put(whole: Any, data: dict[str, Any], field: Field, value: Token) -> None:
+    """Put a value where a field is, with whatever must be there first, such as the lists that the file leaves out."""
+    node: Any = data
+    for number, step in enumerate(field.place):
+        last = number == len(field.place) - 1
+        whole = _below(whole, step)
+        if isinstance(step, int):
+            while len(node) <= max(step, field.among - 1 if last else 0):
+                node.append(_nothing(field, len(node)))
+            key: Any = step
+        else:
+            key = next((key for key in node if str(key) == step), step)
+            for other in TOUCHED.get(step, ()):
+                node.pop(other, None)
+        if last:
+            node[key] = value
+            return
+        if isinstance(node, dict) and node.get(key) is None:
+            node[key] = [] if isinstance(field.place[number + 1], int) else {}
+            if isinstance(whole, list):
+                node[key] = _stated(whole)
+        node = node[key]
+
+
+def _below(whole: Any, step: str | int) -> Any:
+    if isinstance(whole, dict):
+        return next((one for key, one in whole.items() if str(key) == str(step)), None)
+    return whole[step] if isinstance(whole, list) and isinstance(step, int) and step < len(whole) else None
+
+
+def _stated(whole: Any) -> Any:
+    """Return data without what is not stated."""
+    if isinstance(whole, dict):
+        return {key: _stated(one) for key, one in whole.items() if one is not None}
+    return [_stated(one) for one in whole] if isinstance(whole, list) else whole
+
+
+def _nothing(field: Field, index: int) -> Token:
+    """Return the zero that stands in a list before an entry that is asked for."""
+    if "waviness" in field.place:
+        return f"0 mm/rad^{index + 1}"
+    if not field.units or field.units[0].startswith("1/"):
+        return 0.0
+    return f"0 {field.units[0]}"

@@ -1,0 +1,150 @@
+"""The files that a job names, on their way to machines that do not have them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from turnwright._io import read_toml
+from turnwright.errors import InputError, StudyError
+
+if TYPE_CHECKING:
+    from turnwright.studies import Store
+    from turnwright.job import Job
+
+__all__ = ["at_hand", "fetched", "files_of", "kept_files", "moved"]
+
+
+def files_of(job: Job) -> dict[str, str]:
+    """Return the files that a job names, and those that these name, by whole path with the digest of the content."""
+    found: set[str] = set()
+    for path in _paths(job.model_dump()):
+        _add(path, found)
+    if job.part.material.endswith(".toml"):
+        _add(Path(job.part.material), found)
+    return {path: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in sorted(found)}
+
+
+def _paths(value: Any) -> Iterator[Path]:
+    """Yield the files in the data of a job."""
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, Mapping):
+        for one in value.values():
+            yield from _paths(one)
+    elif isinstance(value, list | tuple):
+        for one in value:
+            yield from _paths(one)
+
+
+def _add(file: Path, found: set[str]) -> None:
+    """Add a file, and what it names if it is TOML, as a machine file names its base and measured responses."""
+    if str(file) in found:
+        return
+    found.add(str(file))
+    if file.suffix != ".toml":
+        return
+    for text in _texts(read_toml(file.read_bytes(), f"the file {str(file)!r}")):
+        with suppress(OSError, ValueError):  # no name of a file after all
+            other = Path(os.path.normpath(file.parent / text))
+            if other.is_file():
+                _add(other, found)
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list):
+        for one in value.values() if isinstance(value, dict) else value:
+            yield from _texts(one)
+
+
+def kept_files(files: Mapping[str, str], store: Store | None) -> dict[str, str]:
+    """Keep files in a store, for workers on machines that do not have them; return what the store calls them."""
+    if store is None:
+        return {}
+    return {path: store.put_array("file", np.frombuffer(Path(path).read_bytes(), dtype=np.uint8)) for path in files}
+
+
+def fetched(store: Store, name: str) -> np.ndarray:
+    """Return an array that the driver has put into a store, as a worker finds it.
+
+    Raises
+    ------
+    StudyError
+        If it is not there, as in a folder of another machine: a reason to stop, not the outcome of a case, which the
+        driver would keep for good.
+    """
+    try:
+        return store.array(name)
+    except InputError:
+        raise StudyError(
+            f"a worker finds no array {name!r} in the store {store.place!r}: give the study a store that all machines "
+            "reach"
+        ) from None
+
+
+@contextmanager
+def at_hand(files: Mapping[str, str], kept: Mapping[str, str], store: Store | None) -> Iterator[dict[str, str]]:
+    """Yield where the files of a job are on this machine, if they are elsewhere than the job says.
+
+    If one is missing or another, all are put into a folder, at the same places as seen from each other.
+
+    Parameters
+    ----------
+    files
+        By whole path, with the digest of the content.
+    kept
+        What the store calls them.
+    store
+        Where to find what this machine does not have.
+
+    Raises
+    ------
+    StudyError
+        If files are missing here, and in the store as this machine sees it.
+    """
+    missing = [path for path, digest in files.items() if not _is_there(path, digest)]
+    if not missing:
+        yield {}
+        return
+    if store is None or any(path not in kept for path in missing):
+        raise StudyError(
+            f"a worker does not have {len(missing)} of the files that the job names, such as {missing[0]!r}: "
+            "give the study a store that all machines reach"
+        )
+    with tempfile.TemporaryDirectory(prefix="turnwright-") as folder:
+        places = {path: str(Path(folder) / path.replace(":", "").lstrip("/\\")) for path in files}
+        for path, place in places.items():
+            content = np.asarray(fetched(store, kept[path])).tobytes()
+            if path.endswith(".toml"):  # it may name others by their whole path
+                for other, there in places.items():
+                    content = content.replace(other.encode(), there.encode())
+            Path(place).parent.mkdir(parents=True, exist_ok=True)
+            Path(place).write_bytes(content)
+        yield places
+
+
+def _is_there(path: str, digest: str) -> bool:
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest() == digest
+    except OSError:
+        return False
+
+
+def moved(value: Any, places: Mapping[str, str]) -> Any:
+    """Return data with files where they are on this machine."""
+    if not places:
+        return value
+    if isinstance(value, str):
+        return places.get(value, value)
+    if isinstance(value, Mapping):
+        return {key: moved(one, places) for key, one in value.items()}
+    return [moved(one, places) for one in value] if isinstance(value, list) else value

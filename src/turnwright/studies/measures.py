@@ -1,0 +1,232 @@
+"""What a study measures of a case: named numbers of any stage, each with its unit, or a function of one's own."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from turnwright.errors import InputError, TurnwrightError
+from turnwright.job import Stages
+from turnwright.machine import ROTARY
+from turnwright.studies.measure_keys import sign_of
+
+if TYPE_CHECKING:
+    from turnwright.job import Job
+
+__all__ = ["MEASURES", "Measure", "Own", "Value", "evaluate", "measure_of"]
+
+Value: TypeAlias = float | int | str | None
+Own: TypeAlias = Callable[[Stages], Value]
+"""A measure of one's own: takes the stages of a case, returns a number."""
+
+WHOLE = "whole part"
+NM = 1e6
+MN = 1e3
+"""Millinewtons of a newton."""
+
+ORDER = ("access", "plan", "drive", "chips", "place")
+"""Stages in the order in which they are asked for: a whole path that is there anyway serves the patches too."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measure:
+    """A number that a study takes of every case.
+
+    Parameters
+    ----------
+    name
+        As it is asked for; what stands behind an @ is a patch, or an axis.
+    unit
+        Of the number; empty for what has none, or what carries its unit in its name.
+    stage
+        What of the job must be carried out: "access", "plan" (the finishing path), "drive" (all passes, with their
+        limits), "chips", or "place" (what a patch, or the whole part, will look like).
+    own
+        A function, of a measure of one's own.
+    """
+
+    name: str
+    unit: str
+    stage: str
+    own: Own | None = None
+
+    @property
+    def heading(self) -> str:
+        """The name with its unit, as a column is headed."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def sign(self) -> str:
+        """What a kept row depends on: the name, and of a measure of one's own its code and what it holds."""
+        if self.own is None:
+            return self.name
+        return f"{self.name} {getattr(self.own, '__module__', '')} {sign_of(self.own)}"
+
+
+def _margin(stages: Stages, name: str) -> float:
+    """Return how much a tool has left of what a part asks of it; infinite where nothing is asked."""
+    margins = [one.margin for one in stages.access.findings if one.name == name]
+    return margins[0] if margins and margins[0] is not None else math.inf
+
+
+def _most(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return max(known) if known else None
+
+
+_Taken: TypeAlias = Callable[[Stages, str], Value]
+
+PLAIN: dict[str, tuple[str, str, _Taken]] = {
+    "nose_radius_limit": ("mm", "access", lambda stages, _: stages.access.nose_radius_limit),
+    "included_margin_deg": ("", "access", lambda stages, _: math.degrees(_margin(stages, "included angle"))),
+    "clearance_margin_deg": ("", "access", lambda stages, _: math.degrees(_margin(stages, "clearance"))),
+    "turns": ("", "plan", lambda stages, _: float(np.ptp(stages.path.angle)) / (2 * math.pi)),
+    "feed": ("mm/rev", "plan", lambda stages, _: stages.feed),
+    "least_clearance_nm": ("", "plan", lambda stages, _: float(stages.path.clearance.min()) * NM),
+    "largest_sweep_deg": ("", "plan", lambda stages, _: math.degrees(float(np.abs(stages.path.sweep).max()))),
+    "minutes": ("", "drive", lambda stages, _: stages.minutes),
+    "points": ("", "drive", lambda stages, _: sum(one.points for one in stages.passes)),
+    "spindle_rpm": ("", "drive", lambda stages, _: stages.limits.spindle_rpm),
+    "block_rate_hz": ("", "drive", lambda stages, _: stages.limits.block_rate_hz),
+    "utilisation": ("", "drive", lambda stages, _: max(max(one.limits.utilisation.values()) for one in stages.passes)),
+    "binding": ("", "drive", lambda stages, _: stages.limits.binding),
+    "thickest_chip_nm": ("", "chips", lambda stages, _: stages.chips[-1].thickest * NM),
+    "typical_chip_nm": ("", "chips", lambda stages, _: stages.chips[-1].typical * NM),
+    "axial_force_mN": ("", "chips", lambda stages, _: _milli(stages.chips[-1].axial)),
+    "cutting_force_mN": ("", "chips", lambda stages, _: _milli(stages.chips[-1].cutting)),
+    "form_pv_nm": ("", "place", lambda stages, _: stages.form_pv_nm),
+    "form_rms_nm": ("", "place", lambda stages, _: stages.prediction(WHOLE).roughness.sq_nm),
+}  # fmt: skip
+"""Measures of a whole job: unit, stage and how it is taken. Chips and forces are those of the finishing pass."""
+
+ROUGHNESS: dict[str, str] = {
+    "sa_nm": "", "sq_nm": "", "sp_nm": "", "sv_nm": "", "sz_nm": "", "pv_nm": "", "ssk": "", "sku": "", "sdq": "",
+    "sdr": "", "sal": "mm", "str": "", "missing": "",
+}  # fmt: skip
+"""Measures of a patch, and their units: see `turnwright.Roughness`."""
+
+AXES: dict[str, tuple[str, str]] = {
+    "peak_speed": ("mm/s", "rad/s"),
+    "peak_acceleration": ("mm/s^2", "rad/s^2"),
+    "peak_jerk": ("mm/s^3", "rad/s^3"),
+    "stroke": ("mm", "rad"),
+}
+"""Measures of an axis in the finishing pass, in the units of slides and of what turns."""
+
+MEASURES: tuple[str, ...] = (
+    *PLAIN,
+    *(f"{name}@PATCH" for name in ROUGHNESS),
+    *(f"{name}@AXIS" for name in AXES),
+)
+"""What can be asked for by name."""
+
+
+def _milli(force: float | None) -> float | None:
+    return None if force is None else force * MN
+
+
+def measure_of(job: Job, asked: str | Own) -> Measure:
+    """Return a measure by its name, or of a function of one's own.
+
+    Parameters
+    ----------
+    job
+        Whose patches there are to measure.
+    asked
+        Such as "minutes", "sq_nm" (of the first patch), "sq_nm@axis" (of the patch called axis), "pv_nm@whole part",
+        "peak_acceleration@X"; or a function.
+
+    Raises
+    ------
+    InputError
+        If there is no such measure, naming the nearest.
+    """
+    if not isinstance(asked, str):
+        if not callable(asked):
+            raise InputError(f"a measure is {asked!r}, it must be a name or a function: give one of {_known()}")
+        return Measure(name=getattr(asked, "__name__", type(asked).__name__), unit="", stage="place", own=asked)
+    name, at, where = asked.strip().partition("@")
+    if name in ROUGHNESS:
+        patches = [patch.name for patch in job.simulation.patches]
+        if not at and not patches:
+            raise InputError(
+                f"{name} is that of a patch, and the job has none: add one to [simulation], or ask for {name}@{WHOLE}"
+            )
+        if at and where not in (WHOLE, *patches):
+            raise InputError(f"{asked}: the job has no patch {where!r}, it predicts {', '.join((WHOLE, *patches))}")
+        return Measure(name=asked.strip(), unit=ROUGHNESS[name], stage="place")
+    if name in AXES:
+        axes = job.machine.machine.axes
+        if where not in axes:
+            what = f"has no axis {where!r}" if at else "has several"
+            raise InputError(
+                f"{asked}: {name} is that of an axis, {job.machine.machine.name} {what}: ask for "
+                f"{' or '.join(f'{name}@{letter}' for letter in sorted(axes))}"
+            )
+        return Measure(name=asked.strip(), unit=AXES[name][where in ROTARY], stage="drive")
+    if name in PLAIN and not at:
+        unit, stage, _ = PLAIN[name]
+        return Measure(name=name, unit=unit, stage=stage)
+    known = [*PLAIN, *ROUGHNESS, *AXES]
+    close = [one for one in known if name and one.startswith(name)] or difflib.get_close_matches(name, known, 1, 0.5)
+    if name in PLAIN:
+        raise InputError(f"{asked}: {name} is that of the whole job: leave out what stands behind the @")
+    remedy = f"did you mean {close[0]}?" if close else f"the known ones are {_known()}, use one of them"
+    raise InputError(f"{asked!r} is not a measure: {remedy}")
+
+
+def _known() -> str:
+    return ", ".join(MEASURES)
+
+
+def evaluate(stages: Stages, measures: Sequence[Measure]) -> dict[str, Value]:
+    """Return the measures of a case by name; only the stages that they need are carried out.
+
+    Parameters
+    ----------
+    stages
+        Of the job of the case.
+    measures
+        What is asked for.
+    """
+    found: dict[str, Value] = {}
+    for one in sorted(measures, key=lambda measure: ORDER.index(measure.stage)):
+        found[one.name] = _finite(_taken(stages, one))
+    return {one.name: found[one.name] for one in measures}
+
+
+def _taken(stages: Stages, one: Measure) -> Value:
+    if one.own is not None:
+        try:
+            return one.own(stages)
+        except (TurnwrightError, MemoryError, OSError, ImportError):  # of a stage, or of the machine
+            raise
+        except Exception as error:
+            said = " ".join(str(error).split()) or "it gives no reason"
+            raise InputError(f"the measure {one.name} fails ({type(error).__name__}: {said}): correct it") from error
+    name, _, where = one.name.partition("@")
+    if name in ROUGHNESS:
+        patch = where or stages.job.simulation.patches[0].name
+        value: Any = getattr(stages.prediction(patch).roughness, name)
+        return value  # type: ignore[no-any-return] # a number
+    if name in AXES:
+        if where not in stages.limits.travel:
+            raise InputError(f"{one.name}: this case does not move axis {where}")
+        if name == "stroke":
+            low, high = stages.limits.travel[where]
+            return high - low
+        return float(getattr(stages.limits, name)[where])
+    return PLAIN[name][2](stages, where)
+
+
+def _finite(value: Any) -> Value:
+    """Return a number of NumPy as one of Python."""
+    plain = value.item() if isinstance(value, np.generic) else value
+    if plain is not None and not isinstance(plain, int | float | str):
+        raise InputError(f"a measure gives {type(plain).__name__}, it must be a number, a text or None: change it")
+    return plain

@@ -1,0 +1,505 @@
+"""Where the surface is looked at, and the little of a program that matters there.
+
+A program of ten million points is planned once. What a map needs of it are the passes over its places: every one that
+the real tool may reach them with, and nothing in between. The points that are kept are points of the program, so the
+surface at these places is the same to the last digits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from turnwright.access import check_access
+from turnwright.placing import place
+from turnwright.generation import generate, generate_points, generate_polar
+from turnwright.job.contributions import has_servos, without_servos
+from turnwright.motion import drive
+from turnwright.path import Motion
+from turnwright.tracking import precorrect, track
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Bools, Floats
+    from turnwright.job import Job
+    from turnwright.machine import Machine
+    from turnwright.progress import Progress
+    from turnwright.tool import Tool
+
+__all__ = [
+    "Left",
+    "Planned",
+    "Reach",
+    "Scene",
+    "answers",
+    "drift_share",
+    "drifted",
+    "kept",
+    "lines_of",
+    "planned",
+    "scene_motion",
+    "scenes_of",
+    "stored",
+]
+
+TURN = 2 * math.pi
+
+INWARD = 2
+"""How many times nearer to the axis each ring is than the one before, where lines go on inward."""
+
+GAP = 0.25
+"""Where the last turn of a spiral leaves its highest cusp, in feeds from the axis: the passes on either side of it are
+half a turn apart, so that the middle between them is a quarter of a feed aside."""
+
+AROUND = 12
+"""How many times as finely that cusp is looked at: it rises along half a turn and falls at once, where the cut ends."""
+
+GOLDEN = (math.sqrt(5) - 1) / 2
+"""Where these places lie between lines, in steps: never at the azimuth of that fall, which is a fraction of a turn, so
+that the least turn of the surface does not lift or drop one."""
+
+NEAR_RIM = 4
+"""How many times as finely as by one ring, whose azimuths meet each cusp once a turn, the cusps at the rim are met."""
+
+PER_FEATURE = 6
+"""Places to a feature of the surface, along the radius and around the rim."""
+
+FEWEST_RADII, MOST_RADII = 40, 300
+FEWEST_ANGLES, MOST_ANGLES = 48, 360
+
+RIM = 1 - 1e-4
+"""Where lines end, in clear radii: a tip beside the axis may still turn them outward within the surface."""
+
+MOST_IN_PATCH = 8_000
+"""Heights of a patch that its finish is told from, about."""
+
+FEWEST_ACROSS = 12
+"""Rows or columns of a patch along the passes, which repeat there."""
+
+CORE = 4.0
+"""How far from the axis the core reaches that a tool above or below centre leaves, in distances of its tip from there:
+farther out each place is cut from both sides, nearer hardly or not at all."""
+
+FEEDS = 5.0
+"""How far from its contact a pass is kept, in feeds, at least."""
+
+BLOCK = 1 << 20
+"""Points of a program at a time."""
+
+GOUGED = 1e-9
+"""Clearance below zero that is rounding. [mm]"""
+
+NODES = 5
+"""Natural frequencies of an axis between which its motion is interpolated."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """How far what is drawn may move the contact, at most.
+
+    Parameters
+    ----------
+    along
+        Along the radius. [mm]
+    across
+        Around the axis. [mm]
+    servos
+        How far the natural frequency of an axis may be off, by letter, as a share.
+    """
+
+    along: float
+    across: float
+    servos: Mapping[str, float]
+
+
+class Left(NamedTuple):
+    """A surface at some places, each (rows, columns) [mm], and the area that those of a column stand for (columns,)."""
+
+    x: Floats
+    y: Floats
+    z: Floats
+    weight: Floats
+
+
+class Scene(NamedTuple):
+    """A grid over the part: lines across all passes, or a patch.
+
+    ``rows`` and ``columns`` are azimuths and radii of lines [rad, mm], y and x of a patch [mm]; ``twist`` is how far
+    around from its line a place of each column is [rad]; ``weight`` is the area that a place of each column stands for,
+    of lines in such a unit that the whole disc has the square of its radius.
+    """
+
+    name: str
+    polar: bool
+    rows: Floats
+    columns: Floats
+    twist: Floats
+    weight: Floats
+
+    def generated(self, motion: Motion, tool: Tool, machine: Machine, near: float) -> Left:
+        """Return what a motion leaves there.
+
+        Parameters
+        ----------
+        motion, tool, machine
+            Who cuts.
+        near
+            Distance from the axis within which passes from beyond it matter. [mm]
+
+        Returns
+        -------
+        Left
+            On lines that end where a tool above or below centre leaves a core; there is nan for what lies within. The
+            place before the edge of the core is moved there, so that nothing leaps while a core grows.
+        """
+        if not self.polar:
+            made = generate(motion, tool, x=self.columns, y=self.rows, machine=machine)
+            return Left(*made.points(), made.z, self.weight)
+        scene, there = self._beyond(min(CORE * abs(tool.offset[1]), float(self.columns[-1]) / 2))
+        x, y = scene.points()
+        z = np.full(x.shape, np.nan)
+        fine = there & (scene.twist > 0)
+        if fine.any():
+            close = self._inner(motion, near)
+            ring = generate_points(close, tool, x=x[:, fine].ravel(), y=y[:, fine].ravel(), machine=machine)
+            z[:, fine] = ring.reshape(scene.rows.size, -1)
+        plain = there & ~fine
+        x[:, plain], y[:, plain], z[:, plain] = self._along(scene.columns[plain], motion, tool, machine, near)
+        return Left(x, y, z, scene.weight)
+
+    def _along(
+        self, radius: Floats, motion: Motion, tool: Tool, machine: Machine, near: float
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return places at some radii of the lines, and what is left there. Each (rows, radii) [mm]."""
+        aside = tool.offset[1]
+        outer = radius > near
+        if not aside or tool.rake or "Y" in motion.axes or not outer.any():
+            made = generate_polar(motion, tool, radius=radius, angle=self.rows, machine=machine)
+            return *made.points(), made.z
+        # A whole edge that stands beside the plane through the axis cuts what it would cut in that plane, a little
+        # farther out and around: so lines stay lines, which are quick. Near the axis both sides mix.
+        level = replace(tool, offset=(tool.offset[0], 0.0, tool.offset[2]))
+        r = radius[outer]
+        made = generate_polar(motion, level, radius=r, angle=self.rows, machine=machine)
+        x, y = made.points()
+        turned = aside / r
+        parts = [(x - turned * y, y + turned * x, made.z)]
+        if not outer.all():
+            inner = self._inner(motion, near)
+            close = generate_polar(inner, tool, radius=radius[~outer], angle=self.rows, machine=machine)
+            parts.insert(0, (*close.points(), close.z))
+        x, y, z = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))
+        return x, y, z
+
+    def _beyond(self, core: float) -> tuple[Scene, Bools]:
+        """Return the lines from the edge of a core on, and which of their columns there are. (columns,)."""
+        within = int(np.searchsorted(self.columns, core, side="right"))
+        inmost = int(np.searchsorted(self.columns, self.columns[within - 1])) if within else 0
+        there = np.arange(self.columns.size) >= inmost
+        outside = np.cumsum(self.weight[::-1])[::-1]
+        outside = np.minimum(outside, outside[0] - core**2)
+        moved = np.where(there, np.maximum(self.columns, core), self.columns)
+        return self._replace(columns=moved, weight=outside - np.append(outside[1:], 0.0)), there
+
+    @staticmethod
+    def _inner(motion: Motion, near: float) -> Motion:
+        """Return the turns about the axis."""
+        at = np.flatnonzero(np.abs(motion.axes["X"]) <= 3 * near)
+        own = slice(max(int(at[0]) - 1, 0), int(at[-1]) + 2)
+        axes = {letter: values[own] for letter, values in motion.axes.items()}
+        return Motion(time=motion.time[own], axes=axes, machine=motion.machine)
+
+    def points(self) -> tuple[Floats, Floats]:
+        """Return x and y of every place. Each (rows, columns) [mm]."""
+        if self.polar:
+            azimuth = self.rows[:, None] + self.twist
+            return np.cos(azimuth) * self.columns, np.sin(azimuth) * self.columns
+        x, y = np.meshgrid(self.columns, self.rows)
+        return x, y
+
+
+def lines_of(job: Job, feed: float, *, even: bool = False) -> Scene:
+    """Return lines across the whole part, as many as its features need.
+
+    They run from the axis, by the ring of the highest cusp there, to the rim, where most errors are largest. These
+    stand for no area: the places between do for all of it.
+
+    Parameters
+    ----------
+    job
+        Of the part.
+    feed
+        Of the finishing pass. [mm]
+    even
+        Whether every place stands for the same area, as for a map of an instrument, which sees neither.
+    """
+    part = job.part.part
+    asked = PER_FEATURE * part.radius / part.surface.feature_size
+    radii = int(np.clip(math.ceil(asked), FEWEST_RADII, MOST_RADII))
+    angles = 2 * int(np.clip(math.ceil(TURN * asked / 2), FEWEST_ANGLES // 2, MOST_ANGLES // 2))
+    share = (np.arange(radii) + 0.5) / radii
+    azimuth = np.linspace(0, TURN, angles, endpoint=False)
+    if even:
+        radius, weight = np.sqrt(share), np.full(radii, 1 / radii)
+        twist = np.zeros(radii)
+    else:
+        rings = [GAP * feed / part.radius]
+        while INWARD * rings[-1] < share[0]:
+            rings.append(INWARD * rings[-1])
+        fine = (np.arange(AROUND) + GOLDEN) / AROUND * azimuth[1]
+        # Rings a whole number of feeds apart would meet all cusps alike, and a tilt would take that off.
+        across, area = feed / part.radius, 2 * share / radii
+        if across * radii < 1:
+            share = (np.floor(share / across) + np.arange(1, radii + 1) * GOLDEN % 1) * across
+            share = np.where(share > 1 - across, share - across, share)
+        rim = RIM - np.arange(NEAR_RIM) / NEAR_RIM * across / angles
+        radius = np.concatenate([[0.0], np.full(AROUND, rings[0]), rings[1:], share, rim])
+        twist = np.zeros(radius.size)
+        twist[1 : 1 + AROUND] = fine
+        weight = np.zeros(radius.size)
+        weight[-NEAR_RIM - radii : -NEAR_RIM] = area
+        order = np.argsort(radius, kind="stable")
+        radius, twist, weight = radius[order], twist[order], weight[order]
+    return Scene(
+        "whole part",
+        polar=True,
+        rows=azimuth,
+        columns=part.radius * radius,
+        twist=twist,
+        weight=part.radius**2 * weight,
+    )
+
+
+def scenes_of(job: Job, feed: float) -> list[Scene]:
+    """Return the lines for the form of a part, and its patches, in as many rows as their finish needs."""
+    scenes = [lines_of(job, feed)]
+    for patch in job.simulation.patches:
+        x, y = patch.axes
+        every = max(1.0, x.size * y.size / MOST_IN_PATCH)
+        over_axis = x[0] <= 0 <= x[-1] and y[0] <= 0 <= y[-1]
+        if over_axis:
+            steps = round(math.sqrt(every)), round(math.sqrt(every))
+        elif abs(x.mean()) > abs(y.mean()):  # the passes run along y
+            steps = 1, max(1, min(round(every), y.size // FEWEST_ACROSS))
+        else:
+            steps = max(1, min(round(every), x.size // FEWEST_ACROSS)), 1
+        x, y = (axis[step // 2 :: step] for axis, step in zip((x, y), steps, strict=True))
+        one = np.ones(x.size)
+        scenes.append(Scene(patch.name, polar=False, rows=y, columns=x, twist=0 * one, weight=one))
+    return scenes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Planned:
+    """A finishing pass as the axes move, and where each point is cut.
+
+    Parameters
+    ----------
+    motion
+        What the surface follows: the plan, or with servos what they make of it.
+    contact
+        Distance of the contact from the axis at each point. (n,) [mm]
+    across
+        How far the edge stands beside the plane through the axis as planned. [mm]
+    edge
+        How far from its tip the nose is used. [mm]
+    blend
+        How far apart one place of the nose cuts from another at the same place of the part. [mm]
+    core
+        How far from the axis the passes stand whose raked edge comes over it, per root of how far the tip stands aside.
+        [mm^0.5]
+    upright
+        Whether the whole edge stays in one plane, as without rake and Y.
+    servos
+        Natural frequencies as shares of the stated ones, less 1, and the positions of the axis that goes with them, by
+        letter. (k,), (k, n)
+    """
+
+    motion: Motion
+    contact: Floats
+    across: float
+    edge: float
+    blend: float
+    core: float
+    upright: bool
+    servos: Mapping[str, tuple[Floats, Floats]]
+
+    def near(self, reach: Reach) -> float:
+        """Return how near to the axis a place must be for passes from beyond it to matter. [mm].
+
+        Farther out they would have to use more of the nose than any does.
+        """
+        beyond = max(-float(self.motion.axes["X"].min()), 0.0)
+        return self.edge + beyond + self.blend + reach.along + FEEDS * self.motion.feed
+
+
+def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned:
+    """Return the finishing pass of a job, planned once for all cases."""
+    told = progress or (lambda _done, _total: None)
+    aim, tool, machine, cut = job.part.aimed, job.tool.tool, job.machine.machine, job.passes[-1]
+    servo = job.servo(cut)
+    told(0, 4)
+    spiral = servo.spiral(aim, tool)
+    if machine.controller.interpolation != "hermite":
+        spiral = replace(spiral, radius_rate=None, y_rate=None)
+    told(1, 4)
+    path = place(spiral, aim, tool, along=job.strategy.along)
+    told(2, 4)
+    meant = drive(path, servo, machine, profile=job.strategy.profile(cut))
+    told(3, 4)
+    commanded = precorrect(meant) if job.program.precorrect else meant
+    real, actual = meant, job.actual_machine
+    servos: dict[str, tuple[Floats, Floats]] = {}
+    if job.simulation.tracking:
+        real = track(commanded, actual)
+        for letter, most in reach.servos.items():
+            if letter in real.axes and letter in actual.axes and actual.axes[letter].response is not None:
+                shares = most * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+                at = real.time + commanded.time[0]
+                rows = [track(commanded, _quicker(actual, letter, one), at=at).axes[letter] for one in shares]
+                servos[letter] = shares, np.stack(rows)
+    elif machine.controller.interpolation != "linear":
+        real = track(meant, without_servos(actual, corrected=job.program.precorrect))
+    contact = np.hypot(path.contact_x, path.contact_y)
+    if real.time.size != contact.size:
+        way = meant.sense
+        contact = np.interp(way * real.axes["C"], way * meant.axes["C"], contact)
+    low, high = float(path.sweep.min()), float(path.sweep.max())
+    radius = tool.actual_radius
+    edge = radius * math.sin(min(max(-low, high, 0.0), math.pi / 2))
+    sine = abs(math.sin(tool.rake))
+    lean = radius * (1 - math.cos(min(max(-low, high, 0.0), math.pi / 2))) * sine
+    aside = max((float(np.abs(axis).max()) for letter, axis in real.axes.items() if letter == "Y"), default=0.0)
+    # Where the nose does not fit, one place is cut by passes that touch the part elsewhere.
+    tight = job.part.aimed.surface.in_pieces or float(path.clearance.min()) < -GOUGED or not _fits(job)
+    told(4, 4)
+    return Planned(
+        motion=real, contact=contact, across=lean + aside + abs(tool.offset[1]), edge=edge + abs(tool.offset[0]),
+        blend=2 * edge if tight else 0.0, core=1.5 * math.sqrt(2 * radius / sine) if sine else 0.0,
+        upright=not tool.rake and "Y" not in real.axes, servos=servos,
+    )  # fmt: skip
+
+
+def _fits(job: Job) -> bool:
+    """Say whether the nose reaches everywhere."""
+    access = check_access(job.part.aimed, job.tool.tool, sense=job.strategy.sense)
+    return all(one.ok for one in access.findings if one.name in {"nose radius", "valley", "step"})
+
+
+def _quicker(machine: Machine, letter: str, share: float) -> Machine:
+    """Return a machine one of whose axes has a natural frequency that is higher by a share."""
+    axis = machine.axes[letter]
+    assert axis.response is not None  # noqa: S101 - asked before
+    quick = replace(axis, response=axis.response.slower(1 / (1 + share)))
+    return replace(machine, axes={**machine.axes, letter: quick})
+
+
+def kept(plan: Planned, scene: Scene, reach: Reach) -> Bools:
+    """Return which points of a program a scene needs.
+
+    A pass cuts at its planned contact, give or take what the tool, the slides and the cusps move that by; it cuts at
+    the azimuth that the spindle shows, or on the other side of the axis, give or take how far the edge stands beside
+    the plane through the axis.
+    """
+    c, x = plan.motion.axes["C"], plan.motion.axes["X"]
+    if scene.polar:
+        nearest, farthest = float(scene.columns[0]), float(scene.columns[-1])
+        middle, half, many = float(scene.rows[0]), 0.0, scene.rows.size
+        if many % 2:
+            raise AssertionError("lines come in pairs")
+    else:
+        corners = np.hypot(*np.meshgrid(scene.columns[[0, -1]], scene.rows[[0, -1]]))
+        x0, y0 = (np.clip(0.0, axis[0], axis[-1]) for axis in (scene.columns, scene.rows))
+        nearest, farthest = math.hypot(x0, y0), float(corners.max())
+        middle = math.atan2(scene.rows.mean(), scene.columns.mean())
+        places = np.arctan2(*(one.ravel() for one in np.meshgrid(scene.rows[[0, -1]], scene.columns[[0, -1]])))
+        half = math.pi if nearest == 0 else float(np.abs((places - middle + math.pi) % TURN - math.pi).max())
+        many = 1
+    across = plan.across + reach.across
+    along = plan.blend + plan.core * math.sqrt(across) + FEEDS * plan.motion.feed + reach.along
+    near = np.flatnonzero((plan.contact >= nearest - along) & (plan.contact <= farthest + along))
+    # Along lines a tip that stands aside cuts at another place, not at another azimuth; see `Scene.generated`.
+    level = plan.near(reach) + along if scene.polar and plan.upright else math.inf
+    keep = np.zeros(c.size, dtype=np.bool_)
+    if near.size == 0:
+        return keep
+    first, last = max(int(near[0]) - 1, 0), min(int(near[-1]) + 2, c.size)
+    turns = many / TURN
+    for start in range(first, last - 1, BLOCK):
+        stop = min(start + BLOCK, last - 1)
+        a = (c[start : stop + 1] - middle) * turns
+        low, high = np.minimum(a[:-1], a[1:]), np.maximum(a[:-1], a[1:])
+        served = np.maximum(plan.contact[start:stop] - along, max(nearest, 1e-9))
+        aside = np.where(plan.contact[start:stop] > level, plan.across, across)
+        # The axis itself is met at every azimuth.
+        window = half + np.where(served > np.maximum(aside, 1e-9), np.arcsin(np.minimum(aside / served, 1.0)), math.pi)
+        wide = window * turns
+        crosses = np.floor(high + wide) >= np.ceil(low - wide)
+        if not scene.polar:
+            behind = np.abs(x[start:stop]) <= plan.edge + along
+            crosses |= behind & (np.floor(high + 0.5 + wide) >= np.ceil(low + 0.5 - wide))
+        at = start + np.flatnonzero(crosses)
+        keep[at] = True
+        keep[at + 1] = True
+    return keep
+
+
+def stored(plan: Planned, keep: Bools, reach: Reach) -> tuple[dict[str, Any], Floats]:
+    """Return what is kept of a motion: what its rows are, and they. (m, n)."""
+    motion = plan.motion
+    letters = list(motion.axes)
+    rows = [motion.time[keep], *(motion.axes[letter][keep] for letter in letters)]
+    nodes = {}
+    for letter, (shares, positions) in plan.servos.items():
+        nodes[letter] = shares.tolist()
+        rows += list(positions[:, keep])
+    head = {
+        "letters": letters, "nodes": nodes, "duration": float(motion.time[-1] - motion.time[0]),
+        "near": plan.near(reach),
+    }  # fmt: skip
+    return head, np.stack(rows)
+
+
+def scene_motion(head: Mapping[str, Any], rows: Floats, machine: Machine, faster: Mapping[str, float]) -> Motion:
+    """Return the motion of a scene with axes whose natural frequencies are higher by a share, by letter."""
+    letters = head["letters"]
+    axes = {letter: rows[1 + k] for k, letter in enumerate(letters)}
+    after = 1 + len(letters)
+    for letter, shares in head["nodes"].items():
+        own = rows[after : after + len(shares)]
+        after += len(shares)
+        axes[letter] = _lagrange(np.asarray(shares), faster.get(letter, 0.0)) @ own
+    return Motion(time=rows[0], axes=axes, machine=machine)
+
+
+def _lagrange(nodes: Floats, at: float) -> Floats:
+    """Return the weights of values at nodes that the polynomial through them has at some place. (k,)."""
+    apart = nodes[:, None] - nodes + np.eye(nodes.size)
+    off = (at - nodes)[None, :] + np.zeros((nodes.size, 1))
+    np.fill_diagonal(off, 1.0)
+    return np.asarray((off / apart).prod(axis=1))
+
+
+def drift_share(time: Floats, duration: float, settling: float | None) -> Floats:
+    r"""Return how much of a drift there is at each time, 1 at the end of the cut.
+
+    .. math:: \frac{t}{T} \quad\text{or}\quad \frac{1 - e^{-t/\tau}}{1 - e^{-T/\tau}}
+    """
+    if settling is None:
+        return time / duration
+    return np.asarray(np.expm1(-time / settling) / math.expm1(-duration / settling))
+
+
+def drifted(motion: Motion, x: float, z: float, share: Floats) -> Motion:
+    """Return a motion whose tool drifts along X and Z, by so much at the end of the cut; see `drift_share`."""
+    if not x and not z:
+        return motion
+    return replace(motion, axes={**motion.axes, "X": motion.axes["X"] + x * share, "Z": motion.axes["Z"] + z * share})
+
+
+def answers(job: Job) -> bool:
+    """Say whether servos count in the prediction of a job."""
+    return job.simulation.tracking and has_servos(job.actual_machine)

@@ -1,0 +1,291 @@
+"""A tiled map as a zarr group: what lies where in it, and what of it is finished.
+
+``level_0`` holds the map, ``level_1`` and on its overviews, each with its ``z`` in files of one tile (uncompressed:
+the last digits of heights are noise), and ``x`` and ``y``. ``tiles`` holds one record for each tile, written when all
+else of the tile is; a tile without one does not count. In a folder and in an object store every file appears whole, or
+not at all.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from turnwright import _validate as validate
+from turnwright._arrays import Bools, Floats
+from turnwright.errors import InputError, StudyError
+from turnwright.studies.tile_layout import Layout
+
+if TYPE_CHECKING:
+    import zarr
+
+__all__ = [
+    "ASKED",
+    "EDGES",
+    "MOTION",
+    "PLANE",
+    "Files",
+    "bytes_needed",
+    "forget_motion",
+    "named_place",
+    "require_own",
+    "require_room",
+    "told",
+]
+
+FORMAT = 1
+MOTION = ".motion"
+"""Where the arrays of the motion lie while workers need them."""
+
+PLANE = 12
+"""Numbers that `plane_sums` makes of a tile."""
+
+ASKED = PLANE
+"""Where a record says how many pixels of the part the tile has."""
+
+EDGES = PLANE + 1
+"""Where the first row of its heights begins, and after it the first column."""
+
+FULL = frozenset(getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name))
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """The arrays of a tiled map.
+
+    Parameters
+    ----------
+    place
+        Folder or URL.
+    about
+        What the group says of itself.
+    layout
+        Its grid.
+    levels
+        The heights of the map and of its overviews.
+    records
+        One row of numbers for each tile. (tile rows, tile columns, numbers)
+    """
+
+    place: str
+    about: dict[str, Any]
+    layout: Layout
+    levels: tuple[zarr.Array[Any], ...]
+    records: zarr.Array[Any]
+
+    @classmethod
+    def open(cls, place: str, *, write: bool = False) -> Self:
+        """Open a map that was begun, to read or to go on.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        group = _group(place, mode="r+" if write else "r")
+        about = _about(group)
+        if group is None or about is None or about.get("format") != FORMAT:
+            raise InputError(f"{place!r} holds no tiled map of format {FORMAT}: name a store that generate_tiled made")
+        layout = Layout.read(about["layout"])
+        return cls(
+            place,
+            about,
+            layout,
+            tuple(_array(group, f"level_{level}/z") for level in range(layout.levels)),
+            _array(group, "tiles"),
+        )
+
+    @classmethod
+    def begin(cls, place: str, layout: Layout, about: dict[str, Any]) -> Self:
+        """Make the arrays of a map, or take up one that was begun.
+
+        Raises
+        ------
+        InputError
+            If something else is there, or the disk has not the room.
+        """
+        import zarr  # noqa: PLC0415 - costly, and only for whole parts
+
+        require_own(place, layout)
+        group = _group(place, mode="r+")
+        known = _about(group)
+        if known is None:
+            said = {**about, "format": FORMAT, "layout": layout.plain(), "complete": False}
+            group = zarr.open_group(place, mode="w-", attributes={"turnwright": said})
+        elif known.get("key") != about["key"]:
+            raise _another(place)
+        assert group is not None  # noqa: S101 - opened or made
+        for level in range(layout.levels):
+            _require_level(group, layout, level)
+        if "tiles" not in group:
+            numbers = EDGES + sum(layout.tile)
+            group.create_array(
+                "tiles", shape=(*layout.count, numbers), chunks=(1, 1, numbers), dtype="float64", compressors=None,
+                fill_value=np.nan,
+            )  # fmt: skip
+        return cls.open(place, write=True)
+
+    def finished(self) -> Bools:
+        """Return which tiles are there. (tile rows, tile columns)."""
+        return np.asarray(~np.isnan(self.read_records()[:, :, 0]))
+
+    def read_records(self) -> Floats:
+        """Return the records, nan where there is none yet. (tile rows, tile columns, numbers)."""
+        return np.asarray(self.records[:], dtype=np.float64)
+
+    def complete(self) -> None:
+        """State that nothing is missing any more."""
+        group = _group(self.place, mode="r+")
+        assert group is not None  # noqa: S101 - it was opened before
+        group.attrs["turnwright"] = {**self.about, "complete": True}
+
+
+def require_own(place: str, layout: Layout) -> None:
+    """Raise if something else is at a place than a map on the same grid, in whichever tiles.
+
+    Raises
+    ------
+    InputError
+        If something is.
+    """
+    if "://" not in place and not os.path.lexists(place):
+        return
+    group = _group(place)
+    known = _about(group)
+    if known is None:
+        if group is not None or ("://" not in place and any(Path(place).iterdir())):
+            raise InputError(f"{place!r} is there already and holds something else: name another place")
+    elif known.get("format") != FORMAT or Layout.read(known["layout"]).in_tiles(layout.tile) != layout:
+        raise _another(place)
+
+
+def _another(place: str) -> InputError:
+    return InputError(
+        f"{place!r} holds the map of another motion, tool, surface or grid, or one of another version: name another "
+        "place, or delete it"
+    )
+
+
+def named_place(store: str | os.PathLike[str]) -> str:
+    """Return the whole path of a folder, or a URL as it is."""
+    place = validate.path(store, "the store").removeprefix("file://")
+    return place if "://" in place else str(Path(place).expanduser().absolute())
+
+
+def _group(place: str, mode: str = "r") -> zarr.Group | None:
+    import zarr  # noqa: PLC0415 - costly, and only for whole parts
+
+    try:
+        return zarr.open_group(place, mode=mode)  # type: ignore[arg-type]
+    except (FileNotFoundError, zarr.errors.GroupNotFoundError):
+        return None
+    except ImportError:
+        raise InputError(
+            f"a map at {place!r} needs fsspec, which is not installed: pip install 'turnwright[cluster]', or name a "
+            "folder"
+        ) from None
+    except (ValueError, KeyError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{place!r} cannot be used as a store ({reason}): name a folder, or see fsspec") from None
+
+
+def _about(group: zarr.Group | None) -> dict[str, Any] | None:
+    found = None if group is None else group.attrs.asdict().get("turnwright")
+    return dict(found) if isinstance(found, dict) else None
+
+
+def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
+    import zarr  # noqa: PLC0415
+
+    found = group.get(name)
+    if not isinstance(found, zarr.Array):
+        raise InputError(f"the map {str(group.store)!r} lacks {name}: make it anew")
+    return found
+
+
+def _require_level(group: zarr.Group, layout: Layout, level: int) -> None:
+    """Make the arrays of an overview that are not there."""
+    within = group.require_group(f"level_{level}")
+    for name, axis in zip("xy", layout.axes(level), strict=True):
+        if name not in within:
+            one = within.create_array(
+                name, shape=axis.shape, chunks=axis.shape, dtype="float64", compressors=None,
+                dimension_names=(name,), attributes={"units": "mm"},
+            )  # fmt: skip
+            one[:] = axis
+    if "z" not in within:
+        within.create_array(
+            "z", shape=layout.level_shape(level), chunks=layout.level_chunk(level), dtype="float64", compressors=None,
+            fill_value=np.nan, dimension_names=("y", "x"), attributes={"units": "mm"},
+        )  # fmt: skip
+
+
+def bytes_needed(layout: Layout) -> int:
+    """Return what the files of a map take, its overviews and records included."""
+    tiles = sum(1 for _ in layout.tiles())
+    pixels = layout.tile[0] * layout.tile[1]
+    overviews = sum(4.0**-level for level in range(layout.levels))
+    return int(8 * tiles * (pixels * overviews + EDGES + sum(layout.tile)))
+
+
+def forget_motion(place: str) -> None:
+    """Remove the arrays that workers made the tiles from."""
+    if "://" not in place:
+        shutil.rmtree(Path(place) / MOTION, ignore_errors=True)
+        return
+    from fsspec.core import url_to_fs  # noqa: PLC0415 - of an extra
+
+    files, root = url_to_fs(place)
+    with suppress(FileNotFoundError):
+        files.rm(f"{root}/{MOTION}", recursive=True)
+
+
+def require_room(place: str, layout: Layout) -> None:
+    """Raise unless the disk has the room for a map that is to be begun.
+
+    Raises
+    ------
+    InputError
+        If it has not.
+    """
+    if "://" in place or (Path(place) / "zarr.json").exists():
+        return
+    folder = Path(place).absolute()
+    while not folder.exists():
+        folder = folder.parent
+    free = shutil.disk_usage(folder).free
+    # A bare count first: of a grid that is far too fine not even the tiles can be told.
+    needed = 32 / 3 * layout.shape[0] * layout.shape[1] * (1.0 if layout.radius is None else math.pi / 4)
+    if needed < free:
+        needed = bytes_needed(layout)
+    if needed > free:
+        raise InputError(
+            f"the map of {layout.shape[1]} x {layout.shape[0]} pixels needs {needed / 1e9:.3g} GB, the disk of "
+            f"{str(folder)!r} has {free / 1e9:.3g} GB: free some space, name another disk, or use a larger pixel"
+        )
+
+
+@contextmanager
+def told(place: str, done: int, total: int) -> Iterator[None]:
+    """Turn what the system says of a disk into a sentence."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in FULL:
+            raise StudyError(
+                f"{place!r} cannot be used ({error.strerror or error}), {done} of {total} tiles are finished, which "
+                "stay: check name and rights"
+            ) from error
+        raise StudyError(
+            f"the disk of {place!r} is full with {done} of {total} tiles finished, which stay: free some space and "
+            "start again"
+        ) from error

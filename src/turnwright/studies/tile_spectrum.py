@@ -1,0 +1,106 @@
+"""Spectra of a map in tiles: those of its segments, averaged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal, TypeVar
+
+import numpy as np
+
+from turnwright import _validate as validate
+from turnwright._arrays import Floats, frozen
+from turnwright.errors import InputError
+from turnwright.heightmap import HeightMap
+from turnwright.metrology import AreaSpectrum, Spectrum, area_psd, line_psd
+from turnwright.metrology.spectrum import FEWEST, Window
+from turnwright.studies.bands import in_order
+
+if TYPE_CHECKING:
+    from turnwright.metrology.form import Form
+    from turnwright.progress import Progress
+    from turnwright.studies.tile_files import Files
+    from turnwright.studies.tile_layout import Layout
+
+__all__ = ["SEGMENT", "tiled_area_psd", "tiled_line_psd"]
+
+SEGMENT = 512
+"""Pixels along a segment: half a millimetre at a micrometre, fifty cusps or more."""
+
+AnySpectrum = TypeVar("AnySpectrum", AreaSpectrum, Spectrum)
+
+
+def tiled_area_psd(
+    files: Files, segment: int | None, form: Form, window: Window, progress: Progress | None
+) -> AreaSpectrum:
+    """Return the mean of the spectra of all whole segments."""
+
+    def work(heights: HeightMap) -> AreaSpectrum:
+        return area_psd(heights, form=form, window=window)
+
+    return _mean(files, segment, work, progress)
+
+
+def tiled_line_psd(
+    files: Files, along: Literal["x", "y"], segment: int | None, form: Form, window: Window, progress: Progress | None
+) -> Spectrum:
+    """Return the mean of the spectra of the lines of all whole segments."""
+    if not isinstance(along, str) or along not in ("x", "y"):
+        raise InputError(f'along is {along!r}, the lines of a map in tiles run along "x" or "y": choose')
+
+    def work(heights: HeightMap) -> Spectrum:
+        return line_psd(heights, along=along, form=form, window=window)
+
+    return _mean(files, segment, work, progress)
+
+
+def _mean(
+    files: Files, asked: int | None, work: Callable[[HeightMap], AnySpectrum], progress: Progress | None
+) -> AnySpectrum:
+    layout = files.layout
+    segment = _segment(layout, asked)
+    rows, columns = (size // segment for size in layout.shape)
+    # Pieces of about a tile, so that a file is read a few times at most.
+    many = max(1, layout.tile[1] // segment)
+    down = max(1, layout.tile[0] // segment)
+    pieces = [(j, i) for j in range(0, rows, down) for i in range(0, columns, many)]
+    step_x, step_y = (np.asarray(np.arange(segment) * step, dtype=np.float64) for step in layout.pixel)
+
+    def spectra(piece: tuple[int, int]) -> tuple[Floats | None, int, AnySpectrum | None]:
+        """Return the sum of the densities of a piece, how many there are, and one as a pattern."""
+        j, i = piece
+        last_j, last_i = min(j + down, rows), min(i + many, columns)
+        z = np.asarray(files.levels[0][j * segment : last_j * segment, i * segment : last_i * segment])
+        total, count, pattern = None, 0, None
+        for row in range(0, z.shape[0], segment):
+            for column in range(0, z.shape[1], segment):
+                part = z[row : row + segment, column : column + segment]
+                if np.isnan(part).any():
+                    continue
+                pattern = work(HeightMap(x=step_x, y=step_y, z=part))
+                total = pattern.density.copy() if total is None else total + pattern.density
+                count += 1
+        return total, count, pattern
+
+    whole, number, like = None, 0, None
+    for done, (total, count, pattern) in enumerate(in_order(spectra, pieces), 1):
+        if total is not None:
+            whole = total if whole is None else whole + total
+            number, like = number + count, pattern
+        if progress is not None:
+            progress(done, len(pieces))
+    if whole is None or like is None:
+        raise InputError(f"no segment of {segment} x {segment} pixels is whole: take a smaller one")
+    note = (
+        f"the mean of {number} segments of {segment} x {segment} pixels side by side, {rows * columns - number} with "
+    )
+    density = frozen(whole / number, "density", ndim=whole.ndim)
+    found = replace(like, density=density, notes=(f"{note}missing heights left out",))
+    return replace(found, count=found.count * number) if isinstance(found, Spectrum) else found
+
+
+def _segment(layout: Layout, segment: int | None) -> int:
+    if segment is None:
+        return max(FEWEST, min(SEGMENT, 1 << int(math.log2(min(layout.shape) / 4))))
+    return validate.whole(segment, "the width of a segment in pixels", FEWEST, min(layout.shape))

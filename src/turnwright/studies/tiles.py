@@ -1,0 +1,404 @@
+"""Make a whole part, tile by tile, into a store."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field, fields, is_dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from turnwright import _validate as validate
+from turnwright._arrays import Floats, only_read
+from turnwright._kernels import tiled as kernel
+from turnwright.errors import InputError, StudyError
+from turnwright.generation import Prepared, Tiles
+from turnwright.heightmap import HeightMap
+from turnwright.machine import Machine
+from turnwright.path import Motion
+from turnwright.progress import Progress, cores
+from turnwright.studies.tile_files import (
+    ASKED,
+    EDGES,
+    MOTION,
+    PLANE,
+    Files,
+    forget_motion,
+    named_place,
+    require_own,
+    require_room,
+    told,
+)
+from turnwright.studies.tile_layout import DEFAULT, INNER, Layout, Tile, require_tile, tile_sides
+from turnwright.studies.tiled_map import TiledMap
+from turnwright.tool import Tool
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Ints
+    from turnwright.studies import Store
+    from turnwright.surface import Surface
+
+__all__ = ["generate_tiled", "planned_layout"]
+
+TRIES = 3
+"""How often a tile is sent again when the process that has it dies."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Painter:
+    """All that a tile is made from, ready; one for all threads of a process."""
+
+    ready: Prepared
+    files: Files
+    minus: Surface | None
+    sides: tuple[int, int]
+    axes: tuple[Floats, Floats]
+    orders: dict[tuple[int, int], tuple[Tiles, Ints, Ints]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None, files: Files) -> _Painter:
+        """Prepare what all tiles share."""
+        layout = files.layout
+        ready = _ready(motion, tool, machine, layout)
+        return cls(ready, files, minus, ready.sides(layout.pixel[::-1]), layout.axes())
+
+    def order(self, shape: tuple[int, int]) -> tuple[Tiles, Ints, Ints]:
+        """Return the tiles of the generation in a tile of this shape, and the column and row of each of its points."""
+        if shape not in self.orders:
+            tiles = Tiles.of_grid(shape, self.sides)
+            self.orders[shape] = tiles, tiles.order % shape[1], tiles.order // shape[1]
+        return self.orders[shape]
+
+    def heights(self, tile: Tile) -> tuple[Floats, int]:
+        """Return the heights of a tile [mm], nan where there are none, and how many pixels of it are of the part."""
+        x, y = self.axes[0][tile.columns], self.axes[1][tile.rows]
+        tiles, columns, rows = self.order(tile.shape)
+        px, py = x[columns], y[rows]
+        out = np.full(px.size, np.inf)
+        inside = self.files.layout.inside(x, y)
+        groups = tiles.groups.size - 1
+        if inside is None:
+            self.ready.fill(px, py, tiles, (0, groups), out)
+        else:
+            # Whole groups only: a point gets the same height to the last bit when its group is the same.
+            wanted = np.logical_or.reduceat(inside.ravel()[tiles.order], tiles.offsets[tiles.groups[:-1]])
+            borders = np.flatnonzero(np.diff(wanted.astype(np.int8), prepend=0, append=0))
+            for start, stop in borders.reshape(-1, 2).tolist():
+                self.ready.fill(px, py, tiles, (start, stop), out)
+        z = np.empty(px.size)
+        z[tiles.order] = out
+        z[z >= 1e299] = np.nan
+        z = z.reshape(tile.shape)
+        if inside is not None:
+            z[~inside] = np.nan
+        asked = z.size if inside is None else int(np.count_nonzero(inside))
+        return (z if self.minus is None else HeightMap(x=x, y=y, z=z).minus(self.minus).z), asked
+
+    def paint(self, tile: Tile) -> None:
+        """Make a tile and its overviews, put them into the store, and then the record that it is there."""
+        z, asked = self.heights(tile)
+        record = np.zeros(self.files.records.shape[2])
+        kernel.plane_sums(only_read(z), record[:PLANE])
+        wide = self.files.layout.tile[1]
+        record[ASKED] = asked
+        record[EDGES : EDGES + z.shape[1]] = z[0]
+        record[EDGES + wide : EDGES + wide + z.shape[0]] = z[:, 0]
+        rows, columns = tile.rows.start, tile.columns.start
+        for level in range(INNER + 1):
+            if level > 0:
+                finer, z = z, np.empty((-(-z.shape[0] // 2), -(-z.shape[1] // 2)))
+                kernel.halved(only_read(finer), z)
+            row, column = rows >> level, columns >> level
+            self.files.levels[level][row : row + z.shape[0], column : column + z.shape[1]] = z
+        self.files.records[tile.j, tile.i] = record
+
+
+def _ready(motion: Motion, tool: Tool, machine: Machine | None, layout: Layout) -> Prepared:
+    return Prepared.of(
+        motion, tool, machine, distances=layout.distances(), most_rings=layout.shape[0] * layout.shape[1]
+    )  # fmt: skip
+
+
+def generate_tiled(
+    motion: Motion,
+    tool: Tool,
+    *,
+    pixel: float | tuple[float, float],
+    store: str | os.PathLike[str],
+    radius: float | None = None,
+    x: tuple[float, float] | None = None,
+    y: tuple[float, float] | None = None,
+    minus: Surface | None = None,
+    tile: int = DEFAULT,
+    machine: Machine | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> TiledMap:
+    r"""Return the surface that a motion leaves, of any size: it is made tile by tile, into a store on disk.
+
+    The heights are those of `generate` on the same grid, to the last bit. Memory holds a few tiles at a time. Whatever
+    is finished stays: called again with the same motion, tool and grid, after a stop, a crash or a full disk, it makes
+    what is missing. The store is a zarr group (version 3, uncompressed) that any program reads; beside the map it holds
+    overviews, each of half the pixels of the one before: the mean of 2 x 2 heights, those missing left out.
+
+    Parameters
+    ----------
+    motion, tool, machine
+        See `generate`.
+    pixel
+        Along x and y, or one for both. [mm]
+    store
+        A folder, or a URL that fsspec knows.
+    radius
+        Heights lie within it; a pixel lies on the axis, unless ``x`` and ``y`` say where they begin. [mm]
+    x, y
+        First and last column and row of a rectangle. [mm]
+    minus
+        Surface to subtract: the map is then the error, cut minus design.
+    tile
+        Pixels along a tile, about: it becomes a multiple of what the generation takes together.
+    executor
+        Where the tiles are made; the threads of this process if not given. The arrays of the motion then go through the
+        store, so that it must be a place that all workers see.
+    progress
+        Called with (tiles done, all tiles).
+
+    Returns
+    -------
+    TiledMap
+        With its roughness, spectra, windows.
+
+    Raises
+    ------
+    InputError
+        If the grid is not one, the disk has not the room, or the store holds something else.
+    DomainError
+        If ``minus`` is not defined somewhere.
+    StudyError
+        If the disk becomes full, or the executor breaks; what is finished stays.
+
+    Sources
+    -------
+    Oracle: `generate` in one piece.
+    """
+    from turnwright.studies import require_reach  # noqa: PLC0415 - what needs processes
+
+    validate.thing(motion, Motion, "the motion")
+    validate.thing(tool, Tool, "the tool")
+    if machine is not None:
+        validate.thing(machine, Machine, "the machine")
+    if executor is not None:
+        validate.thing(executor, Executor, "the executor")
+    validate.listener(progress)
+    if minus is not None and not callable(getattr(minus, "sag", None)):
+        raise InputError(f"what is subtracted is a {type(minus).__name__}, it must be a surface: give one")
+    place = named_place(store)
+    layout = planned_layout(place, pixel, radius=radius, x=x, y=y, tile=tile)
+    if executor is not None:
+        require_reach(place, executor, arrays=True)
+    ready = _ready(motion, tool, machine, layout)
+    sides = ready.sides(layout.pixel[::-1])
+    layout = layout.in_tiles(tile_sides(tile, sides, layout.shape))
+    key = _key(ready, layout, minus)
+    tiles = list(layout.tiles())
+    with told(place, 0, len(tiles)):
+        files = Files.begin(place, layout, {"key": key, "error": minus is not None})
+    if files.about["complete"]:
+        return TiledMap(files)
+    there = files.finished()
+    missing = [one for one in tiles if not there[one.j, one.i]]
+    done = _Count(len(tiles) - len(missing), len(tiles), progress)
+    painter = _Painter(ready, files, minus, sides, layout.axes())
+    if executor is None:
+        # One thread more than cores: while one waits for the disk, the others compute.
+        with ThreadPoolExecutor(cores() + 1) as pool:
+            _flow(lambda one: pool.submit(painter.paint, one), missing, cores() + 1, done, place)
+    else:
+        task = _Task.of(place, key, motion, tool, machine, minus)
+        workers = getattr(executor, "workers", None) or getattr(executor, "_max_workers", None) or cores()
+        ahead = 2 * int(workers)  # one in hand, one on its way
+        _flow(lambda one: executor.submit(_paint, task, one.j, one.i), missing, ahead, done, place)
+    with told(place, done.done, done.total):
+        _coarser(files)
+        files.complete()
+        if executor is not None:
+            forget_motion(place)
+    return TiledMap(Files.open(place))
+
+
+def planned_layout(
+    store: str | os.PathLike[str],
+    pixel: float | tuple[float, float],
+    *,
+    radius: float | None = None,
+    x: tuple[float, float] | None = None,
+    y: tuple[float, float] | None = None,
+    tile: int = DEFAULT,
+) -> Layout:
+    """Return the grid of a map, not yet in tiles, if it can be begun or gone on with there; see `generate_tiled`."""
+    layout = Layout.of(pixel, radius=radius, x=x, y=y)
+    require_tile(tile)
+    place = named_place(store)
+    with told(place, 0, 0):
+        require_own(place, layout)
+        require_room(place, layout.in_tiles((DEFAULT, DEFAULT)))
+    return layout
+
+
+class _Count:
+    """How many tiles are there, told to whoever wants to know."""
+
+    def __init__(self, done: int, total: int, progress: Progress | None) -> None:
+        self.done, self.total, self.progress = done, total, progress
+        self.add(0)
+
+    def add(self, more: int) -> None:
+        self.done += more
+        if self.progress is not None:
+            self.progress(self.done, self.total)
+
+
+def _flow(submit: Callable[[Tile], Future[None]], tiles: Iterable[Tile], ahead: int, done: _Count, place: str) -> None:
+    """Have all tiles made, so many ahead, and send again those whose worker died."""
+    from turnwright.studies import WorkerDied  # noqa: PLC0415
+
+    waiting = iter(tiles)
+    running = {submit(one): one for one in islice(waiting, ahead)}
+    tries: dict[tuple[int, int], int] = {}
+    try:
+        while running:
+            finished, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in finished:
+                tile = running.pop(future)
+                following: Tile | None = None
+                try:
+                    with told(place, done.done, done.total):
+                        future.result()
+                except WorkerDied as death:
+                    place_of = tile.j, tile.i
+                    tries[place_of] = tries.get(place_of, 0) + 1
+                    if tries[place_of] == TRIES:
+                        raise StudyError(
+                            f"the tile in row {tile.j + 1}, column {tile.i + 1} ended its worker {TRIES} times "
+                            f"({death}), the finished tiles "
+                            "stay: use fewer workers or smaller tiles, and start again"
+                        ) from None
+                    following = tile
+                except BrokenExecutor as error:
+                    raise StudyError(
+                        f"the executor broke with {done.done} of {done.total} tiles finished ({error}), which stay: "
+                        "start again with a new one"
+                    ) from None
+                else:
+                    done.add(1)
+                    following = next(waiting, None)
+                if following is not None:
+                    running[submit(following)] = following
+    except BaseException:
+        for future in running:
+            future.cancel()
+        raise
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """What travels to a worker: places and names, the tool and the machines, no array as long as the motion."""
+
+    place: str
+    key: str
+    arrays: Store
+    names: dict[str, str]
+    tool: Tool
+    machine: Machine
+    planned_for: Machine
+    minus: Surface | None
+
+    @classmethod
+    def of(
+        cls, place: str, key: str, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None
+    ) -> _Task:
+        from turnwright.studies import Store  # noqa: PLC0415
+
+        arrays = Store.open(f"{place}/{MOTION}")
+        columns = {"time": motion.time, **motion.axes}
+        names = {letter: arrays.put_array(letter, values) for letter, values in columns.items()}
+        return cls(
+            place, key, arrays, names, tool, machine or motion.machine, motion.machine, minus
+        )  # fmt: skip
+
+    def painter(self) -> _Painter:
+        axes = {letter: self.arrays.array(name) for letter, name in self.names.items()}
+        motion = Motion(time=axes.pop("time"), axes=axes, machine=self.planned_for)
+        return _Painter.of(motion, self.tool, self.machine, self.minus, Files.open(self.place, write=True))
+
+
+_latest: dict[str, _Painter] = {}
+"""What this worker made ready last."""
+
+
+def _paint(task: _Task, j: int, i: int) -> None:
+    """Make one tile, in a worker."""
+    at = f"{task.place} {task.key}"
+    if at not in _latest:
+        painter = task.painter()
+        _latest.clear()
+        _latest[at] = painter
+    painter = _latest[at]
+    painter.paint(painter.files.layout.at(j, i))
+
+
+def _coarser(files: Files) -> None:
+    """Make the overviews that are smaller than a tile's own, each of the one before, a band of rows at a time."""
+    layout = files.layout
+    for level in range(INNER + 1, layout.levels):
+        finer, coarse = files.levels[level - 1], files.levels[level]
+        tall = layout.level_chunk(level)[0]
+        rows, columns = layout.level_shape(level)
+        for row in range(0, rows, tall):
+            band = np.asarray(finer[2 * row : 2 * (row + tall)], dtype=np.float64)
+            out = np.empty((min(tall, rows - row), columns))
+            kernel.halved(only_read(band), out)
+            coarse[row : row + tall] = out
+
+
+def _key(ready: Prepared, layout: Layout, minus: Surface | None) -> str:
+    """Return a digest of all that decides the heights."""
+    from turnwright.studies import program_version  # noqa: PLC0415
+
+    digest = hashlib.sha256(program_version().encode())
+    _digest(digest, ready.cut)
+    _digest(digest, layout)
+    _digest(digest, minus)
+    if minus is not None:  # whatever a surface of somebody else holds, its heights tell
+        x, y = (axis[:: max(1, axis.size // 64)] for axis in layout.axes())
+        x, y = (one.ravel() for one in np.meshgrid(x, y))
+        inside = np.ones(x.shape, dtype=bool) if layout.radius is None else np.hypot(x, y) <= layout.radius
+        _digest(digest, minus.sag(x[inside], y[inside]))
+    return digest.hexdigest()
+
+
+def _digest(digest: Any, value: object) -> None:
+    """Add a value to a digest, down to plain numbers and texts."""
+    if isinstance(value, np.ndarray):
+        digest.update(f"{value.dtype.str}{value.shape}".encode())
+        digest.update(np.ascontiguousarray(value).view(np.uint8).data if value.size else b"")
+    elif is_dataclass(value):
+        digest.update(type(value).__qualname__.encode())
+        for one in fields(value):
+            if one.init:
+                digest.update(one.name.encode())
+                _digest(digest, getattr(value, one.name))
+    elif isinstance(value, Mapping):
+        _digest(digest, tuple(value.items()))
+    elif isinstance(value, list | tuple):
+        digest.update(f"({len(value)}".encode())
+        for item in value:
+            _digest(digest, item)
+    elif value is None or isinstance(value, str | int | float | np.generic):
+        digest.update(f"{value!r};".encode())
+    else:
+        digest.update(type(value).__qualname__.encode())

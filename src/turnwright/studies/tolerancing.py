@@ -1,0 +1,606 @@
+"""How likely a part keeps its tolerances, given how well machine and tool can be set up, and what to set up better."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from turnwright import _validate as validate
+from turnwright._io import write_whole
+from turnwright.errors import InputError, JobError, StudyError
+from turnwright.studies import Case, Store, case_key, conduct, local, require_reach
+from turnwright.job import Job
+from turnwright.studies.budget import MOST_DRAWS, ErrorBudget, Spread, group_of
+from turnwright.studies.draws import carry_out, laid_out
+from turnwright.studies.files import files_of
+from turnwright.studies.scenes import answers, lines_of
+from turnwright.studies.sensitivity import (
+    Interval,
+    MapModel,
+    chance,
+    grouped,
+    neighbour_indices,
+    percentile,
+    sobol_indices,
+    unit_points,
+)
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+    from os import PathLike
+
+    from turnwright._arrays import Bools, Floats
+    from turnwright.studies import Row
+    from turnwright.progress import StageProgress
+
+__all__ = ["Outcome", "Sensitivity", "Tightening", "ToleranceStudy", "tolerance"]
+
+NM = 1e6
+
+FEWEST = 10
+"""Cases of which anything can be said."""
+
+PERCENTILES = (0.05, 0.5, 0.9, 0.95, 0.99)
+
+SAMPLES_LOG2 = 10
+"""Exponent of the points at which the indices are estimated."""
+
+HEIGHTS, BOOTSTRAP_HEIGHTS = 1500, 300
+"""Places of a map that tell what it depends on, about."""
+
+BOOTSTRAPS = 40
+"""Times that the cases are drawn again for the intervals of the indices."""
+
+POOR = 0.5
+"""Share of the variance below which sums of marks are a poor model."""
+
+EFFECTIVE = 20
+"""Cases that must count after they are weighted, else their finish is taken as it is."""
+
+USUAL = ("C", "X", "Z")
+"""Axes that a lathe may have."""
+
+AS_PLANNED, CORRECTED = "as planned", "corrected"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensitivity:
+    """What a group of errors does to a part.
+
+    Parameters
+    ----------
+    group
+        Such as ``"tool offset"``; ``"concave sphere: drift"`` is that of an artefact's own cut.
+    first, total
+        Sobol' indices of the form error PV, of maps as sums of marks; ``None`` where the cases are too few.
+    given
+        First-order index of the same by nearest neighbours among the cases themselves.
+    probability
+        Of keeping all tolerances if the spread of the group were halved; ``None`` where the cases are too few.
+    percentile_nm
+        95th percentile of the form error PV then. [nm]
+    """
+
+    group: str
+    first: Interval | None
+    total: Interval | None
+    given: float
+    probability: float | None
+    percentile_nm: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tightening:
+    """The one tolerance to tighten first, and what a study of its own says of it.
+
+    Parameters
+    ----------
+    group
+        Whose spread is halved.
+    probability
+        Of keeping all tolerances with the halved spread, in cases that are the same otherwise.
+    before
+        With the whole spread.
+    """
+
+    group: str
+    probability: Interval
+    before: Interval
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outcome:
+    """What the cases come to, as planned or corrected.
+
+    Parameters
+    ----------
+    probability
+        Of keeping all tolerances that the job states.
+    each
+        Of keeping one of them, by measure.
+    sensitivities
+        The group that matters most first.
+    foretold
+        Share of the variance of form error PV and RMS of a case that the sums of marks foretell from the other cases;
+        ``None`` where they are too few.
+    advice
+        What to tighten first, in a sentence.
+    """
+
+    probability: Interval
+    each: Mapping[str, Interval]
+    sensitivities: tuple[Sensitivity, ...]
+    foretold: tuple[float, float] | None
+    advice: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ToleranceStudy:
+    """Cases of an error budget, and what they say.
+
+    Parameters
+    ----------
+    job, budget
+        What was asked.
+    seed
+        Of the draws.
+    draws
+        Of each input, in the order of the cases. Each (n,) [mm, rad]
+    columns
+        Of each measure, those after the correction beginning with ``corrected``. Each (n,) [nm]
+    reasons
+        Why cases could not be carried out; they are not among the columns, and count as parts that keep no tolerance.
+    limits
+        Of the measures that the job states tolerances for. [nm]
+    outcomes
+        ``"as planned"``, and ``"corrected"`` if there is a correction.
+    tightening
+        What was confirmed, if asked.
+    """
+
+    job: Job
+    budget: ErrorBudget
+    seed: int
+    draws: Mapping[str, Floats]
+    columns: Mapping[str, Floats]
+    reasons: tuple[str, ...]
+    limits: Mapping[str, float]
+    outcomes: Mapping[str, Outcome]
+    tightening: Tightening | None
+
+    @property
+    def count(self) -> int:
+        """Cases that were carried out."""
+        return int(next(iter(self.columns.values())).size)
+
+    def percentiles(self, measure: str) -> dict[float, Interval]:
+        """Return percentiles of a measure, each with its interval. [nm]."""
+        if measure not in list(self.columns):
+            raise InputError(f"there is no measure {measure!r} among {', '.join(self.columns)}: name one of them")
+        return {share: percentile(self.columns[measure], share) for share in PERCENTILES}
+
+    def to_csv(self, path: str | PathLike[str]) -> None:
+        """Write one row for each case: what was drawn, with its unit, and what it came to."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        heads = [f"{name} [{self.budget.unit(name)}]" for name in self.draws]
+        writer.writerow([*heads, *(f"{name.replace('_nm', '')} [nm]" for name in self.columns)])
+        for row in zip(*(one.tolist() for one in (*self.draws.values(), *self.columns.values())), strict=True):
+            writer.writerow([repr(one) for one in row])
+        write_whole(Path(validate.path(path, "the table")), text.getvalue())
+
+
+def tolerance(
+    job: Job,
+    *,
+    budget: ErrorBudget | None = None,
+    count: int = 200,
+    seed: int = 0,
+    correction: bool = True,
+    confirm: bool = False,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    store: Store | str | PathLike[str] | None = None,
+    progress: StageProgress | None = None,
+) -> ToleranceStudy:
+    """Say how likely a part keeps its tolerances, and what to set up better.
+
+    The finishing pass is planned once. Every case cuts it with another draw of tool, slides, servos, drift and mount,
+    and looks at it along lines across the part and in the job's patches. Form counts beyond the rigid motions that the
+    job's ``measurement`` leaves free; finish as the job's ``roughness`` says. With a correction every case also cuts
+    and measures the artefacts of the budget beforehand, diagnoses them, and cuts the part as planned with what was
+    found.
+
+    Parameters
+    ----------
+    job
+        With tolerances.
+    budget
+        What cannot be set exactly; `ErrorBudget.typical` if not given.
+    count
+        Number of cases, drawn independently.
+    seed
+        Of all that is drawn.
+    correction
+        Whether to tell what the artefacts are worth too.
+    confirm
+        Whether to carry out as many cases again with half the spread of what is to be tightened first, if the cases
+        are enough to tell.
+    executor
+        Who carries the cases out; processes of this machine if not given.
+    workers
+        How many of these.
+    store
+        Where motions and finished cases lie: a study that is started again goes on from there. A folder, a URL or a
+        `Store`; one that vanishes afterwards if not given.
+    progress
+        Called with (stage, done, total).
+
+    Raises
+    ------
+    JobError
+        If the job states no tolerance.
+    InputError
+        If there are fewer than 10 cases, the job cannot be planned, or the workers do not reach the store.
+    StudyError
+        If the cases cannot go on, or hardly any can be carried out.
+    """
+    validate.thing(job, Job, "the job")
+    validate.listener(progress)
+    told = progress or (lambda _stage, _done, _total: None)
+    validate.thing(correction, bool, "whether there is a correction")
+    validate.thing(confirm, bool, "whether the advice is confirmed")
+    limits = _limits(job)
+    count, seed = validate.whole(count, "the number of cases", 0, MOST_DRAWS), validate.whole(seed, "the seed", 0)
+    if count < FEWEST:
+        raise InputError(f"the study has {count} cases, it needs at least {FEWEST}: give a larger count")
+    budget = ErrorBudget.typical() if budget is None else validate.thing(budget, ErrorBudget, "the budget")
+    _check_axes(job, budget)
+    with ExitStack() as stack:
+        if store is None:
+            store = stack.enter_context(TemporaryDirectory(prefix="turnwright-"))
+        place = store if isinstance(store, Store) else Store.open(store)
+        if executor is None:
+            executor = stack.enter_context(local(workers))
+        require_reach(place.place, executor, arrays=True)
+        shared = _shared(job, budget, place, correction=correction, told=told)
+        study = _Cases(
+            shared=shared, executor=executor, store=place, seed=seed, correction=correction, told=told,
+            study=case_key({"shared": shared}),
+        )  # fmt: skip
+        inputs = {
+            name: spread
+            for name, spread in budget.inputs(correction=correction).items()
+            if answers(job) or not name.startswith("servo ")
+        }
+        drawn = budget.draw(count, seed=seed, correction=correction)
+        draws = {name: drawn[name] for name in inputs}
+        rows = study.carried_out("cases", draws)
+        good = [k for k, row in enumerate(rows) if "reason" not in row]
+        reasons = tuple(str(row["reason"]) for row in rows if "reason" in row)
+        if len(good) < FEWEST:
+            raise StudyError(f"{len(good)} of {count} cases could be carried out, the limit is {FEWEST}: {reasons[0]}")
+        kept = {name: values[good] for name, values in draws.items()}
+        columns = {
+            name: np.array([rows[k][name] for k in good], dtype=np.float64)
+            for name in rows[good[0]]
+            if not name.endswith("map")
+        }
+        outcomes: dict[str, Outcome] = {}
+        for number, kind in enumerate((AS_PLANNED, CORRECTED)[: 1 + correction]):
+            told("sensitivity", number, 1 + correction)
+            own = set(budget.inputs(correction=kind == CORRECTED))
+            maps = np.stack([place.array(rows[k][_named("map", kind)]).ravel() for k in good])
+            outcomes[kind] = _outcome(
+                job, {name: inputs[name] for name in inputs if name in own}, kept, columns, maps, limits, kind, seed,
+                failed=len(reasons), feed=shared["cuts"][""]["feed"],
+            )  # fmt: skip
+        told("sensitivity", 1, 1)
+        tightening = None
+        kind = CORRECTED if correction else AS_PLANNED
+        if confirm and outcomes[kind].foretold is not None:
+            tightening = _confirmed(study, inputs, draws, outcomes[kind], limits, kind)
+    return ToleranceStudy(
+        job=job, budget=budget, seed=seed, draws=MappingProxyType(kept), columns=MappingProxyType(columns),
+        reasons=reasons, limits=MappingProxyType(limits), outcomes=MappingProxyType(outcomes), tightening=tightening,
+    )  # fmt: skip
+
+
+def _check_axes(job: Job, budget: ErrorBudget) -> None:
+    """Raise unless the machine has the axes whose servos a budget is about; the usual ones may always be named."""
+    axes = job.machine.machine.axes
+    for name in budget.errors:
+        if name.startswith("servo ") and name[-1] not in {*axes, *USUAL}:
+            raise InputError(
+                f"{name}: {job.machine.machine.name} has no axis {name[-1]}, it has {', '.join(sorted(axes))}: name "
+                "one of them, or leave it out"
+            )
+
+
+def _limits(job: Job) -> dict[str, float]:
+    """Return the limit of each measure that has one. [nm]."""
+    limits = {}
+    if job.tolerances.form_pv is not None:
+        limits["form_pv_nm"] = job.tolerances.form_pv * NM
+    if job.tolerances.sq is not None:
+        limits |= {f"sq_nm@{patch.name}": job.tolerances.sq * NM for patch in job.simulation.patches}
+    if not limits:
+        raise JobError(
+            "the job states 0 tolerances that can be judged, it needs at least 1: add form_pv, or sq and a patch, "
+            "under [tolerances]"
+        )
+    return limits
+
+
+def _shared(job: Job, budget: ErrorBudget, store: Store, *, correction: bool, told: StageProgress) -> dict[str, Any]:
+    """Return what all cases share, planned now or by an earlier study in the same store."""
+    planned = {"job": job.to_toml(), "files": files_of(job)}
+    key = case_key({"planned": planned, "budget": budget.to_table(), "correction": correction})
+    row = store.row(key)
+    if row is None:
+        row = laid_out(
+            job, budget, store, correction=correction, progress=lambda done, total: told("plan", done, total)
+        )
+        store.put_row(key, row)
+    told("plan", 1, 1)
+    return row
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Cases:
+    """Who carries out the cases of a study."""
+
+    shared: Mapping[str, Any]
+    executor: Executor
+    store: Store
+    seed: int
+    study: str
+    correction: bool
+    told: StageProgress
+
+    def carried_out(self, stage: str, draws: Mapping[str, Floats]) -> list[Row]:
+        """Return a row for each draw."""
+        cases = []
+        for k in range(next(iter(draws.values())).size):
+            data = {
+                "draw": {name: float(values[k]) for name, values in draws.items()},
+                "seed": [self.seed, k],
+                "correction": self.correction,
+                "study": self.study,
+            }
+            cases.append(Case(key=case_key(data), data=data))
+        return conduct(
+            carry_out, cases, shared=self.shared, executor=self.executor, store=self.store,
+            progress=lambda done, total: self.told(stage, done, total),
+        )  # fmt: skip
+
+
+def _named(measure: str, kind: str) -> str:
+    return measure if kind == AS_PLANNED else f"{CORRECTED} {measure}"
+
+
+def _keeps(columns: Mapping[str, Floats], limits: Mapping[str, float], kind: str) -> dict[str, Bools]:
+    """Return which cases keep each limit. Each (n,)."""
+    return {measure: columns[_named(measure, kind)] <= limit for measure, limit in limits.items()}
+
+
+def _outcome(
+    job: Job,
+    inputs: Mapping[str, Spread],
+    draws: Mapping[str, Floats],
+    columns: Mapping[str, Floats],
+    maps: Floats,
+    limits: Mapping[str, float],
+    kind: str,
+    seed: int,
+    *,
+    failed: int,
+    feed: float,
+) -> Outcome:
+    """Return what the cases say, as planned or corrected; those that failed keep nothing."""
+    keeps = _keeps(columns, limits, kind)
+    every = np.logical_and.reduce(list(keeps.values()))
+    probability = chance(int(every.sum()), every.size + failed)
+    groups = grouped(list(inputs), group_of)
+    scaled = np.stack([(draws[name] - one.mean) / one.deviation for name, one in inputs.items()], axis=1)
+    given = neighbour_indices(scaled, columns[_named("form_pv_nm", kind)], list(groups.values()))
+    lines = lines_of(job, feed)
+    weight = np.broadcast_to(lines.weight, (lines.rows.size, lines.columns.size)).ravel()
+    seen = np.flatnonzero(np.isfinite(maps).all(axis=0))
+    if seen.size > HEIGHTS:  # at random, so that no pattern of the part is met at one phase only
+        seen = np.sort(np.random.default_rng(seed).choice(seen, HEIGHTS, replace=False))
+    maps, weight = maps[:, seen], weight[seen]
+    pv = columns[_named("form_pv_nm", kind)]
+    # Few places see a little less of every map, so that their peak to valley is scaled to that of the whole.
+    maps = maps * float(np.mean(pv) / np.mean(np.ptp(maps, axis=1)))
+    model = MapModel.fitted(scaled, maps, weight)
+    study = _Sums(inputs=inputs, groups=groups, scaled=scaled, maps=maps, weight=weight, pv=pv, seed=seed)
+    sensitivities = [
+        Sensitivity(group=group, first=None, total=None, given=float(share), probability=None, percentile_nm=None)
+        for group, share in zip(groups, given, strict=True)
+    ]
+    if model is not None:
+        first, total = study.indices(model)
+        finish = {name: one for name, one in keeps.items() if name != "form_pv_nm"}
+        fine = np.logical_and.reduce([*finish.values(), np.ones(every.size, dtype=np.bool_)])
+        halves = study.halved(model, limits.get("form_pv_nm"), draws, fine, probability.value)
+        sensitivities = [
+            replace(one, first=first[k], total=total[k], probability=halves[k][0], percentile_nm=halves[k][1])
+            for k, one in enumerate(sensitivities)
+        ]
+    sensitivities.sort(key=lambda one: -_matters(one))
+    return Outcome(
+        probability=probability,
+        each=MappingProxyType({name: chance(int(one.sum()), one.size + failed) for name, one in keeps.items()}),
+        sensitivities=tuple(sensitivities),
+        foretold=None if model is None else model.foretold(),
+        advice=_with_doubt(
+            _advice(
+                sensitivities,
+                probability.value,
+                float(np.quantile(pv, 0.95)),
+                cases=every.size,
+                fewest=MapModel.fewest(len(inputs)),
+            ),
+            model,
+        ),
+    )
+
+
+def _matters(one: Sensitivity) -> float:
+    return one.given if one.total is None else one.total.value
+
+
+def _first(sensitivities: Sequence[Sensitivity], before: float) -> Sensitivity:
+    """Return what to tighten first: what raises the probability most, or where nothing does the percentile."""
+
+    def worth(one: Sensitivity) -> tuple[float, float]:
+        if one.probability is None or one.percentile_nm is None:
+            return 0.0, _matters(one)
+        return max(round(one.probability - before, 2), 0.0), -one.percentile_nm
+
+    return max(sensitivities, key=worth)
+
+
+def _advice(
+    sensitivities: Sequence[Sensitivity], before: float, percentile_nm: float, *, cases: int, fewest: int
+) -> str:
+    best = _first(sensitivities, before)
+    if best.probability is None or best.percentile_nm is None:
+        return f"{cases} cases are too few to tell what to tighten first: draw at least {fewest}"
+    return (
+        f"tighten {best.group} first: with half its spread the probability goes from {before:.1%} to about "
+        f"{best.probability:.1%}, and 95 of 100 parts keep {best.percentile_nm:.3g} nm PV in place of "
+        f"{percentile_nm:.3g} nm"
+    )
+
+
+def _with_doubt(advice: str, model: MapModel | None) -> str:
+    """Return what is advised, and that it is a rough guess where it rests on a poor model."""
+    if model is None or (share := model.foretold()[0]) >= POOR:
+        return advice
+    return f"{advice}; a rough guess, for sums of marks foretell only {max(share, 0.0):.0%} of the spread of a case"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Sums:
+    """Maps as sums of marks, asked many questions.
+
+    Parameters
+    ----------
+    inputs, groups
+        Distributions, and the numbers of those that belong together.
+    scaled
+        Draws in units of their deviations. (n, d)
+    maps, weight
+        Form errors of the cases (n, m) [nm], and the area that each height stands for. (m,)
+    pv
+        Of the whole maps. (n,) [nm]
+    seed
+        Of all that is drawn.
+    """
+
+    inputs: Mapping[str, Spread]
+    groups: Mapping[str, list[int]]
+    scaled: Floats
+    maps: Floats
+    weight: Floats
+    pv: Floats
+    seed: int
+
+    def points(self, unit: Floats) -> Floats:
+        """Return scaled draws of points in the unit cube. (n, d)."""
+        rows = [(one.quantile(unit[:, k]) - one.mean) / one.deviation for k, one in enumerate(self.inputs.values())]
+        return np.stack(rows, axis=1)
+
+    def indices(self, model: MapModel) -> tuple[list[Interval], list[Interval]]:
+        """Return first-order and total indices of form error PV, with their intervals.
+
+        These hold what other draws of the cases would make of the marks, and what the design leaves open.
+        """
+        groups, many = list(self.groups.values()), len(self.inputs)
+        unit = unit_points(2 * many, SAMPLES_LOG2, self.seed)
+        a, b = self.points(unit[:, :many]), self.points(unit[:, many:])
+        best = sobol_indices(model.pv, groups, a, b)
+        rng = np.random.default_rng([self.seed, 1])
+        again = []
+        thin = slice(None, None, max(1, self.maps.shape[1] // BOOTSTRAP_HEIGHTS))
+        for _ in range(BOOTSTRAPS):
+            chosen = np.asarray(rng.integers(0, self.scaled.shape[0], size=self.scaled.shape[0]))
+            other = MapModel.fitted(self.scaled, self.maps[:, thin], self.weight[thin], chosen)
+            assert other is not None  # noqa: S101 - as many cases as before
+            found = sobol_indices(other.pv, groups, a, b)
+            again.append((found.first, found.total))
+        both = []
+        for values, error, spread in zip(best[:2], best[2:], np.std(np.array(again), axis=0), strict=True):
+            half = 1.96 * np.hypot(error, spread)
+            both.append(
+                [
+                    Interval(float(v), max(float(v - h), 0.0), min(float(v + h), 1.0))
+                    for v, h in zip(values, half, strict=True)
+                ]
+            )
+        return both[0], both[1]
+
+    def halved(
+        self, model: MapModel, limit: float | None, draws: Mapping[str, Floats], fine: Bools, before: float
+    ) -> list[tuple[float, float]]:
+        """Return probability and 95th percentile of form error PV [nm], each group at half its spread.
+
+        The form is that of sums of marks; the finish that of the cases, weighted by how much more often the halved
+        spread would draw them.
+        """
+        whole = self.points(unit_points(len(self.inputs), SAMPLES_LOG2 + 2, self.seed))
+        names = list(self.inputs)
+
+        def form(group: Sequence[int]) -> tuple[float, float]:
+            tight = whole.copy()
+            tight[:, group] /= 2
+            pv = model.pv(tight)
+            return 1.0 if limit is None else float(np.mean(pv <= limit)), float(np.quantile(pv, 0.95))
+
+        now, percentile_nm = form([])
+        # What the marks do not foretell of the spread is there with any of the groups halved.
+        real = float(np.quantile(self.pv, 0.95)) / percentile_nm
+        found = []
+        for group in self.groups.values():
+            keeps, percentile_nm = form(group)
+            weight = np.ones(fine.size)
+            for k in group:
+                weight *= self.inputs[names[k]].density_halved(draws[names[k]])
+            effective = weight.sum() ** 2 / max(float((weight**2).sum()), 1e-300)
+            better = float(weight @ fine / weight.sum()) if effective >= EFFECTIVE else float(fine.mean())
+            rise = keeps * better - now * float(fine.mean())
+            found.append((float(np.clip(before + rise, 0.0, 1.0)), real * percentile_nm))
+        return found
+
+
+def _confirmed(
+    study: _Cases,
+    inputs: Mapping[str, Spread],
+    draws: Mapping[str, Floats],
+    outcome: Outcome,
+    limits: Mapping[str, float],
+    kind: str,
+) -> Tightening:
+    """Return what as many cases again say of half the spread that matters most."""
+    best = _first(outcome.sensitivities, outcome.probability.value)
+    tight = {
+        name: (values + inputs[name].mean) / 2 if group_of(name) == best.group else values
+        for name, values in draws.items()
+    }
+    rows = study.carried_out("confirm", tight)
+    good = [
+        "reason" not in row and all(row[_named(measure, kind)] <= limit for measure, limit in limits.items())
+        for row in rows
+    ]
+    return Tightening(group=best.group, probability=chance(sum(good), len(good)), before=outcome.probability)

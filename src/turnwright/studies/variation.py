@@ -1,0 +1,539 @@
+"""A study: one job with some of its fields varied, and what is measured of every case."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, TypeAlias, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turnwright import _validate as validate
+from turnwright._arrays import Bools, Floats, frozen
+from turnwright._io import write_whole
+from turnwright.errors import InputError, JobError, StudyError
+from turnwright.studies import Case, Store, case_key, conduct, local
+from turnwright.job import Job
+from turnwright.studies.evaluate import REFUSED, SECONDS, carry_out
+from turnwright.studies.fields import changed, data_of
+from turnwright.studies.files import files_of, kept_files
+from turnwright.studies.measures import Measure, Own, measure_of
+from turnwright.studies.designs import MOST_CASES, Vary, design_cases, read_varied, stated
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from turnwright.progress import Progress
+
+__all__ = ["Column", "Grid", "Study", "study"]
+
+Kind: TypeAlias = Literal["number", "whole", "text", "flag"]
+
+REASON = "reason"
+FORM = 1
+"""Version of what `Study.save` writes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Column:
+    """A column of a study's table: a field that was varied, or a measure.
+
+    Parameters
+    ----------
+    name
+        Of the field or measure, as it was asked for.
+    unit
+        Of its values; empty for what has none, or what carries its unit in its name.
+    values
+        One for each case; nan, or an empty text, where there is none. (n,)
+    own
+        Of a field, what the job itself states, in the same unit; ``None`` where it states nothing.
+    """
+
+    name: str
+    unit: str
+    values: NDArray[Any]
+    own: float | int | str | bool | None = None
+
+    @property
+    def heading(self) -> str:
+        """The name with its unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def kind(self) -> Kind:
+        """What it holds: "number", "whole" (numbers), "text" or "flag"."""
+        kinds: dict[str, Kind] = {"f": "number", "i": "whole", "b": "flag"}
+        return kinds.get(self.values.dtype.kind, "text")
+
+    @property
+    def different(self) -> NDArray[Any]:
+        """Its different values, ascending."""
+        return np.unique(self.values)
+
+
+class Grid(NamedTuple):
+    """A measure over two fields.
+
+    Parameters
+    ----------
+    rows, columns
+        Values of the first and the second field. (n,), (m,)
+    values
+        Of the measure; nan where there is none. (n, m)
+    ok
+        Whether the case is one that `run` would carry out. (n, m)
+    """
+
+    rows: NDArray[Any]
+    columns: NDArray[Any]
+    values: Floats
+    ok: Bools
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Study:
+    """What became of every case of a study: a table.
+
+    A study is asked by name for a column, ``study["sq_nm"]``, and by number for a case, ``study[3]``.
+
+    Parameters
+    ----------
+    job
+        The job whose fields were varied.
+    design
+        How the cases were chosen, see `study`.
+    fields
+        What was varied.
+    measures
+        What was measured.
+    reasons
+        Of every case, why there is nothing to measure or why `run` would refuse it, in a sentence; empty if all is
+        well. Of one that `run` would refuse (its tool does not reach, or a limit is passed) the measures are there all
+        the same. (n,)
+    seconds
+        What every case took; nan where it was not carried out. (n,) [s]
+    """
+
+    job: Job
+    design: str
+    fields: tuple[Column, ...]
+    measures: tuple[Column, ...]
+    reasons: tuple[str, ...]
+    seconds: Floats = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        validate.check_numbers(self, nan=("seconds",))
+        for one in (*self.fields, *self.measures):
+            one.values.flags.writeable = False
+        object.__setattr__(self, "seconds", frozen(self.seconds, "seconds", finite=False))
+
+    def __len__(self) -> int:
+        return len(self.reasons)
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Fields and measures."""
+        return (*self.fields, *self.measures)
+
+    @property
+    def ok(self) -> Bools:
+        """Whether each case is one that `run` would carry out. (n,)."""
+        return np.array([not reason for reason in self.reasons], dtype=np.bool_)
+
+    @property
+    def table(self) -> list[dict[str, Any]]:
+        """All cases, each by the names of fields and measures, with its ``reason``."""
+        return [self[number] for number in range(len(self))]
+
+    def column(self, name: str) -> Column:
+        """Return a field or a measure by its name.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        for one in self.columns:
+            if isinstance(name, str) and one.name == name:
+                return one
+        raise InputError(f"the study has no column {name!r}, it has {', '.join(one.name for one in self.columns)}")
+
+    @overload
+    def __getitem__(self, which: str) -> NDArray[Any]: ...
+    @overload
+    def __getitem__(self, which: int) -> dict[str, Any]: ...
+    def __getitem__(self, which: str | int) -> NDArray[Any] | dict[str, Any]:
+        """Return the values of a column by its name, or a case by its number."""
+        if isinstance(which, str):
+            return self.column(which).values
+        if isinstance(which, bool) or not isinstance(which, int | np.integer) or abs(which) > MOST_CASES:
+            raise InputError(f"{which!r} is neither a column nor the number of a case: give one of them")
+        reason = self.reasons[which]  # raises IndexError where there is no such case, which ends a loop over all
+        return {**{one.name: one.values[which].item() for one in self.columns}, REASON: reason}
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return iter(self.table)
+
+    def best(self, measure: str, count: int = 10, *, largest: bool = False) -> list[int]:
+        """Return the numbers of the best cases that `run` would carry out, the best first.
+
+        Parameters
+        ----------
+        measure
+            By which.
+        count
+            How many at most.
+        largest
+            Whether more is better.
+        """
+        count = validate.whole(count, "the number of cases", 0)
+        validate.thing(largest, bool, "whether more is better")
+        values = self.column(measure).values
+        if values.dtype.kind not in "fi":
+            raise InputError(f"{measure} is no number, so no case is best: name another measure")
+        order = np.argsort(-values if largest else values, kind="stable")
+        return [int(one) for one in order if self.ok[one] and np.isfinite(values[one])][:count]
+
+    def grid(self, measure: str, *, over: tuple[str, str] | None = None, at: Mapping[str, Any] | None = None) -> Grid:
+        """Return a measure over two fields, as a map is drawn.
+
+        Parameters
+        ----------
+        measure
+            Its name.
+        over
+            The two fields, rows first; the first two if not given.
+        at
+            Values of all other fields.
+
+        Raises
+        ------
+        InputError
+            If a field is missing, or several cases stand at the same place.
+        """
+        if over is None:
+            if len(self.fields) < 2:
+                raise InputError(f"a map is over 2 fields, the study varies {len(self.fields)}: draw a line")
+            over = self.fields[0].name, self.fields[1].name
+        if not isinstance(over, tuple | list) or len(over) != 2:
+            raise InputError(f"a map is over {over!r}, it must be over 2 fields: name them")
+        if at is not None:
+            validate.thing(at, Mapping, "where the other fields stand")
+        kept = np.ones(len(self), dtype=np.bool_)
+        for name, value in (at or {}).items():
+            column = self.column(name).values
+            if column.dtype.kind == "f":
+                kept &= np.isclose(column, validate.number(value, name), rtol=1e-12, atol=0)
+            else:
+                kept &= np.array([one == value for one in column.tolist()], dtype=np.bool_)
+        rows, row = np.unique(self.column(over[0]).values[kept], return_inverse=True)
+        columns, place = np.unique(self.column(over[1]).values[kept], return_inverse=True)
+        if rows.size * columns.size == 0:
+            raise InputError(f"no case stands at {dict(at or {})}: name values that the study has")
+        if np.unique(row * columns.size + place).size < row.size:
+            others = [one.name for one in self.fields if one.name not in over and one.name not in (at or {})]
+            raise InputError(
+                f"several cases stand at the same {over[0]} and {over[1]}: fix {', '.join(others) or 'the cases'} by at"
+            )
+        values, ok = np.full((rows.size, columns.size), np.nan), np.zeros((rows.size, columns.size), dtype=np.bool_)
+        values[row, place] = self.column(measure).values[kept]
+        ok[row, place] = self.ok[kept]
+        return Grid(rows, columns, values, ok)
+
+    @property
+    def is_grid(self) -> bool:
+        """Whether every value of each field meets every value of the others."""
+        if not self.fields:
+            return False
+        places = np.stack([np.unique(one.values, return_inverse=True)[1] for one in self.fields])
+        cells = int(np.prod([one.different.size for one in self.fields], dtype=np.int64))
+        return bool(cells == len(self) == np.unique(places, axis=1).shape[1])
+
+    def _rows(self) -> Iterator[list[Any]]:
+        for number in range(len(self)):
+            yield [
+                number + 1,
+                *(one.values[number].item() for one in self.columns),
+                float(self.seconds[number]),
+                self.reasons[number],
+            ]
+
+    @property
+    def headings(self) -> list[str]:
+        """How the columns of the written table are headed, units in brackets."""
+        return ["case", *(one.heading for one in self.columns), "seconds", REASON]
+
+    def to_csv(self, path: str | PathLike[str]) -> None:
+        """Write the table as CSV: one row for each case, units in the headings, every number to its last digit."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.headings)
+        writer.writerows([_cell(one) for one in row] for row in self._rows())
+        write_whole(Path(validate.path(path, "the table")), text.getvalue())
+
+    def to_parquet(self, path: str | PathLike[str]) -> None:
+        """Write the table as Parquet, with the job in its metadata; needs pyarrow, extra `parquet`.
+
+        Raises
+        ------
+        InputError
+            If pyarrow is not installed.
+        """
+        try:
+            import pyarrow as pa  # noqa: PLC0415 - of an extra
+            from pyarrow import parquet  # noqa: PLC0415
+        except ImportError:
+            raise InputError(
+                "Parquet needs pyarrow, which is not installed: pip install 'turnwright[parquet]', or write CSV"
+            ) from None
+        columns = [
+            np.arange(1, len(self) + 1),
+            *(one.values for one in self.columns),
+            self.seconds,
+            np.array(self.reasons),
+        ]
+        table = pa.table({name: pa.array(values) for name, values in zip(self.headings, columns, strict=True)})
+        table = table.replace_schema_metadata({"turnwright.job": self.job.to_toml(), "turnwright.design": self.design})
+        sink = io.BytesIO()
+        parquet.write_table(table, sink)
+        write_whole(Path(validate.path(path, "the table")), sink.getvalue())
+
+    def save(self, folder: str | PathLike[str]) -> None:
+        """Write the study into a folder: ``study.csv``, ``study.json`` and ``job.toml``, which `load` reads again."""
+        folder = Path(validate.path(folder, "the folder of a study"))
+        folder.mkdir(parents=True, exist_ok=True)
+        said = {
+            "form": FORM,
+            "design": self.design,
+            "cases": len(self),
+            "fields": [{"name": one.name, "unit": one.unit, "kind": one.kind, "own": one.own} for one in self.fields],
+            "measures": [{"name": one.name, "unit": one.unit, "kind": one.kind} for one in self.measures],
+        }
+        self.job.dump(folder / "job.toml")
+        write_whole(folder / "study.json", json.dumps(said, indent=1) + "\n")
+        self.to_csv(folder / "study.csv")
+
+    @classmethod
+    def load(cls, folder: str | PathLike[str]) -> Self:
+        """Read a study that `save`, or ``turnwright study``, wrote.
+
+        Raises
+        ------
+        StudyError
+            If the folder holds none.
+        """
+        folder = Path(validate.path(folder, "the folder of a study"))
+        try:
+            said = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+            if said["form"] != FORM:
+                raise StudyError(
+                    f"the study in {str(folder)!r} has the form {said['form']}, this program reads {FORM}: update it"
+                )
+            cells = _cells(folder / "study.csv", said["cases"])
+            return cls(
+                job=Job.load(folder / "job.toml"),
+                design=said["design"],
+                fields=tuple(_column(one, cells) for one in said["fields"]),
+                measures=tuple(_column(one, cells) for one in said["measures"]),
+                reasons=tuple(cells[REASON]),
+                seconds=_array("number", cells["seconds"]),
+            )
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            if isinstance(error, StudyError | JobError):
+                raise
+            what = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+            raise StudyError(
+                f"the folder {str(folder)!r} holds no whole study ({what}): name one that turnwright study wrote"
+            ) from error
+
+
+def _cells(file: Path, count: int) -> dict[str, tuple[str, ...]]:
+    """Return the columns of a table that has so many rows."""
+    with file.open(encoding="utf-8", newline="") as lines:
+        head, *rows = csv.reader(lines)
+    if len(rows) != count:
+        raise ValueError(f"{count} cases were written, {len(rows)} are there")
+    return dict(zip(head, zip(*rows, strict=True), strict=True))
+
+
+def _column(said: Mapping[str, Any], cells: Mapping[str, Sequence[str]]) -> Column:
+    """Return a column as it was saved."""
+    name, unit = said["name"], said["unit"]
+    values = _array(said["kind"], cells[f"{name} [{unit}]" if unit else name])
+    return Column(name=name, unit=unit, values=values, own=said.get("own"))
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _array(kind: str, values: Sequence[Any]) -> NDArray[Any]:
+    """Return a column of values, read or computed; None is nan, or an empty text."""
+    if kind == "flag":
+        return np.array([value in (True, "true") for value in values], dtype=np.bool_)
+    if kind == "whole":
+        return np.array([int(value) for value in values], dtype=np.int64)
+    if kind == "text":
+        return np.array(["" if value is None else str(value) for value in values], dtype=np.str_)
+    return np.array([np.nan if value in (None, "") else float(value) for value in values], dtype=np.float64)
+
+
+def _kind(values: Sequence[Any]) -> Kind:
+    """Return what kind of column values make."""
+    known = [value for value in values if value is not None]
+    if any(isinstance(value, str) for value in known):
+        return "text"
+    if known and all(isinstance(value, bool) for value in known):
+        return "flag"
+    return "whole" if len(known) == len(values) and all(isinstance(value, int) for value in known) else "number"
+
+
+def study(
+    job: Job,
+    *,
+    vary: Mapping[str, Vary] | None = None,
+    measure: str | Own | Sequence[str | Own],
+    design: str | Sequence[Mapping[str, Any]] = "grid",
+    count: int | None = None,
+    seed: int = 0,
+    executor: Executor | None = None,
+    store: str | PathLike[str] | Store | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Study:
+    """Vary fields of a job and measure what becomes of every case.
+
+    Each case costs only what its measures need: the roughness of a patch asks for the passes over it, minutes for the
+    whole path. What ``run`` would refuse is measured too and has its reason, as far as it was looked at: whether the
+    tool reaches always, the limits of the machine where a measure of the whole motion is asked for.
+
+    Parameters
+    ----------
+    job
+        The job.
+    vary
+        By the dotted name of a field, as in the job file: a text ("0.1..1 mm:10", "2..200 um:9 log",
+        "2, 4, 8 um/rev", "normal(0.5, 0.01) mm"), a list of numbers (mm, rad, mm/rev, rpm) or texts, or a frozen
+        distribution of ``scipy.stats``. Entries of lists are named, or counted from 1 ("actual.tool.offset[1]"). A feed
+        may be given per minute ("0.2..1 mm/min:9"): it is divided by the spindle speed of the same case.
+    measure
+        Names such as "sq_nm", "sq_nm@PATCH", "minutes" or "peak_acceleration@X", or functions of `Stages` (top-level
+        ones of a module, so that other processes find them).
+    design
+        "grid", "random", "sobol", "halton", "latin hypercube", or a list of cases, each a mapping from field to value.
+    count, seed
+        Of a design that is drawn. The same seed draws the same cases, so that a study can go on.
+    executor
+        Who carries the cases out: any `concurrent.futures.Executor`. Processes of this machine if not given.
+    store
+        A folder or URL, or a `Store`: finished cases are kept there and never computed again, whatever ends the study
+        before its time.
+    workers
+        How many processes, if no executor is given; as many as there are cores if not given.
+    progress
+        Called with (done, total).
+
+    Raises
+    ------
+    InputError
+        If a field, a value, a measure or the design is wrong; before anything is computed.
+    StudyError
+        If the executor breaks or the store is full; what is finished stays in the store.
+
+    >>> from concurrent.futures import ThreadPoolExecutor
+    >>> job = Job.read({
+    ...     "part": {"surface": {"family": "plane"}, "radius": "2 mm"},
+    ...     "tool": {"nose_radius": "0.5 mm", "included": "60 deg", "clearance": "10 deg"},
+    ...     "machine": {"name": "generic"},
+    ...     "strategy": {
+    ...         "kind": "slow tool servo", "feed": "10 um/rev", "points_per_rev": 240, "spindle_speed": "100 rpm",
+    ...     },
+    ... })
+    >>> with ThreadPoolExecutor(2) as threads:
+    ...     found = study(
+    ...         job, vary={"strategy.feed": "5, 10, 20 um/rev"}, measure=["minutes", "points"], executor=threads
+    ...     )
+    >>> found["minutes"].round(1).tolist()
+    [4.0, 2.0, 1.0]
+    >>> found[2]["strategy.feed"], found[2]["reason"]
+    (20.0, '')
+    """
+    validate.thing(job, Job, "the job")
+    if vary is not None:
+        validate.thing(vary, Mapping, "what is varied")
+    if executor is not None:
+        validate.thing(executor, Executor, "the executor")
+    if workers is not None:
+        workers = validate.whole(workers, "the number of workers", 1)
+    validate.listener(progress)
+    fields, rows = design_cases(
+        job,
+        [read_varied(job, name, given) for name, given in (vary or {}).items()],
+        design=design,
+        count=count,
+        seed=seed,
+    )
+    asked: Any = measure if isinstance(measure, list | tuple) else [measure]
+    measures = [measure_of(job, one) for one in asked]
+    _check_measures(measures)
+    place = Store.open(store) if store is not None and not isinstance(store, Store) else store
+    files = files_of(job)
+    shared = {
+        "measures": [one.name for one in measures],
+        "own": {one.name: one.own for one in measures if one.own is not None},
+        "files": kept_files(files, place),
+    }
+    base, signs = data_of(job), [one.sign for one in measures]
+    cases = []
+    for row in rows:
+        changes = [(one.field, one.unit, token) for one, token in zip(fields, row, strict=True)]
+        data = {"job": changed(base, changes), "files": files}
+        cases.append(Case(key=case_key({**data, "measures": signs}), data=data))
+    several = local(None if workers is None else min(workers, len(cases))) if executor is None else None
+    with several or nullcontext(executor) as pool:
+        found = conduct(carry_out, cases, shared=shared, executor=pool, store=place, progress=progress)
+    return Study(
+        job=job,
+        design=design if isinstance(design, str) else "list",
+        fields=tuple(
+            Column(
+                name=one.name, unit=one.unit, values=_array(_field_kind(one.field.kind), values), own=stated(job, one)
+            )
+            for one, values in zip(fields, zip(*rows, strict=True), strict=True)
+        ),
+        measures=tuple(_measured(one, found) for one in measures),
+        reasons=tuple("; ".join(str(row.get(REASON) or row.get(REFUSED) or "").splitlines()) for row in found),
+        seconds=_array("number", [row.get(SECONDS) for row in found]),
+    )
+
+
+def _field_kind(kind: str) -> Kind:
+    kinds: dict[str, Kind] = {"quantity": "number", "number": "number", "whole": "whole", "flag": "flag"}
+    return kinds.get(kind, "text")
+
+
+def _measured(one: Measure, found: Sequence[Mapping[str, Any]]) -> Column:
+    values = [row.get(one.name) for row in found]
+    return Column(name=one.name, unit=one.unit, values=_array(_kind(values), values))
+
+
+def _check_measures(measures: Sequence[Measure]) -> None:
+    """Raise unless there are measures, each once."""
+    if not measures:
+        raise InputError("nothing is measured: name at least 1 measure, such as minutes")
+    names = [one.name for one in measures]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{name} is measured {names.count(name)} times, the limit is 1: keep one of them")
+        if name in (REASON, REFUSED, SECONDS):
+            raise InputError(f"a measure is called {name}, which the table has already: rename the function")

@@ -1,0 +1,168 @@
+"""What the closed-form families share: their terms, their conic base, and the call of their kernels."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from numbers import Integral, Real
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+
+import numpy as np
+
+from turnwright._validate import finite
+from turnwright._validate import whole as whole_number
+from turnwright.errors import InputError
+from turnwright.surface.base import Surface
+from turnwright.units import LEAST, MOST
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Bools, Floats
+
+__all__ = [
+    "MAX_DEGREE",
+    "OnConic",
+    "Terms",
+    "changing_length",
+    "curvature",
+    "read_terms",
+    "summed",
+    "whole",
+    "whole_pair",
+]
+
+K = TypeVar("K")
+
+Terms: TypeAlias = Mapping[K, float] | Iterable[tuple[K, float]]
+"""Coefficients by what they multiply; stored as sorted pairs, so that a prescription can be compared and pickled."""
+
+MAX_DEGREE = 100
+"""Largest degree of a polynomial: far beyond any prescription, and a slip such as 10000 does not fill the memory."""
+
+
+def whole(key: object, what: str) -> int:
+    """Return ``key`` if it is a whole number of 0 or more."""
+    return whole_number(key, what, 0)
+
+
+def whole_pair(key: object, what: str) -> tuple[int, int]:
+    """Return ``key`` if it is two whole numbers, of which the second may be negative."""
+    if not isinstance(key, tuple | list) or len(key) != 2 or not isinstance(key[1], Integral):
+        raise InputError(f"{what} is {key!r}, it must be a pair of whole numbers: give two of them")
+    sign = -1 if key[1] < 0 else 1
+    return whole(key[0], what), sign * whole(sign * int(key[1]), what)
+
+
+def read_terms(terms: Terms[Any], what: str, key: Callable[[object], K]) -> tuple[tuple[K, float], ...]:
+    """Return the terms as sorted (key, coefficient) pairs, each key checked by ``key``.
+
+    Raises
+    ------
+    InputError
+        If a coefficient is not finite or a key comes twice.
+    """
+    found: dict[K, float] = {}
+    for item in terms.items() if isinstance(terms, Mapping) else terms:
+        if not isinstance(item, tuple | list) or len(item) != 2:
+            raise InputError(f"{what} has the term {item!r}, each must be a pair of key and coefficient: give both")
+        place = key(item[0])
+        if place in found:
+            raise InputError(f"{what} has the term {item[0]!r} twice, once is the limit: add the two coefficients")
+        found[place] = finite(item[1], f"the coefficient of term {item[0]!r} of {what}")
+    return tuple(sorted(found.items()))
+
+
+def curvature(radius: float, what: str) -> float:
+    """Return 1/radius; an infinite radius is flat. [1/mm]."""
+    if not isinstance(radius, Real) or np.isnan(radius) or radius == 0:
+        raise InputError(
+            f"{what} is {radius!r} mm, it must not be 0: give it positive for a bowl, negative for a dome, "
+            "infinite for a flat"
+        )
+    if not LEAST <= abs(radius) <= MOST and not np.isinf(radius):
+        raise InputError(
+            f"{what} is {radius:g} mm, the limits of its size are {LEAST:g} to {MOST:g} mm: check its exponent and its "
+            "unit, or give it infinite for a flat"
+        )
+    return 1 / radius
+
+
+def summed(x: Floats, y: Floats, order: int, *steps: tuple[Any, ...]) -> tuple[Floats, ...]:
+    """Return what the kernels add up to; each step is a kernel and its parameters.
+
+    A read-only array is copied first: to numba it is another type, and it would compile every kernel again.
+    """
+    px, py = (part.ravel() if part.flags.writeable else part.flatten() for part in (x, y))
+    out = np.zeros(((1, 3, 6)[order], x.size))
+    for kernel, *parameters in steps:
+        kernel(px, py, *parameters, out)
+    return tuple(row.reshape(x.shape) for row in out)
+
+
+def changing_length(sizes: Mapping[int, float]) -> float:
+    """Estimate over which length the curvature of a polynomial changes by its own size.
+
+    Parameters
+    ----------
+    sizes
+        Size of the homogeneous part of each degree d, about its largest value at distance 1. [mm^(1-d)]
+
+    Returns
+    -------
+    float
+        The least ratio of second to third derivative over all distances at which more than the lowest degree counts,
+        or ``inf`` if only one degree bends. [mm]
+    """
+    bending = np.array(sorted((d, d * (d - 1) * abs(size)) for d, size in sizes.items() if d >= 2 and size != 0))
+    if len(bending) < 2:
+        return float("inf")
+    d, q = bending.T
+    # In logarithms, so that no power of a distance overflows; second derivative / third is r sum(w) / sum((d - 2) w).
+    log_q = np.log(q)
+    first = np.min((log_q[0] - log_q[1:]) / (d[1:] - d[0]))
+    last = np.max((log_q[:-1] - log_q[-1]) / (d[-1] - d[:-1]))
+    log_r = np.linspace(first, max(first, last), 64)[:, None]
+    weight = log_q + (d - 2) * log_r
+    weight = np.exp(weight - weight.max(axis=1, keepdims=True))
+    log_ratio = log_r[:, 0] + np.log(weight.sum(axis=1) / ((d - 2) * weight).sum(axis=1))
+    return float(np.exp(min(log_ratio.min(), 700.0)))
+
+
+class OnConic(Surface):
+    """A surface on a conic of revolution, defined where the conic is."""
+
+    __slots__ = ()
+
+    @property
+    @abstractmethod
+    def base(self) -> tuple[float, float]:
+        """Vertex curvature and conic constant. [1/mm, 1]."""
+
+    @property
+    def reach(self) -> float:
+        """Distance from the axis at which the conic turns vertical. [mm]."""
+        c, k = self.base
+        squared = (1 + k) * c * c
+        return float(1 / np.sqrt(squared)) if squared > 0 else float("inf")
+
+    def inside(self, x: Floats, y: Floats) -> Bools | None:
+        """Return where the conic is not yet vertical."""
+        c, k = self.base
+        squared = (1 + k) * c * c
+        return None if squared <= 0 else 1 - squared * (x * x + y * y) > 0
+
+    @property
+    def domain(self) -> str:
+        """Say in words where the surface is defined."""
+        return "the whole plane" if np.isinf(self.reach) else f"the disc of radius {self.reach:.6g} mm about its axis"
+
+    @property
+    def feature_size(self) -> float:
+        """Length over which the curvature changes. [mm]."""
+        return self.conic_length
+
+    @property
+    def conic_length(self) -> float:
+        """Length over which the curvature of the conic changes. [mm]."""
+        c, k = self.base
+        squared = abs((1 + k) * c * c)
+        return float(1 / np.sqrt(squared)) if squared > 0 else float("inf")

@@ -1,0 +1,83 @@
+"""The examples, which travel inside the installed package and lie at the root of a checkout."""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+__all__ = ["Example", "example_files", "examples"]
+
+HERE = Path(__file__).resolve().parent
+PLACES = (HERE / "examples", HERE.parents[2] / "examples")
+MACHINES = "machines"
+"""Folder of what examples name but is no job."""
+
+
+class Example:
+    """One job to begin with.
+
+    Parameters
+    ----------
+    name
+        By which it is asked for.
+    file
+        Where it lies.
+    """
+
+    def __init__(self, name: str, file: Path) -> None:
+        self.name, self.file = name, file
+
+    @property
+    def toml(self) -> str:
+        """The text of the job, with the files that it names as references, see `turnwright.web.references`."""
+        text = self.file.read_text(encoding="utf-8")
+        for reference, path in example_files().items():
+            if path.is_relative_to(self.file.parent):
+                text = text.replace(f'"{path.relative_to(self.file.parent).as_posix()}"', f'"{reference}"')
+        return text
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The job as data."""
+        return tomllib.loads(self.toml)
+
+    @property
+    def title(self) -> str:
+        """What the part is."""
+        return str(self.data["part"].get("name") or self.name.replace("_", " "))
+
+    @property
+    def summary(self) -> str:
+        """The first remark of the file."""
+        lines = []
+        for line in self.file.read_text(encoding="utf-8").splitlines():
+            if not line.startswith("#") or line.strip() == "#":
+                break
+            lines.append(line.lstrip("# ").rstrip())
+        return " ".join(lines)
+
+
+def _root() -> Path | None:
+    return next((place for place in PLACES if place.is_dir()), None)
+
+
+@cache
+def examples() -> dict[str, Example]:
+    """Return the examples by name."""
+    root = _root()
+    if root is None:
+        return {}
+    files = sorted(file for file in root.rglob("*.toml") if file.parent.name != MACHINES)
+    named = {"_".join(file.relative_to(root).with_suffix("").parts): file for file in files}
+    return {name: Example(name, file) for name, file in named.items()}
+
+
+@cache
+def example_files() -> dict[str, Path]:
+    """Return the files that jobs may name, by reference."""
+    root = _root()
+    if root is None:
+        return {}
+    return {f"examples/{file.relative_to(root).as_posix()}": file for file in sorted(root.rglob("*")) if file.is_file()}

@@ -1,0 +1,105 @@
+"""Routes of a job that is typed: what it may hold, the examples, its file and its data, and whether it can be cut."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, HTTPException, Request
+from fastapi.responses import Response
+
+from turnwright import __version__
+from turnwright.web.examples import examples
+from turnwright.web.guard import BODY_BYTES, UPLOAD_BYTES
+from turnwright.web.limits import FILE_BYTES, MAP_TYPES, MOST_POINTS
+from turnwright.web.models import (
+    About,
+    Check,
+    Edited,
+    ExampleJob,
+    ExampleLine,
+    Limits,
+    Parsed,
+    Question,
+    Toml,
+    Written,
+    archived,
+)
+
+__all__ = ["router"]
+
+router = APIRouter(prefix="/api", tags=["planning"])
+
+
+@router.get("/about", response_model=About)
+async def about(request: Request) -> About:
+    """Say which version this is and what it takes."""
+    return About(
+        version=__version__,
+        examples=list(examples()),
+        limits=Limits(
+            body_bytes=BODY_BYTES,
+            upload_bytes=UPLOAD_BYTES,
+            file_bytes=FILE_BYTES,
+            points=MOST_POINTS,
+            at_a_time=request.app.state.at_a_time,
+            map_types=list(MAP_TYPES),
+        ),
+    )
+
+
+@router.get("/schema", response_model=dict[str, Any])
+async def schema(request: Request) -> Any:
+    """Return the JSON schema of a job: each field with its title, explanation, unit and default."""
+    return await request.app.state.workers.ask("_schema:job_schema", keep=True)
+
+
+@router.get("/examples", response_model=list[ExampleLine])
+async def list_examples() -> list[ExampleLine]:
+    """List the jobs to begin with."""
+    return [ExampleLine(name=one.name, title=one.title, summary=one.summary) for one in examples().values()]
+
+
+@router.get("/examples/{name}", response_model=ExampleJob)
+async def example(name: str, request: Request) -> Any:
+    """Return a job to begin with."""
+    if name not in examples():
+        raise HTTPException(404, f"there is no example of that name, there are {', '.join(examples())}: choose one")
+    toml = examples()[name].toml
+    state = request.app.state
+    return {"toml": toml, **await state.workers.ask("_jobs:parse", toml, str(state.folder), keep=True)}
+
+
+@router.post("/job/parse", response_model=Parsed)
+async def parse(job: Toml, request: Request) -> Any:
+    """Read a job file."""
+    state = request.app.state
+    return await state.workers.ask("_jobs:parse", job.toml, str(state.folder))
+
+
+@router.post("/job/write", response_model=Written)
+async def write(job: Edited, request: Request) -> Any:
+    """Write a job as a file."""
+    state = request.app.state
+    return await state.workers.ask("_jobs:write", job.data, str(state.folder), job.toml)
+
+
+@router.post(
+    "/job/bundle",
+    response_class=Response,
+    responses=archived("A ZIP archive of job.toml and the files that it names, for the command line."),
+)
+async def bundle(job: Edited, request: Request) -> Response:
+    """Return a job as a file, with the files that it names beside it."""
+    state = request.app.state
+    found = await state.workers.ask("_bundles:bundle", job.data, str(state.folder), job.toml)
+    return Response(
+        found, media_type="application/zip", headers={"Content-Disposition": 'attachment; filename="job.zip"'}
+    )
+
+
+@router.post("/job/check", response_model=Check)
+async def check(job: Question, request: Request) -> Any:
+    """Say whether the tool reaches the part, how long the program will be, and what becomes of the material."""
+    state = request.app.state
+    latest = f"check {job.client}" if job.client else ""
+    return await state.workers.ask("_jobs:check", job.data, str(state.folder), latest=latest)

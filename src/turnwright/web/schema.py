@@ -1,0 +1,181 @@
+"""The JSON schema of a job, with the units and the explanation of each field, from the very classes that read it.
+
+The texts are those of the ``Parameters`` sections of the tables, and of the classes that the tables refer to.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable
+from typing import Any
+
+import turnwright
+from turnwright.instrument import Instrument
+from turnwright.job import Job
+from turnwright.job.prescriptions import Series
+from turnwright.job.schema import InstrumentTable, MachineTable, PartTable
+from turnwright.job.table import Table
+from turnwright.material import Material
+from turnwright.units import write
+from turnwright.web.jobs import machines
+from turnwright.web.limits import FILE_ENDINGS
+from turnwright.web.references import FILE_KEYS, kind_of
+
+__all__ = ["job_schema"]
+
+DISPLAY = {"mm": "mm", "mm/rev": "um/rev", "rad": "deg", "rpm": "rpm", "Hz": "Hz", "mm/s": "mm/min", "mm/s^2": "mm/s^2"}
+"""The unit that a person writes, by the unit inside."""
+
+SMALLER = {
+    **dict.fromkeys(
+        ("stock", "allowance", "depth", "pixel", "radius_error", "arc_length", "resolution", "stylus_radius"), "um"
+    ),
+    **dict.fromkeys(("form_pv", "sq", "chord", "scallop", "worth", "wavelength"), "nm"),
+    "squareness": "urad",
+}
+"""The same of fields that are far below a millimetre or a degree."""
+
+FILE_FIELDS: dict[type[Table], str] = {
+    MachineTable: "machine.file",
+    InstrumentTable: "measurement.instrument.file",
+}
+"""Fields of tables whose key ``file`` names no heights."""
+
+KNOWN_NAMES: dict[type[Table], Callable[[], list[str]]] = {
+    MachineTable: machines,
+    InstrumentTable: lambda: list(Instrument.known()),
+}
+"""Names that the key ``name`` of a table can have."""
+
+SAME = {"spindle_speed": "spindle_rpm"}
+"""Fields of a table by the name of the parameter that they become."""
+
+
+def job_schema() -> dict[str, Any]:
+    """Return the JSON schema of a job.
+
+    Every leaf has a ``title``, a ``description`` and, where it is a quantity, its ``unit`` inside and the ``display``
+    unit that a person writes; quantities are text such as "8 um/rev". One that names a file says what that ``holds``
+    and its ``endings``.
+    """
+    schema = Job.model_json_schema()
+    tables = {table.__name__: table for table in _below(Table)}
+    for name, definition in [*schema["$defs"].items(), ("Job", schema)]:
+        _explain(tables[name], definition)
+    return schema
+
+
+def _below(table: type[Table]) -> list[type[Table]]:
+    return [one for child in table.__subclasses__() for one in (child, *_below(child))]
+
+
+def _explain(table: type[Table], definition: dict[str, Any]) -> None:
+    """Add texts and units to one table."""
+    texts = texts_of(table)
+    definition["description"] = _clean(inspect.getdoc(table) or "").split("\n\n")[0].replace("\n", " ")
+    for name, given in definition.get("properties", {}).items():
+        field = dict(_without_null(given))
+        given.clear()
+        given.update(field)
+        given["title"] = name.replace("_", " ")
+        given["description"] = texts.get(name, "")
+        _units(given, name)
+        if "$ref" in given or isinstance(given.get("default"), dict):
+            given.pop("default", None)  # a table says the defaults of its own fields
+        if name in FILE_KEYS:
+            given["format"] = "reference"
+        if name in FILE_KEYS or (table, name) == (PartTable, "material"):
+            given["holds"] = kind_of(FILE_FIELDS.get(table, ""), name)
+            given["endings"] = list(FILE_ENDINGS[given["holds"]])
+    properties = definition.get("properties", {})
+    if issubclass(table, Series):
+        properties["units"] = {**properties["units"], "type": "string", "enum": ["mm", "um", "nm", "m", "in"]}
+        properties["units"].pop("const", None)
+        for name in table.series:
+            inner = properties[name]
+            inner["items" if inner["type"] == "array" else "additionalProperties"] = {"type": ["number", "string"]}
+    if table in KNOWN_NAMES:
+        properties["name"]["enum"] = KNOWN_NAMES[table]()
+    if table is PartTable:
+        properties["material"]["examples"] = list(Material.known())
+    if "waviness" in properties and table.__name__ != "MeasurementTable":
+        properties["waviness"]["items"] = {"type": "string"}
+
+
+def _without_null(field: dict[str, Any]) -> dict[str, Any]:
+    """Return a field that may be left out as what it is when it is there."""
+    kinds = [one for one in field.get("anyOf", []) if one != {"type": "null"}]
+    if not kinds or len(kinds) == len(field["anyOf"]):
+        return field
+    rest = {key: value for key, value in field.items() if key != "anyOf"}
+    if rest.get("default", 0) is None:
+        del rest["default"]
+    return {**(kinds[0] if len(kinds) == 1 else {"anyOf": kinds}), **rest}
+
+
+def _units(field: dict[str, Any], name: str) -> None:
+    """Say in which unit a person writes a quantity, and its default in that unit."""
+    leaves = [field, *field.get("anyOf", []), *field.get("prefixItems", [])]
+    items = field.get("items")
+    if isinstance(items, dict):
+        _units(items, name)
+    for leaf in leaves[1:]:
+        _units(leaf, name)
+    if "unit" in field:
+        field["display"] = SMALLER.get(name) or DISPLAY.get(field["unit"], field["unit"])
+        if isinstance(field.get("default"), int | float):
+            field["default"] = write(float(field["default"]), field["unit"])
+    elif isinstance(field.get("default"), list | tuple) and field.get("prefixItems"):
+        pairs = zip(field["default"], field["prefixItems"], strict=False)
+        field["default"] = [write(float(one), item["unit"]) if "unit" in item else one for one, item in pairs]
+
+
+def texts_of(table: type[Table]) -> dict[str, str]:
+    """Return the explanation of each field of a table.
+
+    Parameters
+    ----------
+    table
+        One of those of a job file.
+    """
+    texts: dict[str, str] = {}
+    for owner in reversed(inspect.getmro(table)):
+        if not (isinstance(owner, type) and issubclass(owner, Table)):
+            continue
+        doc = owner.__doc__ or ""
+        for name in re.findall(r"`turnwright\.([A-Za-z]+)`", doc):
+            texts |= _parameters(getattr(turnwright, name, None))
+        texts |= _parameters(owner)
+    for field, parameter in SAME.items():
+        if parameter in texts:
+            texts.setdefault(field, texts[parameter])
+    return {name: text for name, text in texts.items() if name in table.model_fields}
+
+
+def _parameters(owner: object) -> dict[str, str]:
+    """Return the texts of the ``Parameters`` section of a docstring, by name."""
+    doc = inspect.getdoc(owner) or "" if owner is not None else ""
+    section = re.search(r"^Parameters\n-+\n(.*?)(?=^[^\s][^\n]*\n-{3,}$|\Z)", doc, re.DOTALL | re.MULTILINE)
+    found: dict[str, list[str]] = {}
+    names: list[str] = []
+    for line in (section.group(1) if section else "").splitlines():
+        if line.startswith(" "):
+            for name in names:
+                found[name].append(line.strip())
+        elif line.strip():
+            if line.startswith((">>>", "..")):
+                break
+            names = [name.strip() for name in line.split(",")]
+            found |= {name: [] for name in names}
+    return {name: _clean(" ".join(lines)) for name, lines in found.items()}
+
+
+def _clean(text: str) -> str:
+    """Return a text of a docstring as people read it: without marks, shapes and units of arrays."""
+    text = re.sub(r"\s*\[[A-Za-z0-9+]+\]_", "", text)
+    text = re.sub(r":[a-z]+:`([^`]*)`", r"\1", text)
+    text = re.sub(r"``None``", "left out", text)
+    text = re.sub(r"``([^`]*)``", r"\1", text)
+    text = re.sub(r"`(?:turnwright\.)?([^`]*)`", r"\1", text)
+    return re.sub(r"\s*(?:\([a-z0-9, ]+\)\s*)?\[[^\]]*\]\.?\s*$", "", text).strip()

@@ -1,0 +1,215 @@
+"""What a page shows of a measured part: numbers in one file, maps as pictures on a grid."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from turnwright.errors import InputError
+from turnwright.files import read_map
+from turnwright.metrology import area_psd
+from turnwright.metrology.overview import level, overview
+from turnwright.web.jobs import plain, require
+from turnwright.web.packed import pack
+
+if TYPE_CHECKING:
+    from turnwright._arrays import Floats
+    from turnwright.diagnosis import Diagnosis
+    from turnwright.job import Correction, Measured
+
+__all__ = ["lone_map", "picture", "shown_map", "write_predicted", "write_shown"]
+
+PIXELS = 600
+"""Longest side of a map that is shown without its job."""
+
+PERCENT = (0.5, 99.5)
+"""Of the heights that colours tell apart; a few spikes must not take all of them."""
+
+FIELDS = (
+    "name", "cause", "value", "unit", "plausible", "standard_uncertainty", "interval", "rms_nm", "pv_nm", "determined",
+    "verdict", "why", "repeatable", "correlated_with",
+)  # fmt: skip
+LENSLET = (
+    "number", "design", "centre", "centre_std", "height", "height_std", "radius", "radius_error", "radius_std", "tilt",
+    "sq_nm", "pv_nm", "finding",
+)  # fmt: skip
+
+
+def write_shown(measured: Measured, found: Diagnosis, out: Path) -> None:
+    """Write ``shown.json``: what the page tells of a measured part.
+
+    Parameters
+    ----------
+    measured, found
+        The part, and why it is off.
+    out
+        Folder that exists.
+    """
+    lies, terms, lenses = measured.registration, measured.zernike, measured.lenslets
+    zernike = [] if terms is None else zip(terms.indices, terms.coefficients, terms.uncertainty, strict=True)
+    numbers = {
+        "name": measured.heights.name,
+        "form_pv_nm": measured.form_pv_nm,
+        "form_rms_nm": measured.form_rms_nm,
+        "spikes": measured.spikes,
+        "alignment": {
+            "pose": lies.pose,
+            "pivot": lies.pivot,
+            "std": lies.std,
+            "held": lies.held,
+            "count": lies.count,
+            "rms_nm": lies.rms_nm,
+            "sentences": (lies.sentences[0], *measured.open_questions),
+        },
+        "roughness": measured.roughness,
+        "zernike": [
+            {"index": int(index), "coefficient_nm": float(size) * 1e6, "uncertainty_nm": float(doubt) * 1e6}
+            for index, size, doubt in zernike
+        ],
+        "psd": _psd(measured),
+        "lenslets": [] if lenses is None else [{name: getattr(one, name) for name in LENSLET} for one in lenses],
+        "findings": [
+            {
+                **{name: getattr(one, name) for name in FIELDS},
+                "uncertainty": one.interval[1] - one.value,
+                "sentence": one.why,
+                "correctable": one.verdict == "correct",
+                "chosen": one.verdict == "correct",
+            }
+            for one in found
+        ],
+        "contributions": [
+            {name: getattr(one, name) for name in ("name", "rms_nm", "uncertainty_nm", "common_nm", "why")}
+            for one in found.contributions
+        ],
+        "measured_rms_nm": found.measured_rms_nm,
+        "explained_rms_nm": found.explained_rms_nm,
+        "unexplained_rms_nm": found.unexplained_rms_nm,
+    }
+    (out / "shown.json").write_text(json.dumps(plain(numbers), allow_nan=False), encoding="utf-8")
+
+
+def _psd(measured: Measured) -> dict[str, Any] | None:
+    """Return the spectrum of what the part is off by, for a map on a grid."""
+    with suppress(InputError):
+        grid = measured.registration.error
+        if grid.scattered or grid.x is None:
+            return None
+        radial = area_psd(grid).radial()
+        return {"frequency": radial.frequency, "density": radial.density, "unit": radial.unit, "frequency_unit": "1/mm"}
+    return None
+
+
+def write_predicted(better: Correction, out: Path) -> None:
+    """Write the sizes of what a correction leaves and which tolerances that misses, for the page."""
+    sizes = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
+    missed = [one.sentence for one in better.verdicts if one.kept is False]
+    told = sizes | {"missed": missed, "sentences": better.sentences}
+    (out / "shown.json").write_text(json.dumps(plain(told)), encoding="utf-8")
+
+
+def shown_map(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) -> bytes:
+    """Return `picture` of a map of a job's part."""
+    return picture(file, require(data, folder).part.radius, nx, ny)
+
+
+def lone_map(file: str, name: str) -> bytes:
+    """Return a measured map without its job as a packed picture, with what `turnwright show` says of it.
+
+    Parameters
+    ----------
+    file
+        As the instrument wrote it.
+    name
+        What it is called where it comes from.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read; the message has that name.
+    """
+    try:
+        heights = read_map(file)
+        rows = overview(heights)
+        flat = level(heights) if np.isfinite(heights.z).any() else heights
+    except InputError as error:
+        raise InputError(str(error).replace(file, name)) from None
+    if flat.x is None or flat.y is None or flat.scattered:
+        x, y = (axis.ravel() for axis in flat.points())
+        middle = [float(axis.min() + axis.max()) / 2 for axis in (x, y)]
+        reach = max(float(np.ptp(axis)) for axis in (x, y)) / 2 or 1.0
+        values = _means(x - middle[0], y - middle[1], flat.z.ravel(), np.sqrt(2) * reach, PIXELS, PIXELS)
+        reach *= float(np.sqrt(2))
+        ends = [[at - reach, at + reach] for at in middle]
+    else:
+        stride = -(-max(flat.z.shape) // PIXELS)
+        values = flat.z[::stride, ::stride]
+        ends = [[float(axis[::stride][0]), float(axis[::stride][-1])] for axis in (flat.x, flat.y)]
+        ends = [[low, high] if high > low else [low - 0.5, low + 0.5] for low, high in ends]
+    values = values * 1e6
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, PERCENT) if known.size else (0.0, 0.0)
+    header = {
+        "name": name, "rows": rows, "unit": "nm", "x": ends[0], "y": ends[1], "low": float(low), "high": float(high),
+        "diverging": True, "points": int(np.isfinite(heights.z).sum()),
+    }  # fmt: skip
+    return pack(header, {"values": values})
+
+
+def picture(file: str, radius: float, nx: int, ny: int) -> bytes:
+    """Return a map of errors over the whole part as a packed picture.
+
+    Parameters
+    ----------
+    file
+        As `turnwright.write_map` wrote it, heights at any places.
+    radius
+        Clear radius of the part. [mm]
+    nx, ny
+        Pixels along x and y; each has the mean of the points in it, or of its neighbours where it holds none.
+    """
+    heights = read_map(file)
+    x, y = heights.points()
+    values = _means(x.ravel(), y.ravel(), heights.z.ravel(), radius, nx, ny) * 1e6
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, PERCENT) if known.size else (0.0, 0.0)
+    header = {
+        "unit": "nm",
+        "x": [-radius, radius],
+        "y": [-radius, radius],
+        "radius": radius,
+        "low": float(low),
+        "high": float(high),
+        "diverging": True,
+        "points": int(np.isfinite(heights.z).sum()),
+    }
+    return pack(header, {"values": values})
+
+
+def _means(x: Floats, y: Floats, z: Floats, radius: float, nx: int, ny: int) -> Floats:
+    """Return the mean height in each pixel. (ny, nx) [mm]."""
+    known = np.isfinite(z) & (np.hypot(x, y) <= radius * (1 + 1e-9))
+    x, y, z = x[known], y[known], z[known]
+    column = np.clip(np.rint((x + radius) / (2 * radius) * (nx - 1)), 0, nx - 1).astype(np.int64)
+    row = np.clip(np.rint((y + radius) / (2 * radius) * (ny - 1)), 0, ny - 1).astype(np.int64)
+    at = row * nx + column
+    count: Floats = np.bincount(at, minlength=nx * ny).astype(np.float64).reshape(ny, nx)
+    total: Floats = np.bincount(at, weights=z, minlength=nx * ny).astype(np.float64).reshape(ny, nx)
+    if z.size:
+        # A pixel between scattered points shows what stands around it, two pixels away at most.
+        for _ in range(2):
+            empty = count == 0
+            around_count, around_total = _neighbours(count), _neighbours(total)
+            total, count = np.where(empty, around_total, total), np.where(empty, around_count, count)
+    return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
+
+
+def _neighbours(values: Floats) -> Floats:
+    """Return the sum over the eight neighbours of each pixel."""
+    wide = np.pad(values, 1)
+    rows = wide[:-2] + wide[1:-1] + wide[2:]
+    return np.asarray(rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:] - values)
