@@ -40,8 +40,8 @@ from turnwright.heightmap import HeightMap
 from turnwright.job import Job
 from turnwright.machine import Axis, Machine
 from turnwright.metrology import area_psd, despike, filter_map, fit_zernike, fizeau_view, remove_form
-from turnwright.metrology import areal_parameters as roughness
-from turnwright.metrology import best_fits as best_fit
+from turnwright.metrology import roughness
+from turnwright.metrology import best_fit
 from turnwright.motion import check_limits, drive
 from turnwright.part import Part
 from turnwright.path import Motion, Spiral

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from turnwright.access import Access, AccessFinding, check_access
-    from turnwright.placing import place
     from turnwright.cutting import (
         ChipMap,
         Cuts,
@@ -64,7 +63,6 @@ if TYPE_CHECKING:
         handbook_offset,
         moves,
     )
-    from turnwright.metrology import EdgeFit, fit_edge, read_edge_trace
     from turnwright.errors import (
         CorrectionError,
         DomainError,
@@ -79,7 +77,6 @@ if TYPE_CHECKING:
         TurnwrightError,
         UnitError,
     )
-    from turnwright.studies import Case, Store, case_key, cluster, conduct, local
     from turnwright.files import read_map, read_profile, write_map
     from turnwright.generation import generate, generate_points, generate_polar
     from turnwright.heightmap import HeightMap
@@ -106,18 +103,69 @@ if TYPE_CHECKING:
         run,
         shares,
     )
-    from turnwright.machine import Axis, Controller, Convention, Machine
+    from turnwright.machine import (
+        Axis,
+        Controller,
+        Convention,
+        FrequencyResponse,
+        Machine,
+        Response,
+        SecondOrder,
+        TransferFunction,
+    )
     from turnwright.material import CriticalThickness, CuttingCoefficient, Lobes, Material
-    from turnwright.metrology import Alignment, AreaSpectrum, Bands, Bearing, BestFit, Cusps, Despiked, Features, Filled, Lenslet, Lenslets, Nesting, PoseCandidate, ProfileRoughness, Registration, Roughness, Slopes, Spectrum, TurnedEdge, Undetermined, ZernikeFit, area_psd, despike, edge_from_cusps, fill_holes, filter_map, find_cusps, fit_zernike, fizeau_view, keep_disc, line_profile, line_psd, register, remove_form, separate_bands, slope_error, trim_edge
-    from turnwright.metrology import areal_parameters as roughness
-    from turnwright.metrology import profile_parameters as profile_roughness
-    from turnwright.metrology import lens_array as lenslets
-    from turnwright.metrology import feature_parameters as features
-    from turnwright.metrology import best_fits as best_fit
-    from turnwright.metrology import bearing_curve as bearing
+    from turnwright.metrology import (
+        Alignment,
+        AreaSpectrum,
+        Bands,
+        Bearing,
+        BestFit,
+        Cusps,
+        Despiked,
+        EdgeFit,
+        Features,
+        Filled,
+        Lenslet,
+        Lenslets,
+        Nesting,
+        PoseCandidate,
+        ProfileRoughness,
+        Registration,
+        Roughness,
+        Slopes,
+        Spectrum,
+        TurnedEdge,
+        Undetermined,
+        ZernikeFit,
+        area_psd,
+        bearing,
+        best_fit,
+        despike,
+        edge_from_cusps,
+        features,
+        fill_holes,
+        filter_map,
+        find_cusps,
+        fit_edge,
+        fit_zernike,
+        fizeau_view,
+        keep_disc,
+        lenslets,
+        line_profile,
+        line_psd,
+        profile_roughness,
+        read_edge_trace,
+        register,
+        remove_form,
+        roughness,
+        separate_bands,
+        slope_error,
+        trim_edge,
+    )
     from turnwright.motion import Limits, SpeedProfile, check_limits, drive
     from turnwright.part import Blank, Part
     from turnwright.path import Motion, Path, Spiral
+    from turnwright.placing import place
     from turnwright.pose import Pose
     from turnwright.post import (
         FastToolFiles,
@@ -133,7 +181,6 @@ if TYPE_CHECKING:
         write_nc,
     )
     from turnwright.profile import Profile
-    from turnwright.machine import FrequencyResponse, Response, SecondOrder, TransferFunction
     from turnwright.strategy import (
         AdaptiveToolServo,
         FastToolServo,
@@ -144,13 +191,21 @@ if TYPE_CHECKING:
         Valleys,
     )
     from turnwright.studies import (
+        Case,
         ErrorBudget,
         Outcome,
         Sensitivity,
         Spread,
+        Store,
         Study,
         Tightening,
+        TiledMap,
         ToleranceStudy,
+        case_key,
+        cluster,
+        conduct,
+        generate_tiled,
+        local,
         study,
         tolerance,
     )
@@ -175,7 +230,6 @@ if TYPE_CHECKING:
         XYPolynomial,
         Zernike,
     )
-    from turnwright.studies import TiledMap, generate_tiled
     from turnwright.tool import Tool, WavinessTable
     from turnwright.tracking import precorrect, track
 

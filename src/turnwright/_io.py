@@ -144,7 +144,9 @@ def read_isolated(
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )
     except subprocess.TimeoutExpired as error:
-        raise refusal(f"{path} is not read after {LONGEST_READ_S} s, the limit: it is damaged, so copy it again") from error
+        raise refusal(
+            f"{path} is not read after {LONGEST_READ_S} s, the limit: it is damaged, so copy it again"
+        ) from error
     if done.returncode == REFUSED:
         raise refusal(done.stderr.decode("utf-8", "replace"))
     if done.returncode != 0:
@@ -152,7 +154,9 @@ def read_isolated(
     return done.stdout
 
 
-def answer_parent(work: Callable[[], bytes], *, refusal: type[InputError], damage: tuple[type[BaseException], ...]) -> int:
+def answer_parent(
+    work: Callable[[], bytes], *, refusal: type[InputError], damage: tuple[type[BaseException], ...]
+) -> int:
     """Send out what some work returns, or its refusal, and return how the process is to end."""
     try:
         found = work()

@@ -14,7 +14,7 @@ from turnwright.surface import Surface
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.heightmap import HeightMap
-    from turnwright.surface.smoothing import Smooth
+    from turnwright.surface import Smooth
 
 __all__ = ["Blank", "Part", "correction_of", "evenly"]
 
@@ -152,7 +152,7 @@ def correction_of(part: Part, error: HeightMap, *, cutoff: float, beyond: float)
 
     See `Part.corrected`.
     """
-    from turnwright.surface.smoothing import smooth_table  # noqa: PLC0415 - scipy is costly to import
+    from turnwright.surface import smooth_table  # noqa: PLC0415 - scipy is costly to import
 
     error.require_calibrated()
     if not 2 * part.radius / FINEST <= cutoff <= part.radius:

@@ -21,10 +21,18 @@ from turnwright._arrays import Floats, frozen, only_read, rounding, same_length
 from turnwright._kernels import tracking as kernel
 from turnwright._validate import positive
 from turnwright.errors import InputError, LimitError
-from turnwright.machine import FAST, INTERPOLATIONS, ROTARY, Axis, Machine
+from turnwright.machine import (
+    FAST,
+    INTERPOLATIONS,
+    ROTARY,
+    Axis,
+    FrequencyResponse,
+    Machine,
+    RationalResponse,
+    Response,
+)
 from turnwright.path import Motion
 from turnwright.progress import Progress
-from turnwright.machine import FrequencyResponse, RationalResponse, Response
 
 __all__ = ["precorrect", "track"]
 

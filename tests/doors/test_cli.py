@@ -14,13 +14,13 @@ import pytest
 from job_files import written
 
 import turnwright as tw
-from turnwright.cli import shared as _shared
 from turnwright._signals import Stop
-from turnwright.report.archive import read_maps
 from turnwright.cli import main
+from turnwright.cli import shared as _shared
 from turnwright.errors import InputError
 from turnwright.job import Job
 from turnwright.progress import Step
+from turnwright.report import read_maps
 
 WAVES = {"family": "sine grid", "amplitude": ["2 um", "2 um"], "period": ["1 mm", "1 mm"]}
 

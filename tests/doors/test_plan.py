@@ -14,8 +14,8 @@ import turnwright as tw
 from turnwright.cli import main
 from turnwright.errors import JobError
 from turnwright.job import Job, compare, plan, run
-from turnwright.job import planning as _plan
 from turnwright.job import comparison as _compare
+from turnwright.job import planning as _plan
 
 TOLERANCES = {"form_pv": "300 nm", "sq": "20 nm"}
 

@@ -10,7 +10,7 @@ import pytest
 
 from turnwright.heightmap import HeightMap
 from turnwright.job import Job, Prediction, predict, run
-from turnwright.metrology import areal_parameters as roughness
+from turnwright.metrology import roughness
 from turnwright.motion import check_limits
 from turnwright.report import write_backplot, write_report
 

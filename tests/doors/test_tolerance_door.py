@@ -11,11 +11,10 @@ import tomli_w
 from typer.testing import CliRunner
 
 import turnwright as tw
-from turnwright.cli.commands import Door, app
 from turnwright._signals import Stop
+from turnwright.cli.commands import Door, app
 from turnwright.errors import InputError, JobError, StudyError
-from turnwright.studies import Cluster, Store
-from turnwright.studies import ErrorBudget, Spread
+from turnwright.studies import Cluster, ErrorBudget, Spread, Store
 from turnwright.studies import draws as _draws
 
 JOB = {

@@ -7,8 +7,8 @@ import pytest
 from job_files import written
 
 import turnwright as tw
-from turnwright.report.archive import read_maps
 from turnwright.cli import main
+from turnwright.report import read_maps
 
 SERVO = """
 name = "lathe with servos"

@@ -20,9 +20,9 @@ from job_files import changed, written
 from test_measuring import DISH, OFFSET, seen
 
 import turnwright as tw
-from turnwright.report.archive import write_comparison
 from turnwright.cli import main
 from turnwright.job import Job, compare, correct, diagnose, measure, preview
+from turnwright.report import archive_comparison
 from turnwright.units import convert, parse
 from turnwright.web import create_app
 from turnwright.web.examples import examples
@@ -255,7 +255,7 @@ def test_a_comparison_is_that_of_the_command_line(client, folder):
     ended(client, name)
     told = client.get(f"/api/runs/{name}/comparison").json()
     (folder / "compared").mkdir()
-    write_comparison(compare(Job.read(job)), folder / "compared")
+    archive_comparison(compare(Job.read(job)), folder / "compared")
     theirs = json.loads((folder / "compared" / "comparison.json").read_text())
     for one in (*told["candidates"], *theirs["candidates"]):
         one.pop("wall_s")

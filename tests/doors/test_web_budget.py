@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.report.archive import write_archive
 from turnwright.cutting.chip import RoundChip
 from turnwright.job import shares
+from turnwright.report import archive_run
 
 pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
 
 from fastapi.testclient import TestClient
 
+from turnwright.web import budget as _budget
 from turnwright.web import create_app
 from turnwright.web import made as _made
-from turnwright.web import budget as _budget
 from turnwright.web.packed import MEDIA_TYPE, unpack
 
 RUN = "0123456789abcdef"
@@ -43,7 +43,7 @@ def carried_out(data: dict, folder: Path) -> tuple[Path, tw.Result]:
     out = folder / "runs" / RUN / "out"
     out.mkdir(parents=True)
     result = tw.run(tw.Job.read(data), out=out)
-    write_archive(result, out)
+    archive_run(result, out)
     return out, result
 
 

@@ -13,16 +13,16 @@ import pytest
 
 import turnwright as tw
 import turnwright.machine
-from turnwright.report.archive import write_archive
 from turnwright.cutting.chip import RoundChip, expected_thickest
+from turnwright.report import archive_run
 
 pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 'turnwright[web]'")
 
 from fastapi.testclient import TestClient
 
 from turnwright.web import create_app
-from turnwright.web import seen as _seen
 from turnwright.web import made as _made
+from turnwright.web import seen as _seen
 from turnwright.web.packed import MEDIA_TYPE, pack, unpack
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -50,7 +50,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tw.Result]:
     out = tmp_path_factory.mktemp("server") / "runs" / RUN / "out"
     out.mkdir(parents=True)
     result = tw.run(tw.Job.read(BOWL), out=out)
-    write_archive(result, out)
+    archive_run(result, out)
     return out, result
 
 
@@ -255,7 +255,7 @@ def test_a_map_that_is_generated_again_is_the_one_that_was_stored(interpolation:
     data = {**BOWL, "machine": {"file": str(lathe)}}
     job = tw.Job.read({**data, "strategy": {**BOWL["strategy"], "points_per_rev": 24}})
     result = tw.run(job, out=tmp_path)
-    write_archive(result, tmp_path)
+    archive_run(result, tmp_path)
     spot = result.predictions[1].error
     assert spot.x is not None
     assert spot.y is not None

@@ -9,8 +9,8 @@ import pytest
 from job_files import written
 
 import turnwright as tw
-from turnwright.cli import shared as _shared
 from turnwright.cli import main
+from turnwright.cli import shared as _shared
 from turnwright.job import Job
 from turnwright.progress import OverallProgress
 

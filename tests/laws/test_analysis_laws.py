@@ -6,9 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import area_psd, fit_zernike, line_psd, remove_form, slope_error
-from turnwright.metrology import best_fits as best_fit
-from turnwright.metrology import bearing_curve as bearing
+from turnwright.metrology import area_psd, bearing, best_fit, fit_zernike, line_psd, remove_form, slope_error
 from turnwright.surface import Sphere
 
 SEEDS = st.integers(0, 2**31)

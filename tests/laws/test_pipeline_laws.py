@@ -6,12 +6,12 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from turnwright.placing import place
 from turnwright.generation import generate_points, generate_polar
 from turnwright.machine import Machine
 from turnwright.motion import drive
 from turnwright.part import Part
 from turnwright.path import Motion, Spiral
+from turnwright.placing import place
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import LensArray, SineGrid, Sphere, XYPolynomial
 from turnwright.tool import Tool

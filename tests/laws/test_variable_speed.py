@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from turnwright.placing import place
 from turnwright.machine import Axis, Controller, Machine
 from turnwright.motion import check_limits, drive
 from turnwright.part import Part
+from turnwright.placing import place
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import Plane, SineGrid
 from turnwright.tool import Tool

@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.placing import place
 from turnwright.heightmap import HeightMap
 from turnwright.job import Job, plan, run, shares
-from turnwright.job.result import Prediction
 from turnwright.job.contributions import exact_motion
-from turnwright.machine import Axis, Machine
+from turnwright.job.result import Prediction
+from turnwright.machine import Axis, Machine, SecondOrder
 from turnwright.motion import drive
 from turnwright.part import Part
 from turnwright.path import Spiral
-from turnwright.machine import SecondOrder
+from turnwright.placing import place
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import Plane, SineGrid
 from turnwright.tool import Tool

@@ -16,13 +16,13 @@ converges to that. How the paper sampled it does not say; measured below is what
 import numpy as np
 import pytest
 
-from turnwright.placing import place
 from turnwright.generation import generate, generate_points, generate_polar
 from turnwright.machine import Machine
-from turnwright.metrology import areal_parameters as roughness
+from turnwright.metrology import roughness
 from turnwright.motion import drive
 from turnwright.part import Part
 from turnwright.path import Spiral
+from turnwright.placing import place
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import LensArray, Plane, SineGrid, Sphere
 from turnwright.tool import Tool

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from turnwright.placing import place
 from turnwright.files import read_profile
 from turnwright.generation import generate_points
 from turnwright.instrument import Instrument
@@ -19,6 +18,7 @@ from turnwright.machine import Machine
 from turnwright.metrology import edge_from_cusps, find_cusps
 from turnwright.motion import drive
 from turnwright.part import Part
+from turnwright.placing import place
 from turnwright.post import read_table
 from turnwright.profile import Profile
 from turnwright.strategy import SlowToolServo

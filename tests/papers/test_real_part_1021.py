@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from scipy.signal import find_peaks
 
-from turnwright.placing import tip_height
-from turnwright.metrology import fit_edge, read_edge_trace
 from turnwright.generation import generate, generate_points
 from turnwright.job import Job
 from turnwright.machine import Machine
-from turnwright.metrology import areal_parameters as roughness
+from turnwright.metrology import fit_edge, read_edge_trace, roughness
+from turnwright.placing import tip_height
 from turnwright.post import read_table
 from turnwright.surface import EvenAsphere
 from turnwright.tool import Tool

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from turnwright.placing import place
-from turnwright.placing import tip_height
 from turnwright.generation import generate, generate_points
 from turnwright.machine import Machine
-from turnwright.metrology import areal_parameters as roughness
+from turnwright.metrology import roughness
 from turnwright.motion import drive
 from turnwright.part import Part
+from turnwright.placing import place, tip_height
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import Plane, Sphere, XYPolynomial
 from turnwright.tool import Tool

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from turnwright.placing import place
 from turnwright.part import Part
 from turnwright.path import Spiral
+from turnwright.placing import place
 from turnwright.surface import SineGrid
 from turnwright.tool import Tool
 

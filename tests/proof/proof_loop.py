@@ -16,9 +16,9 @@ import numpy as np
 from tests.loop import blind_parts as blind
 
 import turnwright as tw
-from turnwright.placing import touch
 from turnwright.errors import CorrectionError
 from turnwright.job import Job, correct, diagnose, measure
+from turnwright.placing import touch
 
 NM = 1e6
 GROUPS = ("modelled", "lobed", "drift", "tilt", "mixture")

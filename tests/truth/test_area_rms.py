@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import area_rms
-from turnwright.metrology import areal_parameters as roughness
+from turnwright.metrology import area_rms, roughness
 
 RADIUS = 2.0  # [mm]
 

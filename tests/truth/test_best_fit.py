@@ -5,8 +5,7 @@ import pytest
 from scipy import optimize
 
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import fizeau_view
-from turnwright.metrology import best_fits as best_fit
+from turnwright.metrology import best_fit, fizeau_view
 from turnwright.surface import Conic, EvenAsphere, Sphere
 
 X = np.linspace(-4, 4, 61) + 0.3

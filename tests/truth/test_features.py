@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import feature_parameters as features
+from turnwright.metrology import features
 
 STEP = 0.001
 EIGHT = np.ones((3, 3))

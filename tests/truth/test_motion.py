@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from turnwright.placing import place
 from turnwright.machine import Axis, Controller, Machine
 from turnwright.motion import check_limits, drive
 from turnwright.part import Part
 from turnwright.path import Motion, Path
+from turnwright.placing import place
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import Plane
 from turnwright.tool import Tool

@@ -7,7 +7,7 @@ import pytest
 from cusp_profiles import as_profile
 
 from turnwright.errors import InputError
-from turnwright.metrology import profile_parameters as profile_roughness
+from turnwright.metrology import profile_roughness
 
 STEP, WAVE, A = 1e-4, 0.005, 1e-4
 X = STEP * np.arange(4800)

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import line_profile, slope_error
-from turnwright.metrology import areal_parameters as roughness
-from turnwright.metrology import bearing_curve as bearing
+from turnwright.metrology import bearing, line_profile, roughness, slope_error
 
 
 def uneven(rng, size, low, high):

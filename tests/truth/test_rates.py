@@ -6,10 +6,9 @@ import mpmath
 import numpy as np
 import pytest
 
-from turnwright.placing import place
-from turnwright.placing import tip_height
 from turnwright.part import Part
 from turnwright.path import Spiral
+from turnwright.placing import place, tip_height
 from turnwright.strategy import SlowToolServo
 from turnwright.surface import Biconic, LensArray, Plane, SineGrid, Sphere
 from turnwright.tool import Tool

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import remove_form
-from turnwright.metrology import areal_parameters as roughness
+from turnwright.metrology import remove_form, roughness
 
 A, WAVE = 1e-4, 0.1  # amplitude and period of the sine [mm]
 

@@ -8,8 +8,7 @@ import pytest
 from steep_oracle import CASES, RADIUS, errors, tool_of
 
 import turnwright as tw
-from turnwright.placing import contact
-from turnwright.placing import Touch
+from turnwright.placing import Touch, contact
 
 SLOW = ("wall across", "sharp wall", "slanting wall", "ring wall")
 

@@ -7,12 +7,12 @@ import mpmath
 import numpy as np
 import pytest
 
-from turnwright.placing import place
 from turnwright.errors import GougeError
 from turnwright.generation import generate_polar
 from turnwright.machine import Machine
 from turnwright.motion import drive
 from turnwright.part import Part
+from turnwright.placing import place
 from turnwright.post import read_nc, write_nc
 from turnwright.strategy import FastToolServo, SlowToolServo
 from turnwright.surface import LensArray, Plane, Sphere, Surface

@@ -17,10 +17,9 @@ from tolerance_jobs import job_of
 import turnwright as tw
 from turnwright.diagnosis import prove
 from turnwright.errors import CorrectionError
-from turnwright.studies import Store
 from turnwright.generation import generate_points
 from turnwright.job import correct
-from turnwright.studies import ErrorBudget, Spread
+from turnwright.studies import ErrorBudget, Spread, Store
 from turnwright.studies import draws as draws_of
 from turnwright.studies.scenes import (
     Reach,

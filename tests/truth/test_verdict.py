@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.studies import Store
 from turnwright.generation import generate_polar
 from turnwright.job import finishing_motion, judge, judge_form, missed, plan, unjudged
 from turnwright.job.extremes import find_extremes
 from turnwright.job.running import Watch, planned
-from turnwright.studies import ErrorBudget
+from turnwright.studies import ErrorBudget, Store
 from turnwright.studies.draws import Bench, laid_out
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "proof"))

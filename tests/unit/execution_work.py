@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 
 from turnwright.errors import GougeError
-from turnwright.studies import Case, Store, conduct, local
 from turnwright.progress import cores
+from turnwright.studies import Case, Store, conduct, local
 
 
 def cases(count, **more):

@@ -5,9 +5,16 @@ import pytest
 
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import area_psd, fit_zernike, fizeau_view, line_profile, line_psd, slope_error
-from turnwright.metrology import best_fits as best_fit
-from turnwright.metrology import bearing_curve as bearing
+from turnwright.metrology import (
+    area_psd,
+    bearing,
+    best_fit,
+    fit_zernike,
+    fizeau_view,
+    line_profile,
+    line_psd,
+    slope_error,
+)
 from turnwright.profile import Profile
 from turnwright.surface import Plane
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from turnwright.metrology import fit_edge, read_edge_trace
 from turnwright.errors import InputError
+from turnwright.metrology import fit_edge, read_edge_trace
 
 SWEEP = np.linspace(-1, 1, 400)
 ARC = 0.2 * np.sin(SWEEP), 0.2 * np.cos(SWEEP)

@@ -27,11 +27,11 @@ from execution_work import answer, begun, cases
 
 import turnwright as tw
 from turnwright.errors import InputError, StudyError
-from turnwright.studies import case_key, cluster, conduct, local, program_version
-from turnwright.studies import executors as _executors
-from turnwright.studies import cases as _conduct
-from turnwright.studies.store import Store
 from turnwright.progress import at_most, cores, free_memory_gb
+from turnwright.studies import case_key, cluster, conduct, local, program_version
+from turnwright.studies import cases as _conduct
+from turnwright.studies import executors as _executors
+from turnwright.studies.store import Store
 
 HERE = Path(__file__).parent
 

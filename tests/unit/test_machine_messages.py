@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from turnwright.errors import InputError
-from turnwright.machine import Axis, Controller, Convention, Machine
-from turnwright.machine import FrequencyResponse, SecondOrder
+from turnwright.machine import Axis, Controller, Convention, FrequencyResponse, Machine, SecondOrder
 
 NAMES = ["nanotech-350fg", "nanoform", "nanoform-fts-70", "nanoform-fts-500", "generic"]
 GOOD = """

@@ -5,8 +5,7 @@ import pytest
 
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import remove_form
-from turnwright.metrology import areal_parameters as roughness
+from turnwright.metrology import remove_form, roughness
 
 
 def plain(z, **axes):

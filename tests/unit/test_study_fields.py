@@ -9,9 +9,9 @@ from scipy import stats
 from turnwright.errors import InputError, UnitError
 from turnwright.job import Job
 from turnwright.studies import study
+from turnwright.studies.designs import design_cases, read_varied, stated
 from turnwright.studies.fields import changed, data_of, field_of
 from turnwright.studies.measures import measure_of
-from turnwright.studies.designs import design_cases, read_varied, stated
 
 DATA = {
     "part": {

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 import numpy as np
 from turnwright import _commands
-from turnwright.report import archive
+from turnwright import report
 from turnwright.cli import tiling as _tiling
 from turnwright.cli import materials as _materials
 from turnwright.heightmap import HeightMap
@@ -25,12 +25,12 @@ from turnwright.heightmap import HeightMap
 def maps(folder):
     heights = HeightMap(x=np.arange(50.0), y=np.arange(50.0), z=np.zeros((50, 50)))
     one = SimpleNamespace(name="rim", error=heights, tracking=None, tracking_nm=None, roughness=None)
-    archive.write_maps([one], folder)
+    report.write_maps([one], folder)
 
 def spectrum(folder):
     made = SimpleNamespace(shape=(2, 2), pixel=(1.0, 1.0), extent=(0.0, 1.0, 0.0, 1.0))
     density = SimpleNamespace(unit="nm^2 mm", frequency=np.arange(900.0), density=np.arange(900.0))
-    archive.write_tiled(made, None, density, folder)
+    report.archive_tiled(made, None, density, folder)
 
 def numbers(folder):
     archive._write_json(folder / "numbers.json", {"all": list(range(5000))})

@@ -8,8 +8,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.errors import InputError
-from turnwright.studies import Store, cluster, conduct, local
-from turnwright.studies import ErrorBudget, Spread
+from turnwright.studies import ErrorBudget, Spread, Store, cluster, conduct, local
 
 WRONG = [
     math.nan, math.inf, -math.inf, -1, 10**400, -1.5, 1e300, "", "x", "1 um", b"x", None, True, [], [1], ["x"],

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from turnwright.cli.shared import MISSED, Door, new_folder, progress_of
-from turnwright._signals import Stop
 from turnwright._io import write_whole
+from turnwright._signals import Stop
+from turnwright.cli.shared import MISSED, Door, new_folder, progress_of
 from turnwright.errors import InputError
 from turnwright.progress import Step
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from turnwright.studies import Store
     from turnwright.job import Job, Result
     from turnwright.progress import StageProgress
+    from turnwright.studies import Store
 
 __all__ = ["run_batch", "run_into"]
 
@@ -42,9 +42,8 @@ def run_into(folder: Path, job: Job, progress: StageProgress) -> Result:
     result = recipe.run(job, progress=progress, out=folder)
     progress("report", 0, 1)
     from turnwright import report  # noqa: PLC0415 - matplotlib, only for a run that came so far
-    from turnwright.report import archive  # noqa: PLC0415 - matplotlib, only for a run that came so far
 
-    archive.write_archive(result, folder)
+    report.archive_run(result, folder)
     report.write_report(result, folder)
     progress("report", 1, 1)
     return result
@@ -105,8 +104,8 @@ def _code(row: Mapping[str, Any]) -> int:
 
 def _run_case(data: Mapping[str, Any], shared: Mapping[str, Any], _store: Store | None) -> dict[str, Any]:
     """Run one job of a batch, unless its folder is there and made by the same job and program."""
-    from turnwright.studies import case_key  # noqa: PLC0415
     from turnwright.job import Job  # noqa: PLC0415 - costly
+    from turnwright.studies import case_key  # noqa: PLC0415
 
     job = Job.load(data["job"])
     key = case_key({"job": job.model_dump(mode="json")})

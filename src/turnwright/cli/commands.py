@@ -1,7 +1,15 @@
-"""The commands, thin: each reads what was asked for, calls the job, and says what came out."""
+"""The commands, thin: each reads what was requested, calls the job, and reports the result."""
 
-from turnwright.cli.commands import # noqa: F401 - each registers its commands     _cutting, _measuring, _serving, _showing, _studies, _tiling, _tolerances
-from turnwright.cli import materials as _materials
+from turnwright.cli import (  # noqa: F401 - each registers its commands
+    cutting,
+    materials,
+    measuring,
+    serving,
+    showing,
+    studies,
+    tiling,
+    tolerances,
+)
 from turnwright.cli.shared import Door, app, tell
 
 __all__ = ["Door", "app", "tell"]

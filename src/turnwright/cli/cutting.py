@@ -155,10 +155,9 @@ def compare(
         with progress_of(door.stop, steps_of_comparison(recipe)) as progress:
             found = compare(recipe, progress=progress)
             progress("report", 0, 1)
-            from turnwright.report.archive import write_comparison as write_table  # noqa: PLC0415
-            from turnwright.report import write_comparison  # noqa: PLC0415
+            from turnwright.report import archive_comparison, write_comparison  # noqa: PLC0415 - costly to import
 
-            write_table(found, folder)
+            archive_comparison(found, folder)
             write_comparison(found, folder)
             progress("report", 1, 1)
     for one in found.candidates:
@@ -208,8 +207,7 @@ def backplot(
         if folder is not None:
             import json  # noqa: PLC0415
 
-            from turnwright.report.archive import write_maps  # noqa: PLC0415
-            from turnwright.report import write_backplot  # noqa: PLC0415
+            from turnwright.report import write_backplot, write_maps  # noqa: PLC0415 - costly to import
 
             told = write_maps(predictions, folder)
             (folder / "backplot.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")

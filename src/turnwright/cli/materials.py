@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turnwright.cli.shared import Door, app, progress_of, require_new
 from turnwright._io import whole_file, write_whole
+from turnwright.cli.shared import Door, app, progress_of, require_new
 from turnwright.errors import InputError
 from turnwright.progress import Step
 
@@ -85,7 +85,7 @@ def fit(context: typer.Context, data: Data, out: Out, picture: Picture = None) -
             )
     import tomli_w  # noqa: PLC0415
 
-    from turnwright.cutting.experiment import learn_from_file  # noqa: PLC0415
+    from turnwright.cutting import learn_from_file  # noqa: PLC0415
 
     with progress_of(door.stop, [Step(stage="learn", work=5.0)]) as progress:
         progress("learn", 0, 1)

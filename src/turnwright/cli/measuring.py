@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from turnwright._io import write_whole
 from turnwright.cli.shared import (
     Door,
     Folder,
@@ -20,7 +21,6 @@ from turnwright.cli.shared import (
     require_new,
     warn,
 )
-from turnwright._io import write_whole
 from turnwright.errors import InputError
 from turnwright.progress import Step
 
@@ -114,10 +114,9 @@ def measure(
     ):
         measured = _measured([file], [job], progress, unit, keys)[0]
         progress("report", 0, 1)
-        from turnwright.report.archive import write_measured as write_numbers  # noqa: PLC0415
-        from turnwright.report import write_measured  # noqa: PLC0415
+        from turnwright.report import archive_measured, write_measured  # noqa: PLC0415 - costly to import
 
-        write_numbers(measured, folder)
+        archive_measured(measured, folder)
         write_measured(measured, folder)
         progress("report", 1, 1)
     _say_measured(door, [measured])
@@ -144,10 +143,9 @@ def diagnose(
         measured = _measured(files, job, progress, unit, keys)
         found = diagnose(measured, progress=progress)
         progress("report", 0, 1)
-        from turnwright.report.archive import write_diagnosis as write_numbers  # noqa: PLC0415
-        from turnwright.report import write_diagnosis  # noqa: PLC0415
+        from turnwright.report import archive_diagnosis, write_diagnosis  # noqa: PLC0415 - costly to import
 
-        write_numbers(measured, found, folder)
+        archive_diagnosis(measured, found, folder)
         write_diagnosis(measured, found, folder)
         progress("report", 1, 1)
     _say_measured(door, measured)
@@ -186,10 +184,9 @@ def correct(
         else:
             better = correct(Job.load(of), found, measured, out=folder, source=of, progress=progress)
         progress("report", 0, 1)
-        from turnwright.report.archive import write_correction as write_numbers  # noqa: PLC0415
-        from turnwright.report import write_correction  # noqa: PLC0415
+        from turnwright.report import archive_correction, write_correction  # noqa: PLC0415 - costly to import
 
-        write_numbers(measured, found, better, folder)
+        archive_correction(measured, found, better, folder)
         write_correction(measured, found, better, folder)
         progress("report", 1, 1)
     _say_measured(door, measured)

@@ -39,8 +39,7 @@ def serve(
     for name in ("fastapi", "uvicorn"):
         if find_spec(name) is None:
             raise InputError(f"the workbench needs {name}, which is not installed: pip install 'turnwright[web]'")
-    from turnwright.web.address import is_loopback, listening  # noqa: PLC0415 - no other command needs them
-    from turnwright.web.serve import serve_until_stopped  # noqa: PLC0415
+    from turnwright.web import is_loopback, listening, serve_until_stopped  # noqa: PLC0415 - no other command needs them
 
     if not is_loopback(host) and token is None:
         raise InputError(

@@ -134,6 +134,7 @@ def _root(
 
 
 def warn(sentences: Sequence[str]) -> None:
+    """Print each sentence as a warning."""
     for sentence in sentences:
         tell(f"warning: {sentence}")
 

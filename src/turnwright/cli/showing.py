@@ -51,7 +51,7 @@ def show(
 ) -> None:
     """Show a measured map or profile by itself: header, size, missing heights, Sq or scallops."""
     door: Door = context.obj
-    from turnwright.metrology.overview import level, overview  # noqa: PLC0415 - costly
+    from turnwright.metrology import level, overview  # noqa: PLC0415 - costly
     from turnwright.units import parse  # noqa: PLC0415
 
     if picture is not None:
@@ -90,7 +90,7 @@ def show(
             door.say(f"{name}: {value}")
         drawn = level(heights, kind) if picture is not None else heights
     if picture is not None:
-        from turnwright.report.figures import write_picture  # noqa: PLC0415
+        from turnwright.report import write_picture  # noqa: PLC0415
 
         write_picture(drawn, picture)
         door.say(f"picture: {picture}")
@@ -108,8 +108,7 @@ def _show_profile(
     """Say what a profile shows, and return it without its form."""
     import numpy as np  # noqa: PLC0415
 
-    from turnwright.metrology import find_cusps  # noqa: PLC0415
-    from turnwright.metrology.profile import without_form  # noqa: PLC0415
+    from turnwright.metrology import find_cusps, without_form  # noqa: PLC0415 - costly to import
     from turnwright.units import say_length  # noqa: PLC0415
 
     flat = without_form(line, form)
@@ -151,7 +150,7 @@ def _show_profile(
 
 
 def _say_roughness(door: Door, line: Profile, cutoff: float) -> None:
-    from turnwright.metrology import profile_parameters as profile_roughness  # noqa: PLC0415
+    from turnwright.metrology import profile_roughness  # noqa: PLC0415
     from turnwright.units import say_length  # noqa: PLC0415
 
     rough = profile_roughness(line, cutoff=cutoff)

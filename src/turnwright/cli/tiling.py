@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from turnwright.cli.shared import Door, JobFile, app, progress_of, warn
 from turnwright._io import part_of, write_whole
+from turnwright.cli.shared import Door, JobFile, app, progress_of, warn
 from turnwright.errors import InputError
 from turnwright.progress import Step
 
@@ -42,9 +42,12 @@ def tile(
 ) -> None:
     """Predict the error of the whole part at a pixel, of any size, in tiles: a map on disk, its roughness, a report."""
     door: Door = context.obj
-    from turnwright.studies import case_key  # noqa: PLC0415
     from turnwright.job import Job, finishing_motion  # noqa: PLC0415 - costly
-    from turnwright.studies import generate_tiled, planned_layout  # noqa: PLC0415
+    from turnwright.studies import (  # noqa: PLC0415
+        case_key,
+        generate_tiled,
+        planned_layout,
+    )
     from turnwright.units import parse  # noqa: PLC0415
 
     recipe = Job.load(job)
@@ -77,9 +80,8 @@ def tile(
         spectrum = made.area_psd(progress=lambda done, total: progress("spectrum", done, total)).radial()
         progress("report", 0, 1)
         from turnwright import report  # noqa: PLC0415 - matplotlib, only for a map that is there
-        from turnwright.report import archive  # noqa: PLC0415 - matplotlib, only for a map that is there
 
-        archive.write_tiled(made, rough, spectrum, out)
+        report.archive_tiled(made, rough, spectrum, out)
         report.write_tiled(recipe, made, rough, spectrum, out)
         progress("report", 1, 1)
     rows, columns = made.shape

@@ -28,8 +28,8 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, frozen
 from turnwright._validate import between
-from turnwright.cutting.edge_rows import Fit, InterruptedRows, Rows, TurningRows
 from turnwright.cutting.edge_cuts import InterruptedCuts, NoseCuts
+from turnwright.cutting.edge_rows import Fit, InterruptedRows, Rows, TurningRows
 from turnwright.cutting.learning import (
     CERTAIN,
     EXACT,

@@ -32,8 +32,8 @@ from turnwright._validate import between, check_numbers, positive
 from turnwright._validate import whole as whole_number
 from turnwright.cutting.chance import chance_of
 from turnwright.cutting.saturation import SOLID, rail, saturated
-from turnwright.cutting.slope_change import SlopeChange, slope_change
 from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
+from turnwright.cutting.slope_change import SlopeChange, slope_change
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:

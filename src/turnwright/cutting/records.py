@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from turnwright._io import answer_parent, read_isolated
 from turnwright._arrays import Floats, rows_of_numbers
+from turnwright._io import answer_parent, read_isolated
 from turnwright._validate import positive
 from turnwright.cutting.saturation import require_unsaturated
 from turnwright.cutting.signals import ForceRecord

@@ -8,7 +8,7 @@ wrong ends in one sentence, a `turnwright.MapError`.
 """
 
 from turnwright.files.read import read_map
-from turnwright.files.write import write_map
 from turnwright.files.slices import read_profile
+from turnwright.files.write import write_map
 
 __all__ = ["read_map", "read_profile", "write_map"]

@@ -10,7 +10,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.errors import MapError
-from turnwright.files import arrays, datx, digital_surf, grid_sag, isolated, metropro, other, points, sdf, x3p, zygo_text
+from turnwright.files import (
+    arrays,
+    datx,
+    digital_surf,
+    grid_sag,
+    isolated,
+    metropro,
+    other,
+    points,
+    sdf,
+    x3p,
+    zygo_text,
+)
 from turnwright.files.base import DAMAGE, LARGEST_FILE
 from turnwright.files.numbers import text_of
 

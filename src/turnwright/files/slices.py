@@ -12,8 +12,8 @@ from turnwright._validate import whole
 from turnwright.errors import MapError
 from turnwright.files.lattice import even_places
 from turnwright.files.numbers import text_of
-from turnwright.files.read import contents, read_map
 from turnwright.files.points import read_slice
+from turnwright.files.read import contents, read_map
 from turnwright.profile import Profile
 
 if TYPE_CHECKING:

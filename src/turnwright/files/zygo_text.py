@@ -20,8 +20,8 @@ import numpy as np
 from turnwright._arrays import Floats
 from turnwright.errors import MapError
 from turnwright.files.base import grid_map, require_bytes, require_points
-from turnwright.files.numbers import numbers, table
 from turnwright.files.metropro import MISSING, Fringes, fringe_scale
+from turnwright.files.numbers import numbers, table
 
 if TYPE_CHECKING:
     from pathlib import Path

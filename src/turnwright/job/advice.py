@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from turnwright.job.schema import MeasurementTable
-    from turnwright.metrology import PoseCandidate, Registration
-    from turnwright.metrology.registration import DoubtKind
+    from turnwright.metrology import DoubtKind, PoseCandidate, Registration
 
 __all__ = ["open_questions"]
 

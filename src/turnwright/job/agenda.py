@@ -9,8 +9,8 @@ import numpy as np
 
 from turnwright.errors import TurnwrightError
 from turnwright.job.comparison import strategies_of
-from turnwright.job.planning import stage_of
 from turnwright.job.contributions import has_servos
+from turnwright.job.planning import stage_of
 from turnwright.progress import Step
 
 if TYPE_CHECKING:

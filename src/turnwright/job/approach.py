@@ -26,10 +26,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._kernels import generation as kernel
-from turnwright.placing import tip_height
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate_polar
 from turnwright.machine import FAST, Axis
+from turnwright.placing import tip_height
 from turnwright.post import GAP, MOST_CLEARANCE, Approach, approach_to, entry_path, entry_shares
 from turnwright.units import say_length
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from turnwright.access import check_access
-from turnwright.placing import place
 from turnwright.errors import JobError
 from turnwright.job.schema import Job
 from turnwright.motion import check_limits, drive
+from turnwright.placing import place
 from turnwright.units import write
 
 if TYPE_CHECKING:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from turnwright.placing import place
 from turnwright.errors import Stopped, TurnwrightError
 from turnwright.job.contributions import Shares, shares
 from turnwright.job.strategies import KINDS
 from turnwright.motion import Limits, check_limits, drive
+from turnwright.placing import place
 from turnwright.post import read_fast_tool, read_nc, write_fast_tool, write_nc
 from turnwright.strategy import (
     AdaptiveToolServo,

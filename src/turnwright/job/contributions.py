@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import rounding
-from turnwright.placing import place
 from turnwright.errors import InputError
 from turnwright.generation import generate_polar
 from turnwright.job.extremes import find_extremes
 from turnwright.job.interpolated import interpolated
 from turnwright.metrology import area_rms
 from turnwright.path import Motion, Spiral
+from turnwright.placing import place
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats

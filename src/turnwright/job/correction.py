@@ -20,14 +20,14 @@ from turnwright.errors import CorrectionError, InputError
 from turnwright.files import write_map
 from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
-from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
-from turnwright.job.measurement import OF_POSE, Measured, cutoff_of, same_part
-from turnwright.job.schema import Job
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
+from turnwright.job.measurement import OF_POSE, Measured, cutoff_of, same_part
+from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
+from turnwright.job.schema import Job
 from turnwright.job.text import edited
 from turnwright.job.verdict import Verdict, judge_form
 from turnwright.part import correction_of, evenly
-from turnwright.surface.smoothing import Smooth, sum_tables
+from turnwright.surface import Smooth, sum_tables
 from turnwright.tool import WavinessTable
 from turnwright.units import write
 

@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from turnwright.cutting.chip import chip_map
-from turnwright.cutting.gate import ductile_gate, foretell
+from turnwright.cutting import chip_map, ductile_gate, foretell
 from turnwright.errors import InputError
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
     from turnwright._arrays import Ints
     from turnwright.access import Access
-    from turnwright.cutting.chip import ChipMap
-    from turnwright.cutting.gate import DuctileGate
+    from turnwright.cutting import ChipMap, DuctileGate
     from turnwright.job.schema import Job, PassTable
     from turnwright.path import Motion
     from turnwright.progress import Progress

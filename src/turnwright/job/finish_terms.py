@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from turnwright.cutting.finish import MinimumChip, Vibration, left_standing, vibrated
+from turnwright.cutting import MinimumChip, Vibration, left_standing, vibrated
 from turnwright.generation import generate_polar
 from turnwright.heightmap import HeightMap
 

@@ -15,16 +15,30 @@ from turnwright.errors import InputError, MapError
 from turnwright.files import read_map
 from turnwright.heightmap import HeightMap
 from turnwright.job.advice import open_questions
+from turnwright.job.contributions import pv_nm_of
 from turnwright.job.predicted_finish import across_feed, feed_of, finished
 from turnwright.job.prescriptions import with_keys
 from turnwright.job.seen import SeenTexture, design_as_seen, texture_as_seen
-from turnwright.job.contributions import pv_nm_of
 from turnwright.job.verdict import Verdict, judge_form
-from turnwright.metrology import Lenslets, Registration, Roughness, TurningCentre, ZernikeFit, area_rms, despike, fit_zernike, has_lenslets, keep_disc, register, trim_edge, turning_centre
-from turnwright.metrology import areal_parameters as roughness
-from turnwright.metrology import lens_array as lenslets
-from turnwright.metrology.lens_array import base_forms
-from turnwright.metrology.registration import EDGE
+from turnwright.metrology import (
+    EDGE,
+    Lenslets,
+    Registration,
+    Roughness,
+    TurningCentre,
+    ZernikeFit,
+    area_rms,
+    base_forms,
+    despike,
+    fit_zernike,
+    has_lenslets,
+    keep_disc,
+    lenslets,
+    register,
+    roughness,
+    trim_edge,
+    turning_centre,
+)
 from turnwright.pose import Pose
 
 if TYPE_CHECKING:

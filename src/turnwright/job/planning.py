@@ -10,12 +10,8 @@ from pathlib import Path as File
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from turnwright.placing import place
 from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
 from turnwright.generation import generate_polar
-from turnwright.job.interpolated import interpolated
-from turnwright.job.running import predict, read_back, written
-from turnwright.job.schema import Job
 from turnwright.job.contributions import (
     Shares,
     apart_nm,
@@ -26,10 +22,14 @@ from turnwright.job.contributions import (
     shares,
     without_servos,
 )
+from turnwright.job.interpolated import interpolated
+from turnwright.job.running import predict, read_back, written
+from turnwright.job.schema import Job
 from turnwright.job.speed import NEAR, ROUNDS, Servos, at_speed, few_lines, guess, largest, plain
 from turnwright.job.strategies import Choices
 from turnwright.job.verdict import Verdict, judge, missed
 from turnwright.motion import Limits, SpeedProfile, check_limits, drive
+from turnwright.placing import place
 from turnwright.units import write
 
 if TYPE_CHECKING:

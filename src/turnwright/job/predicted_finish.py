@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright.placing import place
 from turnwright.generation import generate_points
 from turnwright.motion import drive
+from turnwright.placing import place
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats

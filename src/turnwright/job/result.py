@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright.job.interpolated import UNSEEN
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
+from turnwright.job.interpolated import UNSEEN
 from turnwright.job.verdict import judge, missed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from turnwright.access import Access
-    from turnwright.cutting.chip import ChipMap
+    from turnwright.cutting import ChipMap
     from turnwright.heightmap import HeightMap
     from turnwright.job.approach import Entry
     from turnwright.job.cutting import PassChips

@@ -16,16 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from turnwright.access import check_access, check_depths, largest_depth, odd_sizes
-from turnwright.placing import place
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.generation import generate, generate_polar
 from turnwright.job.approach import Entry, entries_of
-from turnwright.job.cutting import PassChips, chips_of, foretold
-from turnwright.job.extremes import find_extremes
-from turnwright.job.gouge import find_gouge
-from turnwright.job.interpolated import interpolated, off_curves
-from turnwright.job.result import Pass, Prediction, Preview, Result
-from turnwright.job.shape import part_shape
 from turnwright.job.contributions import (
     Shares,
     clear_azimuths,
@@ -36,10 +29,17 @@ from turnwright.job.contributions import (
     shares,
     without_servos,
 )
+from turnwright.job.cutting import PassChips, chips_of, foretold
+from turnwright.job.extremes import find_extremes
+from turnwright.job.gouge import find_gouge
+from turnwright.job.interpolated import interpolated, off_curves
+from turnwright.job.result import Pass, Prediction, Preview, Result
+from turnwright.job.shape import part_shape
 from turnwright.job.verdict import judge
-from turnwright.metrology import areal_parameters as roughness
+from turnwright.metrology import roughness
 from turnwright.motion import check_limits, drive
 from turnwright.path import Spiral
+from turnwright.placing import place
 from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_tool, read_nc, write_fast_tool, write_nc
 from turnwright.strategy import SlowToolServo
 from turnwright.tracking import precorrect
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats
     from turnwright.access import Access, AccessFinding
-    from turnwright.cutting.chip import ChipMap
+    from turnwright.cutting import ChipMap
     from turnwright.heightmap import HeightMap
     from turnwright.job.schema import Job, PassTable
     from turnwright.machine import Machine
@@ -117,8 +117,8 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
         Called with (stage, done, total).
     out
         Folder for the files of the program, which is made if there is none; what else the command line leaves,
-        ``turnwright.report.archive`` and ``turnwright.report`` write. If not given, the program is written, read back and
-        thrown away, and the result names none.
+        ``turnwright.report`` writes. If not given, the program is written, read back and thrown away, and the result
+        names none.
 
     Raises
     ------

@@ -27,9 +27,8 @@ from pydantic import (
 
 from turnwright import machine as lathe
 from turnwright import tool as diamond
-from turnwright._io import read_toml
+from turnwright._io import read_toml, write_whole
 from turnwright._validate import key_of
-from turnwright._io import write_whole
 from turnwright.errors import InputError, JobError, UnitError, shown
 from turnwright.files import read_map
 from turnwright.instrument import Instrument

@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import best_fits as best_fit
+from turnwright.metrology import best_fit
 from turnwright.units import say_length
 
 if TYPE_CHECKING:

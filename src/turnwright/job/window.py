@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from turnwright.placing import place
 from turnwright.job.running import predict
 from turnwright.motion import drive
 from turnwright.path import Spiral
+from turnwright.placing import place
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats, Ints

@@ -14,27 +14,16 @@ import numpy as np
 from turnwright import units
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._io import read_toml
-from turnwright._validate import between, check_angle, check_numbers, key_of, plausible_sizes, positive
-from turnwright._validate import whole as whole_number
+from turnwright._validate import check_angle, check_numbers, key_of, plausible_sizes, positive
 from turnwright.errors import InputError
+from turnwright.machine.axes import ROTARY, Axis
+from turnwright.machine.controller import Controller, Convention
 from turnwright.machine.responses import FrequencyResponse, Response, SecondOrder, TransferFunction
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["INTERPOLATIONS", "Axis", "Controller", "Convention", "Machine"]
-
-INTERPOLATIONS = ("linear", "hermite", "quadratic spline", "cubic spline")
-"""What a controller makes of the points, in the order of the kernel's numbers."""
-
-ROTARY = frozenset("ABC")
-"""Letters of the axes that turn; all others slide."""
-
-FAST = MappingProxyType({"U": "X", "W": "Z"})
-"""Letters of the axes of a fast tool, and of the slides that they add to."""
-
-LATEST = 1.0
-"""A dead time beyond this is a slip of the unit. [s]"""
+__all__ = ["Machine"]
 
 MOST_BASES = 8
 """Machine files that may build on each other."""
@@ -46,164 +35,6 @@ PLAUSIBLE = MappingProxyType(
 
 STEEPEST = 0.1
 """A squareness beyond this is a slip of the unit, not an error of a machine. [rad]"""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Axis:
-    """Limits of one axis; ``None`` is a limit that nobody states.
-
-    Parameters
-    ----------
-    speed, acceleration, jerk
-        Largest magnitude, in mm or rad and s.
-    low, high
-        Ends of the travel. [mm or rad]
-    bandwidth_hz
-        Highest frequency at which the axis still follows; `check_limits` says what a motion has of it. [Hz]
-    bandwidth_residual
-        What may remain of a motion above that: the amplitude of a sine of the same power over two turns; ``None`` for
-        1e-5. [mm or rad]
-    response
-        How the axis answers its command; ``None`` follows exactly.
-    dead_time
-        By how much it does so later; ``None`` for at once. [s]
-
-    Raises
-    ------
-    InputError
-        If a limit is not positive, the travel ends before it begins, or the dead time is not a short one.
-    """
-
-    speed: float | None = None
-    acceleration: float | None = None
-    jerk: float | None = None
-    low: float | None = None
-    high: float | None = None
-    bandwidth_hz: float | None = None
-    bandwidth_residual: float | None = None
-    response: Response | None = None
-    dead_time: float | None = None
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
-        for name, power in (("speed", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
-            limit = getattr(self, name)
-            if limit is not None:
-                positive(limit, f"the {name} of an axis", f"mm{power} or rad{power}")
-        if self.bandwidth_hz is not None:
-            positive(self.bandwidth_hz, "the bandwidth of an axis", "Hz")
-        if self.bandwidth_residual is not None:
-            positive(self.bandwidth_residual, "the bandwidth_residual of an axis", "mm or rad")
-        low = -np.inf if self.low is None else self.low
-        high = np.inf if self.high is None else self.high
-        if not low < high:
-            raise InputError(f"the travel of an axis is {low:g} to {high:g} mm or rad: let low be below high")
-        between(self.dead_time or 0.0, "the dead_time of an axis", 0.0, LATEST, "s")
-
-    def amplitude(self, frequency_hz: ArrayLike) -> Floats:
-        r"""Return the largest sine that keeps travel, speed, acceleration, jerk and bandwidth, at some frequencies.
-
-        A sine of amplitude a has the peaks :math:`a\omega`, :math:`a\omega^2` and :math:`a\omega^3`; beyond the
-        bandwidth nothing is allowed, and infinity is where nobody states a limit. Any shape [mm or rad]
-
-        >>> fast = Axis(low=-0.035, high=0.035, acceleration=1e5, bandwidth_hz=700)
-        >>> fast.amplitude([100.0, 500.0, 800.0]).round(5).tolist()
-        [0.035, 0.01013, 0.0]
-        """
-        frequency = np.asarray(frequency_hz, dtype=np.float64)
-        most = np.full(frequency.shape, np.inf)
-        if self.low is not None and self.high is not None:
-            most[...] = (self.high - self.low) / 2
-        with np.errstate(divide="ignore"):
-            for limit, power in ((self.speed, 1), (self.acceleration, 2), (self.jerk, 3)):
-                if limit is not None:
-                    most = np.minimum(most, limit / (2 * np.pi * frequency) ** power)
-        return np.where(frequency > (np.inf if self.bandwidth_hz is None else self.bandwidth_hz), 0.0, most)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Controller(Value):
-    """What a controller makes of the points of a program.
-
-    Parameters
-    ----------
-    interpolation
-        "linear", "hermite" (PVT), "quadratic spline" or "cubic spline", see `track`.
-    look_ahead
-        Blocks that it knows beforehand, within which it must be able to brake; ``None`` for as many as it needs.
-    variable_speed
-        Whether the spindle may turn at another speed in every block, as times or inverse times of blocks allow.
-    other_interpolations
-        What else it offers, each with the dialect of the programs that ask for it; see `Machine.interpolating`.
-
-    Raises
-    ------
-    InputError
-        If there is no such interpolation, or it looks ahead by less than one block.
-    """
-
-    interpolation: str = "linear"
-    look_ahead: int | None = None
-    variable_speed: bool = False
-    other_interpolations: Mapping[str, str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
-        others = self.other_interpolations
-        if not isinstance(others, Mapping) or not all(isinstance(dialect, str) for dialect in others.values()):
-            raise InputError(
-                f"other_interpolations is {others!r}, it must name the dialect of each: write for instance "
-                '{ hermite = "pmac" }'
-            )
-        object.__setattr__(self, "other_interpolations", MappingProxyType(dict(others)))
-        if not isinstance(self.variable_speed, bool):
-            raise InputError(f"variable_speed is {self.variable_speed!r}, it must be true or false: change it")
-        for name in (self.interpolation, *others):
-            if name not in INTERPOLATIONS:
-                raise InputError(f"interpolation is {name!r}, it must be one of {', '.join(INTERPOLATIONS)}: name one")
-        if self.interpolation in others:
-            raise InputError(
-                f"other_interpolations names {self.interpolation!r}, which is the interpolation already: leave it out"
-            )
-        if self.look_ahead is not None:
-            object.__setattr__(self, "look_ahead", whole_number(self.look_ahead, "look_ahead", 1))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Convention:
-    """How the controller counts, against Turnwright's own axes.
-
-    Parameters
-    ----------
-    x_side
-        +1 if the controller's X grows away from the axis on the side where the tool cuts, -1 if it falls.
-    c_sense
-        +1 if the controller's C grows with the azimuth of the part under the tool, -1 if it falls.
-    z_sign
-        +1 if the controller's Z grows out of the part, -1 if it grows into it.
-    clocking
-        Controller's C when the part's +x mark stands under the tool. [rad]
-
-    Raises
-    ------
-    InputError
-        If a sign is neither +1 nor -1, or the clocking is not finite.
-    """
-
-    x_side: int = 1
-    c_sense: int = 1
-    z_sign: int = 1
-    clocking: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
-        for name in ("x_side", "c_sense", "z_sign"):
-            sign = getattr(self, name)
-            if sign not in (-1, 1):
-                raise InputError(
-                    f"{name} of the convention is {sign!r}, it must be the whole number 1 or -1: give the sign"
-                )
-        check_angle(self.clocking, "clocking of the convention")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -257,8 +88,8 @@ class Machine(Value):
     spindle_rpm: float
     block_rate_hz: float
     dialect: str = "generic"
-    convention: Convention = Convention()
-    controller: Controller = Controller()
+    convention: Convention = Convention()  # noqa: RUF009 - frozen
+    controller: Controller = Controller()  # noqa: RUF009 - frozen
     squareness: float = 0.0
     straightness: tuple[Floats, Floats] | None = None
     plausible: Mapping[str, float] = field(default_factory=dict)

@@ -1,7 +1,7 @@
 """What a height map says: its form, and the surface parameters of what remains."""
 
-from turnwright.metrology.grid import area_rms
 from turnwright.metrology.alignment import Alignment
+from turnwright.metrology.areal_parameters import Roughness, roughness
 from turnwright.metrology.bearing_curve import Bearing, bearing
 from turnwright.metrology.best_fits import BestFit, best_fit, fizeau_view
 from turnwright.metrology.clean import Despiked, Filled, despike, fill_holes, keep_disc, trim_edge
@@ -9,18 +9,22 @@ from turnwright.metrology.cusps import Cusps, Stretch, find_cusps
 from turnwright.metrology.feature_parameters import Features, features
 from turnwright.metrology.filters import Bands, Nesting, filter_map, separate_bands
 from turnwright.metrology.form import Form, remove_form
-from turnwright.metrology.lens_array import Lenslet, Lenslets, has_lenslets, lenslets
-from turnwright.metrology.profile import line_profile
+from turnwright.metrology.grid import area_rms
+from turnwright.metrology.lens_array import Lenslet, Lenslets, base_forms, has_lenslets, lenslets
+from turnwright.metrology.map_overview import level, overview
+from turnwright.metrology.profile import line_profile, without_form
 from turnwright.metrology.profile_parameters import ProfileRoughness, profile_roughness
-from turnwright.metrology.registration import PoseCandidate, Registration, Undetermined, register
-from turnwright.metrology.areal_parameters import Roughness, roughness
+from turnwright.metrology.registration import EDGE, DoubtKind, PoseCandidate, Registration, Undetermined, register
 from turnwright.metrology.slope import Slopes, slope_error
-from turnwright.metrology.spectrum import AreaSpectrum, Spectrum, area_psd, line_psd
+from turnwright.metrology.spectrum import FEWEST, AreaSpectrum, Spectrum, Window, area_psd, line_psd
+from turnwright.metrology.tool_edge import EdgeFit, fit_edge, read_edge_trace
 from turnwright.metrology.turned_edge import TurnedEdge, edge_from_cusps
 from turnwright.metrology.turning import TurningCentre, turning_centre
 from turnwright.metrology.zernike_fit import ZernikeFit, fit_zernike
 
 __all__ = [
+    "EDGE",
+    "FEWEST",
     "Alignment",
     "AreaSpectrum",
     "Bands",
@@ -28,6 +32,8 @@ __all__ = [
     "BestFit",
     "Cusps",
     "Despiked",
+    "DoubtKind",
+    "EdgeFit",
     "Features",
     "Filled",
     "Form",
@@ -44,9 +50,11 @@ __all__ = [
     "TurnedEdge",
     "TurningCentre",
     "Undetermined",
+    "Window",
     "ZernikeFit",
     "area_psd",
     "area_rms",
+    "base_forms",
     "bearing",
     "best_fit",
     "despike",
@@ -55,14 +63,18 @@ __all__ = [
     "fill_holes",
     "filter_map",
     "find_cusps",
+    "fit_edge",
     "fit_zernike",
     "fizeau_view",
     "has_lenslets",
     "keep_disc",
     "lenslets",
+    "level",
     "line_profile",
     "line_psd",
+    "overview",
     "profile_roughness",
+    "read_edge_trace",
     "register",
     "remove_form",
     "roughness",
@@ -70,4 +82,5 @@ __all__ = [
     "slope_error",
     "trim_edge",
     "turning_centre",
+    "without_form",
 ]

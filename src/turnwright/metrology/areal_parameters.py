@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints
-from turnwright.metrology.grid import Grid, mean, measure, valid_points
 from turnwright.metrology.form import Form, remove_form
+from turnwright.metrology.grid import Grid, mean, measure, valid_points
 from turnwright.progress import cores
 
 if TYPE_CHECKING:

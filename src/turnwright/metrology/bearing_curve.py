@@ -10,8 +10,8 @@ import numpy as np
 from turnwright._arrays import Floats, frozen
 from turnwright._validate import between
 from turnwright.errors import InputError
-from turnwright.metrology.grid import measure, valid_points
 from turnwright.metrology.form import Form, remove_form
+from turnwright.metrology.grid import measure, valid_points
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap

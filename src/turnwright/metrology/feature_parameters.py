@@ -15,8 +15,8 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, Ints, is_even
 from turnwright._validate import between
 from turnwright.errors import InputError
-from turnwright.metrology.grid import measure, valid_points
 from turnwright.metrology.form import Form, remove_form
+from turnwright.metrology.grid import measure, valid_points
 from turnwright.progress import cores
 
 if TYPE_CHECKING:

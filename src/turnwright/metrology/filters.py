@@ -15,9 +15,9 @@ from turnwright._arrays import Bools, Floats, is_even
 from turnwright._kernels.regression import advance, biweight, spline
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
+from turnwright.metrology.form import Form, remove_form
 from turnwright.metrology.grid import measure, valid_points
 from turnwright.metrology.regression import WIDTHS, regress
-from turnwright.metrology.form import Form, remove_form
 from turnwright.progress import run_chunks
 
 if TYPE_CHECKING:

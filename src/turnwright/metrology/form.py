@@ -6,9 +6,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
 from turnwright.errors import InputError
+from turnwright.metrology.best_fits import without_sphere
 from turnwright.metrology.grid import measure, valid_points
 from turnwright.metrology.separable import subtract_polynomial
-from turnwright.metrology.best_fits import without_sphere
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap

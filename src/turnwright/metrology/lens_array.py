@@ -27,6 +27,7 @@ from turnwright._arrays import Bools, Floats
 from turnwright._validate import between
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
+from turnwright.metrology.alignment import Alignment
 from turnwright.metrology.grid import valid_points
 from turnwright.metrology.lenslet_fit import (
     FEWEST,
@@ -47,7 +48,6 @@ from turnwright.metrology.lenslet_fit import (
     take_apart,
     without_form,
 )
-from turnwright.metrology.alignment import Alignment
 from turnwright.pose import Pose
 from turnwright.progress import cores, run_chunks
 from turnwright.surface import Zernike

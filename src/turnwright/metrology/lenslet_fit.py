@@ -1,4 +1,4 @@
-"""The fit of one lenslet, and the base between the lenslets. The formula stands in `turnwright.metrology.lens_array`."""
+"""The fit of one lenslet, and the base between the lenslets. The formula stands in `lens_array`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology.grid import measure
 from turnwright.metrology.alignment import Alignment
+from turnwright.metrology.grid import measure
 from turnwright.pose import Pose
 from turnwright.surface import LensArray, Placed, Plane, Sphere, Sum, Surface, Zernike
 

@@ -10,8 +10,8 @@ import numpy as np
 from turnwright._arrays import Floats, frozen, is_even
 from turnwright._kernels.rectangle import largest_rectangle
 from turnwright.errors import InputError
-from turnwright.metrology.grid import measure, valid_points
 from turnwright.metrology.form import Form, remove_form
+from turnwright.metrology.grid import measure, valid_points
 from turnwright.metrology.profile import without_form
 from turnwright.profile import Profile
 from turnwright.progress import cores

@@ -15,9 +15,7 @@ from turnwright._validate import finite_tuple, positive
 from turnwright.errors import InputError
 from turnwright.metrology.grid import valid_points
 from turnwright.metrology.least_squares import Cloud, Sums, solve, sums_over
-from turnwright.surface import Surface, Zernike
-from turnwright.surface.disc import disc_sum
-from turnwright.surface.zernike import FIRST, Indexing, zernike_order
+from turnwright.surface import FIRST, Indexing, Surface, Zernike, disc_sum, zernike_order
 
 if TYPE_CHECKING:
     from turnwright.heightmap import HeightMap

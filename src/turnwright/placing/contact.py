@@ -1,6 +1,6 @@
 r"""Placing the tool: bring the real edge into contact with the surface, exactly.
 
-Along Z the tip goes straight down until the edge touches: the dilation of `turnwright.placing.search`, free of gouges by
+Along Z the tip goes straight down until the edge touches: the dilation of `placing.search`, free of gouges by
 construction; the clearance of the edge, looked at all over it and not where the contact was found, proves it. Along
 the normal the contact point stays where the spiral sends it and the tip moves aside,
 
@@ -29,10 +29,10 @@ import numpy as np
 from turnwright._arrays import Bools, Floats
 from turnwright._kernels import contact as kernel
 from turnwright._kernels import dilation as dilation_kernel
-from turnwright.placing.search import BESIDE, CHUNK, Touch, touch
 from turnwright.errors import GougeError, InputError
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
+from turnwright.placing.search import BESIDE, CHUNK, Touch, touch
 from turnwright.progress import Progress, run_chunks
 from turnwright.tool import Tool
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from turnwright._arrays import rows_of_numbers
-from turnwright._kernels import table as kernel
+from turnwright._kernels import table as table_kernel
+from turnwright._kernels import text as text_kernel
 from turnwright._validate import positive
 from turnwright.errors import ProgramError
 from turnwright.path import Motion
@@ -219,11 +220,11 @@ def _position(motion: Motion, machine: Machine, dialect: Dialect) -> tuple[Ints,
     turn = 360 * int(scale[1])
     rows = np.empty((motion.time.size, 2 + len(own)), dtype=np.int64)
     degrees, mark = float(np.rad2deg(convention.c_sense)), float(np.rad2deg(convention.clocking))
-    kernel.quantise(motion.axes["X"], convention.x_side * scale[0], 0.0, 0, rows, 0)
-    kernel.quantise(motion.axes["C"], degrees * scale[1], mark * scale[1], turn, rows, 1)
+    text_kernel.quantise(motion.axes["X"], convention.x_side * scale[0], 0.0, 0, rows, 0)
+    text_kernel.quantise(motion.axes["C"], degrees * scale[1], mark * scale[1], turn, rows, 1)
     off = 0.0
     for column, letter in enumerate(own, 2):
-        kernel.quantise(motion.axes[letter], scale[2], 0.0, 0, rows, column)
+        text_kernel.quantise(motion.axes[letter], scale[2], 0.0, 0, rows, column)
         off = max(off, float(np.abs(rows[:, column] / scale[2] - motion.axes[letter]).max()))
     step = np.diff(rows[:, 1]) * (motion.sense * convention.c_sense) % turn
     bad = np.flatnonzero((step == 0) | (step >= turn // 2))
@@ -319,7 +320,7 @@ def _body(file: BinaryIO, rows: Ints, decimals: Ints) -> str:
     for start in range(0, rows.shape[0], CHUNK):
         part = rows[start : start + CHUNK]
         out = np.empty(part.size * 24 + 8, dtype=np.uint8)
-        data = out[: kernel.format_rows(part, decimals, out)].tobytes()
+        data = out[: table_kernel.format_rows(part, decimals, out)].tobytes()
         digest.update(data)
         file.write(data)
     return digest.hexdigest()

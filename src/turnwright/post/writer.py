@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Floats, Ints
-from turnwright._kernels import tracking as kernel
+from turnwright._kernels import text as text_kernel
+from turnwright._kernels import tracking as tracking_kernel
 from turnwright.errors import ProgramError
 from turnwright.machine import FAST
 from turnwright.path import Motion
@@ -386,7 +387,7 @@ def _velocity(motion: Motion) -> dict[str, Floats]:
     for letter, position in motion.axes.items():
         speed = np.empty(position.size)
         if motion.velocity is None:
-            kernel.rates(motion.time, position, speed)
+            tracking_kernel.rates(motion.time, position, speed)
         else:
             speed[:] = motion.velocity[letter]
         speed[[0, -1]] = 0.0
@@ -576,21 +577,21 @@ class _Job:
             for column, letter in enumerate(one.letters):
                 values = one.motion.axes[letter][start:stop]
                 factor, shift = one.factors[letter] * scale[letter], one.shifts[letter] * scale[letter]
-                kernel.quantise(values, factor, shift, wraps.get(letter, 0), rows, each * column)
+                text_kernel.quantise(values, factor, shift, wraps.get(letter, 0), rows, each * column)
                 if one.velocity is not None:
-                    kernel.quantise(one.velocity[letter][start:stop], factor, 0.0, 0, rows, each * column + 1)
+                    text_kernel.quantise(one.velocity[letter][start:stop], factor, 0.0, 0, rows, each * column + 1)
             return rows
 
         def work(chunk: _Chunk) -> tuple[int, memoryview, memoryview]:
             start, stop, mantissa, places, duration = chunk
             angle = one.motion.axes["C"][start - 1 : stop]
             factor, shift = one.factors["C"] * scale["C"], one.shifts["C"] * scale["C"]
-            bad = kernel.check_steps(angle, factor, shift, turn // 2, sign)
+            bad = text_kernel.check_steps(angle, factor, shift, turn // 2, sign)
             if bad >= 0:
                 raise _step_error(one, start - 1 + bad)
             rows = quantise(start, stop)
             out = np.empty((stop - start) * (prefix.size + 24 * (letters.size + 1)) + 8, dtype=np.uint8)
-            size = kernel.format_blocks(rows, letters, decimals, prefix, leading, mantissa, places, out)
+            size = text_kernel.format_blocks(rows, letters, decimals, prefix, leading, mantissa, places, out)
             return stop - start, hashed_rows(rows, duration), out[:size].data
 
         digest.update(hashed_rows(quantise(0, 1), np.zeros(1)))
@@ -624,7 +625,7 @@ class _Job:
             end = min(begin + CHUNK, stop)
             mantissa, places = np.empty((2, end - begin), dtype=np.int64)
             duration = np.empty(end - begin)
-            bad = kernel.feeds(one.motion.time, begin, end, unit, every, most, state, mantissa, places, duration)
+            bad = text_kernel.feeds(one.motion.time, begin, end, unit, every, most, state, mantissa, places, duration)
             longest = self.dialect.longest_block
             if bad < 0 and duration.max() > longest:
                 bad = begin + int(duration.argmax())

@@ -12,6 +12,16 @@ import numpy as np
 from turnwright.job import judge, part_shape
 from turnwright.path import Motion
 from turnwright.post import after_stop, dialect_of
+from turnwright.report.archive import (
+    archive_comparison,
+    archive_correction,
+    archive_diagnosis,
+    archive_measured,
+    archive_run,
+    archive_tiled,
+    read_maps,
+    write_maps,
+)
 from turnwright.report.comparison import write_comparison
 from turnwright.report.measured import write_correction, write_diagnosis, write_measured
 from turnwright.report.page import Page, page_file, set_page
@@ -25,20 +35,30 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from turnwright.access import Access
-    from turnwright.job import Job, Prediction, Result, Verdict
-    from turnwright.job.approach import Entry
+    from turnwright.heightmap import HeightMap
+    from turnwright.job import Entry, Job, Prediction, Result, Verdict
     from turnwright.machine import Machine
     from turnwright.motion import Limits
     from turnwright.part import Part
+    from turnwright.profile import Profile
     from turnwright.report.figures import Picture
     from turnwright.tool import Tool
 
 __all__ = [
+    "archive_comparison",
+    "archive_correction",
+    "archive_diagnosis",
+    "archive_measured",
+    "archive_run",
+    "archive_tiled",
+    "read_maps",
     "write_backplot",
     "write_comparison",
     "write_correction",
     "write_diagnosis",
+    "write_maps",
     "write_measured",
+    "write_picture",
     "write_report",
     "write_study",
     "write_tiled",
@@ -56,6 +76,13 @@ HEAD = 40
 
 MANY_POINTS = 20_000
 """Points of a motion that a picture needs."""
+
+
+def write_picture(shown: HeightMap | Profile, path: str | PathLike[str]) -> None:
+    """Write a picture of a map or a profile for other programs: ``.png``, ``.svg`` or ``.pdf``, by the suffix."""
+    from turnwright.report import figures as draw  # noqa: PLC0415 - matplotlib is costly to import
+
+    draw.write_picture(shown, path)
 
 
 class _Row(NamedTuple):

@@ -63,14 +63,14 @@ if TYPE_CHECKING:
     from turnwright.studies import TiledMap
 
 __all__ = [
+    "archive_comparison",
+    "archive_correction",
+    "archive_diagnosis",
+    "archive_measured",
+    "archive_run",
+    "archive_tiled",
     "read_maps",
-    "write_archive",
-    "write_comparison",
-    "write_correction",
-    "write_diagnosis",
     "write_maps",
-    "write_measured",
-    "write_tiled",
 ]
 
 AXES = ("x", "y", "radius", "angle")
@@ -85,7 +85,7 @@ UNITS = {
 """Units of arrays in the archive that are not in mm."""
 
 
-def write_archive(result: Result, folder: str | PathLike[str]) -> None:
+def archive_run(result: Result, folder: str | PathLike[str]) -> None:
     """Write ``job.toml``, ``result.json``, ``maps/*.npy`` and ``run.h5`` into a folder that exists.
 
     Parameters
@@ -131,7 +131,7 @@ def write_archive(result: Result, folder: str | PathLike[str]) -> None:
     _write_h5(result, job, text, folder / "run.h5")
 
 
-def write_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
+def archive_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
     """Write ``job.toml`` and ``comparison.json``, all numbers of every strategy, into a folder that exists.
 
     Parameters
@@ -165,7 +165,7 @@ def write_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
     _write_json(folder / "comparison.json", numbers)
 
 
-def write_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: str | PathLike[str]) -> None:
+def archive_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: str | PathLike[str]) -> None:
     """Write ``tiled.json`` and ``spectrum.csv``.
 
     Parameters
@@ -187,7 +187,7 @@ def write_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: st
     write_whole(folder / "spectrum.csv", "\n".join(table) + "\n")
 
 
-def write_measured(measured: Measured, folder: str | PathLike[str]) -> None:
+def archive_measured(measured: Measured, folder: str | PathLike[str]) -> None:
     """Write ``measured.json``, ``error.npz`` (cut minus design over the part) and ``lenslets.csv``, if there are any.
 
     Parameters
@@ -253,7 +253,7 @@ def _base_form(measured: Measured) -> dict[str, object] | None:
     }
 
 
-def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, folder: str | PathLike[str]) -> None:
+def archive_diagnosis(measured: Sequence[Measured], found: Diagnosis, folder: str | PathLike[str]) -> None:
     """Write ``diagnosis.json`` and, for each map, what is left of it as ``left-1.npz`` and so on.
 
     Parameters
@@ -285,7 +285,7 @@ def _diagnosis_numbers(measured: Sequence[Measured], found: Diagnosis) -> dict[s
     }
 
 
-def write_correction(
+def archive_correction(
     measured: Sequence[Measured], found: Diagnosis, better: Correction, folder: str | PathLike[str]
 ) -> None:
     """Write ``correction.json`` and ``predicted.npz``, beside the job that `turnwright.correct` has written.

@@ -33,11 +33,10 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats
     from turnwright.access import AccessFinding
-    from turnwright.cutting.chip import ChipMap
+    from turnwright.cutting import ChipMap
     from turnwright.diagnosis import Move
     from turnwright.heightmap import HeightMap
-    from turnwright.job import Candidate
-    from turnwright.job.approach import Entry
+    from turnwright.job import Candidate, Entry
     from turnwright.material import Material
     from turnwright.metrology import Spectrum
     from turnwright.part import Part

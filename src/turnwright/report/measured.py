@@ -396,7 +396,7 @@ def _setup(measured: Sequence[Measured], found: Diagnosis) -> list[_Section]:
 def _handbook(sample: Measured, found: Diagnosis) -> list[str]:
     """Return what the rule of thumb reads from a sphere, beside what was found."""
     from turnwright.diagnosis import handbook_offset  # noqa: PLC0415
-    from turnwright.metrology import best_fits as best_fit  # noqa: PLC0415
+    from turnwright.metrology import best_fit  # noqa: PLC0415
     from turnwright.surface import Sphere  # noqa: PLC0415
 
     surface, exact = sample.job.part.part.surface, [one.value for one in found if one.name == "offset x"]

@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     from os import PathLike
     from pathlib import Path as File
 
-    from turnwright.studies import Outcome, ToleranceStudy
-    from turnwright.studies.sensitivity import Interval
+    from turnwright.studies import Interval, Outcome, ToleranceStudy
 
 __all__ = ["write_tolerance"]
 

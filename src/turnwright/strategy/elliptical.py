@@ -40,9 +40,9 @@ import numpy as np
 
 from turnwright._arrays import frozen
 from turnwright._validate import check_numbers, positive
-from turnwright.placing import follow, touch
 from turnwright.errors import InputError, LimitError
 from turnwright.path import Spiral
+from turnwright.placing import follow, touch
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.slow import SlowToolServo
 

@@ -13,9 +13,9 @@ from turnwright._validate import check_numbers
 from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.machine import Axis
-from turnwright.strategy.split import smoothest
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.fast import planned, speed_of
+from turnwright.strategy.split import smoothest
 from turnwright.surface import Surface
 from turnwright.tool import Tool
 

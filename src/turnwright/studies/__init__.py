@@ -1,23 +1,57 @@
 """Studies of a job: what becomes of it when its fields are varied, and how likely it is to keep its tolerances."""
 
 from turnwright.studies.budget import ErrorBudget, Spread
-from turnwright.studies.measures import MEASURES
-from turnwright.studies.variation import Column, Grid, Study, study
-from turnwright.studies.tolerancing import Outcome, Sensitivity, Tightening, ToleranceStudy, tolerance
+from turnwright.studies.cases import Case, Row, Work, case_key, conduct, program_version
 from turnwright.studies.designs import DESIGNS
+from turnwright.studies.executors import (
+    Cluster,
+    LocalPool,
+    WorkerDied,
+    cluster,
+    fitting,
+    local,
+    require_reach,
+    share_of,
+)
+from turnwright.studies.measures import MEASURES
+from turnwright.studies.sensitivity import Interval
+from turnwright.studies.store import Store
+from turnwright.studies.tiled_map import TiledMap
+from turnwright.studies.tiles import generate_tiled, planned_layout
+from turnwright.studies.tolerancing import Outcome, Sensitivity, Tightening, ToleranceStudy, tolerance
+from turnwright.studies.variation import Column, Grid, Study, study
 
 __all__ = [
     "DESIGNS",
     "MEASURES",
+    "Case",
+    "Cluster",
     "Column",
     "ErrorBudget",
     "Grid",
+    "Interval",
+    "LocalPool",
     "Outcome",
+    "Row",
     "Sensitivity",
     "Spread",
+    "Store",
     "Study",
     "Tightening",
+    "TiledMap",
     "ToleranceStudy",
+    "Work",
+    "WorkerDied",
+    "case_key",
+    "cluster",
+    "conduct",
+    "fitting",
+    "generate_tiled",
+    "local",
+    "planned_layout",
+    "program_version",
+    "require_reach",
+    "share_of",
     "study",
     "tolerance",
 ]

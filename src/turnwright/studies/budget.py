@@ -18,7 +18,7 @@ from turnwright import _validate as validate
 from turnwright._io import read_toml
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
-from turnwright.surface.zernike import zernike_order
+from turnwright.surface import zernike_order
 from turnwright.units import parse, write
 
 if TYPE_CHECKING:

@@ -19,6 +19,7 @@ from typing import Any, TypeAlias
 from turnwright import _validate as validate
 from turnwright._io import read_toml
 from turnwright.errors import InputError, Stopped, StudyError, TurnwrightError
+from turnwright.progress import THREADS, Progress, at_most, cores
 from turnwright.studies.executors import (
     Cluster,
     LocalPool,
@@ -29,7 +30,6 @@ from turnwright.studies.executors import (
     share_of,
 )
 from turnwright.studies.store import FULL, Store
-from turnwright.progress import THREADS, Progress, at_most, cores
 
 __all__ = ["Case", "Row", "Work", "case_key", "conduct", "program_version"]
 

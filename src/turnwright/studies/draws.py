@@ -38,9 +38,9 @@ from turnwright.tool import WavinessTable
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
     from turnwright.diagnosis import Diagnosis
-    from turnwright.studies import Row, Store
     from turnwright.machine import Machine
     from turnwright.progress import Progress
+    from turnwright.studies import Row, Store
     from turnwright.tool import Tool
 
 __all__ = ["Bench", "Real", "carry_out", "deviated", "form_error", "laid_out", "reach_of", "residual"]

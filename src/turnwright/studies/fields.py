@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 from pydantic import TypeAdapter, ValidationError
 
 from turnwright.errors import InputError, UnitError
-from turnwright.job.prescriptions import Series
-from turnwright.job.table import Table, sentences
+from turnwright.job import Series, Table, sentences
 from turnwright.units import parse, unit
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from turnwright._io import read_toml
 from turnwright.errors import InputError, StudyError
 
 if TYPE_CHECKING:
-    from turnwright.studies import Store
     from turnwright.job import Job
+    from turnwright.studies import Store
 
 __all__ = ["at_hand", "fetched", "files_of", "kept_files", "moved"]
 

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from turnwright.access import check_access
-from turnwright.placing import place
 from turnwright.generation import generate, generate_points, generate_polar
-from turnwright.job.contributions import has_servos, without_servos
+from turnwright.job import has_servos, without_servos
 from turnwright.motion import drive
 from turnwright.path import Motion
+from turnwright.placing import place
 from turnwright.tracking import precorrect, track
 
 if TYPE_CHECKING:

@@ -13,12 +13,11 @@ from turnwright import _validate as validate
 from turnwright._arrays import Floats, frozen
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import AreaSpectrum, Spectrum, area_psd, line_psd
-from turnwright.metrology.spectrum import FEWEST, Window
+from turnwright.metrology import FEWEST, AreaSpectrum, Spectrum, Window, area_psd, line_psd
 from turnwright.studies.bands import in_order
 
 if TYPE_CHECKING:
-    from turnwright.metrology.form import Form
+    from turnwright.metrology import Form
     from turnwright.progress import Progress
     from turnwright.studies.tile_files import Files
     from turnwright.studies.tile_layout import Layout

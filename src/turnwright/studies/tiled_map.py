@@ -12,8 +12,7 @@ from turnwright import _validate as validate
 from turnwright._arrays import Floats
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
-from turnwright.metrology import AreaSpectrum, Roughness, Spectrum
-from turnwright.metrology.spectrum import Window
+from turnwright.metrology import AreaSpectrum, Roughness, Spectrum, Window
 from turnwright.progress import Progress
 from turnwright.studies.tile_files import ASKED, Files, named_place
 from turnwright.studies.tile_roughness import tiled_roughness

@@ -17,8 +17,8 @@ import numpy as np
 from turnwright import _validate as validate
 from turnwright._io import write_whole
 from turnwright.errors import InputError, JobError, StudyError
-from turnwright.studies import Case, Store, case_key, conduct, local, require_reach
 from turnwright.job import Job
+from turnwright.studies import Case, Store, case_key, conduct, local, require_reach
 from turnwright.studies.budget import MOST_DRAWS, ErrorBudget, Spread, group_of
 from turnwright.studies.draws import carry_out, laid_out
 from turnwright.studies.files import files_of
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from turnwright._arrays import Bools, Floats
-    from turnwright.studies import Row
     from turnwright.progress import StageProgress
+    from turnwright.studies import Row
 
 __all__ = ["Outcome", "Sensitivity", "Tightening", "ToleranceStudy", "tolerance"]
 

@@ -3,6 +3,7 @@
 from turnwright.surface.base import Surface
 from turnwright.surface.compound import Placed, Sum
 from turnwright.surface.conic import Conic, EvenAsphere, Plane, Sphere
+from turnwright.surface.disc import disc_sum
 from turnwright.surface.expression import Expression
 from turnwright.surface.forbes import Forbes
 from turnwright.surface.gridded import Gridded
@@ -11,16 +12,19 @@ from turnwright.surface.off_axis import OffAxis
 from turnwright.surface.polynomial import RadialPolynomial, XYPolynomial
 from turnwright.surface.scattered import Scattered
 from turnwright.surface.sine_grid import SineGrid
+from turnwright.surface.smoothing import Smooth, smooth_table, sum_tables
 from turnwright.surface.toroid import Biconic, Toroid
-from turnwright.surface.zernike import Zernike
+from turnwright.surface.zernike import FIRST, Indexing, Zernike, zernike_order
 
 __all__ = [
+    "FIRST",
     "Biconic",
     "Conic",
     "EvenAsphere",
     "Expression",
     "Forbes",
     "Gridded",
+    "Indexing",
     "LensArray",
     "OffAxis",
     "Placed",
@@ -28,10 +32,15 @@ __all__ = [
     "RadialPolynomial",
     "Scattered",
     "SineGrid",
+    "Smooth",
     "Sphere",
     "Sum",
     "Surface",
     "Toroid",
     "XYPolynomial",
     "Zernike",
+    "disc_sum",
+    "smooth_table",
+    "sum_tables",
+    "zernike_order",
 ]

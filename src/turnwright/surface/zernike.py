@@ -13,8 +13,8 @@ from turnwright._kernels import polynomials
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.surface.analytic import MAX_DEGREE, Terms, read_terms, summed, whole
-from turnwright.surface.disc import DiscSum, disc_sum
 from turnwright.surface.base import Surface
+from turnwright.surface.disc import DiscSum, disc_sum
 
 __all__ = ["Indexing", "Zernike", "zernike_order"]
 

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from turnwright.web.address import is_loopback, listening
+from turnwright.web.serve import serve_until_stopped
+
 if TYPE_CHECKING:
     from turnwright.web.app import create_app
 
-__all__ = ["create_app"]
+__all__ = ["create_app", "is_loopback", "listening", "serve_until_stopped"]
 
 
 def __getattr__(name: str) -> Any:

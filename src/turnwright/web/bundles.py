@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from turnwright._io import read_toml
 from turnwright.errors import InputError
-from turnwright.job.text import as_tables, written
+from turnwright.job import as_tables, written
 from turnwright.web.jobs import look_into, plain, read, require
 from turnwright.web.limits import BODY_BYTES, FILE_BYTES, FILE_ENDINGS, SPARE_BYTES
 from turnwright.web.references import JOB, beside, named, place_of, plain_name, renamed, require_flat

@@ -16,11 +16,18 @@ from pydantic import ValidationError
 from turnwright._io import read_toml
 from turnwright.errors import InputError, TurnwrightError, shortened
 from turnwright.instrument import Instrument
-from turnwright.job import Job, faults
-from turnwright.job.prescriptions import GriddedTable
-from turnwright.job.schema import MachineTable, PartTable, ToolDeviations
-from turnwright.job.table import Table, sentences
-from turnwright.job.text import as_tables, written
+from turnwright.job import (
+    GriddedTable,
+    Job,
+    MachineTable,
+    PartTable,
+    Table,
+    ToolDeviations,
+    as_tables,
+    faults,
+    sentences,
+    written,
+)
 from turnwright.machine import Machine
 from turnwright.material import Material
 from turnwright.web.limits import MOST_POINTS

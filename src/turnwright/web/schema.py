@@ -12,10 +12,7 @@ from typing import Any
 
 import turnwright
 from turnwright.instrument import Instrument
-from turnwright.job import Job
-from turnwright.job.prescriptions import Series
-from turnwright.job.schema import InstrumentTable, MachineTable, PartTable
-from turnwright.job.table import Table
+from turnwright.job import InstrumentTable, Job, MachineTable, PartTable, Series, Table
 from turnwright.material import Material
 from turnwright.units import write
 from turnwright.web.jobs import machines

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from turnwright.access import reach_at
-from turnwright.placing import place
 from turnwright.errors import InputError
 from turnwright.path import Spiral
+from turnwright.placing import place
 from turnwright.web.jobs import SMALL, require
 from turnwright.web.packed import pack
 
@@ -119,7 +119,7 @@ def _coloured(job: Job, part: Part, quantity: str, x: Floats, y: Floats, z: Floa
 
 def _chips(job: Job, part: Part, x: Floats, y: Floats) -> _Colours:
     """Return the thickest chip of the finishing pass to expect."""
-    from turnwright.cutting.chip import expected_thickest  # noqa: PLC0415 - only this quantity needs it
+    from turnwright.cutting import expected_thickest  # noqa: PLC0415 - only this quantity needs it
 
     before, cut = part.stock, job.passes[-1]
     for one in job.passes[:-1]:

@@ -11,8 +11,7 @@ import numpy as np
 
 from turnwright.errors import InputError
 from turnwright.files import read_map
-from turnwright.metrology import area_psd
-from turnwright.metrology.overview import level, overview
+from turnwright.metrology import area_psd, level, overview
 from turnwright.web.jobs import plain, require
 from turnwright.web.packed import pack
 

@@ -169,14 +169,13 @@ def _run(run: Path, server: Path, out: Path, _record: dict[str, Any], tell: _Tel
 
 
 def _cut(job: Job, out: Path, tell: _Teller) -> Ended:
-    from turnwright import report  # noqa: PLC0415
-    from turnwright.report import archive  # noqa: PLC0415
     from turnwright import job as recipe  # noqa: PLC0415
+    from turnwright import report  # noqa: PLC0415
     from turnwright.web.program import index  # noqa: PLC0415
 
     result = recipe.run(job, progress=tell, out=out)
     tell("report", 0, 1)
-    archive.write_archive(result, out)
+    report.archive_run(result, out)
     report.write_report(result, out)
     tell(INDEX.stage, 0, 1)
     index(out, job.machine.machine)
@@ -193,14 +192,13 @@ def _cut(job: Job, out: Path, tell: _Teller) -> Ended:
 def _compare(run: Path, server: Path, out: Path, _record: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright compare``."""
     from turnwright import report  # noqa: PLC0415
-    from turnwright.report import archive  # noqa: PLC0415
     from turnwright.job import compare, steps_of_comparison  # noqa: PLC0415
 
     job = _job(run, server)
     tell.expect(steps_of_comparison(job))
     found = compare(job, progress=tell)
     tell("report", 0, 1)
-    archive.write_comparison(found, out)
+    report.archive_comparison(found, out)
     report.write_comparison(found, out)
     _pack(run, server, out)
     able = sum(not one.refused for one in found.candidates)
@@ -258,15 +256,14 @@ def _deadline(seconds: float, sentence: str) -> Iterator[None]:
 def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright diagnose``, and what the page shows of it."""
     from turnwright import report  # noqa: PLC0415
-    from turnwright.report import archive  # noqa: PLC0415
     from turnwright.job import diagnose, missed  # noqa: PLC0415
     from turnwright.web.shown import write_shown  # noqa: PLC0415
 
     measured = [_measured(run, server, tell, record)]
     found = diagnose(measured, progress=tell)
     tell("report", 0, 1)
-    archive.write_measured(measured[0], out)
-    archive.write_diagnosis(measured, found, out)
+    report.archive_measured(measured[0], out)
+    report.archive_diagnosis(measured, found, out)
     report.write_diagnosis(measured, found, out)
     write_shown(measured[0], found, out)
     sentence = (
@@ -279,7 +276,6 @@ def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], tell: 
 def _correct(run: Path, server: Path, out: Path, record: dict[str, Any], tell: _Teller) -> Ended:
     """As ``turnwright correct``, then as ``turnwright run`` of the job that it wrote."""
     from turnwright import report  # noqa: PLC0415
-    from turnwright.report import archive  # noqa: PLC0415
     from turnwright.job import Job, correct, diagnose, missed  # noqa: PLC0415
     from turnwright.web.shown import write_predicted  # noqa: PLC0415
 
@@ -290,7 +286,7 @@ def _correct(run: Path, server: Path, out: Path, record: dict[str, Any], tell: _
     better_folder.mkdir()
     better = correct(measured[0].job, found, measured, out=better_folder, progress=tell)
     tell("report of the correction", 0, 1)
-    archive.write_correction(measured, found, better, better_folder)
+    report.archive_correction(measured, found, better, better_folder)
     report.write_correction(measured, found, better, better_folder)
     write_predicted(better, better_folder)
     _cut(Job.load(better.file), out, tell)

@@ -14,8 +14,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from turnwright.errors import InputError, TurnwrightError
-from turnwright.studies import LocalPool, WorkerDied
 from turnwright.progress import cores
+from turnwright.studies import LocalPool, WorkerDied
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.errors import InputError
-from turnwright.metrology.grid import area_rms
 from turnwright.metrology.form import Form, remove_form
+from turnwright.metrology.grid import area_rms
 from turnwright.units import say_length
 
 if TYPE_CHECKING:

@@ -1,0 +1,22 @@
+"""The lathe: what its axes can do, how they err, and how its controller counts."""
+
+from turnwright.machine.axes import FAST, ROTARY, Axis
+from turnwright.machine.controller import INTERPOLATIONS, Controller, Convention
+from turnwright.machine.lathe import PLAUSIBLE, Machine
+from turnwright.machine.responses import FrequencyResponse, RationalResponse, Response, SecondOrder, TransferFunction
+
+__all__ = [
+    "FAST",
+    "INTERPOLATIONS",
+    "PLAUSIBLE",
+    "ROTARY",
+    "Axis",
+    "Controller",
+    "Convention",
+    "FrequencyResponse",
+    "Machine",
+    "RationalResponse",
+    "Response",
+    "SecondOrder",
+    "TransferFunction",
+]

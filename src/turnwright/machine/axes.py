@@ -1,0 +1,101 @@
+"""The axes of a lathe: travel, limits and how they follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright._arrays import Floats
+from turnwright._validate import between, check_numbers, positive
+from turnwright.errors import InputError
+from turnwright.machine.responses import Response
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = ["ROTARY", "Axis"]
+
+ROTARY = frozenset("ABC")
+"""Letters of the axes that turn; all others slide."""
+
+FAST = MappingProxyType({"U": "X", "W": "Z"})
+"""Letters of the axes of a fast tool, and of the slides that they add to."""
+
+LATEST = 1.0
+"""A dead time beyond this is a slip of the unit. [s]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Axis:
+    """Limits of one axis; ``None`` is a limit that nobody states.
+
+    Parameters
+    ----------
+    speed, acceleration, jerk
+        Largest magnitude, in mm or rad and s.
+    low, high
+        Ends of the travel. [mm or rad]
+    bandwidth_hz
+        Highest frequency at which the axis still follows; `check_limits` says what a motion has of it. [Hz]
+    bandwidth_residual
+        What may remain of a motion above that: the amplitude of a sine of the same power over two turns; ``None`` for
+        1e-5. [mm or rad]
+    response
+        How the axis answers its command; ``None`` follows exactly.
+    dead_time
+        By how much it does so later; ``None`` for at once. [s]
+
+    Raises
+    ------
+    InputError
+        If a limit is not positive, the travel ends before it begins, or the dead time is not a short one.
+    """
+
+    speed: float | None = None
+    acceleration: float | None = None
+    jerk: float | None = None
+    low: float | None = None
+    high: float | None = None
+    bandwidth_hz: float | None = None
+    bandwidth_residual: float | None = None
+    response: Response | None = None
+    dead_time: float | None = None
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        for name, power in (("speed", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
+            limit = getattr(self, name)
+            if limit is not None:
+                positive(limit, f"the {name} of an axis", f"mm{power} or rad{power}")
+        if self.bandwidth_hz is not None:
+            positive(self.bandwidth_hz, "the bandwidth of an axis", "Hz")
+        if self.bandwidth_residual is not None:
+            positive(self.bandwidth_residual, "the bandwidth_residual of an axis", "mm or rad")
+        low = -np.inf if self.low is None else self.low
+        high = np.inf if self.high is None else self.high
+        if not low < high:
+            raise InputError(f"the travel of an axis is {low:g} to {high:g} mm or rad: let low be below high")
+        between(self.dead_time or 0.0, "the dead_time of an axis", 0.0, LATEST, "s")
+
+    def amplitude(self, frequency_hz: ArrayLike) -> Floats:
+        r"""Return the largest sine that keeps travel, speed, acceleration, jerk and bandwidth, at some frequencies.
+
+        A sine of amplitude a has the peaks :math:`a\omega`, :math:`a\omega^2` and :math:`a\omega^3`; beyond the
+        bandwidth nothing is allowed, and infinity is where nobody states a limit. Any shape [mm or rad]
+
+        >>> fast = Axis(low=-0.035, high=0.035, acceleration=1e5, bandwidth_hz=700)
+        >>> fast.amplitude([100.0, 500.0, 800.0]).round(5).tolist()
+        [0.035, 0.01013, 0.0]
+        """
+        frequency = np.asarray(frequency_hz, dtype=np.float64)
+        most = np.full(frequency.shape, np.inf)
+        if self.low is not None and self.high is not None:
+            most[...] = (self.high - self.low) / 2
+        with np.errstate(divide="ignore"):
+            for limit, power in ((self.speed, 1), (self.acceleration, 2), (self.jerk, 3)):
+                if limit is not None:
+                    most = np.minimum(most, limit / (2 * np.pi * frequency) ** power)
+        return np.where(frequency > (np.inf if self.bandwidth_hz is None else self.bandwidth_hz), 0.0, most)

@@ -1,0 +1,106 @@
+"""How a controller joins points, and how it counts axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from turnwright._arrays import Value
+from turnwright._validate import check_angle, check_numbers
+from turnwright._validate import whole as whole_number
+from turnwright.errors import InputError
+
+if TYPE_CHECKING:
+    pass
+
+__all__ = ["INTERPOLATIONS", "Controller", "Convention"]
+
+INTERPOLATIONS = ("linear", "hermite", "quadratic spline", "cubic spline")
+"""What a controller makes of the points, in the order of the kernel's numbers."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Controller(Value):
+    """What a controller makes of the points of a program.
+
+    Parameters
+    ----------
+    interpolation
+        "linear", "hermite" (PVT), "quadratic spline" or "cubic spline", see `track`.
+    look_ahead
+        Blocks that it knows beforehand, within which it must be able to brake; ``None`` for as many as it needs.
+    variable_speed
+        Whether the spindle may turn at another speed in every block, as times or inverse times of blocks allow.
+    other_interpolations
+        What else it offers, each with the dialect of the programs that ask for it; see `Machine.interpolating`.
+
+    Raises
+    ------
+    InputError
+        If there is no such interpolation, or it looks ahead by less than one block.
+    """
+
+    interpolation: str = "linear"
+    look_ahead: int | None = None
+    variable_speed: bool = False
+    other_interpolations: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        others = self.other_interpolations
+        if not isinstance(others, Mapping) or not all(isinstance(dialect, str) for dialect in others.values()):
+            raise InputError(
+                f"other_interpolations is {others!r}, it must name the dialect of each: write for instance "
+                '{ hermite = "pmac" }'
+            )
+        object.__setattr__(self, "other_interpolations", MappingProxyType(dict(others)))
+        if not isinstance(self.variable_speed, bool):
+            raise InputError(f"variable_speed is {self.variable_speed!r}, it must be true or false: change it")
+        for name in (self.interpolation, *others):
+            if name not in INTERPOLATIONS:
+                raise InputError(f"interpolation is {name!r}, it must be one of {', '.join(INTERPOLATIONS)}: name one")
+        if self.interpolation in others:
+            raise InputError(
+                f"other_interpolations names {self.interpolation!r}, which is the interpolation already: leave it out"
+            )
+        if self.look_ahead is not None:
+            object.__setattr__(self, "look_ahead", whole_number(self.look_ahead, "look_ahead", 1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Convention:
+    """How the controller counts, against Turnwright's own axes.
+
+    Parameters
+    ----------
+    x_side
+        +1 if the controller's X grows away from the axis on the side where the tool cuts, -1 if it falls.
+    c_sense
+        +1 if the controller's C grows with the azimuth of the part under the tool, -1 if it falls.
+    z_sign
+        +1 if the controller's Z grows out of the part, -1 if it grows into it.
+    clocking
+        Controller's C when the part's +x mark stands under the tool. [rad]
+
+    Raises
+    ------
+    InputError
+        If a sign is neither +1 nor -1, or the clocking is not finite.
+    """
+
+    x_side: int = 1
+    c_sense: int = 1
+    z_sign: int = 1
+    clocking: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        for name in ("x_side", "c_sense", "z_sign"):
+            sign = getattr(self, name)
+            if sign not in (-1, 1):
+                raise InputError(
+                    f"{name} of the convention is {sign!r}, it must be the whole number 1 or -1: give the sign"
+                )
+        check_angle(self.clocking, "clocking of the convention")
