@@ -176,7 +176,6 @@ class Rows(ABC):
 
     @abstractmethod
     def columns(self, limit: float) -> Floats:
-        """Return the columns of the forces, given the critical thickness. (n, columns)."""
         """Return what each parameter is multiplied by. (n, components, parameters)."""
 
     def unknown(self, answer: Floats, limit: float) -> Floats:  # noqa: ARG002 - for those that have some
@@ -220,7 +219,7 @@ class TurningRows(Rows):
         self.reference = _typical([self.strips])
 
     def columns(self, limit: float) -> Floats:
-        """Return the columns of the forces, given the critical thickness. (n, columns)."""
+        """Return what each parameter is multiplied by. See its base."""
         each = self.strips.columns(limit, self.edge, self.power, self.reference)
         found = np.zeros((self.state.size, *each.shape[1:]))
         found[self.engaged] = each[self.state[self.engaged]]
@@ -290,7 +289,7 @@ class InterruptedRows(Rows):
         return tables
 
     def columns(self, limit: float) -> Floats:
-        """Return the columns of the forces, given the critical thickness. (n, columns)."""
+        """Return what each parameter is multiplied by. See its base."""
         tables = self._tables(limit)
         if self.cuts.whole_turns:
             each = np.array([table.mean(axis=0) for table in tables])
