@@ -33,24 +33,29 @@ import thesis_backplotter
 from scipy import fft
 from scipy.signal import lsim, lti
 
-from turnwright.placing import place
-from turnwright.studies import local
 from turnwright.generation import generate, generate_polar
 from turnwright.heightmap import HeightMap
 from turnwright.job import Job
-from turnwright.machine import Axis, Machine
-from turnwright.metrology import area_psd, despike, filter_map, fit_zernike, fizeau_view, remove_form
-from turnwright.metrology import roughness
-from turnwright.metrology import best_fit
+from turnwright.machine import Axis, Machine, SecondOrder
+from turnwright.metrology import (
+    area_psd,
+    best_fit,
+    despike,
+    filter_map,
+    fit_zernike,
+    fizeau_view,
+    remove_form,
+    roughness,
+)
 from turnwright.motion import check_limits, drive
 from turnwright.part import Part
 from turnwright.path import Motion, Spiral
+from turnwright.placing import place
 from turnwright.post import read_nc, write_nc
 from turnwright.progress import cores
-from turnwright.machine import SecondOrder
 from turnwright.strategy import AdaptiveToolServo, SlowToolServo
+from turnwright.studies import generate_tiled, local
 from turnwright.surface import LensArray, RadialPolynomial, SineGrid, Sphere
-from turnwright.studies import generate_tiled
 from turnwright.tool import Tool
 from turnwright.tracking import track
 

@@ -19,7 +19,7 @@ class Pose:
     r"""A rigid motion: a point p goes to ``shift + Rz(rotation) Rx(tilt[0]) Ry(tilt[1]) p``.
 
     The second tilt is about the y axis as the first tilt has left it, the order of lens-design programs, and the order
-    of `turnwright.Placed`.
+    of `turnwright.surface.Placed`.
 
     Parameters
     ----------

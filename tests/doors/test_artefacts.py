@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from turnwright import Job, JobError, check_access
+from turnwright import Job, check_access
+from turnwright.errors import JobError
 from turnwright.job import artefact
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -23,7 +23,7 @@ def motion(machine, *, sense=1, turns=4.3, per_turn=90):
     return tw.Motion(time=3.0 + turned / (10 * TURN), axes=axes, machine=machine)
 
 
-CONVENTIONS = [tw.Convention(), tw.Convention(x_side=-1, c_sense=-1, z_sign=-1, clocking=1.1)]
+CONVENTIONS = [tw.machine.Convention(), tw.machine.Convention(x_side=-1, c_sense=-1, z_sign=-1, clocking=1.1)]
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
@@ -32,7 +32,7 @@ CONVENTIONS = [tw.Convention(), tw.Convention(x_side=-1, c_sense=-1, z_sign=-1, 
 def test_by_position_the_rows_are_those_that_python_would_write(tmp_path, convention, dialect, sense):
     machine = replace(tw.Machine.load("nanoform-fts-70"), convention=convention, dialect=dialect)
     made = motion(machine, sense=sense)
-    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="position")
+    done = tw.post.write_fast_tool(made, machine, tmp_path / "part.nc", by="position")
     assert done.table == tmp_path / "part.fast.csv"
     assert done.rows == made.time.size
     assert done.off <= 0.5e-7
@@ -60,7 +60,7 @@ def test_a_table_by_position_begins_with_the_turn_of_the_plunge(tmp_path, sense)
     made = motion(machine, sense=sense)
     turned = np.deg2rad(np.arange(0, 361, 4))
     heights = 0.25 + 0.004 * np.sin(2 * turned)
-    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="position", entry_heights=heights)
+    done = tw.post.write_fast_tool(made, machine, tmp_path / "part.nc", by="position", entry_heights=heights)
     assert done.entry_rows == 90
     lines = done.table.read_text().splitlines()
     assert "# ENTRY ROWS: 90, ONE TURN AT THE RADIUS WHERE THE CUT BEGINS, FOR EVERY TURN OF THE PLUNGE" in lines
@@ -72,24 +72,24 @@ def test_a_table_by_position_begins_with_the_turn_of_the_plunge(tmp_path, sense)
     exact = heights - heights[0] + 0.201 + made.axes["W"][0] - lathe
     # The lathe's few blocks are straight within 0.1 nm.
     assert w == pytest.approx(exact[:-1], abs=0.2e-6)
-    assert tw.read_fast_tool(tmp_path / "part.nc", machine).time.size == made.time.size
-    beside = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="position", depth=None)
+    assert tw.post.read_fast_tool(tmp_path / "part.nc", machine).time.size == made.time.size
+    beside = tw.post.write_fast_tool(made, machine, tmp_path / "part.nc", by="position", depth=None)
     assert beside.entry_rows == 0
-    with pytest.raises(tw.ProgramError, match="entry heights of shape"):
-        tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="position", entry_heights=heights[1:])
+    with pytest.raises(tw.errors.ProgramError, match="entry heights of shape"):
+        tw.post.write_fast_tool(made, machine, tmp_path / "part.nc", by="position", entry_heights=heights[1:])
     text = beside.table.read_text().replace("ENTRY ROWS: 0", "ENTRY ROWS: x")
     beside.table.write_text(text)
-    with pytest.raises(tw.ProgramError, match="how many of its 388 rows"):
-        tw.read_fast_tool(tmp_path / "part.nc", machine)
+    with pytest.raises(tw.errors.ProgramError, match="how many of its 388 rows"):
+        tw.post.read_fast_tool(tmp_path / "part.nc", machine)
 
 
 @pytest.mark.parametrize("count", [85, 89, 91, 95])
 def test_an_edited_number_of_entry_rows_is_refused(tmp_path, count):
     machine = tw.Machine.load("nanoform-fts-70")
-    done = tw.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", by="position")
+    done = tw.post.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", by="position")
     done.table.write_text(done.table.read_text().replace("ENTRY ROWS: 90,", f"ENTRY ROWS: {count},"))
-    with pytest.raises(tw.ProgramError, match="its number of entry rows was edited"):
-        tw.read_fast_tool(tmp_path / "part.nc", machine)
+    with pytest.raises(tw.errors.ProgramError, match="its number of entry rows was edited"):
+        tw.post.read_fast_tool(tmp_path / "part.nc", machine)
 
 
 def test_corners_of_z_are_refused_where_the_controller_makes_cubics(tmp_path):
@@ -104,10 +104,12 @@ def test_corners_of_z_are_refused_where_the_controller_makes_cubics(tmp_path):
     for z, refused in ((tip, False), (corners, True)):
         made = tw.Motion(time=turned / TURN, axes={**axes, "Z": z, "W": tip - z + 0.001}, machine=pmac)
         if not refused:
-            tw.write_fast_tool(made, pmac, tmp_path / "part.nc", by="position", depth=None)
+            tw.post.write_fast_tool(made, pmac, tmp_path / "part.nc", by="position", depth=None)
             continue
-        with pytest.raises(tw.ProgramError, match=r"nm off what the fast tool reckons with.*leave blocks_per_rev out"):
-            tw.write_fast_tool(made, pmac, tmp_path / "part.nc", by="position", depth=None)
+        with pytest.raises(
+            tw.errors.ProgramError, match=r"nm off what the fast tool reckons with.*leave blocks_per_rev out"
+        ):
+            tw.post.write_fast_tool(made, pmac, tmp_path / "part.nc", by="position", depth=None)
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
@@ -118,8 +120,8 @@ def test_program_and_table_read_back_are_the_motion(tmp_path, convention, sense,
     machine = replace(tw.Machine.load("nanoform-fts-70"), convention=convention)
     made = motion(machine, sense=sense)
     rate = None if by == "position" else 50_000.0
-    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by=by, rate_hz=rate)
-    again = tw.read_fast_tool(tmp_path / "part.nc", machine)
+    done = tw.post.write_fast_tool(made, machine, tmp_path / "part.nc", by=by, rate_hz=rate)
+    again = tw.post.read_fast_tool(tmp_path / "part.nc", machine)
     assert again.sense == made.sense
     begun = made.time - made.time[0]
     assert again.time[[0, -1]] == pytest.approx(begun[[0, -1]], rel=1e-8)
@@ -138,7 +140,7 @@ def test_program_and_table_read_back_are_the_motion(tmp_path, convention, sense,
 def test_a_stream_holds_the_heights_at_its_times(tmp_path):
     machine = tw.Machine.load("nanoform-fts-70")
     made = motion(machine)
-    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="time", rate_hz=3000)
+    done = tw.post.write_fast_tool(made, machine, tmp_path / "part.nc", by="time", rate_hz=3000)
     heights = [float(line) for line in done.table.read_text().splitlines() if line[0] not in "#h"]
     at = np.arange(done.rows) / 3000
     assert at[-1] >= made.time[-1] - made.time[0] - 1e-9 > at[-2]
@@ -152,7 +154,7 @@ def test_the_lathe_turns_steadily_with_few_blocks(tmp_path):
     machine = tw.Machine.load("nanoform-fts-70")
     made = motion(machine)
     made = tw.Motion(time=made.time, axes={**made.axes, "Z": np.full(made.time.size, 0.2)}, machine=machine)
-    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by="position")
+    done = tw.post.write_fast_tool(made, machine, tmp_path / "part.nc", by="position")
     lathe = tw.read_nc(tmp_path / "part.nc", machine)
     assert "W" not in lathe.axes
     assert lathe.time.size == done.program.passes[0].points < 4.3 * 12
@@ -164,26 +166,26 @@ def test_what_does_not_belong_together_is_refused(tmp_path):
     machine = tw.Machine.load("nanoform-fts-70")
     made = motion(machine)
     file = tmp_path / "part.nc"
-    done = tw.write_fast_tool(made, machine, file, by="position")
+    done = tw.post.write_fast_tool(made, machine, file, by="position")
     good = done.table.read_bytes()
     done.table.write_bytes(good.replace(b"0.0113457", b"0.0113458", 1))
-    with pytest.raises(tw.ProgramError, match="damaged or edited"):
-        tw.read_fast_tool(file, machine)
+    with pytest.raises(tw.errors.ProgramError, match="damaged or edited"):
+        tw.post.read_fast_tool(file, machine)
     done.table.write_bytes(good[100:])
-    with pytest.raises(tw.ProgramError, match="no table of a fast tool"):
-        tw.read_fast_tool(file, machine)
+    with pytest.raises(tw.errors.ProgramError, match="no table of a fast tool"):
+        tw.post.read_fast_tool(file, machine)
     done.table.write_bytes(good)
-    other = replace(machine, convention=tw.Convention(clocking=0.5))
-    with pytest.raises(tw.ProgramError, match="with its own machine"):
-        tw.read_fast_tool(file, other)
+    other = replace(machine, convention=tw.machine.Convention(clocking=0.5))
+    with pytest.raises(tw.errors.ProgramError, match="with its own machine"):
+        tw.post.read_fast_tool(file, other)
     tw.write_nc(
         tw.Motion(time=made.time, axes={**made.axes, "X": made.axes["X"] + 1}, machine=machine).lathe(), machine, file
     )
-    with pytest.raises(tw.ProgramError, match="belongs to another program"):
-        tw.read_fast_tool(file, machine)
+    with pytest.raises(tw.errors.ProgramError, match="belongs to another program"):
+        tw.post.read_fast_tool(file, machine)
     done.table.unlink()
-    with pytest.raises(tw.ProgramError, match="cannot be read"):
-        tw.read_fast_tool(file, machine)
+    with pytest.raises(tw.errors.ProgramError, match="cannot be read"):
+        tw.post.read_fast_tool(file, machine)
 
 
 @pytest.mark.parametrize(
@@ -197,42 +199,42 @@ def test_what_does_not_belong_together_is_refused(tmp_path):
 )
 def test_a_wrong_request_is_one_sentence(tmp_path, change, words):
     machine = tw.Machine.load("nanoform-fts-70")
-    with pytest.raises(tw.ProgramError) as caught:
-        tw.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", **change)
+    with pytest.raises(tw.errors.ProgramError) as caught:
+        tw.post.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", **change)
     assert words in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_nothing_is_left_when_the_program_cannot_be_written(tmp_path):
     machine = tw.Machine.load("nanoform-fts-70")
-    with pytest.raises(tw.ProgramError, match="clearance"):
-        tw.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", by="position", clearance=-1)
+    with pytest.raises(tw.errors.ProgramError, match="clearance"):
+        tw.post.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", by="position", clearance=-1)
     assert list(tmp_path.iterdir()) == []
     close = motion(machine, turns=2e-6, per_turn=2_000_000_000)
-    with pytest.raises(tw.ProgramError, match="turns C by 0 deg"):
-        tw.write_fast_tool(close, machine, tmp_path / "part.nc", by="position")
+    with pytest.raises(tw.errors.ProgramError, match="turns C by 0 deg"):
+        tw.post.write_fast_tool(close, machine, tmp_path / "part.nc", by="position")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_motions_that_belong_elsewhere(tmp_path):
     machine = tw.Machine.load("nanoform-fts-70")
-    with pytest.raises(tw.ProgramError, match=r"use write_fast_tool, or write motion\.lathe"):
+    with pytest.raises(tw.errors.ProgramError, match=r"use write_fast_tool, or write motion\.lathe"):
         tw.write_nc(motion(machine), machine, tmp_path / "part.nc")
-    with pytest.raises(tw.ProgramError, match="a fast tool needs W"):
-        tw.write_fast_tool(motion(machine).lathe(), machine, tmp_path / "part.nc", by="position")
+    with pytest.raises(tw.errors.ProgramError, match="a fast tool needs W"):
+        tw.post.write_fast_tool(motion(machine).lathe(), machine, tmp_path / "part.nc", by="position")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("by", ["position", "time"])
 def test_a_second_axis_has_a_column_of_its_own(tmp_path, by):
-    machine = replace(tw.Machine.load("nanoform-fts-70"), convention=tw.Convention(x_side=-1))
+    machine = replace(tw.Machine.load("nanoform-fts-70"), convention=tw.machine.Convention(x_side=-1))
     made = motion(machine)
     own = {"U": 0.004 * np.sin(3 * made.axes["C"])}
     made = tw.Motion(time=made.time, axes={**made.axes, **own}, machine=machine)
     rate = 90 * 10.0 if by == "time" else None  # a row at every point
-    done = tw.write_fast_tool(made, machine, tmp_path / "part.nc", by=by, rate_hz=rate)
+    done = tw.post.write_fast_tool(made, machine, tmp_path / "part.nc", by=by, rate_hz=rate)
     assert done.off < 0.51e-7
-    again = tw.read_fast_tool(tmp_path / "part.nc", machine)
+    again = tw.post.read_fast_tool(tmp_path / "part.nc", machine)
     begun = made.time - made.time[0]
     for letter in "UW":
         assert np.interp(begun, again.time, again.axes[letter]) == pytest.approx(made.axes[letter], abs=0.6e-7)
@@ -242,8 +244,8 @@ def test_a_second_axis_has_a_column_of_its_own(tmp_path, by):
 def test_a_stream_asks_no_more_blocks_of_the_lathe_than_its_program_has(tmp_path):
     """Oracle: the program of the lathe, read without the stream; X and Z follow decimals, not straight lines."""
     machine = tw.Machine.load("nanoform-fts-70")
-    tw.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", by="time", rate_hz=20_000)
-    again, lathe = tw.read_fast_tool(tmp_path / "part.nc", machine), tw.read_nc(tmp_path / "part.nc", machine)
+    tw.post.write_fast_tool(motion(machine), machine, tmp_path / "part.nc", by="time", rate_hz=20_000)
+    again, lathe = tw.post.read_fast_tool(tmp_path / "part.nc", machine), tw.read_nc(tmp_path / "part.nc", machine)
     assert again.time.size > 2 * lathe.time.size, "the heights stand between the blocks"
     assert np.array_equal(again.time[again.blocks], lathe.time)
     assert np.array_equal(again.lathe().axes["Z"], lathe.axes["Z"])

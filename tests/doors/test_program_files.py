@@ -180,6 +180,7 @@ LIMITED = """
     from turnwright.post import write_nc
     write_nc(motion(50), machine(), Path(sys.argv[1]) / "warm.nc")
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    sys.dont_write_bytecode = True  # it would be cut, and kept
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
     try:
         write_nc(motion(50_000), machine(), Path(sys.argv[1]) / "part.nc")

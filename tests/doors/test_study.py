@@ -17,9 +17,10 @@ import pytest
 import tomli_w
 from pyarrow import parquet
 
-from turnwright import Job, Stages, Study, StudyError, cli, study
-from turnwright.errors import InputError
-from turnwright.studies import Store
+from turnwright import Job, cli
+from turnwright.errors import InputError, StudyError
+from turnwright.job import Stages
+from turnwright.studies import Store, Study, study
 
 DATA = {
     "part": {"surface": {"family": "plane"}, "radius": "0.5 mm"},

@@ -55,7 +55,7 @@ def test_a_diagnosis_is_the_same_on_any_number_of_threads(tmp_path, share):
     for threads in (1, 3):
         share(threads)
         measured = tw.measure(job, seen(job))
-        smooth = tw.filter_map(measured.heights, kind="robust", cutoff=0.1)
+        smooth = tw.metrology.filter_map(measured.heights, kind="robust", cutoff=0.1)
         values = [one.value for one in tw.diagnose(measured).findings]
         found.append([measured.form_rms_nm, np.nanstd(smooth.z), *values])
     assert found[0] == pytest.approx(found[1], rel=1e-6, abs=1e-9)

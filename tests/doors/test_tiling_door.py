@@ -57,7 +57,7 @@ def made(store, **more):
     )
     motion = tw.Motion(time=1e-3 * k, axes={"C": angle, "X": x, "Z": 0 * x}, machine=machine)
     tool = tw.Tool(nose_radius=0.2, included=np.deg2rad(100))
-    return tw.generate_tiled(motion, tool, pixel=0.001, store=store, radius=0.35, tile=64, **more)
+    return tw.studies.generate_tiled(motion, tool, pixel=0.001, store=store, radius=0.35, tile=64, **more)
 
 
 @pytest.fixture
@@ -159,7 +159,7 @@ def test_an_interrupt_keeps_the_finished_tiles_and_says_so(job, tmp_path):
     assert process.returncode == 130
     assert said.splitlines()[-1].startswith("turnwright: interrupted, the finished tiles stay in")
     with pytest.raises(tw.InputError, match=r"has \d+ of \d+ tiles: finish it"):
-        tw.TiledMap.open(out / "map.zarr")
+        tw.studies.TiledMap.open(out / "map.zarr")
 
 
 def test_a_disk_too_small_is_refused_beforehand(job, tmp_path, monkeypatch, capsys):
@@ -183,7 +183,7 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path):
         os.kill(process.pid, signal.SIGKILL)
     assert 5 <= done < total
     with pytest.raises(tw.InputError, match=rf"has \d+ of {total} tiles"):
-        tw.TiledMap.open(store)
+        tw.studies.TiledMap.open(store)
     records = zarr.open_group(store, mode="r")["tiles"][:]
     finished = {(j, i) for j, i in np.argwhere(~np.isnan(records[:, :, 0])).tolist()}
     assert len(finished) >= 5
@@ -200,7 +200,7 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path):
     assert told[0] == (len(finished), total)
     assert {file: seen for file, seen in chunks(store).items() if file in before} == before
     assert np.array_equal(found.height_map().z, made(tmp_path / "other").height_map().z, equal_nan=True)
-    assert tw.TiledMap.open(store).valid == found.valid
+    assert tw.studies.TiledMap.open(store).valid == found.valid
 
 
 def place(file):
@@ -221,7 +221,7 @@ def test_a_disk_that_becomes_full_keeps_what_is_finished(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(local, "_put", put)
-        with pytest.raises(tw.StudyError, match=r"is full with \d+ of \d+ tiles finished, which stay") as caught:
+        with pytest.raises(tw.errors.StudyError, match=r"is full with \d+ of \d+ tiles finished, which stay") as caught:
             made(tmp_path / "map")
     assert "\n" not in str(caught.value)
     kept = chunks(tmp_path / "map")
@@ -239,7 +239,7 @@ def test_processes_make_the_same_map_and_one_that_is_killed_costs_nothing(tmp_pa
         if len(seen) == 4:
             os.kill(next(iter(pool._processes)).pid, signal.SIGKILL)
 
-    with tw.local(2) as pool:
+    with tw.studies.local(2) as pool:
         found = made(tmp_path / "map", executor=pool, progress=told)
     assert np.array_equal(found.height_map().z, made(tmp_path / "other").height_map().z, equal_nan=True)
     assert seen == sorted(set(seen))
@@ -277,7 +277,7 @@ def test_what_is_refused(tmp_path, asked, said):
     motion = tw.Motion(time=c, axes={"C": c, "X": 0.02 - 1e-3 * c, "Z": 0 * c}, machine=machine)
     wanted = {"pixel": 0.001, "store": tmp_path / "map", "radius": 0.02, **asked}
     with pytest.raises(tw.InputError, match=said) as caught:
-        tw.generate_tiled(motion, tw.Tool(nose_radius=0.2, included=1.7), **wanted)
+        tw.studies.generate_tiled(motion, tw.Tool(nose_radius=0.2, included=1.7), **wanted)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "map").exists()
 
@@ -293,7 +293,7 @@ def test_what_a_map_refuses(tmp_path):
         (lambda: found.area_psd(segment=2), "the width of a segment in pixels is 2, it must be"),
         (lambda: found.area_psd(segment=700), "no segment of 700 x 700 pixels is whole"),
         (lambda: found.line_psd(along="radius", segment=64), "along is 'radius'"),
-        (lambda: tw.TiledMap.open(tmp_path), "holds no tiled map"),
+        (lambda: tw.studies.TiledMap.open(tmp_path), "holds no tiled map"),
     ):
         with pytest.raises(tw.InputError, match=said):
             call()
@@ -301,6 +301,8 @@ def test_what_a_map_refuses(tmp_path):
     (tmp_path / "taken" / "letter.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(tw.InputError, match="holds something else"):
         made(tmp_path / "taken")
-    with pytest.raises(tw.StudyError, match=r"letter.txt' cannot be used \((File exists|Not a directory)\), 0 of"):
+    with pytest.raises(
+        tw.errors.StudyError, match=r"letter.txt' cannot be used \((File exists|Not a directory)\), 0 of"
+    ):
         made(tmp_path / "taken" / "letter.txt")
     assert (tmp_path / "taken" / "letter.txt").read_text(encoding="utf-8") == "mine"

@@ -46,7 +46,7 @@ def job():
 
 def study_of(job, **more):
     with ThreadPoolExecutor(2) as executor:
-        return tw.tolerance(job, budget=ErrorBudget.read(table()), count=24, executor=executor, **more)
+        return tw.studies.tolerance(job, budget=ErrorBudget.read(table()), count=24, executor=executor, **more)
 
 
 def table(**changed):
@@ -223,7 +223,7 @@ def test_a_budget_that_cannot_be_is_a_sentence(changed, said):
 def test_a_servo_of_an_axis_that_is_not_there_is_a_sentence(job):
     budget = ErrorBudget(errors={"servo Q": Spread.read("normal(0, 0.1)", "1", source="test")}, noise=0.0)
     with pytest.raises(InputError, match=r"servo Q: .* has no axis Q, it has C, X, Z: name one of them"):
-        tw.tolerance(job, budget=budget, count=10)
+        tw.studies.tolerance(job, budget=budget, count=10)
     with pytest.raises(InputError, match=r"it must be a plain number: write it such as '0\.5'"):
         Spread.read("normal(0, 1) um", "1", source="test")
 
@@ -253,16 +253,16 @@ def test_a_budget_reads_back_what_it_writes(tmp_path):
 def test_a_job_without_tolerances_is_refused(job):
     bare = tw.Job.read({key: value for key, value in JOB.items() if key != "tolerances"})
     with pytest.raises(JobError, match="the job states 0 tolerances that can be judged"):
-        tw.tolerance(bare, count=20)
+        tw.studies.tolerance(bare, count=20)
     with pytest.raises(InputError, match="the study has 3 cases, it needs at least 10"):
-        tw.tolerance(job, count=3)
+        tw.studies.tolerance(job, count=3)
 
 
 def test_a_store_in_the_memory_of_one_process_is_refused_before_anything_is_planned(job):
     pytest.importorskip("fsspec")
     with pytest.raises(InputError, match="'memory://kept' lies in the memory of this process"):
-        tw.tolerance(job, count=20, store="memory://kept", workers=1)
+        tw.studies.tolerance(job, count=20, store="memory://kept", workers=1)
     # Workers of a cluster, whose rows would be brought here, would not find the motion either.
     dask = Cluster(SimpleNamespace(get_executor=lambda **_: None))
     with pytest.raises(InputError, match="'memory://kept' lies in the memory of this process"):
-        tw.tolerance(job, count=20, store="memory://kept", executor=dask)
+        tw.studies.tolerance(job, count=20, store="memory://kept", executor=dask)

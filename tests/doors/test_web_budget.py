@@ -38,7 +38,7 @@ FLAT = {
 }  # fmt: skip
 
 
-def carried_out(data: dict, folder: Path) -> tuple[Path, tw.Result]:
+def carried_out(data: dict, folder: Path) -> tuple[Path, tw.job.Result]:
     """Carry out a job into the folder of a run, as the command line does."""
     out = folder / "runs" / RUN / "out"
     out.mkdir(parents=True)
@@ -48,11 +48,11 @@ def carried_out(data: dict, folder: Path) -> tuple[Path, tw.Result]:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tw.Result]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tw.job.Result]:
     return carried_out(FLAT, tmp_path_factory.mktemp("server"))
 
 
-def test_the_chips_of_a_run_are_those_found_along_its_path(made: tuple[Path, tw.Result]) -> None:
+def test_the_chips_of_a_run_are_those_found_along_its_path(made: tuple[Path, tw.job.Result]) -> None:
     """Oracles: the map of the run point by point by brute force, and the round chip of a flat."""
     out, result = made
     header, arrays = unpack(_made.chips(str(out), 33))
@@ -73,7 +73,7 @@ def test_the_chips_of_a_run_are_those_found_along_its_path(made: tuple[Path, tw.
     assert result.passes[-1].chips.sentence in header["note"]
 
 
-def test_the_budget_of_a_run_is_that_of_the_comparison(made: tuple[Path, tw.Result]) -> None:
+def test_the_budget_of_a_run_is_that_of_the_comparison(made: tuple[Path, tw.job.Result]) -> None:
     """Oracles: the cusps of a flat in closed form, and `shares` of the motion that was planned, not read back."""
     out, result = made
     found = _budget.budget(str(out))
@@ -88,14 +88,14 @@ def test_the_budget_of_a_run_is_that_of_the_comparison(made: tuple[Path, tw.Resu
     assert abs(found["chord_nm"] - told.chord_nm) <= 2 * result.rounding_limit_nm
     assert found["rounding_nm"] == result.rounding_nm
     assert found["servos"] is False
-    assert {*found} == {one.name for one in fields(tw.Shares)} - {"error"} | {"servos"}
+    assert {*found} == {one.name for one in fields(tw.job.Shares)} - {"error"} | {"servos"}
     kept = out.parent / _budget.KEPT
     assert json.loads(kept.read_text(encoding="utf-8")) == found
     assert _budget.budget(str(out)) == found
     assert sorted(file.name for file in out.parent.iterdir()) == [_budget.KEPT, "out"]
 
 
-def test_the_routes_answer_and_say_what_is_missing(made: tuple[Path, tw.Result], tmp_path: Path) -> None:
+def test_the_routes_answer_and_say_what_is_missing(made: tuple[Path, tw.job.Result], tmp_path: Path) -> None:
     soft = FLAT | {"part": {**FLAT["part"], "material": "copper", "stock": "0 um"}}
     out, _ = carried_out(soft, tmp_path)
     with TestClient(create_app(made[0].parents[2]), base_url="http://127.0.0.1") as client:

@@ -45,7 +45,7 @@ BOWL = PLANE | {
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tw.Result]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tw.job.Result]:
     """Carry out a small job into the folder of a run, as the command line does."""
     out = tmp_path_factory.mktemp("server") / "runs" / RUN / "out"
     out.mkdir(parents=True)
@@ -132,8 +132,8 @@ def test_the_chip_on_a_curve_is_that_found_along_a_path() -> None:
     # Oracle: the chip of a path that was placed, well away from entry and axis.
     job = tw.Job.read(BOWL)
     part, tool = job.part.part, job.tool.tool
-    motion = tw.Stages(job).motion
-    found = tw.chip_map(motion, tool, part)
+    motion = tw.job.Stages(job).motion
+    found = tw.cutting.chip_map(motion, tool, part)
     away = np.hypot(found.x, found.y)
     there = found.inside & (away > 0.8) & (away < 1.7)
     expected = expected_thickest(tool, feed=0.02, depth=0.02, bend=1 / 9)
@@ -150,7 +150,7 @@ def test_the_chip_on_a_curve_is_that_found_along_a_path() -> None:
         tw.FastToolServo(plan=tw.SlowToolServo(feed=0.021, points_per_rev=90)),
     ],
 )
-def test_a_glimpse_is_points_of_the_whole_spiral(servo: tw.Strategy) -> None:
+def test_a_glimpse_is_points_of_the_whole_spiral(servo: tw.strategy.Strategy) -> None:
     job = tw.Job.read(BOWL)
     part, tool = job.part.part, replace(job.tool.tool, offset=(0.003, 0.0, 0.0))
     whole = servo.spiral(part, tool)
@@ -203,7 +203,7 @@ def test_the_cusps_beside_the_contact_are_those_of_a_flat() -> None:
     np.testing.assert_allclose(away, 0.5, atol=1e-6)
 
 
-def test_maps_are_listed_as_they_are_stored(made: tuple[Path, tw.Result]) -> None:
+def test_maps_are_listed_as_they_are_stored(made: tuple[Path, tw.job.Result]) -> None:
     out, result = made
     told = _made.listed(str(out))
     assert [one["name"] for one in told] == ["whole part", "spot"]
@@ -212,7 +212,7 @@ def test_maps_are_listed_as_they_are_stored(made: tuple[Path, tw.Result]) -> Non
 
 
 @pytest.mark.parametrize("quantity", ["error", "height"])
-def test_a_fine_window_is_that_of_generate(made: tuple[Path, tw.Result], quantity: str) -> None:
+def test_a_fine_window_is_that_of_generate(made: tuple[Path, tw.job.Result], quantity: str) -> None:
     out, result = made
     # From inside the part to beyond its rim.
     x, y = np.linspace(1.93, 2.01, 61), np.linspace(-0.3, -0.21, 71)
@@ -233,7 +233,7 @@ def test_a_fine_window_is_that_of_generate(made: tuple[Path, tw.Result], quantit
     assert 100 < np.count_nonzero(~inside) < inside.size - 100
 
 
-def test_a_coarse_window_is_what_was_stored(made: tuple[Path, tw.Result]) -> None:
+def test_a_coarse_window_is_what_was_stored(made: tuple[Path, tw.job.Result]) -> None:
     out, result = made
     spot = next(one.error for one in result.predictions if one.name == "spot")
     assert spot.x is not None
@@ -263,7 +263,7 @@ def test_a_map_that_is_generated_again_is_the_one_that_was_stored(interpolation:
     np.testing.assert_array_equal(error, spot.z)
 
 
-def test_a_whole_map_is_the_mean_of_what_was_stored(made: tuple[Path, tw.Result]) -> None:
+def test_a_whole_map_is_the_mean_of_what_was_stored(made: tuple[Path, tw.job.Result]) -> None:
     out, result = made
     stored = result.predictions[0].error
     header, arrays = unpack(_made.window(str(out), "whole part", (-2.0, 2.0), (-2.0, 2.0), (41, 41), "error"))
@@ -277,7 +277,7 @@ def test_a_whole_map_is_the_mean_of_what_was_stored(made: tuple[Path, tw.Result]
     assert np.isnan(arrays["values"][0, 0])
 
 
-def test_a_profile_is_generated_at_its_points(made: tuple[Path, tw.Result]) -> None:
+def test_a_profile_is_generated_at_its_points(made: tuple[Path, tw.job.Result]) -> None:
     out, result = made
     header, arrays = unpack(_made.profile(str(out), (0.5, 0.1, 0.62, -0.05), 301))
     share = np.linspace(0, 1, 301)
@@ -289,7 +289,7 @@ def test_a_profile_is_generated_at_its_points(made: tuple[Path, tw.Result]) -> N
     np.testing.assert_allclose(arrays["distance"], share * header["length"], rtol=1e-6)
 
 
-def test_the_motion_keeps_every_peak(made: tuple[Path, tw.Result]) -> None:
+def test_the_motion_keeps_every_peak(made: tuple[Path, tw.job.Result]) -> None:
     out, result = made
     again = tw.read_nc(out / result.program.files[0].name, result.machine)
     limits = tw.check_limits(again, result.machine)
@@ -306,7 +306,7 @@ def test_the_motion_keeps_every_peak(made: tuple[Path, tw.Result]) -> None:
     assert header["duration_s"] == pytest.approx(float(again.time[-1] - again.time[0]))
 
 
-def test_the_spectrum_finds_a_sine(made: tuple[Path, tw.Result], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_spectrum_finds_a_sine(made: tuple[Path, tw.job.Result], monkeypatch: pytest.MonkeyPatch) -> None:
     out, _ = made
     opened = _made._ready(str(out))
     time = opened.motion.time
@@ -324,7 +324,7 @@ def test_the_spectrum_finds_a_sine(made: tuple[Path, tw.Result], monkeypatch: py
         _made.spectrum(str(out), "B")
 
 
-def test_the_routes_answer_and_keep_their_limits(made: tuple[Path, tw.Result]) -> None:
+def test_the_routes_answer_and_keep_their_limits(made: tuple[Path, tw.job.Result]) -> None:
     out, result = made
     app = create_app(out.parents[2])
     with TestClient(app, base_url="http://127.0.0.1:8765") as client:

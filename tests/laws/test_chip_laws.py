@@ -20,7 +20,7 @@ def chips(surface, *, scale=1.0, feed=0.02, stock=0.004, material=None, sense=1,
         feed=feed * scale, points_per_rev=24, spindle_rpm=60, lead_in=0.2 * scale, sense=sense, inside_out=inside_out
     )
     motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, MACHINE)
-    return tw.chip_map(motion, tool, part, material=material)
+    return tw.cutting.chip_map(motion, tool, part, material=material)
 
 
 @SETTINGS
@@ -57,12 +57,14 @@ def test_the_other_sense_cuts_the_same_chips_of_a_mirrored_part(slope):
 @given(st.floats(100, 5000), st.floats(1.1, 4))
 def test_forces_are_homogeneous_in_the_coefficients(value, times):
     material = tw.Material(
-        name="any", cutting=tw.CuttingCoefficient(value=value), thrust=tw.CuttingCoefficient(value=value / 2)
+        name="any",
+        cutting=tw.material.CuttingCoefficient(value=value),
+        thrust=tw.material.CuttingCoefficient(value=value / 2),
     )
     stiffer = replace(
         material,
-        cutting=tw.CuttingCoefficient(value=value * times),
-        thrust=tw.CuttingCoefficient(value=value / 2 * times),
+        cutting=tw.material.CuttingCoefficient(value=value * times),
+        thrust=tw.material.CuttingCoefficient(value=value / 2 * times),
     )
     surface = tw.Sphere(radius=5.0)
     one, other = chips(surface, material=material), chips(surface, material=stiffer)
@@ -74,7 +76,9 @@ def test_forces_are_homogeneous_in_the_coefficients(value, times):
 @pytest.mark.parametrize("inside_out", [False, True])
 def test_force_along_the_cut_is_coefficient_times_area(inside_out):
     material = tw.Material(
-        name="any", cutting=tw.CuttingCoefficient(value=1000.0), thrust=tw.CuttingCoefficient(value=500.0)
+        name="any",
+        cutting=tw.material.CuttingCoefficient(value=1000.0),
+        thrust=tw.material.CuttingCoefficient(value=500.0),
     )
     found = chips(tw.SineGrid(amplitude=(2e-3, 1e-3), period=(1.5, 1.1)), material=material, inside_out=inside_out)
     # At the rim the blank ends in a wall, which rays along the normal meet elsewhere than heights do.

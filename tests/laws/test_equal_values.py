@@ -20,13 +20,19 @@ def table():
 
 def machine():
     axes = {
-        "C": tw.Axis(speed=10.0), "X": tw.Axis(response=tw.TransferFunction(numerator=[2.0], denominator=[1.0, 2.0])),
-        "Z": tw.Axis(response=tw.FrequencyResponse(frequency_hz=[1, 9], magnitude=[1, 0.5], phase=[0, -0.3])),
-    }  # fmt: skip
+        "C": tw.Axis(speed=10.0),
+        "X": tw.Axis(response=tw.machine.TransferFunction(numerator=[2.0], denominator=[1.0, 2.0])),
+        "Z": tw.Axis(response=tw.machine.FrequencyResponse(frequency_hz=[1, 9], magnitude=[1, 0.5], phase=[0, -0.3])),
+    }
     return tw.Machine(
-        name="m", axes=axes, spindle_rpm=100.0, block_rate_hz=1e3, straightness=([0.0, 1.0], [0.0, 1e-6]),
-        controller=tw.Controller(other_interpolations={"hermite": "pmac"}), sources={"axes": "a manual"},
-    )  # fmt: skip
+        name="m",
+        axes=axes,
+        spindle_rpm=100.0,
+        block_rate_hz=1e3,
+        straightness=([0.0, 1.0], [0.0, 1e-6]),
+        controller=tw.Controller(other_interpolations={"hermite": "pmac"}),
+        sources={"axes": "a manual"},
+    )
 
 
 def tool():

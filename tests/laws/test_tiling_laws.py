@@ -27,7 +27,7 @@ class EnoughError(Exception):
 
 def whole(name, folder):
     if name not in WHOLE:
-        made = tw.generate_tiled(MOTION, TOOL, pixel=0.002, store=f"{folder}/whole", tile=4096, **CASES[name])
+        made = tw.studies.generate_tiled(MOTION, TOOL, pixel=0.002, store=f"{folder}/whole", tile=4096, **CASES[name])
         WHOLE[name] = made.height_map().z, made.height_map(2).z, made.roughness()
     return WHOLE[name]
 
@@ -44,8 +44,8 @@ def test_any_tile_and_any_stop_give_the_same_map_and_roughness(name, tile, stop)
 
         asked = {"pixel": 0.002, "store": f"{folder}/map", "tile": tile, **CASES[name]}
         with pytest.raises(EnoughError):
-            tw.generate_tiled(MOTION, TOOL, progress=told, **asked) and told(stop, 0)
-        made = tw.generate_tiled(MOTION, TOOL, **asked)
+            tw.studies.generate_tiled(MOTION, TOOL, progress=told, **asked) and told(stop, 0)
+        made = tw.studies.generate_tiled(MOTION, TOOL, **asked)
         assert np.array_equal(made.height_map().z, heights, equal_nan=True)
         assert np.array_equal(made.height_map(2).z, overview, equal_nan=True)
         found = made.roughness()

@@ -63,7 +63,7 @@ def test_an_offset_is_found_on_a_sphere(ogive, reference):
         assert first.interval[0] < 0.005 < first.interval[1]
         assert first.verdict == "correct"
         assert found.tool.offset == pytest.approx((0.005, 0, 0), abs=within)
-        (move,) = tw.moves(found)
+        (move,) = tw.diagnosis.moves(found)
         assert move.axis == "X"
         assert move.by == pytest.approx(-0.005, abs=within)
         # A sphere has no azimuth, and a departure from one no radius.
@@ -79,9 +79,9 @@ def test_the_rule_of_the_handbook_is_for_small_angles(ogive):
     r = np.linspace(0, 1, 20001)
     bows = np.linspace(0.5, 1.5, 401)
     pv = min(np.ptp(r - bow * r * r) for bow in bows) * 0.005 / 100.0
-    assert tw.handbook_offset(pv, 100.0, 2.0) == pytest.approx(0.005, rel=1e-4)
+    assert tw.diagnosis.handbook_offset(pv, 100.0, 2.0) == pytest.approx(0.005, rel=1e-4)
     seen = np.ptp(tw.remove_form(ogive, "sphere").z[np.isfinite(ogive.z)])
-    assert tw.handbook_offset(seen, 10.0, 10.0) == pytest.approx(0.0067, abs=2e-4)
+    assert tw.diagnosis.handbook_offset(seen, 10.0, 10.0) == pytest.approx(0.0067, abs=2e-4)
 
 
 @pytest.mark.parametrize("powers", model_trials.POWERS)
@@ -170,14 +170,14 @@ def test_a_piston_hides_the_offset_along_z():
     assert not tw.diagnose(heights, SPHERE, TOOL, MACHINE, causes=("offset z",))["offset z"].determined
     seen = tw.diagnose(heights, SPHERE, TOOL, MACHINE, causes=("offset z",), free=("tilt", "decentre"))
     assert seen["offset z"].value == pytest.approx(0.003, abs=5e-5)
-    assert tw.moves(seen)[0].axis == "Z"
+    assert tw.diagnosis.moves(seen)[0].axis == "Z"
 
 
 def test_a_bent_mount_and_a_cause_of_ones_own():
     (heights,) = model_maps([SPHERE])(Deviations(), np.random.default_rng(7), 2e-5)
     x, y = heights.points()
     bent = replace(heights, z=heights.z + 3e-4 * (x * x - y * y) / 25 + 1e-4 * np.cos(x))
-    ripple = tw.Cause(name="ripple", signature=lambda cutting: np.cos(cutting.x), typical=1e-3)
+    ripple = tw.diagnosis.Cause(name="ripple", signature=lambda cutting: np.cos(cutting.x), typical=1e-3)
     found = tw.diagnose(bent, SPHERE, TOOL, MACHINE, causes=("astigmatism", ripple))
     assert found["astigmatism cos"].value == pytest.approx(3e-4, rel=0.02)
     assert found["astigmatism cos"].verdict == "do not correct"
@@ -209,14 +209,14 @@ def test_the_core_at_the_centre_is_as_wide_as_the_tip_is_off(dy, shape):
     assert np.isfinite(made.z[(r > 0.0205) & (r < 0.1)]).all()
     cone = 0.002 * (1 - r / 0.02)
     core = np.where(np.isnan(made.z), SPHERE.surface.sag(*made.points()) + (cone if dy > 0 else 0.002), made.z)
-    found = tw.centre_defect(replace(made, z=core), SPHERE, within=0.08)
+    found = tw.diagnosis.centre_defect(replace(made, z=core), SPHERE, within=0.08)
     assert found.shape == shape
     assert found.radius == pytest.approx(0.02, abs=0.001)
     assert found.offset_y == pytest.approx(dy, abs=0.001)
     assert found.height == pytest.approx(0.002, rel=0.1)
     assert ("lower" if dy > 0 else "raise") in found.sentence
     whole = replace(made, z=SPHERE.surface.sag(*made.points()))
-    assert tw.centre_defect(noisy(whole, 1, 1e-6), SPHERE, within=0.08) is None
+    assert tw.diagnosis.centre_defect(noisy(whole, 1, 1e-6), SPHERE, within=0.08) is None
 
 
 def test_spikes_do_not_pull():

@@ -118,7 +118,7 @@ def test_a_map_of_the_middle_does_not_make_the_whole_worse(tmp_path):
     assert np.hypot(*one.registration.pose.shift[:2]) > 0.2
     try:
         better = tw.correct(part.job, tw.diagnose(one), one, out=tmp_path / "better").job
-    except tw.CorrectionError as error:
+    except tw.errors.CorrectionError as error:
         assert "of the part lies beyond the map" in str(error)  # noqa: PT017 - either may be
         return
     assert part.judged(commander(better)) < part.judged() + 1
@@ -128,7 +128,7 @@ def test_a_drift_that_comes_anew_is_not_corrected(tmp_path):
     """Of two maps of which each shows another drift nothing is written; of one, not more harm than was announced."""
     part = sample(drift(200e-6), drift(-120e-6), drift(-120e-6))
     maps = measured(part, 2)
-    with pytest.raises(tw.CorrectionError, match="maps differ"):
+    with pytest.raises(tw.errors.CorrectionError, match="maps differ"):
         tw.correct(part.job, tw.diagnose(maps), maps, out=tmp_path / "better")
     assert not (tmp_path / "better").exists()
     better = tw.correct(part.job, tw.diagnose(maps[:1]), maps[:1], out=tmp_path / "better")
@@ -142,7 +142,7 @@ def test_what_does_not_repeat_can_be_left_out(tmp_path):
     measurement = part.job.measurement.model_copy(update={"repeats": False})
     job = part.job.model_copy(update={"measurement": measurement})
     maps = [tw.measure(job, part.map(0, np.random.default_rng(1)))]
-    with pytest.raises(tw.CorrectionError):
+    with pytest.raises(tw.errors.CorrectionError):
         tw.correct(job, tw.diagnose(maps), maps, out=tmp_path / "better")
 
 
@@ -163,7 +163,7 @@ def test_a_source_beyond_belief_stops_a_correction(tmp_path):
     """An offset of 4 um where 1 um is plausible: the sentence names the key that widens it."""
     part = replace(sample(blind.Errors(offset=(4e-3, 0.0, 0.0))), plausible={"offset_x": "1 um"})
     maps = [tw.measure(part.job, part.map(0, np.random.default_rng(1)))]
-    with pytest.raises(tw.CorrectionError, match=r"tool\.plausible\.offset_x"):
+    with pytest.raises(tw.errors.CorrectionError, match=r"tool\.plausible\.offset_x"):
         tw.correct(part.job, tw.diagnose(maps), maps, out=tmp_path / "better")
 
 

@@ -14,7 +14,7 @@ import pytest
 import turnwright as tw
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-SERVO = tw.SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1)
+SERVO = tw.machine.SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1)
 AZIMUTHS = 89
 
 

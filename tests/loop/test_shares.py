@@ -173,7 +173,7 @@ def test_decimals_take_no_pass_away_at_an_azimuth(tmp_path, sense, inside_out, c
     design = tw.Toroid(radius_x=50, radius_y=25) + tw.SineGrid(amplitude=(2e-3, 1e-3), period=(0.8, 0.8))
     part = tw.Part(surface=design, radius=1.0)
     tool = tw.Tool(nose_radius=0.3, included=np.deg2rad(120), clearance=np.deg2rad(12))
-    machine = replace(tw.Machine.load("generic"), convention=tw.Convention(clocking=clocking))
+    machine = replace(tw.Machine.load("generic"), convention=tw.machine.Convention(clocking=clocking))
     servo = tw.SlowToolServo(feed=0.02, points_per_rev=120, spindle_rpm=50, sense=sense, inside_out=inside_out)
     spiral = servo.spiral(part, tool)
     motion = tw.drive(tw.place(spiral, part, tool), servo, machine)

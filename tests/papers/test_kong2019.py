@@ -101,8 +101,8 @@ def test_both_ways_to_synchronise_bring_the_compound_path_back(path, by, tmp_pat
     """To half a nanometre of the program and 0.05 nm of the table; by time also what 50 kHz leaves out at a rim."""
     motion = tw.drive(path, tw.HybridToolServo(plan=PLAN, base=BASE, tool=TOOL, blocks_per_rev=180), MACHINE)
     file = tmp_path / "kong.nc"
-    done = tw.write_fast_tool(motion, MACHINE, file, by=by, rate_hz=50_000.0 if by == "time" else None)
-    again = tw.read_fast_tool(file, MACHINE)
+    done = tw.post.write_fast_tool(motion, MACHINE, file, by=by, rate_hz=50_000.0 if by == "time" else None)
+    again = tw.post.read_fast_tool(file, MACHINE)
     tip = np.interp(motion.time - motion.time[0], again.time, again.axes["Z"] + again.axes["W"])
     # Angle and time are rounded too: 5e-7 deg and 1e-9 of a block, on slopes of 0.3 mm/rad.
     assert np.abs(tip - path.z).max() < 0.5e-6 + max(done.off, 0.05e-6) + 0.02e-6

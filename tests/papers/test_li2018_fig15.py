@@ -11,7 +11,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from turnwright import Study, study
+from turnwright.studies import Study, study
 
 MAPS = Path(__file__).parents[2] / "docs" / "papers" / "li2018_fig15"
 NAMES = ("nose-feed", "nose-speed", "feed-speed")

@@ -13,7 +13,7 @@ LENS = tw.Sphere(radius=-(0.05**2 + 0.002**2) / 0.004)
 ARRAY = tw.LensArray.hexagonal(pitch=0.1, lenslet=LENS, within=0.5)
 PART = tw.Part(surface=ARRAY, radius=0.25)
 TOOL = tw.Tool(nose_radius=0.103, included=np.deg2rad(60))
-AXIS = tw.SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1)
+AXIS = tw.machine.SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1)
 AXES = {"C": tw.Axis(), **{letter: tw.Axis(response=AXIS) for letter in "XYZ"}}
 LATHE = tw.Machine(name="lathe", axes=AXES, spindle_rpm=600, block_rate_hz=20_000)
 CENTRE = 0.2  # a lens stands there on the x axis [mm]

@@ -16,7 +16,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 import pvt_oracle
 
-from turnwright import LimitError, drive
+from turnwright import drive
+from turnwright.errors import LimitError
 
 MISSED = 0.02
 """Share of the motions for which a stated higher speed may keep every limit."""

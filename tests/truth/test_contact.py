@@ -211,11 +211,11 @@ def test_contact_on_the_flank_when_the_surface_is_steeper_than_the_arc():
 
 def test_a_surface_that_ends_under_the_edge_is_refused_by_name():
     surface = tw.Sphere(radius=2.0)
-    with pytest.raises(tw.DomainError, match="Sphere is not defined"):
+    with pytest.raises(tw.errors.DomainError, match="Sphere is not defined"):
         touch(surface, tw.Tool(nose_radius=0.5), angle=[0.0, 1.0], radius=[1.0, 2.5], sense=1)
     grid = np.linspace(-1, 1, 21)
     table = tw.Gridded(x=grid, y=grid, z=0.1 * (grid**2 + grid[:, None] ** 2))
-    with pytest.raises(tw.DomainError, match="Gridded"):
+    with pytest.raises(tw.errors.DomainError, match="Gridded"):
         touch(table, tw.Tool(nose_radius=0.5), angle=[0.0, 0.1], radius=[0.99, 0.98], sense=1)
 
 
@@ -303,13 +303,13 @@ def test_a_table_no_larger_than_the_part_is_enough():
     for i in on_bowl:
         expected, _ = brute_contact(table, NARROW, where.angle[i], where.radius[i], 1, 2.0)
         assert path.z[i] == pytest.approx(expected, abs=1e-10)
-    with pytest.raises(tw.DomainError, match="Gridded"):
+    with pytest.raises(tw.errors.DomainError, match="Gridded"):
         touch(table, NARROW, angle=where.angle, radius=where.radius, sense=1)
 
 
 def test_a_part_steeper_than_the_flanks_as_far_as_its_rim_is_refused():
     part = tw.Part(surface=tw.Plane(slope=(1.0, 0.0)), radius=2.0)
-    with pytest.raises(tw.GougeError, match=r"a flank of the tool stands on the rim .* larger included angle"):
+    with pytest.raises(tw.errors.GougeError, match=r"a flank of the tool stands on the rim .* larger included angle"):
         tw.place(spiral(2.0, 0.1, 60), part, NARROW)
 
 
@@ -318,7 +318,7 @@ def test_unknown_direction_and_a_slope_beyond_the_arc_are_refused():
     part = tw.Part(surface=tw.Plane(slope=(1.0, 0.0)), radius=1.0)
     with pytest.raises(tw.InputError, match='must be "z" or "normal"'):
         tw.place(where, part, ROUND, along="x")
-    with pytest.raises(tw.GougeError, match="larger included angle"):
+    with pytest.raises(tw.errors.GougeError, match="larger included angle"):
         tw.place(where, part, tw.Tool(nose_radius=0.5, included=60 * DEG), along="normal")
 
 

@@ -113,7 +113,7 @@ def test_a_rotation_with_scale_is_told_from_what_the_machine_did_to_single_lensl
     turn, scale = 4e-3, 1 + 2e-3
     matrix = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     centres = ARRAY.centres @ matrix.T + [0.05, -0.02] + rng.normal(0, 1e-3, ARRAY.centres.shape)
-    found = tw.Alignment.of(ARRAY.centres, centres)
+    found = tw.metrology.Alignment.of(ARRAY.centres, centres)
     about, moved = mean_removed(ARRAY.centres), mean_removed(centres)
     left, sizes, right = np.linalg.svd(moved.T @ about)
     best = left @ np.diag([1, np.linalg.det(left @ right)]) @ right
@@ -123,7 +123,7 @@ def test_a_rotation_with_scale_is_told_from_what_the_machine_did_to_single_lensl
     assert abs(found.rotation - turn) < 4 * found.rotation_std
     assert np.abs(np.array(found.shift) - [0.05, -0.02]).max() < 4 * found.shift_std
     # The same lenslets on a part that is clocked and shifted: the rest only turns with it.
-    clocked = tw.Alignment.of(ARRAY.centres, centres @ [[0.8, 0.6], [-0.6, 0.8]] + 3)
+    clocked = tw.metrology.Alignment.of(ARRAY.centres, centres @ [[0.8, 0.6], [-0.6, 0.8]] + 3)
     assert np.linalg.norm(clocked.rest, axis=1) == pytest.approx(np.linalg.norm(found.rest, axis=1), abs=1e-12)
 
 

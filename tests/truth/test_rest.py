@@ -12,7 +12,6 @@ from turnwright import (
     Axis,
     Conic,
     Controller,
-    LimitError,
     Machine,
     Part,
     SineGrid,
@@ -27,6 +26,7 @@ from turnwright import (
     read_nc,
     write_nc,
 )
+from turnwright.errors import LimitError
 
 TURN = 2 * np.pi
 HERMITE = Controller(interpolation="hermite")

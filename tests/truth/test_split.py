@@ -93,7 +93,7 @@ def test_a_corner_that_no_slide_can_help_is_refused():
     turned = np.linspace(0, 2 * TURN, 20 * 720 + 1)
     height = 0.01 * np.abs(np.sin(3 * turned))
     fast = tw.Axis(low=-0.035, high=0.035, acceleration=1e3)
-    with pytest.raises(tw.LimitError, match=r"1000 mm/s\^2 \(the path has 6875\)"):
+    with pytest.raises(tw.errors.LimitError, match=r"1000 mm/s\^2 \(the path has 6875\)"):
         _split.smoothest(turned, height, fast, 10.0)
     slow, _ = _split.smoothest(turned, height, fast, None)
     assert np.isfinite(slow).all()
@@ -221,7 +221,7 @@ def test_the_highest_speed_keeps_the_bandwidth():
 
 def test_the_lathe_and_the_tool_answer_each_on_its_own():
     """A first-order lag delays a ramp by its time constant; W at 640 rows/s is no block of a 100 blocks/s lathe."""
-    lag = tw.TransferFunction(numerator=[100.0], denominator=[1.0, 100.0])
+    lag = tw.machine.TransferFunction(numerator=[100.0], denominator=[1.0, 100.0])
     base = tw.Machine.load("nanoform-fts-70")
     axes = {"C": tw.Axis(), "X": tw.Axis(response=lag), "Z": tw.Axis(), "W": tw.Axis(dead_time=0.01)}
     machine = tw.Machine(

@@ -39,7 +39,7 @@ def motion():
 def error(motion, tmp_path_factory):
     """The error of the part on a disc, in tiles."""
     store = tmp_path_factory.mktemp("tiles") / "map"
-    return tw.generate_tiled(
+    return tw.studies.generate_tiled(
         motion, ROUND, pixel=PIXEL, store=store, radius=RADIUS - 0.02, minus=SURFACE, tile=96
     )  # fmt: skip
 
@@ -60,7 +60,7 @@ def in_one_piece(motion, tool, made, *, radius=None, minus=None):
 def test_a_disc_in_tiles_is_the_disc_in_one_piece(motion, tmp_path, name):
     tool = TOOLS[name]
     pixel = PIXEL if name == "round" else 2 * PIXEL
-    made = tw.generate_tiled(motion, tool, pixel=pixel, store=tmp_path / "map", radius=RADIUS, tile=64)
+    made = tw.studies.generate_tiled(motion, tool, pixel=pixel, store=tmp_path / "map", radius=RADIUS, tile=64)
     one = in_one_piece(motion, tool, made, radius=RADIUS)
     assert made.shape[0] > made.tile[0]
     assert np.array_equal(made.height_map().z, one.z, equal_nan=True)
@@ -71,7 +71,7 @@ def test_a_disc_in_tiles_is_the_disc_in_one_piece(motion, tmp_path, name):
 
 
 def test_a_rectangle_in_tiles_is_the_rectangle_in_one_piece(motion, tmp_path):
-    made = tw.generate_tiled(
+    made = tw.studies.generate_tiled(
         motion, ROUND, pixel=(0.002, 0.003), store=tmp_path / "map", x=(-0.31, 0.3), y=(-0.05, 0.4), tile=64,
         minus=SURFACE,
     )  # fmt: skip
@@ -100,7 +100,9 @@ def test_merged_roughness_is_that_of_one_piece(error, form):
 def test_a_steep_plane_is_removed_as_in_one_piece(motion, tmp_path):
     """The tilt is ten thousand times the roughness, and the map lies far from zero."""
     tilted = tw.Plane(slope=(0.02, -0.03))
-    made = tw.generate_tiled(motion, ROUND, pixel=PIXEL, store=tmp_path / "map", radius=0.3, minus=tilted, tile=64)
+    made = tw.studies.generate_tiled(
+        motion, ROUND, pixel=PIXEL, store=tmp_path / "map", radius=0.3, minus=tilted, tile=64
+    )
     merged, one = made.roughness(), tw.roughness(made.height_map())
     for name in VALUES:
         assert getattr(merged, name) == pytest.approx(getattr(one, name), rel=1e-12), name
@@ -111,7 +113,7 @@ def test_the_slopes_of_a_tilted_flat_are_the_closed_form(tmp_path):
     k = np.arange(100 * 90 + 1)
     axes = {"C": TURN * k / 90, "X": 0.1 - 0.001 * k / 90, "Z": np.zeros(k.size)}
     flat = tw.Motion(time=1e-3 * k, axes=axes, machine=MACHINE)
-    made = tw.generate_tiled(
+    made = tw.studies.generate_tiled(
         flat, tw.Tool(nose_radius=100.0, included=0.01), pixel=0.0007, store=tmp_path / "map", radius=0.09, tile=64,
         minus=tw.Plane(slope=(0.3, 0.4)),
     )  # fmt: skip
@@ -169,7 +171,7 @@ def determinant(m):
 
 def test_line_spectra_are_those_of_welch(motion, tmp_path):
     """SciPy's Welch without overlap, over all lines of a map without holes; a row of segments does not fit whole."""
-    made = tw.generate_tiled(
+    made = tw.studies.generate_tiled(
         motion, ROUND, pixel=0.002, store=tmp_path / "map", x=(-0.2, 0.2), y=(-0.2, 0.2), minus=SURFACE, tile=64
     )  # fmt: skip
     z = made.height_map().z[:192, :192] * 1e6
@@ -222,7 +224,9 @@ def test_overviews_are_means_of_what_is_there(error):
 
 def test_more_overviews_than_a_tile_makes(motion, tmp_path):
     """Levels beyond a tile's own three are made of those when all are there."""
-    made = tw.generate_tiled(motion, ROUND, pixel=(0.0001, 0.01), store=tmp_path / "map", x=(-0.5, 0.5), y=(0.0, 0.2))
+    made = tw.studies.generate_tiled(
+        motion, ROUND, pixel=(0.0001, 0.01), store=tmp_path / "map", x=(-0.5, 0.5), y=(0.0, 0.2)
+    )
     assert made.levels > 4
     z = made.height_map(made.levels - 2).z
     z = np.pad(z, [(0, size % 2) for size in z.shape], constant_values=np.nan)
@@ -256,7 +260,7 @@ class Posting(Executor):
 def test_any_executor_makes_the_same_map_and_gets_no_large_array(motion, error, tmp_path):
     executor = Posting()
     with executor.threads:
-        made = tw.generate_tiled(
+        made = tw.studies.generate_tiled(
             motion, ROUND, pixel=PIXEL, store=tmp_path / "map", radius=RADIUS - 0.02, minus=SURFACE, tile=96,
             executor=executor,
         )  # fmt: skip

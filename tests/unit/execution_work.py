@@ -60,6 +60,7 @@ def filling(data, shared, store):
     """From a given case on the system lets this process write no more than a few bytes."""
     row = plain(data, shared, store)
     if data["n"] == shared["full"]:
+        sys.dont_write_bytecode = True  # it would be cut, and kept
         resource.setrlimit(resource.RLIMIT_FSIZE, (20, resource.RLIM_INFINITY))
     return row
 

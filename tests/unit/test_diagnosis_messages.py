@@ -75,10 +75,10 @@ def test_few_points_do_not_carry_many_numbers():
 
 def test_a_cause_of_ones_own_has_a_name_and_heights():
     with pytest.raises(tw.InputError, match="'waviness': give it a name"):
-        tw.Cause(name="waviness", signature=lambda cutting: cutting.x, typical=1.0)
+        tw.diagnosis.Cause(name="waviness", signature=lambda cutting: cutting.x, typical=1.0)
     with pytest.raises(tw.InputError, match="typical"):
-        tw.Cause(name="drift", signature=lambda cutting: cutting.x, typical=0.0)
-    wrong = tw.Cause(name="drift", signature=lambda _cutting: np.zeros(3), typical=1.0)
+        tw.diagnosis.Cause(name="drift", signature=lambda cutting: cutting.x, typical=0.0)
+    wrong = tw.diagnosis.Cause(name="drift", signature=lambda _cutting: np.zeros(3), typical=1.0)
     with pytest.raises(tw.InputError, match=r"'drift' has the shape \(3,\)"):
         tw.diagnose(MAP, PART, TOOL, MACHINE, causes=(wrong,))
 
@@ -94,4 +94,4 @@ def test_findings_go_by_place_and_name():
 
 def test_the_centre_must_be_seen():
     with pytest.raises(tw.InputError, match="measure the centre more finely"):
-        tw.centre_defect(MAP, PART, within=0.1)
+        tw.diagnosis.centre_defect(MAP, PART, within=0.1)

@@ -210,10 +210,10 @@ def test_ctrl_c_ends_driver_and_workers_and_keeps_what_is_finished(store, log):
 def test_a_stop_from_progress_comes_through_at_once(store, log):
     def stop(done, total):
         if done >= 4:
-            raise tw.Stopped("enough")
+            raise tw.errors.Stopped("enough")
 
     start = time.monotonic()
-    with pytest.raises(tw.Stopped, match="enough"), local(2) as made:
+    with pytest.raises(tw.errors.Stopped, match="enough"), local(2) as made:
         conduct(
             ours.plain, cases(1000), shared={"log": log, "seconds": 0.05}, executor=made, store=store, progress=stop
         )

@@ -92,7 +92,7 @@ def test_spirals_of_any_plan_are_no_degrees(per_turn):
 BEYOND = {
     "rotation": lambda it: FLAT.placed(rotation=it),
     "tilt": lambda it: FLAT.placed(tilt=(0, it)),
-    "tilt of what is placed": lambda it: tw.Placed(surface=FLAT, tilt=(it, 0)),
+    "tilt of what is placed": lambda it: tw.surface.Placed(surface=FLAT, tilt=(it, 0)),
     "tilt of a pose": lambda it: tw.Pose(tilt=(it, 0)),
     "phase of a grid": lambda it: tw.SineGrid(amplitude=(1e-3, 1e-3), period=(1.0, 1.0), phase=(0, it)),
     "azimuth": lambda it: tw.OffAxis(parent=tw.Conic(radius=10, conic=-1), distance=1.0, azimuth=it),
@@ -103,14 +103,14 @@ BEYOND = {
     "squareness": lambda it: tw.Machine(
         name="t", axes=dict.fromkeys("CXZ", tw.Axis()), spindle_rpm=1.0, block_rate_hz=1.0, squareness=it
     ),
-    "clocking": lambda it: tw.Convention(clocking=it),
-    "lobes": lambda it: tw.Lobes(count=3, amplitude=0.1, maximum=it),
-    "rake of a coefficient": lambda it: tw.CuttingCoefficient(value=1.0, rake=((0.0, it), (1.0, 1.1))),
-    "rake of a thickness": lambda it: tw.CriticalThickness(value=1e-4, rake=((-it, 0.0), (1.0, 1.1))),
-    "inclination": lambda it: tw.OrthogonalChip(thickness=1e-3, width=1.0, inclination=it),
-    "exit of a tooth": lambda it: tw.SlotMill(radius=1.0, feed_per_tooth=0.01, depth=0.1, exit=it),
-    "phase of a vibration": lambda it: tw.Vibration(amplitude=1e-6, frequency_hz=10.0, phase=it),
-    "friction angle": lambda it: tw.MinimumChip.of_edge(1e-5, it),
+    "clocking": lambda it: tw.machine.Convention(clocking=it),
+    "lobes": lambda it: tw.material.Lobes(count=3, amplitude=0.1, maximum=it),
+    "rake of a coefficient": lambda it: tw.material.CuttingCoefficient(value=1.0, rake=((0.0, it), (1.0, 1.1))),
+    "rake of a thickness": lambda it: tw.material.CriticalThickness(value=1e-4, rake=((-it, 0.0), (1.0, 1.1))),
+    "inclination": lambda it: tw.cutting.OrthogonalChip(thickness=1e-3, width=1.0, inclination=it),
+    "exit of a tooth": lambda it: tw.cutting.SlotMill(radius=1.0, feed_per_tooth=0.01, depth=0.1, exit=it),
+    "phase of a vibration": lambda it: tw.cutting.Vibration(amplitude=1e-6, frequency_hz=10.0, phase=it),
+    "friction angle": lambda it: tw.cutting.MinimumChip.of_edge(1e-5, it),
     "angles of a polar map": lambda it: tw.HeightMap(radius=X + 1, angle=it * (X + 1), z=np.zeros((5, 5))),
     "angle of a line": lambda it: line_profile(tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))), (0, 0), angle=it),
 }

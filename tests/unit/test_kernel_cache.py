@@ -129,7 +129,8 @@ def test_a_full_disk_of_the_cache_is_not_noticed(tmp_path):
         "from turnwright.surface import SineGrid\n"
         "print(SineGrid(amplitude=(1.0, 0.0), period=(4.0, 4.0)).sag(1.0, 0.0).item())\n"
     )
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    # Bytecode would be cut as well, and kept.
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False, timeout=300
     )

@@ -7,7 +7,7 @@ import turnwright as tw
 
 PART = tw.Part(surface=tw.Plane(slope=(0.0, 0.0)), radius=5.0)
 TOOL = tw.Tool(nose_radius=0.5, included=np.deg2rad(100), clearance=np.deg2rad(10))
-HUM = tw.Cause(name="hum", signature=lambda cut: np.cos(3 * cut.x) * np.sin(2 * cut.y), typical=1e-3)
+HUM = tw.diagnosis.Cause(name="hum", signature=lambda cut: np.cos(3 * cut.x) * np.sin(2 * cut.y), typical=1e-3)
 
 
 def height(x, y):

@@ -76,9 +76,9 @@ def test_maps_that_hold_nothing_of_the_part_are_refused():
 
 def test_an_alignment_needs_two_places():
     with pytest.raises(InputError, match=r"have the shapes \(1, 2\) and \(1, 2\)"):
-        tw.Alignment.of([[0, 0]], [[0, 0]])
+        tw.metrology.Alignment.of([[0, 0]], [[0, 0]])
     with pytest.raises(InputError, match="all design centres stand in one place"):
-        tw.Alignment.of([[0, 0], [0, 0]], [[0, 0], [1, 0]])
+        tw.metrology.Alignment.of([[0, 0], [0, 0]], [[0, 0], [1, 0]])
 
 
 def test_an_array_that_is_not_there_is_said_lens_by_lens_and_drawn():

@@ -30,7 +30,7 @@ def test_an_error_keeps_what_python_gives_it():
     error = pickle.loads(pickle.dumps(UnitError("'1 x' has no unit")))  # noqa: S301
     assert isinstance(error, ValueError)
     assert error.args == ("'1 x' has no unit",)
-    assert tw.Stopped().args == ()
+    assert tw.errors.Stopped().args == ()
 
 
 LONG = {

@@ -20,17 +20,29 @@ from turnwright.metrology import Nesting
 from turnwright.strategy import Valleys
 
 PLANE, AXIS, X = tw.Plane(), tw.Axis(), np.linspace(0, 1, 5)
-LOBES = tw.Lobes(count=3, amplitude=0.1, maximum=0.2)
+LOBES = tw.material.Lobes(count=3, amplitude=0.1, maximum=0.2)
 CURVE = ((0.0, 0.1), (1.0, 1.1))
 MACHINE = tw.Machine(
-    name="t", axes=dict.fromkeys("CXYZ", AXIS), spindle_rpm=100.0, block_rate_hz=1e3, squareness=1e-6,
-    straightness=((0.0, 1.0), (0.0, 1e-6)), plausible={"squareness": 1e-5},
-)  # fmt: skip
+    name="t",
+    axes=dict.fromkeys("CXYZ", AXIS),
+    spindle_rpm=100.0,
+    block_rate_hz=1e3,
+    squareness=1e-6,
+    straightness=((0.0, 1.0), (0.0, 1e-6)),
+    plausible={"squareness": 1e-5},
+)
 TOOL = tw.Tool(
-    nose_radius=0.5, included=2.0, rake=-0.1, clearance=0.2, waviness=(1e-6, 2e-6), radius_error=1e-4,
-    offset=(1e-3, 1e-3, 1e-3), edge_length=0.1, plausible={"offset x": 1e-3},
-)  # fmt: skip
-MILL = tw.SlotMill(radius=1.0, feed_per_tooth=1e-3, depth=0.1, teeth=2, corner_radius=0.5, entry=0.1, exit=1.0)
+    nose_radius=0.5,
+    included=2.0,
+    rake=-0.1,
+    clearance=0.2,
+    waviness=(1e-6, 2e-6),
+    radius_error=1e-4,
+    offset=(1e-3, 1e-3, 1e-3),
+    edge_length=0.1,
+    plausible={"offset x": 1e-3},
+)
+MILL = tw.cutting.SlotMill(radius=1.0, feed_per_tooth=1e-3, depth=0.1, teeth=2, corner_radius=0.5, entry=0.1, exit=1.0)
 SLOW = tw.SlowToolServo(feed=0.01, spindle_rpm=50.0, points_per_rev=100, lead_in=0.1, overrun=0.002)
 ARC = tw.SlowToolServo(feed=0.01, arc_length=0.1, max_step=0.1)
 SWING = {"feed": 0.01, "spindle_rpm": 50.0, "lead_in": 0.1}
@@ -46,26 +58,45 @@ JOB = tw.Job.read(
         "strategy": {"kind": "slow tool servo", "feed": "50 um/rev", "points_per_rev": 24, "spindle_speed": "100 rpm"},
     }
 )
-SPREAD = tw.Spread(kind="normal", numbers=(0.0, 1e-6), source="assumed")
+SPREAD = tw.studies.Spread(kind="normal", numbers=(0.0, 1e-6), source="assumed")
 SPECTRUM = np.linspace(0, 310, 32)
 
 EXAMPLES = [
     tw.Instrument(pixel=1e-3, numerical_aperture=0.3, wavelength=5e-4, filling=0.5, stylus_radius=1e-3, noise=1e-6),
     tw.Instrument(resolution=1e-3),
-    PLANE, TOOL, MACHINE, LOBES, MILL, SLOW, ADAPTIVE, ARC, tw.SlowToolServo(feed=0.01, chord=1e-6),
+    PLANE,
+    TOOL,
+    MACHINE,
+    LOBES,
+    MILL,
+    SLOW,
+    ADAPTIVE,
+    ARC,
+    tw.SlowToolServo(feed=0.01, chord=1e-6),
     tw.Tool(nose_radius=0.5, waviness=tw.WavinessTable(sweep=[-1, 0, 0.5, 1], deviation=[0, 1e-6, 0, 1e-6])),
     tw.WavinessTable(sweep=[-1, 0, 0.5, 1], deviation=[0, 1e-6, 0, 1e-6]),
     tw.Axis(
-        speed=1.0, acceleration=1.0, jerk=1.0, low=0.0, high=1.0, bandwidth_hz=10.0, bandwidth_residual=1e-6,
+        speed=1.0,
+        acceleration=1.0,
+        jerk=1.0,
+        low=0.0,
+        high=1.0,
+        bandwidth_hz=10.0,
+        bandwidth_residual=1e-6,
         dead_time=1e-3,
     ),
-    tw.Controller(look_ahead=3), tw.Convention(clocking=0.3),
-    tw.SecondOrder(frequency_hz=30.0, damping=0.5, velocity_feedforward=0.9, acceleration_feedforward=0.9),
-    tw.FrequencyResponse(frequency_hz=[1, 2], magnitude=[1, 0.9], phase=[0, -0.1]),
-    tw.TransferFunction(numerator=[1.0], denominator=[1.0, 1.0]),
-    tw.Sphere(radius=10.0), tw.Conic(radius=10.0, conic=-1.0), tw.EvenAsphere(radius=9.0, conic=0.0, terms={4: 1e-4}),
-    tw.Toroid(radius_x=9.0, radius_y=8.0), tw.Biconic(radius_x=9.0, radius_y=8.0, conic_x=-1.0, conic_y=0.0),
-    tw.XYPolynomial(terms={(2, 0): 1e-3}), tw.Zernike(terms={4: 1e-3}, radius=5.0, indexing="fringe"),
+    tw.Controller(look_ahead=3),
+    tw.machine.Convention(clocking=0.3),
+    tw.machine.SecondOrder(frequency_hz=30.0, damping=0.5, velocity_feedforward=0.9, acceleration_feedforward=0.9),
+    tw.machine.FrequencyResponse(frequency_hz=[1, 2], magnitude=[1, 0.9], phase=[0, -0.1]),
+    tw.machine.TransferFunction(numerator=[1.0], denominator=[1.0, 1.0]),
+    tw.Sphere(radius=10.0),
+    tw.Conic(radius=10.0, conic=-1.0),
+    tw.EvenAsphere(radius=9.0, conic=0.0, terms={4: 1e-4}),
+    tw.Toroid(radius_x=9.0, radius_y=8.0),
+    tw.Biconic(radius_x=9.0, radius_y=8.0, conic_x=-1.0, conic_y=0.0),
+    tw.XYPolynomial(terms={(2, 0): 1e-3}),
+    tw.Zernike(terms={4: 1e-3}, radius=5.0, indexing="fringe"),
     tw.RadialPolynomial(radial=(1e-3,), slope=(1e-3,), tilt=0.01),
     tw.Forbes(radius=50.0, conic=0.0, norm_radius=5.0, kind="qbfs", terms={0: 1e-4}),
     tw.Forbes(radius=50.0, conic=0.0, norm_radius=5.0, kind="q2d", terms={(1, 1): 1e-4}),
@@ -75,74 +106,144 @@ EXAMPLES = [
     tw.Gridded(x=np.arange(7.0), y=np.arange(7.0), z=np.zeros((7, 7))),
     tw.Scattered(x=RNG.random(400), y=RNG.random(400), z=np.zeros(400)),
     tw.OffAxis(parent=tw.Conic(radius=10.0, conic=-1.0), distance=1.0, azimuth=0.1),
-    tw.Placed(surface=PLANE, shift=(0.1, 0.1, 0.1), rotation=0.1, tilt=(0.1, 0.1)), tw.Sum(terms=(PLANE, PLANE)),
+    tw.surface.Placed(surface=PLANE, shift=(0.1, 0.1, 0.1), rotation=0.1, tilt=(0.1, 0.1)),
+    tw.surface.Sum(terms=(PLANE, PLANE)),
     tw.Pose(shift=(0.1, 0.1, 0.1), rotation=0.1, tilt=(0.1, 0.1)),
-    tw.Blank(radius=2.0), tw.Part(surface=PLANE, radius=1.0, stock=0.1),
+    tw.Blank(radius=2.0),
+    tw.Part(surface=PLANE, radius=1.0, stock=0.1),
     tw.Spiral(angle=X, radius=X, y=X, radius_rate=X, y_rate=X, lift=X),
     tw.Path(
-        angle=X, radius=X, z=X, sweep=X, contact_x=X, contact_y=X, contact_z=X, clearance=X, y=X, radius_rate=X,
-        y_rate=X, z_rate=X, lift=X,
+        angle=X,
+        radius=X,
+        z=X,
+        sweep=X,
+        contact_x=X,
+        contact_y=X,
+        contact_z=X,
+        clearance=X,
+        y=X,
+        radius_rate=X,
+        y_rate=X,
+        z_rate=X,
+        lift=X,
     ),
     tw.Motion(
-        time=X, axes=dict.fromkeys("CXZ", X), velocity=dict.fromkeys("CXZ", X), machine=MACHINE,
+        time=X,
+        axes=dict.fromkeys("CXZ", X),
+        velocity=dict.fromkeys("CXZ", X),
+        machine=MACHINE,
         stated_blocks=np.arange(5),
     ),
     tw.SpeedProfile(radius=[0, 1], spindle_rpm=[50, 40]),
-    tw.FastToolServo(plan=SLOW), tw.HybridToolServo(plan=SLOW, fast=FAST, blocks_per_rev=50),
+    tw.FastToolServo(plan=SLOW),
+    tw.HybridToolServo(plan=SLOW, fast=FAST, blocks_per_rev=50),
     tw.QuasiEllipticalToolServo(**SWING, short="slow", y_acceleration=100.0, points_per_rev=100),
     tw.QuasiEllipticalToolServo(**SWING, short="merge", shortest=0.01, arc_length=0.1, max_step=0.1),
     Valleys(angle=X, azimuth=X, radius=X, jump=X, left=X, stood=np.zeros(5, dtype=bool), stroke=0.1),
-    tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))), tw.HeightMap(radius=X, angle=X, z=np.zeros((5, 5))),
-    tw.Profile(distance=X, z=X, x=X, y=X), Nesting(s_filter=0.1, form="plane", l_filter=0.5, order=2),
-    tw.CriticalThickness(value=1e-4, uncertainty=1e-5, rake=CURVE, lobes=LOBES),
-    tw.CuttingCoefficient(
-        value=1e3, uncertainty=10.0, exponent=0.1, reference_thickness=1e-4, thickness=((1e-4, 1e-3), (1.0, 0.9)),
-        rake=CURVE, lobes=LOBES, stated=(1e-5, 1e-3),
+    tw.HeightMap(x=X, y=X, z=np.zeros((5, 5))),
+    tw.HeightMap(radius=X, angle=X, z=np.zeros((5, 5))),
+    tw.Profile(distance=X, z=X, x=X, y=X),
+    Nesting(s_filter=0.1, form="plane", l_filter=0.5, order=2),
+    tw.material.CriticalThickness(value=1e-4, uncertainty=1e-5, rake=CURVE, lobes=LOBES),
+    tw.material.CuttingCoefficient(
+        value=1e3,
+        uncertainty=10.0,
+        exponent=0.1,
+        reference_thickness=1e-4,
+        thickness=((1e-4, 1e-3), (1.0, 0.9)),
+        rake=CURVE,
+        lobes=LOBES,
+        stated=(1e-5, 1e-3),
     ),
     tw.Material(
-        name="m", critical=tw.CriticalThickness(value=1e-4), brittle_plateau=True, brittle_force=(0.5, 0.6),
+        name="m",
+        critical=tw.material.CriticalThickness(value=1e-4),
+        brittle_plateau=True,
+        brittle_force=(0.5, 0.6),
         fracture_ratio=3.0,
     ),
-    tw.OrthogonalChip(thickness=1e-3, width=1.0, inclination=0.1), tw.RoundChip(nose_radius=0.5, feed=0.01, depth=0.01),
-    tw.FlyCut(swing=50.0, nose_radius=1.0, feed=0.01, step=0.1, depth=0.02),
-    tw.Vibration(amplitude=1e-6, frequency_hz=10.0, phase=0.1), tw.MinimumChip(thickness=1e-5, recovery=0.5),
-    tw.Cuts(thickness=X, width=X + 1, cutting=X, thrust=X, area=X, thrust_area=X, uncertainty=np.ones((5, 2)), time=X,
-            spread=X, record=np.zeros(5)),
-    tw.NoseCuts(nose_radius=X + 1, depth=X, feed=X, axial=X, feed_force=X, cutting=X, uncertainty=np.ones((5, 3)),
-                time=X, record=np.zeros(5)),
-    tw.InterruptedCuts(
-        geometry=(MILL,), spindle_rpm=(100.0,), components=("x",), force=np.zeros((5, 1)), begin=X, end=X + 1,
-        cut=np.zeros(5, dtype=int), record=np.zeros(5, dtype=int), rate_hz=100.0,
+    tw.cutting.OrthogonalChip(thickness=1e-3, width=1.0, inclination=0.1),
+    tw.cutting.RoundChip(nose_radius=0.5, feed=0.01, depth=0.01),
+    tw.cutting.FlyCut(swing=50.0, nose_radius=1.0, feed=0.01, step=0.1, depth=0.02),
+    tw.cutting.Vibration(amplitude=1e-6, frequency_hz=10.0, phase=0.1),
+    tw.cutting.MinimumChip(thickness=1e-5, recovery=0.5),
+    tw.cutting.Cuts(
+        thickness=X,
+        width=X + 1,
+        cutting=X,
+        thrust=X,
+        area=X,
+        thrust_area=X,
+        uncertainty=np.ones((5, 2)),
+        time=X,
+        spread=X,
+        record=np.zeros(5),
     ),
-    tw.ForceFit(components=("a",), thickness=X, measured=X[:, None], fitted=X[:, None]),
-    tw.ForceHistory(time=X, angle=X, x=X, y=X, z=X, thickness=X, torque=X, speed=1.0),
-    tw.ForceRecord(force=RNG.random((50, 1)), rate_hz=10.0, channels=("Fx",)),
-    tw.TapTest(hammer=RING, direction=[0, 0, 1], response=np.stack([RING] * 3, axis=1), rate_hz=1e3),
-    tw.Dynamometer(
-        frequency_hz=SPECTRUM, response=np.tile(np.eye(3, dtype=complex), (32, 1, 1)), static_gain=np.eye(3),
-        gain_uncertainty=np.zeros((3, 3)), coherence=np.ones((32, 3)),
+    tw.cutting.NoseCuts(
+        nose_radius=X + 1,
+        depth=X,
+        feed=X,
+        axial=X,
+        feed_force=X,
+        cutting=X,
+        uncertainty=np.ones((5, 3)),
+        time=X,
+        record=np.zeros(5),
     ),
-    tw.Cause(name="my own", signature=lambda cut: cut.x, typical=1e-3),
-    tw.ErrorBudget(errors={"squareness": SPREAD}, noise=1e-6, settling=3.0), SPREAD,
-    tw.Study(job=JOB, design="grid", fields=(), measures=(), reasons=("",), seconds=np.ones(1)),
-    tw.Store(place="/there"), tw.Case(key="a", data={}), tw.ProgramHeader(design="a", tool="b", date="", notes=""),
-]  # fmt: skip
+    tw.cutting.InterruptedCuts(
+        geometry=(MILL,),
+        spindle_rpm=(100.0,),
+        components=("x",),
+        force=np.zeros((5, 1)),
+        begin=X,
+        end=X + 1,
+        cut=np.zeros(5, dtype=int),
+        record=np.zeros(5, dtype=int),
+        rate_hz=100.0,
+    ),
+    tw.cutting.ForceFit(components=("a",), thickness=X, measured=X[:, None], fitted=X[:, None]),
+    tw.cutting.ForceHistory(time=X, angle=X, x=X, y=X, z=X, thickness=X, torque=X, speed=1.0),
+    tw.cutting.ForceRecord(force=RNG.random((50, 1)), rate_hz=10.0, channels=("Fx",)),
+    tw.cutting.TapTest(hammer=RING, direction=[0, 0, 1], response=np.stack([RING] * 3, axis=1), rate_hz=1e3),
+    tw.cutting.Dynamometer(
+        frequency_hz=SPECTRUM,
+        response=np.tile(np.eye(3, dtype=complex), (32, 1, 1)),
+        static_gain=np.eye(3),
+        gain_uncertainty=np.zeros((3, 3)),
+        coherence=np.ones((32, 3)),
+    ),
+    tw.diagnosis.Cause(name="my own", signature=lambda cut: cut.x, typical=1e-3),
+    tw.studies.ErrorBudget(errors={"squareness": SPREAD}, noise=1e-6, settling=3.0),
+    SPREAD,
+    tw.studies.Study(job=JOB, design="grid", fields=(), measures=(), reasons=("",), seconds=np.ones(1)),
+    tw.studies.Store(place="/there"),
+    tw.studies.Case(key="a", data={}),
+    tw.post.ProgramHeader(design="a", tool="b", date="", notes=""),
+]
 """Valid instances of every class that a user states; together they state every optional number."""
 
 MAY = {
     **dict.fromkeys(
-        ("Sphere.radius", "Conic.radius", "EvenAsphere.radius", "Forbes.radius", "Toroid.radius_x", "Toroid.radius_y",
-         "Biconic.radius_x", "Biconic.radius_y"),
+        (
+            "Sphere.radius",
+            "Conic.radius",
+            "EvenAsphere.radius",
+            "Forbes.radius",
+            "Toroid.radius_x",
+            "Toroid.radius_y",
+            "Biconic.radius_x",
+            "Biconic.radius_y",
+        ),
         ("inf", "a flat has no curvature"),
     ),
     **dict.fromkeys(("HeightMap.z", "Gridded.z", "Profile.z"), ("nan", "a height that was not measured")),
     "Study.seconds": ("nan", "a case that was not carried out"),
-}  # fmt: skip
+}
 """Numbers that may be infinite or missing, and what that means."""
 
 ANSWERS = """
     Access AccessFinding Alignment Approach AreaSpectrum Bands Bearing BestFit Candidate CentreDefect ChipMap Column
-    Comparison Contribution Correction Cusps CuttingForces Despiked Diagnosis DrawnCut Draws DuctileGate EdgeFit
+    Comparison Contribution Correction Cusps CuttingForces Despiked Diagnosis DrawnCut Draws DuctileGate EdgeFit Entry
     Estimate Experiment FastToolFiles Features Filled Finding Finish ForceAverage IntactShare LearnedMaterial
     Lenslet Lenslets Limits Measured Move Outcome PartShape Pass Plan PoseCandidate Prediction Preview
     ProfileRoughness ProgramFiles ProgramInfo ProgramPass Proof Registration Result Roughness Sensitivity Shares
@@ -157,8 +258,8 @@ NUMERIC = re.compile(r"\b(float|int|Floats|Ints|Complexes|Terms|Curve)\b")
 def public_classes():
     """Return every dataclass that the package or one of its public modules names."""
     found = [getattr(tw, name) for name in tw.__all__]
-    for module in pkgutil.walk_packages(tw.__path__, "turnwright."):
-        if not any(part.startswith("_") for part in module.name.split(".")):
+    for module in pkgutil.iter_modules(tw.__path__, "turnwright."):
+        if not module.name.rpartition(".")[2].startswith("_"):
             loaded = importlib.import_module(module.name)
             found += [getattr(loaded, name) for name in getattr(loaded, "__all__", ())]
     return {one.__name__: one for one in found if inspect.isclass(one) and dataclasses.is_dataclass(one)}

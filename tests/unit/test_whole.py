@@ -44,6 +44,7 @@ def picture(folder):
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # the system then says that the file is too large
 work, folder = globals()[sys.argv[1]], Path(sys.argv[2])
 import matplotlib.figure, matplotlib.backends.backend_agg
+sys.dont_write_bytecode = True  # it would be cut, and kept
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), resource.RLIM_INFINITY))
 try:
     work(folder)

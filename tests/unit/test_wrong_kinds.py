@@ -33,10 +33,10 @@ def there(tmp_path_factory):
     axes = {"C": 2 * np.pi * k / 24, "X": 0.4 - 0.04 * k / 24, "Z": 0.0 * k}
     motion, tool = tw.Motion(time=1e-3 * k, axes=axes, machine=machine), tw.Tool(nose_radius=0.2, included=1.7)
     job = tw.Job.read(JOB)
-    made = tw.generate_tiled(motion, tool, pixel=0.01, radius=0.35, store=folder / "map", tile=64)
+    made = tw.studies.generate_tiled(motion, tool, pixel=0.01, radius=0.35, store=folder / "map", tile=64)
     with ThreadPoolExecutor(1) as threads:
         vary = {"strategy.feed": "40, 50 um/rev", "tool.nose_radius": "0.4, 0.5 mm"}
-        study = tw.study(job, vary=vary, measure="nose_radius_limit", executor=threads)
+        study = tw.studies.study(job, vary=vary, measure="nose_radius_limit", executor=threads)
         yield {
             "motion": motion, "tool": tool, "job": job, "made": made, "study": study, "threads": threads,
             "store": Store.open(folder / "store"), "map": folder / "map",
@@ -49,17 +49,17 @@ def row(*_):
 
 def tiled(at, **more):
     wanted = {"pixel": 0.01, "radius": 0.35, "store": at["map"], "tile": 64, **more}
-    return tw.generate_tiled(wanted.pop("motion", at["motion"]), wanted.pop("tool", at["tool"]), **wanted)
+    return tw.studies.generate_tiled(wanted.pop("motion", at["motion"]), wanted.pop("tool", at["tool"]), **wanted)
 
 
 def study(at, **more):
     wanted = {"vary": {"strategy.feed": "50 um/rev"}, "measure": "nose_radius_limit", "executor": at["threads"], **more}
-    return tw.study(wanted.pop("job", at["job"]), **wanted)
+    return tw.studies.study(wanted.pop("job", at["job"]), **wanted)
 
 
 def tolerance(at, **more):
     wanted = {"correction": False, "count": 10, "executor": at["threads"], "store": "nosuch://there", **more}
-    return tw.tolerance(at["job"], **wanted)
+    return tw.studies.tolerance(at["job"], **wanted)
 
 
 CALLS = {
@@ -72,7 +72,7 @@ CALLS = {
     "tile": lambda at, it: tiled(at, tile=it),
     "motion": lambda at, it: tiled(at, motion=it),
     "tool": lambda at, it: tiled(at, tool=it),
-    "open": lambda _at, it: tw.TiledMap.open(it),
+    "open": lambda _at, it: tw.studies.TiledMap.open(it),
     "level": lambda at, it: at["made"].height_map(it),
     "window": lambda at, it: at["made"].window(x=it, y=(0.0, 0.1)),
     "window pixels": lambda at, it: at["made"].window(x=(0.0, 0.1), y=(0.0, 0.1), pixels=it),
@@ -86,11 +86,11 @@ CALLS = {
     "best": lambda at, it: at["study"].best("nose_radius_limit", it),
     "over": lambda at, it: at["study"].grid("nose_radius_limit", over=it),
     "at": lambda at, it: at["study"].grid("nose_radius_limit", at={"strategy.feed": it}),
-    "load": lambda _at, it: tw.Study.load(it),
-    "count": lambda at, it: tw.tolerance(at["job"], count=it),
-    "seed": lambda at, it: tw.tolerance(at["job"], count=3, seed=it),
-    "tolerance of": lambda _at, it: tw.tolerance(it),
-    "budget": lambda at, it: tw.tolerance(at["job"], budget=it, count=10, store="nosuch://there"),
+    "load": lambda _at, it: tw.studies.Study.load(it),
+    "count": lambda at, it: tw.studies.tolerance(at["job"], count=it),
+    "seed": lambda at, it: tw.studies.tolerance(at["job"], count=3, seed=it),
+    "tolerance of": lambda _at, it: tw.studies.tolerance(it),
+    "budget": lambda at, it: tw.studies.tolerance(at["job"], budget=it, count=10, store="nosuch://there"),
     "budget file": lambda _at, it: ErrorBudget.load(it),
     "budget table": lambda _at, it: ErrorBudget.read(it),
     "noise": lambda _at, it: ErrorBudget(errors=ErrorBudget.typical().errors, noise=it),

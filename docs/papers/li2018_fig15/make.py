@@ -7,7 +7,8 @@ or its pixels meet the cusps in few phases; on the grid one lies in a trough and
 
 from pathlib import Path
 
-from turnwright import Job, study
+from turnwright import Job
+from turnwright.studies import study
 
 HERE = Path(__file__).parent
 NOSE, FEED, SPEED = "0.1..1 mm:10", "0.2..1 mm/min:9", "50..150 rpm:11"

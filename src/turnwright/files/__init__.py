@@ -4,7 +4,7 @@ A reader is given the path and the bytes of a file and returns a `turnwright.Hei
 To add a format, add a module here and a line to ``_read.py`` (its signature) or ``_write.py`` (its suffix).
 
 Whatever a file claims is compared with the bytes that are there before memory is asked for, and everything that goes
-wrong ends in one sentence, a `turnwright.MapError`.
+wrong ends in one sentence, a `turnwright.errors.MapError`.
 """
 
 from turnwright.files.read import read_map

@@ -84,7 +84,7 @@ class Entry:
         Whether the pass goes on away from the axis.
     heights
         Contact heights of the tip around the axis where the pass begins, for `turnwright.write_nc` and
-        `turnwright.write_fast_tool`. (n,) [mm]
+        `turnwright.post.write_fast_tool`. (n,) [mm]
     beyond_travel
         A sentence where a fast tool would pass an end of its travel in the plunge, else empty.
     radius, material, finished

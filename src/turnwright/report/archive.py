@@ -11,9 +11,9 @@ stated) has the keys
 ``part``, ``machine``, ``dialect``
     Names.
 ``access``
-    The fields of `turnwright.Access`, ``findings`` with their sentences.
+    The fields of `turnwright.access.Access`, ``findings`` with their sentences.
 ``passes``
-    One entry per pass: the fields of `turnwright.job.Pass`, ``limits`` with the fields of `turnwright.Limits`.
+    One entry per pass: the fields of `turnwright.job.Pass`, ``limits`` with the fields of `turnwright.motion.Limits`.
 ``least_clearance``
     Least height of the edge above the surface over the finishing path.
 ``program``
@@ -21,10 +21,10 @@ stated) has the keys
     enters the material of each pass, and the hash of all its points.
 ``predictions``
     One entry per map: ``name``, ``file`` of the heights (cut minus design, mm), ``axes`` (files by name), ``shape`` and
-    ``roughness`` with the fields of `turnwright.Roughness`. ``pv_nm`` is what is judged: of the whole part from its
-    highest to its lowest place, which ``form`` has with ``x``, ``y`` and ``error`` in mm (``null`` for a patch; then it
-    is that of ``roughness``). ``tracking`` is ``null`` unless the servos were asked; then
-    it has the ``file`` of what they add to the heights (mm), and its ``pv_nm`` and ``rms_nm``.
+    ``roughness`` with the fields of `turnwright.metrology.Roughness`. ``pv_nm`` is what is judged: of the whole part
+    from its highest to its lowest place, which ``form`` has with ``x``, ``y`` and ``error`` in mm (``null`` for a
+    patch; then it is that of ``roughness``). ``tracking`` is ``null`` unless the servos were simulated; then it has the
+    ``file`` of what they add to the heights (mm), and its ``pv_nm`` and ``rms_nm``.
 ``rounding_nm``, ``rounding_limit_nm``
     How far the surfaces of the program on disk and of the motion in memory are apart, and how far they may be.
 ``warnings``, ``timings``, ``peak_memory_gb``

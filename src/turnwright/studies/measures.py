@@ -108,7 +108,7 @@ ROUGHNESS: dict[str, str] = {
     "sa_nm": "", "sq_nm": "", "sp_nm": "", "sv_nm": "", "sz_nm": "", "pv_nm": "", "ssk": "", "sku": "", "sdq": "",
     "sdr": "", "sal": "mm", "str": "", "missing": "",
 }  # fmt: skip
-"""Measures of a patch, and their units: see `turnwright.Roughness`."""
+"""Measures of a patch, and their units: see `turnwright.metrology.Roughness`."""
 
 AXES: dict[str, tuple[str, str]] = {
     "peak_speed": ("mm/s", "rad/s"),

@@ -151,7 +151,7 @@ class Written(Model):
 
 
 class AccessFinding(Model):
-    """One thing that was looked at, see `turnwright.AccessFinding`."""
+    """One thing that was looked at, see `turnwright.access.AccessFinding`."""
 
     name: str
     value: float | None
@@ -163,7 +163,7 @@ class AccessFinding(Model):
 
 
 class Access(Model):
-    """Whether the tool reaches the part, see `turnwright.Access`."""
+    """Whether the tool reaches the part, see `turnwright.access.Access`."""
 
     ok: bool
     nose_radius_limit: float | None

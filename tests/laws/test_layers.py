@@ -1,0 +1,35 @@
+"""The contracts of the house see what they forbid. Oracle: a copy of it with one forbidden import more."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+FORBIDDEN = {
+    "The simulator never sees the planner": ("generation.py", "from turnwright.placing import touch"),
+    "One way up: doors > studies > job > stages > things > ground": ("tool.py", "from turnwright.access import Access"),
+    "Only doors draw pictures and talk": ("tracking.py", "import matplotlib"),
+    "metrology is private behind its door": ("job/result.py", "from turnwright.metrology.clean import despike"),
+    "No circles among siblings": ("pose.py", "from turnwright.heightmap import HeightMap"),
+}
+
+
+@pytest.mark.parametrize("contract", FORBIDDEN)
+def test_a_forbidden_import_breaks_its_contract(contract, tmp_path):
+    shutil.copytree(ROOT / "src", tmp_path / "src", ignore=shutil.ignore_patterns("static", "__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    name, line = FORBIDDEN[contract]
+    file = tmp_path / "src" / "turnwright" / name
+    source = file.read_text(encoding="utf-8")
+    file.write_text(source.replace("\nimport ", f"\n{line}\nimport ", 1), encoding="utf-8")
+    assert line in file.read_text(encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-c", "from importlinter.cli import lint_imports_command as lint; lint()", "--no-cache"],
+        cwd=tmp_path, env={"PYTHONPATH": str(tmp_path / "src")}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert f"{contract} BROKEN" in " ".join(done.stdout.split())
