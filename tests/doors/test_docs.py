@@ -27,6 +27,21 @@ def test_the_nomenclature_lists_every_public_name():
 
 def documented():
     """Return every name that the reference documents, as it follows ``turnwright.``."""
+    text = (DOCS / "reference.md").read_text(encoding="utf-8")
+    return re.findall(r"^\.\. auto(?:class|function|exception):: turnwright\.([\w.]+)$", text, re.MULTILINE)
+
+
+def test_every_family_of_surfaces_is_documented():
+    families = [
+        name
+        for name in turnwright.surface.__all__
+        if name[0].isupper() and hasattr(getattr(turnwright.surface, name), "sag")
+    ]
+    assert len(families) > 15
+    assert set(families) <= {name.rpartition(".")[2] for name in documented()}
+
+
+def test_the_reference_documents_every_public_name_once():
     listed = documented()
     assert len(set(listed)) == len(listed)
     assert set(turnwright.__all__) <= set(listed)
