@@ -17,7 +17,7 @@ exclude_patterns = ["_build", "jupyter_execute"]
 # Pages are executed each time, and one that raises fails the build.
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 120
+nb_execution_timeout = 900  # seconds of one cell, of which a busy machine may need many
 nb_merge_streams = True
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist"]
 myst_heading_anchors = 3

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Value, frozen
 from turnwright._kernels import edge as kernel
-from turnwright._kernels.dilation import sweeps_at
+from turnwright._kernels.edge import sweeps_at
 from turnwright._validate import between, check_angle, check_numbers, finite_tuple, plausible_sizes, positive
 from turnwright.errors import InputError
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from turnwright import HeightMap, InputError, Part, Plane
-from turnwright.surface.smoothing import _binned, _smoothed, smooth_table
+from turnwright.metrology.smoothing import _binned, _smoothed, form_compensation, smooth_table
 
 FLAT = Part(surface=Plane(slope=(0.0, 0.0)), radius=5.0)
 
@@ -44,7 +44,7 @@ def test_what_repeats_is_taken_off_and_noise_is_not_added():
         return 1e-4 * np.cos(2 * np.pi * x / 4) + 2e-6 * x * y
 
     error = scattered(form, noise=2e-5)
-    aim = FLAT.corrected(error, cutoff=0.5, beyond=1.0).surface
+    aim = form_compensation(FLAT, error, cutoff=0.5, beyond=1.0).table
     left = form(error.x, error.y) + aim.sag(error.x, error.y)
     assert np.sqrt(np.mean(left**2)) < 4e-6  # 100 nm of form under 20 nm of noise
     rim = np.hypot(error.x, error.y) > 4.8
@@ -53,7 +53,7 @@ def test_what_repeats_is_taken_off_and_noise_is_not_added():
 
 def test_noise_alone_leaves_the_part_as_it_is():
     error = scattered(level, noise=2e-5)
-    assert FLAT.corrected(error, cutoff=0.5, beyond=1.0) is FLAT
+    assert form_compensation(FLAT, error, cutoff=0.5, beyond=1.0).cutoff is None
 
 
 def test_a_plane_runs_on_as_a_plane_over_missing_places():
@@ -61,7 +61,7 @@ def test_a_plane_runs_on_as_a_plane_over_missing_places():
     error = scattered(tilted)
     gone = (np.hypot(error.x - 2, error.y) < 1.5) | (error.y < -3)
     error = HeightMap(x=error.x, y=error.y, z=np.where(gone, np.nan, error.z))
-    aim = FLAT.corrected(error, cutoff=0.5, beyond=1.0).surface
+    aim = form_compensation(FLAT, error, cutoff=0.5, beyond=1.0).table
     assert np.abs(aim.sag(error.x, error.y) + 1e-4 * error.x - 2e-4 * error.y).max() < 1e-9
 
 
@@ -77,7 +77,7 @@ def test_a_plane_runs_on_as_a_plane_over_missing_places():
 )
 def test_what_cannot_be_corrected_is_said(error, cutoff, beyond, words):
     with pytest.raises(InputError, match=words):
-        FLAT.corrected(error, cutoff=cutoff, beyond=beyond)
+        form_compensation(FLAT, error, cutoff=cutoff, beyond=beyond)
 
 
 def test_a_map_as_coarse_as_two_cells_is_corrected_too():

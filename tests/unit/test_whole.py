@@ -16,10 +16,9 @@ import resource, signal, sys
 from pathlib import Path
 from types import SimpleNamespace
 import numpy as np
-from turnwright import _commands
 from turnwright import report
-from turnwright.cli import tiling as _tiling
-from turnwright.cli import materials as _materials
+from turnwright.cli import materials
+from turnwright.report import archive
 from turnwright.heightmap import HeightMap
 
 def maps(folder):
@@ -39,7 +38,7 @@ def picture(folder):
     force = np.ones((2, 1))
     fit = SimpleNamespace(components=("cutting",), thickness=np.arange(2.0), measured=force, fitted=force)
     found = SimpleNamespace(name="x", learned=SimpleNamespace(fit=fit, critical=None))
-    _materials._draw(found, folder / "picture.png")
+    materials._draw(found, folder / "picture.png")
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # the system then says that the file is too large
 work, folder = globals()[sys.argv[1]], Path(sys.argv[2])

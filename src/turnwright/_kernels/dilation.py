@@ -3,7 +3,7 @@
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import edge, height, slope, sweep_at
+from turnwright._kernels.edge import edge, height, slope
 from turnwright._kernels.trig import sincos
 
 FULL, OUTSIDE = -1, -2  # what `candidates` answers when it cannot
@@ -87,13 +87,6 @@ def round_step(row, limit, cosine, sine, radius, u, f, fx, fy, fxx, fxy, fyy, z,
         doubtful += 0 if curve < limit else 1
         far += 1 if abs(step) > CLOSE * row[0] or abs(0.5 * first * step) > LITTLE else 0
     return far, doubtful
-
-
-@jit
-def sweeps_at(row, breaks, coefficients, u, sweep):
-    """Fill ``sweep`` with where the edge stands at the distances ``u`` from its tip."""
-    for i in range(u.size):
-        sweep[i] = sweep_at(row, breaks, coefficients, u[i])
 
 
 @jit

@@ -88,6 +88,13 @@ def sweep_at(row, breaks, coefficients, u):
 
 
 @jit
+def sweeps_at(row, breaks, coefficients, u, sweep):
+    """Fill ``sweep`` with where the edge stands at the distances ``u`` from its tip."""
+    for i in range(u.size):
+        sweep[i] = sweep_at(row, breaks, coefficients, u[i])
+
+
+@jit
 def trace(row, breaks, coefficients, sweep, out):
     """Fill ``out`` (4, n) with (u, w, u', w') along the edge."""
     for i in range(sweep.size):

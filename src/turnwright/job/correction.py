@@ -26,8 +26,8 @@ from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion
 from turnwright.job.schema import Job
 from turnwright.job.text import edited
 from turnwright.job.verdict import Verdict, judge_form
-from turnwright.part import correction_of, evenly
-from turnwright.surface import Smooth, sum_tables
+from turnwright.metrology import Smooth, form_compensation, sum_tables
+from turnwright.part import evenly
 from turnwright.tool import WavinessTable
 from turnwright.units import write
 
@@ -566,7 +566,7 @@ def _smooth(job: Job, left: HeightMap) -> Smooth:
     tool = job.tool.tool
     half = np.pi / 2 if tool.included is None else tool.included / 2
     beyond = stated("lead_in") + stated("overrun") + tool.actual_radius * float(np.sin(half))
-    return correction_of(job.part.part, left, cutoff=cutoff_of(job), beyond=beyond)
+    return form_compensation(job.part.part, left, cutoff=cutoff_of(job), beyond=beyond)
 
 
 def _put_tool(table: dict[str, Any], tool: Tool, planned: Tool, out: File) -> None:

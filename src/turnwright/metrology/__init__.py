@@ -16,6 +16,7 @@ from turnwright.metrology.profile import line_profile, without_form
 from turnwright.metrology.profile_parameters import ProfileRoughness, profile_roughness
 from turnwright.metrology.registration import EDGE, DoubtKind, PoseCandidate, Registration, Undetermined, register
 from turnwright.metrology.slope import Slopes, slope_error
+from turnwright.metrology.smoothing import Smooth, form_compensation, sum_tables
 from turnwright.metrology.spectrum import FEWEST, AreaSpectrum, Spectrum, Window, area_psd, line_psd
 from turnwright.metrology.tool_edge import EdgeFit, fit_edge, read_edge_trace
 from turnwright.metrology.turned_edge import TurnedEdge, edge_from_cusps
@@ -45,6 +46,7 @@ __all__ = [
     "Registration",
     "Roughness",
     "Slopes",
+    "Smooth",
     "Spectrum",
     "Stretch",
     "TurnedEdge",
@@ -66,6 +68,7 @@ __all__ = [
     "fit_edge",
     "fit_zernike",
     "fizeau_view",
+    "form_compensation",
     "has_lenslets",
     "keep_disc",
     "lenslets",
@@ -80,6 +83,7 @@ __all__ = [
     "roughness",
     "separate_bands",
     "slope_error",
+    "sum_tables",
     "trim_edge",
     "turning_centre",
     "without_form",

@@ -38,7 +38,7 @@ from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, same_length
 from turnwright._kernels import dilation as kernel
-from turnwright._kernels.edge import edge_points
+from turnwright._kernels.edge import edge_points, sweeps_at
 from turnwright.errors import DomainError, GougeError, InputError
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
@@ -577,7 +577,7 @@ class _Contact:
         best, z = np.zeros(angle.size), np.zeros(angle.size)
         if found.point.size or not narrow.all():
             top, sweep = self._maximum(angle[found.point], radius[found.point], aside[found.point], found)
-            self.kernel.sweeps_at(*self.edge, direct_at, best)
+            sweeps_at(*self.edge, direct_at, best)
             z = direct - self.row[7]
             self.kernel.keep_highest(found.point, top, sweep, z, best, ended)
         if not (np.isfinite(z) | narrow).all():
@@ -764,7 +764,7 @@ class _Contact:
         """Return the greatest f - e in each short smooth interval of the nose, and where it is."""
         begin, end, sweep = np.empty((3, angle.size))
         for target, u in zip((begin, end, sweep), (found.start, found.stop, found.guess), strict=True):
-            self.kernel.sweeps_at(*self.edge, u, target)
+            sweeps_at(*self.edge, u, target)
         best, place = np.full(angle.size, -np.inf), sweep.copy()
         index = np.arange(angle.size)
         state = np.stack([begin, end, begin, end, sweep])  # interval, bracket, where to look next

@@ -12,7 +12,6 @@ from turnwright.surface.off_axis import OffAxis
 from turnwright.surface.polynomial import RadialPolynomial, XYPolynomial
 from turnwright.surface.scattered import Scattered
 from turnwright.surface.sine_grid import SineGrid
-from turnwright.surface.smoothing import Smooth, smooth_table, sum_tables
 from turnwright.surface.toroid import Biconic, Toroid
 from turnwright.surface.zernike import FIRST, Indexing, Zernike, zernike_order
 
@@ -32,7 +31,6 @@ __all__ = [
     "RadialPolynomial",
     "Scattered",
     "SineGrid",
-    "Smooth",
     "Sphere",
     "Sum",
     "Surface",
@@ -40,7 +38,5 @@ __all__ = [
     "XYPolynomial",
     "Zernike",
     "disc_sum",
-    "smooth_table",
-    "sum_tables",
     "zernike_order",
 ]

@@ -23,12 +23,23 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright.surface.gridded import Gridded
+from turnwright._validate import positive
+from turnwright.errors import InputError
+from turnwright.surface import Gridded
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["Smooth", "smooth_table", "sum_tables"]
+    from turnwright.heightmap import HeightMap
+    from turnwright.part import Part
+
+__all__ = ["Smooth", "form_compensation", "smooth_table", "sum_tables"]
+
+FEWEST_HEIGHTS = 100
+"""Heights below which an error is not told from its noise."""
+
+MOST_CUTOFFS = 200
+"""Cutoffs on the diameter at most: a finer correction follows cusps and noise of any instrument."""
 
 PER_CUTOFF = 5
 """Steps of the grid in the wavelength of the cutoff."""
@@ -55,6 +66,58 @@ class Smooth(NamedTuple):
 
     table: Gridded
     cutoff: float | None  # chosen [mm]; None if the points show nothing but noise, and the table is zero
+
+
+def form_compensation(part: Part, error: HeightMap, *, cutoff: float, beyond: float) -> Smooth:
+    r"""Return what to add to a surface so that a repeatable error does not come back, and the chosen cutoff.
+
+    What the measured error has in common over wavelengths above the cutoff is taken off the surface. No wavelength is
+    corrected by more than it was measured, so noise is never amplified: half of the heights is predicted from the other
+    half, the cutoff that does so best is taken, among this one and longer ones, and where none predicts more than noise
+    the surface stays as it is. Missing places and the rim are bridged by a bending plate.
+
+    Parameters
+    ----------
+    part
+        What was measured; its surface is the one to add to.
+    error
+        Cut minus design in the frame of the part, without what other corrections take care of; grid or scattered.
+    cutoff
+        Shortest wavelength to correct, of which half is corrected. Well above the feed, or cusps are taken for form.
+        [mm]
+    beyond
+        How far outside the clear radius the tool's edge comes: lead-in and the width of the nose. [mm]
+
+    Raises
+    ------
+    InputError
+        If the map holds fewer than 100 heights within the clear radius, or the cutoff does not fit the part.
+
+    >>> from turnwright.heightmap import HeightMap
+    >>> from turnwright.part import Part
+    >>> from turnwright.surface import Plane
+    >>> x = np.linspace(-5, 5, 201)
+    >>> bowl = HeightMap(x=x, y=x, z=1e-5 * (x**2 + x[:, None] ** 2))
+    >>> part = Part(surface=Plane(slope=(0.0, 0.0)), radius=5.0)
+    >>> smooth = form_compensation(part, bowl, cutoff=0.5, beyond=1.0)
+    >>> bool(abs(smooth.table.sag(2.0, 0.0) + 4e-5) < 1e-8)
+    True
+    """
+    error.require_calibrated()
+    if not 2 * part.radius / MOST_CUTOFFS <= cutoff <= part.radius:
+        raise InputError(
+            f"cutoff is {cutoff:g} mm, the limits on this part are {2 * part.radius / MOST_CUTOFFS:g} to "
+            f"{part.radius:g} mm: give a wavelength well above the feed"
+        )
+    x, y = error.points()
+    used = ~np.isnan(error.z) & (np.hypot(x, y) <= part.radius)
+    if np.count_nonzero(used) < FEWEST_HEIGHTS:
+        raise InputError(
+            f"the measured error has {np.count_nonzero(used)} heights within the clear radius {part.radius:g} mm, "
+            f"a correction needs {FEWEST_HEIGHTS}: register the map to the part first, or measure more of it"
+        )
+    reach = part.radius + positive(beyond, "beyond", "mm") + cutoff
+    return smooth_table(x[used], y[used], -error.z[used], cutoff=cutoff, reach=reach)
 
 
 class _Points(NamedTuple):
