@@ -62,7 +62,7 @@ types: setup
 	$(BIN)/mypy
 
 layers: setup
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports --no-cache
 
 docs: setup ## build the documentation; every page is run
 	$(BIN)/sphinx-build -q -W --keep-going -j auto -b html docs docs/_build/html
