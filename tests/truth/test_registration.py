@@ -11,11 +11,13 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from turnwright import (
+    Biconic,
     Conic,
     HeightMap,
     InputError,
     Job,
     LensArray,
+    OffAxis,
     Part,
     Pose,
     Sphere,
@@ -212,7 +214,7 @@ def test_a_departure_taken_for_heights_is_a_poor_fit_of_all_points():
     part, heights, error = poor_map(1)
     sag = part.surface.sag(*np.meshgrid(heights.x, heights.y))
     found = register(replace(heights, z=heights.z - sag), part)
-    assert found.count == error.size
+    assert found.count > 0.995 * error.size  # the rest are at the rim
     assert found.rms_nm == pytest.approx(np.nanstd(sag + 0 * heights.z) * 1e6, rel=0.01)
 
 
@@ -468,3 +470,76 @@ def test_a_height_that_is_none_does_not_weigh():
     assert other.held == one.held
     assert other.pose.shift == pytest.approx(one.pose.shift, abs=1e-4)
     assert other.pose.rotation == pytest.approx(one.pose.rotation, abs=1e-4)
+
+
+def with_form(surface, radius, form, seed, *, move, turn, across):
+    """Return a map of a whole part with a form error, rms ``form`` in mm, moved and turned, and its points (3, n)."""
+    rng = np.random.default_rng(seed)
+    terms = {int(j): float(rng.normal()) for j in rng.choice(np.arange(5, 20), 4, replace=False)}
+    shape = Zernike(terms=terms, radius=1.02 * radius, indexing="fringe")
+    axis = np.linspace(-radius, radius, 81)
+    x, y = np.meshgrid(axis, axis)
+    on = np.hypot(x, y) < radius
+    scale = form / shape.sag(x[on], y[on]).std()
+    way = rng.uniform(0, 2 * np.pi)
+    pose = Pose(shift=(move * np.cos(way), move * np.sin(way), 0.01), rotation=turn, tilt=(1e-3, -2e-3))
+    axis = np.linspace(-across * radius, across * radius, 91)
+    x, y = np.meshgrid(axis, axis)
+    z = np.zeros(x.shape)
+    for _ in range(20):
+        u, v, w = pose.apply(x, y, z)
+        on = np.hypot(u, v) < 0.985 * radius
+        z[on] -= w[on] - surface.sag(u[on], v[on]) - scale * shape.sag(u[on], v[on])
+    z = np.where(on, z + rng.normal(0, 8e-6, z.shape), np.nan)
+    return HeightMap(x=axis, y=axis, z=z), np.stack([x[on], y[on], z[on]]), pose
+
+
+NEARLY_ROUND = Biconic(radius_x=60.0, radius_y=90.0, conic_x=-1.0, conic_y=-0.5)
+
+
+@pytest.mark.parametrize(
+    ("surface", "form", "seed", "move", "turn"),
+    [
+        (Toroid(radius_x=400.0, radius_y=200.0), 200e-6, 1, 1.2, 0.035),
+        (Toroid(radius_x=400.0, radius_y=200.0), 200e-6, 6, 1.2, 0.035),
+        (NEARLY_ROUND, 10e-6, 3, 0.4, 0.05),
+        (NEARLY_ROUND, 50e-6, 6, 0.5, 0.05),
+        (NEARLY_ROUND, 200e-6, 13, 1.5, 0.05),
+    ],
+    ids=["torus 1", "torus 6", "biconic 10 nm", "biconic 50 nm", "biconic 200 nm"],
+)
+def test_a_form_error_is_that_of_the_best_fit_within_the_edge(surface, form, seed, move, turn):
+    """Oracle: SciPy's least squares over the six numbers, points beyond the edge at a cost. A shift imitates form."""
+    radius = 4.0
+    heights, points, true = with_form(surface, radius, form, seed, move=move, turn=turn, across=1.4)
+    found = register(heights, Part(surface=surface, radius=radius))
+    assert found.lost < 0.01 * points.shape[1]
+
+    def off(numbers):
+        u, v, w = Pose(shift=tuple(numbers[:3]), rotation=numbers[3] / 10, tilt=tuple(numbers[4:] / 100)).apply(*points)
+        return np.concatenate([(w - surface.sag(u, v)) * 1e6, 1e4 * np.maximum(np.hypot(u, v) - radius, 0)])
+
+    begun = [*true.shift, 10 * true.rotation, *(100 * one for one in true.tilt)]
+    best = least_squares(off, begun, x_scale="jac", max_nfev=200).x
+    rms = np.sqrt(np.mean(off(best)[: points.shape[1]] ** 2))
+    assert found.rms_nm == pytest.approx(rms, rel=0.02)
+
+
+def test_a_turn_about_an_axis_beside_the_part_is_held():
+    """Oracle: an off-axis conic stays what it is when it is turned about the axis of its parent."""
+    surface = OffAxis(parent=Conic(radius=60.0, conic=-1.0), distance=8.0)
+    part = Part(surface=surface, radius=5.0)
+    axis = np.linspace(-4.5, 4.5, 81)
+    x, y = np.meshgrid(axis, axis)
+    on = np.hypot(x, y) < 4.4
+    pose = Pose(shift=(0.2, -0.3, 0.05), rotation=0.1, tilt=(1e-3, -2e-3))
+    z = np.zeros(x.shape)
+    for _ in range(20):
+        u, v, w = pose.apply(x, y, z)
+        z[on] -= w[on] - surface.sag(u[on], v[on])
+    z = np.where(on, z + np.random.default_rng(2).normal(0, 5e-6, z.shape), np.nan)
+    found = register(HeightMap(x=axis, y=axis, z=z), part, form_error=0.0)
+    assert found.rms_nm < 5.5
+    assert found.held
+    assert not found.ambiguous
+    assert max(found.std.values()) < 0.1

@@ -15,7 +15,7 @@ from turnwright._validate import between, check_angle, positive
 from turnwright.errors import InputError
 from turnwright.metrology.grid import EVEN, point_areas, valid_points
 from turnwright.metrology.noise import MapNoise, map_noise
-from turnwright.metrology.pose_search import COVER, axisymmetric, costs, ranked, search
+from turnwright.metrology.pose_search import COVER, axisymmetric, costs, level, ranked, search
 from turnwright.metrology.rigid import (
     FINEST,
     NAMES,
@@ -88,6 +88,10 @@ FEWEST, FARTHEST = 10, 1e4
 """Points that a centre of curvature needs, and how far it may be. [mm]."""
 
 MOST_CANDIDATES = 50
+
+MOST_RETURNED = 3
+"""Fits that have left the part and are begun again within its edge."""
+
 TAILED = 3.0
 """Residual rms over the scatter of most points beyond which a few of them rule."""
 
@@ -188,8 +192,8 @@ class Registration:
         Directions of the pose in which the rim may be off by more than 0.1 mm, by noise or by an error of form that
         passes for a move. They are fitted nevertheless where the noise fixes them.
     held
-        Numbers that were left where ``start`` has them, or where the edge of the part leaves room for the map, because
-        nothing fixes them. Every other number, and its uncertainty, is for these as they are.
+        Numbers that were left where ``start`` has them, where the edge of the part leaves room for the map, or where
+        the search ended, because nothing fixes them. Every other number, and its uncertainty, is for these as they are.
     start
         The pose that the search started from.
     outliers
@@ -326,6 +330,9 @@ class Registration:
         """Say where the held numbers are."""
         at, start = (np.array(pose.apply(*self.pivot)[:2]) for pose in (self.pose, self.start))
         moved = any(name in self.held and abs(at[k] - start[k]) > 1e-9 for k, name in enumerate("xy"))
+        turned = "rotation" in self.held and abs(self.pose.rotation - self.start.rotation) > 1e-9
+        if turned:
+            return "Left where the search ended"
         return "Left where the map lies within the edge of the part" if moved else "Left where the start has it"
 
     @property
@@ -437,19 +444,22 @@ def register(
     alike = not task.problem.terms and axisymmetric(part.surface, task.problem.within)
     sought = [k for k in task.free if k != ROTATION or not alike]
     found = [one for one in search(few, task.start, sought, task.size, reach, clocking) if _enough(one)]
+    found = _on_the_part(few, found, sought, task.size)
     if not found:
         raise InputError(
             f"of the map's {task.which.size} heights fewer than {len(task.free) + 2} come to lie within "
             f"{task.problem.within:g} mm of the part's axis from this start: check units and start, or give a larger "
             "reach"
         )
-    best = fit(some, found[0].state, sought, task.size, close=1e-10, least=COVER)
+    # As many points as lay on the part where the search ended are to stay there.
+    seen = found[0].used / few.points.shape[1]
+    best = fit(some, found[0].state, sought, task.size, close=1e-10, least=COVER, seen=seen)
     if task.noise is None:
         task = task._replace(seen=map_noise(task.problem, some, best.state, heights, task.which))
     kept, fixed, directions = _decide(task, some, best, weak)
     fits = _distinct(task, few, some, found, best, kept, fixed)
-    chosen, candidates = _candidates(task, some, fits, kept)
-    final = fit(task.problem, chosen.state, kept, task.size, least=COVER)
+    chosen, candidates = _candidates(task, some, fits, kept, seen)
+    final = fit(task.problem, chosen.state, kept, task.size, least=COVER, seen=seen)
     return _answer(task, heights, final, some, kept, fixed, directions, candidates)
 
 
@@ -587,6 +597,37 @@ def _enough(one: Fit) -> bool:
     return one.used > one.state.size + 1
 
 
+def _on_the_part(few: Problem, found: list[Fit], free: list[int], size: Floats) -> list[Fit]:
+    """Add fits that begin with the map within the edge of the part where one has left it, and return the best first.
+
+    A form error that the design can imitate by a shift leads a fit off the part; the edge of the map says how far the
+    shift can be.
+    """
+    lateral = [k for k in (0, 1) if k in free]
+    within = []
+    for one in found[:MOST_RETURNED]:
+        if lateral and one.used < few.points.shape[1]:
+            state = one.state.copy()
+            state[:2] = _within_edge(few, state, state[:2], lateral)
+            within.append(fit(few, level(few, state, free, size), free, size, close=1e-9, least=COVER))
+    return ranked(few, [*found, *filter(_enough, within)])
+
+
+def _within_edge(problem: Problem, state: Floats, at: Floats, lateral: Sequence[int]) -> Floats:
+    """Return a lateral place from which more of the map, or all of it, lies within the edge of the part. (2,) [mm]."""
+    arm = turns(state)[0][:2] @ problem.points
+    at = at.copy()
+    for turn in range(CENTRING):
+        away = np.hypot(*(arm + at[:, None]))
+        far = int(np.argmax(away))
+        beyond = away[far] - problem.within / (1 + EDGE)
+        if beyond <= 0:
+            break
+        way = (arm[:, far] + at) / away[far]
+        at[[*lateral]] -= way[[*lateral]] * max(beyond, LEAST_MOVE) / max(1.0, (turn - CENTRING / 2) / 10)
+    return at
+
+
 def _noise(task: _Task) -> float:
     """Return the standard deviation of a height as independent ones would have it. [mm]."""
     if task.noise is not None:
@@ -661,7 +702,9 @@ def _decide(
                     and (after - before) * best.used <= allowed + slack * before * best.used
                 ):
                     return kept, dict(zip(fixed, where.tolist(), strict=True)), directions
-    return task.free, {}, directions
+    # What the surface itself leaves open stays where the search ended: the start contradicts the heights.
+    open_ = wanted[: sum(cause == "surface" for _, _, cause in directions)]
+    return [k for k in task.free if k not in open_], {k: float(best.state[k]) for k in open_}, directions
 
 
 def _places(task: _Task, some: Problem, best: Fit, fixed: tuple[int, ...]) -> list[Floats]:
@@ -673,17 +716,9 @@ def _places(task: _Task, some: Problem, best: Fit, fixed: tuple[int, ...]) -> li
     start = task.start[list(fixed)]
     if not lateral:
         return [start]
-    arm = turns(best.state)[0][:2] @ some.points
     at = best.state[:2].copy()
     at[lateral] = task.start[lateral]
-    for turn in range(CENTRING):
-        away = np.hypot(*(arm + at[:, None]))
-        far = int(np.argmax(away))
-        beyond = away[far] - task.problem.within / (1 + EDGE)
-        if beyond <= 0:
-            break
-        way = (arm[:, far] + at) / away[far]
-        at[lateral] -= way[lateral] * max(beyond, LEAST_MOVE) / max(1.0, (turn - CENTRING / 2) / 10)
+    at = _within_edge(some, best.state, at, lateral)
     moved = start.copy()
     moved[[fixed.index(k) for k in lateral]] = at[lateral]
     return [start] if np.array_equal(moved, start) else [start, moved]
@@ -739,12 +774,15 @@ def _apart(task: _Task, one: Floats, other: Floats) -> float:
     return float(np.abs(_gap(one, other)[:6] / task.size[:6]).max())
 
 
-def _candidates(task: _Task, some: Problem, fits: list[Fit], kept: list[int]) -> tuple[Fit, list[tuple[Fit, float]]]:
+def _candidates(
+    task: _Task, some: Problem, fits: list[Fit], kept: list[int], seen: float
+) -> tuple[Fit, list[tuple[Fit, float]]]:
     """Return the fit to believe, and the others that fit nearly as well with their ratios of mean squares."""
     if len(fits) == 1:
         return fits[0], []
     fine: list[Fit] = []
-    for one in ranked(some, [fit(some, one.state, kept, task.size, steps=25, close=1e-9, least=COVER) for one in fits]):
+    close = [fit(some, one.state, kept, task.size, steps=25, close=1e-9, least=COVER, seen=seen) for one in fits]
+    for one in ranked(some, close):
         if not any(_one_valley(some, one, other) for other in fine):
             fine.append(one)
     fine = [one for one in fine if one.used >= COVER * fine[0].used]

@@ -43,8 +43,11 @@ EXACT = 1e-13
 """Change of the heights, rms, below which a step is rounding. [mm]."""
 
 MAX_STEPS = 60
-WHOLE = 0.98
+WHOLE = 0.999
 """Points on the part, as a share of the most that lay there, from which those exchanged at the rim go for nothing."""
+
+OUTLIER_PRICE = 25.0
+"""Mean squares that a point costs which leaves the part: five standard deviations, as where poses are compared."""
 
 NO_EFFECT = 1e-11
 """Heights that a number changes, over those of the one that changes most, below which that is rounding."""
@@ -278,34 +281,37 @@ def fit(
     steps: int = MAX_STEPS,
     close: float = 1e-14,
     least: float = LEAST_SHARE,
+    seen: float = 0.0,
 ) -> Fit:
     """Minimise the loss over the free numbers of the state by Levenberg-Marquardt.
 
     ``size`` (6 + terms,) says by how much each number must change to move a point of the map by 1 mm; a step that
     moves none by more than ``close`` mm is the last; one that leaves fewer of the points on the part than the share
-    ``least`` of the most that lay there is not taken. A robust loss is scaled by the scatter anew until that settles.
+    ``least`` of the most that lay there is not taken; ``seen`` is a share of the points that is known to fit there. A
+    robust loss is scaled by the scatter anew until that settles.
     """
     if problem.loss == "linear":
-        return _march(problem, state, free, size, 1.0, steps, close, least)
+        return _march(problem, state, free, size, 1.0, steps, close, least, seen)
     scale, taken = np.inf, 0
     for _ in range(12):
         new = scatter(residuals(problem, state))
         if new > 0.98 * scale:  # it shrinks as outliers lose their pull
             break
         scale = new
-        found = _march(problem, state, free, size, scale, steps, close, least)
+        found = _march(problem, state, free, size, scale, steps, close, least, seen)
         state, taken = found.state, taken + found.steps
     return found._replace(steps=taken)
 
 
 def _march(
     problem: Problem, state: Floats, free: Sequence[int], size: Floats, scale: float, steps: int, close: float,
-    least: float,
+    least: float, seen: float,
 ) -> Fit:  # fmt: skip
     """Levenberg-Marquardt with the loss scaled once; undamped as long as that helps."""
     chosen = np.asarray(free, dtype=np.int64)
     here = _sums(problem, state, scale)
-    damping, taken, most, begun = 0.0, 0, here.used, here.cost / max(here.area, 1e-300)
+    damping, taken, begun = 0.0, 0, here.cost / max(here.area, 1e-300)
+    most = max(here.used, seen * problem.points.shape[1])
     while taken < steps and here.used > 0 and chosen.size:
         taken += 1
         unit = size[chosen]
@@ -321,8 +327,9 @@ def _march(
         if there is not None and there.used >= max(least * most, chosen.size + 1):
             slack = chance(problem, trial - state, here.used, there.used)
             better = there.cost / there.area <= here.cost / here.area * (1 + slack)
-            if there.used < WHOLE * most:  # each point that leaves the part costs what one cost at the start
-                better &= there.cost - begun * there.area <= here.cost - begun * here.area
+            if there.used < WHOLE * most:  # no pose gains by losing points: each costs as much as an outlier
+                price = max(begun, OUTLIER_PRICE * here.cost / max(here.area, 1e-300))
+                better &= there.cost - price * there.area <= here.cost - price * here.area
         if better and there is not None:
             state, here, most = trial, there, max(most, there.used)
             damping = 0.0 if damping < 1e-6 else damping / 10
