@@ -80,7 +80,19 @@ from .access import (
     check_access as check_access,
 )
 from .errors import (
+    CorrectionError as CorrectionError,
+)
+from .errors import (
+    GougeError as GougeError,
+)
+from .errors import (
     InputError as InputError,
+)
+from .errors import (
+    JobError as JobError,
+)
+from .errors import (
+    LimitError as LimitError,
 )
 from .errors import (
     TurnwrightError as TurnwrightError,

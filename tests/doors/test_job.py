@@ -173,7 +173,7 @@ def test_a_job_may_run_past_the_axis():
     job = Job.read(changed(("strategy.overrun", "5 um"), ("strategy.inside_out", True)))
     servo = job.servo(job.passes[0])
     assert (servo.overrun, servo.inside_out) == (0.005, True)
-    with pytest.raises(tw.errors.JobError, match=r"overrun"):
+    with pytest.raises(tw.JobError, match=r"overrun"):
         Job.read(changed(("strategy.overrun", "-5 um")))
 
 

@@ -255,11 +255,11 @@ def test_an_error_that_does_not_come_from_the_points_ends_the_search(tmp_path, m
     job = lathe(
         tmp_path, ("machine.interpolation", "hermite"), controller='other_interpolations = { hermite = "pmac" }'
     )
-    with pytest.raises(tw.errors.LimitError, match=r"no points let .* leave 37 nm"):
+    with pytest.raises(tw.LimitError, match=r"no points let .* leave 37 nm"):
         plan(Job.load(job))
     assert asked[-1] < 100 * asked[0]
     monkeypatch.setattr(_plan, "MOST_POINTS", 2 * asked[0])
-    with pytest.raises(tw.errors.LimitError, match=r"points .* would be .*, the limit of a plan is"):
+    with pytest.raises(tw.LimitError, match=r"points .* would be .*, the limit of a plan is"):
         plan(Job.load(job))
 
 

@@ -131,7 +131,7 @@ class Loop:
             found = diagnose(maps)
             try:
                 better = correct(job, found, maps, out=folder / str(turn))
-            except tw.errors.CorrectionError:  # what is left is not certain enough to become better
+            except tw.CorrectionError:  # what is left is not certain enough to become better
                 left.append(left[-1])
                 continue
             job = better.job

@@ -122,7 +122,7 @@ def stated(path, servo, machine, rpm):
     """Return whether a stated speed keeps every limit, by SciPy's cubics, and the speed that is reached."""
     try:
         motion = tw.drive(path, replace(servo, spindle_rpm=rpm), machine)
-    except tw.errors.LimitError:
+    except tw.LimitError:
         return False, None
     return judge(motion, machine)[1] <= 1 + 1e-9, top_rpm(motion)
 

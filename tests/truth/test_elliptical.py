@@ -200,7 +200,7 @@ def test_a_path_without_a_valley_is_that_of_a_steady_tool():
 def test_a_smooth_surface_and_a_y_too_slow_are_refused():
     with pytest.raises(tw.InputError, match="no valley to stand still at"):
         MERGE.spiral(tw.Part(surface=tw.Plane(), radius=0.3), TOOL)
-    with pytest.raises(tw.errors.LimitError, match="turn slower"):
+    with pytest.raises(tw.LimitError, match="turn slower"):
         replace(SLOW, y_acceleration=1.0).spiral(PART, TOOL)
     with pytest.raises(tw.InputError, match="has no y"):
         MERGE.axes(tw.place(MERGE._base().spiral(PART, TOOL), PART, TOOL))

@@ -95,7 +95,7 @@ def test_optics_do_not_bend_the_form():
     ],
 )
 def test_a_wrong_instrument_of_a_job_names_what_is_allowed(stated, words):
-    with pytest.raises(tw.errors.JobError, match="instrument") as caught:
+    with pytest.raises(tw.JobError, match="instrument") as caught:
         job_of({"family": "plane", "slope": [0.0, 0.0]}, instrument=stated)
     assert words in str(caught.value)
     assert len(str(caught.value)) < 400

@@ -93,7 +93,7 @@ def test_a_corner_that_no_slide_can_help_is_refused():
     turned = np.linspace(0, 2 * TURN, 20 * 720 + 1)
     height = 0.01 * np.abs(np.sin(3 * turned))
     fast = tw.Axis(low=-0.035, high=0.035, acceleration=1e3)
-    with pytest.raises(tw.errors.LimitError, match=r"1000 mm/s\^2 \(the path has 6875\)"):
+    with pytest.raises(tw.LimitError, match=r"1000 mm/s\^2 \(the path has 6875\)"):
         _split.smoothest(turned, height, fast, 10.0)
     slow, _ = _split.smoothest(turned, height, fast, None)
     assert np.isfinite(slow).all()

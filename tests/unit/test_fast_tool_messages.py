@@ -47,7 +47,7 @@ def test_a_fast_tool_asks_for_a_steady_x_and_one_tool():
 def test_a_machine_without_a_fast_tool_is_refused():
     fast = tw.FastToolServo(plan=PLAN)
     path = tw.place(fast.spiral(PART, TOOL), PART, TOOL)
-    with pytest.raises(tw.errors.LimitError, match=r"moves axis W, .* has C, X, Z"):
+    with pytest.raises(tw.LimitError, match=r"moves axis W, .* has C, X, Z"):
         tw.drive(path, fast, tw.Machine.load("nanoform"))
 
 

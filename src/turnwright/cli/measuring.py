@@ -267,7 +267,4 @@ def _say_causes(door: Door, found: Diagnosis) -> None:
     for term in found.contributions:
         if term.rms_nm > SAID * found.measured_rms_nm:
             door.say(term.why)
-    door.say(
-        f"off by {found.measured_rms_nm:.4g} nm rms, of it explained {found.explained_rms_nm:.4g} nm, left "
-        f"{found.unexplained_rms_nm:.4g} nm"
-    )
+    door.say(found.summary)

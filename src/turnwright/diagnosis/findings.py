@@ -261,6 +261,16 @@ class Diagnosis(Sequence[Finding]):
         """What no cause explains in the only map, or the first. [mm]."""
         return self.residuals[0]
 
+    @property
+    def summary(self) -> str:
+        """How far the part is off, what is explained of it and what is left, in a sentence."""
+        out = sum(self.rejected)
+        beside = f"; {out} places stand out by more than six standard deviations and are in neither" if out else ""
+        return (
+            f"off by {self.measured_rms_nm:.4g} nm rms: explained {self.explained_rms_nm:.4g} nm, residual "
+            f"{self.unexplained_rms_nm:.4g} nm{beside}"
+        )
+
     def __len__(self) -> int:
         return len(self.findings)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path as File
@@ -21,7 +21,7 @@ from turnwright.files import write_map
 from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
-from turnwright.job.measurement import OF_POSE, Measured, cutoff_of, same_part
+from turnwright.job.measurement import OF_POSE, Measured, cutoff_of, errors_at_candidates, same_part
 from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
 from turnwright.job.schema import Job
 from turnwright.job.text import edited
@@ -67,6 +67,9 @@ EFFECT, AGAIN = 2_000, 0.6
 
 FINE = 24
 """Places across a feed where little is left to see of a difference but cusps."""
+
+OUTLIER_SIGMA = 6.0
+"""Standard deviations from which a residual is an outlier and not form, as in the fit of a diagnosis."""
 
 EXPLAINED = 1.1
 """What is explained may be larger than what was measured by this factor."""
@@ -190,35 +193,42 @@ def correct(
     report("simulate", 0, 2)
     with TemporaryDirectory(prefix="turnwright-") as folder:
         real = _better(job, found, plan._replace(likely=True, sources=True, smooth=None), (), File(folder))
+        better = _better(job, found, plan, (), File(folder))
+        new = motion_of(better)
+        before = predicted = None
         if any(own):
-            _check_simulated(job, _better(job, found, plan, (), File(folder)), plan)
-    report("simulate", 1, 2)
+            _check_simulated(job, better, plan)
+            report("simulate", 1, 2)
+            old, error, field = motion_of(job), every[plan.map].error, found.fields[plan.map]
+
+            def change(x: Floats, y: Floats) -> Floats:
+                """Return what the real tool leaves by the corrected job, less what it left by the old one."""
+                return cut_by(new, real, x, y) - cut_by(old, real, x, y)
+
+            step = -(-error.z.size // SHOWN)
+            x, y = (one[::step] for one in error.points())
+            before = HeightMap(x=x, y=y, z=error.z[::step], name="measured error")
+            predicted = replace(before, z=_beyond_pose(job, x, y, before.z + change(x, y)), name="predicted error")
+            x, y = field.points()
+            # The field holds what the job adds to its design already.
+            planned = cut_by(old, job, x, y) - job.part.aimed.surface.sag(x, y)
+            off = planned + field.z + change(x, y)
+            _check_claim(job, plan, off=(x, y, off), planned=planned)
+            _check_candidates(every[plan.map], job, change)
+        else:
+            x, y = evenly(job.part.part, SHOWN)
+            off = cut_by(new, real, x, y) - job.part.part.surface.sag(x, y)
+    simulated = HeightMap(x=x, y=y, z=_beyond_pose(job, x, y, off), name="simulated error")
     out.mkdir(parents=True, exist_ok=True)
     better = _better(job, found, plan, [(one, _entry(one, names, plan)) for one in every], out)
     file = out / "job.toml"
     write_whole(file, edited(text, job, better, folder=beside, into=out))
     cutoff = None if plan.smooth is None else plan.smooth.cutoff
-    before = predicted = None
-    new = motion_of(better)
-    if not any(own):
-        x, y = evenly(job.part.part, SHOWN)
-        off = cut_by(new, real, x, y) - job.part.part.surface.sag(x, y)
-    else:
-        error, field, old = every[0].error, found.fields[0], motion_of(job)
-        step = -(-error.z.size // SHOWN)
-        x, y = (one[::step] for one in error.points())
-        before = HeightMap(x=x, y=y, z=error.z[::step], name="measured error")
-        # What the real tool leaves by the corrected job, less what it left by the old one.
-        change = cut_by(new, real, x, y) - cut_by(old, real, x, y)
-        predicted = replace(before, z=_beyond_pose(job, x, y, before.z + change), name="predicted error")
-        x, y = field.points()
-        planned = cut_by(old, job, x, y) - job.part.part.surface.sag(x, y)
-        off = planned + field.z + cut_by(new, real, x, y) - cut_by(old, real, x, y)
-    simulated = HeightMap(x=x, y=y, z=_beyond_pose(job, x, y, off), name="simulated error")
     report("simulate", 2, 2)
+    parts = [one for one, part in zip(every, own, strict=True) if part]
     return Correction(
         job=better, file=file, cutoff=cutoff, measured=before, predicted=predicted, simulated=simulated,
-        proof=plan.proof, sources=names, sentences=_sentences(found, plan, names),
+        proof=plan.proof, sources=names, sentences=_sentences(found, plan, names, parts),
     )  # fmt: skip
 
 
@@ -341,7 +351,9 @@ def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
         return
     first = list(own).index(True)
     draws = found.draws(first)
-    residuals = [left for left, part in zip(found.residuals, own, strict=True) if part]
+    residuals = [
+        _without_outliers(left, cutoff_of(job)) for left, part in zip(found.residuals, own, strict=True) if part
+    ]
     beyond = _beyond(job, residuals, draws)
     # What no term of the diagnosis has is smoothed out of its noise.
     rest = _smooth(job, _joined(job, residuals)) if job.measurement.repeats else None
@@ -356,6 +368,25 @@ def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
             added = smooth.table.evaluate(x, y, 0)[0] - _added(job, x, y)
         proof = prove(draws, added, sources=sources, beyond=beyond, worth_nm=worth_nm)
         yield _Plan(likely=False, sources=sources, smooth=smooth, map=first, draws=draws, proof=proof)
+
+
+def _without_outliers(left: HeightMap, cutoff: float) -> HeightMap:
+    """Return residuals without places that stand out of the rest, such as dust, and their surroundings. Scattered.
+
+    What stands out so much is no form of the part that comes back; taken for one, it would be cut into the next part.
+    """
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - scipy is costly to import
+
+    x, y = (one.ravel() for one in left.points())
+    z = left.z.ravel()
+    known = np.isfinite(z)
+    x, y, z = x[known], y[known], z[known]
+    off = np.abs(z - np.median(z))
+    out = off > OUTLIER_SIGMA * 1.4826 * np.median(off)
+    if out.any():
+        near = cKDTree(np.stack([x[out], y[out]], axis=1)).query(np.stack([x, y], axis=1))[0] <= cutoff / 2
+        x, y, z = x[~near], y[~near], z[~near]
+    return HeightMap(x=x, y=y, z=z, name=left.name)
 
 
 def _together(parts: Sequence[Smooth], before: Gridded | None) -> Smooth | None:
@@ -456,6 +487,41 @@ def _check_simulated(job: Job, better: Job, plan: _Plan) -> None:
         )
 
 
+def _check_claim(job: Job, plan: _Plan, *, off: tuple[Floats, Floats, Floats], planned: Floats) -> None:
+    """Raise if the corrected part, by simulation, is farther off than the draws and its cusps say."""
+    x, y, z = off
+    simulated, cusps = (
+        float(np.sqrt(np.nanmean(_beyond_pose(job, x, y, one) ** 2))) * NM for one in (z, planned)
+    )  # fmt: skip
+    claimed = math.hypot(plan.proof.after_nm, cusps)
+    if simulated > claimed + max(SIMULATED * claimed, SIMULATED_NM):
+        raise CorrectionError(
+            f"nothing is corrected: the draws leave {claimed:.3g} nm rms with the cusps, the simulation of the "
+            f"corrected job {simulated:.3g} nm, {SIMULATED:.0%} and {SIMULATED_NM:g} nm more are the limit: clean the "
+            "map of what is not the part, or measure a second part"
+        )
+
+
+def _check_candidates(one: Measured, job: Job, change: Callable[[Floats, Floats], Floats]) -> None:
+    """Raise if the part would become worse by a correction where the map may lie as well."""
+    worth_nm = job.measurement.worth * NM
+    for pose, error in errors_at_candidates(one):
+        x, y = error.points()
+        step = -(-error.z.size // SHOWN)
+        x, y, z = x[::step], y[::step], error.z[::step]
+        before, after = (
+            float(np.sqrt(np.nanmean(_beyond_pose(job, x, y, each) ** 2))) * NM for each in (z, z + change(x, y))
+        )
+        if after > before + worth_nm:
+            shift = ", ".join(f"{value:.4g}" for value in pose.shift)
+            raise CorrectionError(
+                f"nothing is corrected: the map lies on the part with shift ({shift}) mm and rotation "
+                f"{np.rad2deg(pose.rotation):.4g} deg nearly as well, and there {before:.3g} nm rms would become "
+                f"{after:.3g} nm: measure the edge of the part or a mark, and state shift, rotation and a smaller "
+                "reach and clocking in [measurement]"
+            )
+
+
 def _added(job: Job, x: Floats, y: Floats) -> Floats:
     """Return what a job adds to its design at some places, of their shape. [mm]."""
     return np.zeros_like(x) if job.part.added is None else job.part.added.evaluate(x, y, 0)[0]
@@ -495,7 +561,9 @@ NAMED = 60
 """Letters of the name of a map that a job notes."""
 
 
-def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str]) -> tuple[str, ...]:
+def _sentences(
+    found: Diagnosis, plan: _Plan, names: Sequence[str], parts: Sequence[Measured]
+) -> tuple[str, ...]:  # fmt: skip
     """Return what is corrected, how surely, and what is at stake."""
     proof, sentences = plan.proof, []
     form = plan.smooth is not None and plan.smooth.cutoff is not None
@@ -516,6 +584,11 @@ def _sentences(found: Diagnosis, plan: _Plan, names: Sequence[str]) -> tuple[str
         sentences.append(
             f"the map leaves out {plan.draws.unmeasured:.0%} of the part: its form is not corrected there, and what is "
             "predicted and simulated does not count it"
+        )
+    if any("rotation" in one.registration.held for one in parts):
+        sentences.append(
+            "nothing on the part shows its clocking: the correction takes the map as it is turned, within a few "
+            "degrees, and lies wrong on the next part if that is measured or mounted otherwise"
         )
     if found.repeatability_nm is not None:
         sentences.append(f"the maps differ by {found.repeatability_nm:.3g} nm rms; only what they share is corrected")

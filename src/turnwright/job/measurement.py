@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, overload
@@ -209,21 +209,11 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     """
     report = progress or (lambda _stage, _done, _total: None)
     asked, part = job.measurement, job.part.part
-    # What a fiducial fixes is not fitted away beforehand.
-    known = {name for one in asked.fixed for name in OF_POSE[one]}
-    free = tuple(name for name in asked.free if name not in known)
     report("register", 0, 1)
     heights, start = _with_reference(_turned(_masked(heights, job), job), job)
     pieces = part.surface.in_pieces
-    terms: tuple[Surface, ...] = tuple(one.surface for one in asked.terms)
-    form_error = asked.form_error
-    if not terms and has_lenslets(part.surface):
-        # The form of the base is found along with the pose, else it turns and shifts the lenslets.
-        terms, form_error = base_forms(part), 0.0
-    common: dict[str, Any] = {
-        "free": free, "terms": terms, "form_error": form_error,
-        "weak": asked.weak, "noise_nm": None if asked.noise is None else asked.noise * NM,
-    }  # fmt: skip
+    common = _registered_by(job)
+    free = common["free"]
     first = register(
         heights.thinned(FIRST), part, loss=asked.loss or ("huber" if pieces else "tukey"), start=start,
         reach=asked.reach, clocking=asked.clocking if "rotation" in free else 0.0, **common,
@@ -282,6 +272,34 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     )  # fmt: skip
     report("judge", 1, 1)
     return measured
+
+
+def _registered_by(job: Job) -> dict[str, Any]:
+    """Return what a job states of the registration of its maps, as `register` takes it."""
+    asked, part = job.measurement, job.part.part
+    # What a fiducial fixes is not fitted away beforehand.
+    known = {name for one in asked.fixed for name in OF_POSE[one]}
+    terms: tuple[Surface, ...] = tuple(one.surface for one in asked.terms)
+    form_error = asked.form_error
+    if not terms and has_lenslets(part.surface):
+        # The form of the base is found along with the pose, else it turns and shifts the lenslets.
+        terms, form_error = base_forms(part), 0.0
+    return {
+        "free": tuple(name for name in asked.free if name not in known), "terms": terms, "form_error": form_error,
+        "weak": asked.weak, "noise_nm": None if asked.noise is None else asked.noise * NM,
+    }  # fmt: skip
+
+
+def errors_at_candidates(measured: Measured) -> Iterator[tuple[Pose, HeightMap]]:
+    """Yield the poses at which a map lies on its part as well or nearly so, and its errors there. Scattered. [mm]."""
+    job = measured.job
+    part = job.part.part
+    loss = job.measurement.loss or ("huber" if part.surface.in_pieces else "linear")
+    for one in measured.registration.candidates:
+        there = register(
+            measured.heights, part, loss=loss, start=one.pose, reach=0.0, clocking=0.0, **_registered_by(job)
+        )  # fmt: skip
+        yield there.pose, _on_part(measured.heights, there)[1]
 
 
 def _without_seen_design(job: Job, heights: HeightMap, pose: Pose) -> tuple[HeightMap, float | None]:

@@ -266,11 +266,7 @@ def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], tell: 
     report.archive_diagnosis(measured, found, out)
     report.write_diagnosis(measured, found, out)
     write_shown(measured[0], found, out)
-    sentence = (
-        f"off by {found.measured_rms_nm:.4g} nm rms, of it explained {found.explained_rms_nm:.4g} nm, left "
-        f"{found.unexplained_rms_nm:.4g} nm"
-    )
-    return Ended(sentence, missed(measured[0].verdicts))
+    return Ended(found.summary, missed(measured[0].verdicts))
 
 
 def _correct(run: Path, server: Path, out: Path, record: dict[str, Any], tell: _Teller) -> Ended:
