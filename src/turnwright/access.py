@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from turnwright.errors import DomainError, InputError
+from turnwright.placing import touch
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
@@ -386,8 +387,6 @@ def _room_beyond(
     part: Part, tool: Tool, side: int, sense: int, radius: Floats, angle: Floats, progress: Progress | None
 ) -> Floats:
     """Return how high the edge stands above the finished surface beyond its cutting part, at the least. (n,) [mm]."""
-    from turnwright.placing import touch  # noqa: PLC0415 - numba is costly to import
-
     tip = touch(part.surface, tool, angle=angle, radius=radius, sense=sense, rim=part.radius, progress=progress).z
     end = tool.arc[1] if side > 0 else tool.arc[0]
     u, v, e = tool.edge(np.array([end, end + side]), sense)

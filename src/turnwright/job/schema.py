@@ -29,6 +29,7 @@ from turnwright import machine as lathe
 from turnwright import tool as diamond
 from turnwright._io import read_toml, write_whole
 from turnwright._validate import key_of
+from turnwright.diagnosis import CAUSES
 from turnwright.errors import InputError, JobError, UnitError, shown
 from turnwright.files import read_map
 from turnwright.instrument import Instrument
@@ -703,8 +704,6 @@ class MeasurementTable(Table):
 
     @model_validator(mode="after")
     def _is_known(self) -> Self:
-        from turnwright.diagnosis import CAUSES  # noqa: PLC0415 - the stage, which data does not need
-
         for key in ("causes", "correct"):
             for cause in getattr(self, key) or ():
                 if cause not in CAUSES:

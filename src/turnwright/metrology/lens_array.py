@@ -48,6 +48,7 @@ from turnwright.metrology.lenslet_fit import (
     take_apart,
     without_form,
 )
+from turnwright.metrology.registration import register
 from turnwright.pose import Pose
 from turnwright.progress import cores, run_chunks
 from turnwright.surface import Zernike
@@ -444,8 +445,6 @@ def _registered(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, floa
 
     The form of the base is found along with it.
     """
-    from turnwright.metrology.registration import register  # noqa: PLC0415 - costly to import
-
     # Displaced lenslets are no reason to turn the rest, so they pull less the farther off they are.
     registration = register(
         _thinned(heights, REGISTERED), part, loss="huber", terms=base_forms(part, degree), form_error=0.0

@@ -14,6 +14,7 @@ from turnwright._kernels.edge import trace as edge_trace
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
+from turnwright.placing import touch
 from turnwright.strategy.base import Strategy
 
 if TYPE_CHECKING:
@@ -395,8 +396,6 @@ class _Steps:
 
     def _placed(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats, Ints]:
         """Return that, and which piece of the surface the edge touches, -1 where it rests between two. Each (n,)."""
-        from turnwright.placing import touch  # noqa: PLC0415 - numba is costly to import
-
         surface, sense = self.part.surface, self.sense
         at = touch(surface, self.tool, angle=angle, radius=radius - self.row[5], sense=sense, rim=self.rim)
         with np.errstate(all="ignore"):

@@ -13,6 +13,7 @@ from turnwright._validate import check_numbers
 from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.machine import Axis
+from turnwright.placing import touch
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.fast import planned, speed_of
 from turnwright.strategy.split import smoothest
@@ -139,8 +140,6 @@ class HybridToolServo(Strategy):
             turned = np.abs(path.angle - path.angle[0])
             z, rate = smoothest(turned, tip, self.fast, omega)  # type: ignore[arg-type]
             return z, path.sense * rate
-        from turnwright.placing import touch  # noqa: PLC0415 - numba is costly to import
-
         rim = float(np.abs(path.radius).max())
         at = touch(self.base, self.tool, angle=path.angle, radius=path.radius, y=path.y, sense=path.sense, rim=rim)
         rest = tip - at.z

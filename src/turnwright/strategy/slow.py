@@ -14,6 +14,7 @@ from turnwright._validate import check_numbers, positive
 from turnwright._validate import whole as whole_number
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
+from turnwright.placing import tip_height
 from turnwright.progress import require_memory
 from turnwright.strategy.base import Strategy, glimpsed
 
@@ -303,8 +304,6 @@ class SlowToolServo(Strategy):
 
     def _by_chord(self, part: Part, tool: Tool, end: float, start: float, progress: Progress | None) -> Floats:
         """Return the angle turned from the inner end with the fewest points for the chord. (n,) [rad]."""
-        from turnwright.placing import tip_height  # noqa: PLC0415
-
         pitch = self.feed / TURN
         widest = self.max_step or WIDEST_STEP
         tolerance = float(self.chord)  # type: ignore[arg-type]

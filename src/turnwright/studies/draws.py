@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from turnwright.diagnosis import Diagnosis
     from turnwright.machine import Machine
     from turnwright.progress import Progress
-    from turnwright.studies import Row, Store
+    from turnwright.studies.cases import Row
+    from turnwright.studies.store import Store
     from turnwright.tool import Tool
 
 __all__ = ["Bench", "Real", "carry_out", "deviated", "form_error", "laid_out", "reach_of", "residual"]

@@ -11,7 +11,7 @@ from turnwright.studies.files import at_hand, moved
 from turnwright.studies.measures import Measure, evaluate, measure_of
 
 if TYPE_CHECKING:
-    from turnwright.studies import Store
+    from turnwright.studies.store import Store
 
 __all__ = ["REFUSED", "SECONDS", "carry_out"]
 

@@ -17,7 +17,7 @@ from turnwright.errors import InputError, StudyError
 
 if TYPE_CHECKING:
     from turnwright.job import Job
-    from turnwright.studies import Store
+    from turnwright.studies.store import Store
 
 __all__ = ["at_hand", "fetched", "files_of", "kept_files", "moved"]
 

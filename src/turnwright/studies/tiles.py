@@ -21,6 +21,9 @@ from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress, cores
+from turnwright.studies.cases import program_version
+from turnwright.studies.executors import WorkerDied, require_reach
+from turnwright.studies.store import Store
 from turnwright.studies.tile_files import (
     ASKED,
     EDGES,
@@ -39,7 +42,6 @@ from turnwright.tool import Tool
 
 if TYPE_CHECKING:
     from turnwright._arrays import Ints
-    from turnwright.studies import Store
     from turnwright.surface import Surface
 
 __all__ = ["generate_tiled", "planned_layout"]
@@ -185,8 +187,6 @@ def generate_tiled(
     -------
     Oracle: `generate` in one piece.
     """
-    from turnwright.studies import require_reach  # noqa: PLC0415 - what needs processes
-
     validate.thing(motion, Motion, "the motion")
     validate.thing(tool, Tool, "the tool")
     if machine is not None:
@@ -264,8 +264,6 @@ class _Count:
 
 def _flow(submit: Callable[[Tile], Future[None]], tiles: Iterable[Tile], ahead: int, done: _Count, place: str) -> None:
     """Have all tiles made, so many ahead, and send again those whose worker died."""
-    from turnwright.studies import WorkerDied  # noqa: PLC0415
-
     waiting = iter(tiles)
     running = {submit(one): one for one in islice(waiting, ahead)}
     tries: dict[tuple[int, int], int] = {}
@@ -321,8 +319,6 @@ class _Task:
     def of(
         cls, place: str, key: str, motion: Motion, tool: Tool, machine: Machine | None, minus: Surface | None
     ) -> _Task:
-        from turnwright.studies import Store  # noqa: PLC0415
-
         arrays = Store.open(f"{place}/{MOTION}")
         columns = {"time": motion.time, **motion.axes}
         names = {letter: arrays.put_array(letter, values) for letter, values in columns.items()}
@@ -367,8 +363,6 @@ def _coarser(files: Files) -> None:
 
 def _key(ready: Prepared, layout: Layout, minus: Surface | None) -> str:
     """Return a digest of all that decides the heights."""
-    from turnwright.studies import program_version  # noqa: PLC0415
-
     digest = hashlib.sha256(program_version().encode())
     _digest(digest, ready.cut)
     _digest(digest, layout)

@@ -18,9 +18,10 @@ from turnwright import _validate as validate
 from turnwright._io import write_whole
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.job import Job
-from turnwright.studies import Case, Store, case_key, conduct, local, require_reach
 from turnwright.studies.budget import MOST_DRAWS, ErrorBudget, Spread, group_of
+from turnwright.studies.cases import Case, case_key, conduct
 from turnwright.studies.draws import carry_out, laid_out
+from turnwright.studies.executors import local, require_reach
 from turnwright.studies.files import files_of
 from turnwright.studies.scenes import answers, lines_of
 from turnwright.studies.sensitivity import (
@@ -33,6 +34,7 @@ from turnwright.studies.sensitivity import (
     sobol_indices,
     unit_points,
 )
+from turnwright.studies.store import Store
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Bools, Floats
     from turnwright.progress import StageProgress
-    from turnwright.studies import Row
+    from turnwright.studies.cases import Row
 
 __all__ = ["Outcome", "Sensitivity", "Tightening", "ToleranceStudy", "tolerance"]
 

@@ -20,12 +20,14 @@ from turnwright._arrays import Bools, Floats, frozen
 from turnwright._io import write_whole
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.job import Job
-from turnwright.studies import Case, Store, case_key, conduct, local
+from turnwright.studies.cases import Case, case_key, conduct
 from turnwright.studies.designs import MOST_CASES, Vary, design_cases, read_varied, stated
 from turnwright.studies.evaluate import REFUSED, SECONDS, carry_out
+from turnwright.studies.executors import local
 from turnwright.studies.fields import changed, data_of
 from turnwright.studies.files import files_of, kept_files
 from turnwright.studies.measures import Measure, Own, measure_of
+from turnwright.studies.store import Store
 
 if TYPE_CHECKING:
     from os import PathLike
