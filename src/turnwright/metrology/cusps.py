@@ -406,12 +406,12 @@ def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests
     half = max(int(AROUND * guess / step), 1)
     crest = np.array([_turning_point(profile.distance, level, int(top), half)[0] for top in tops[valid[tops]]])
     run = _runs(crest, guess, axis, given=feed is not None)
-    found = _scallops(profile.distance[valid], level[valid], (z - level)[valid], crest, run, half)
-    if not found.lines:
+    if np.bincount(run, minlength=1).max() < FEWEST:
         raise InputError(
             f"the profile shows {crest.size} crests and no {FEWEST} that are neighbours: give the feed as a first "
             "guess, or a profile across the lay"
         )
+    found = _scallops(profile.distance[valid], level[valid], (z - level)[valid], crest, run, half)
     if feed is None and _alternating(found.crest, found.run, found.height_at, found.height_nm):
         if 2 * guess * PERIODS > np.ptp(profile.distance):
             raise InputError(
