@@ -113,3 +113,27 @@ def test_a_damaged_file_says_one_sentence(tmp_path, capfd):
     out, error = capfd.readouterr()
     assert out == ""
     assert len(error) < 400
+
+
+SLICE = "X,Y,Slice\n" + "\n".join(f"{k}.0,{k % 10 / 1000},Slice 1" for k in range(100))
+
+
+def test_the_advice_on_a_profile_can_be_followed(tmp_path, capsys):
+    """The column that is named holds numbers and is no distance; what is missing is stated by the option given."""
+    (tmp_path / "a.csv").write_text(SLICE)
+    assert main(["show", str(tmp_path / "a.csv")]) == 2
+    assert "show --profile --height Y," in capsys.readouterr().err
+    assert main(["show", str(tmp_path / "a.csv"), "--profile", "--height", "Y"]) == 2
+    assert "does not state the unit" in capsys.readouterr().err
+    assert "feed: 10 um" in shown(capsys, tmp_path / "a.csv", "--profile", "--height", "Y", "--unit", "um")
+    assert main(["show", str(tmp_path / "a.csv"), "--profile", "--height", "Slice"]) == 2
+    assert "no numbers in the column 'Slice'" in capsys.readouterr().err
+
+
+def test_a_slope_is_offered_as_no_height(tmp_path, capsys):
+    (tmp_path / "a.dat").write_text("x(mm) Slope (urad)\n" + "\n".join(f"{k}.5 {k / 7:.3f}" for k in range(30)))
+    assert main(["show", str(tmp_path / "a.dat")]) == 2
+    assert "--height" not in capsys.readouterr().err
+    (tmp_path / "b.csv").write_text("X [mm],My Trace [nm]\n" + "\n".join(f"{k}.5,{k / 7:.3f}" for k in range(30)))
+    assert main(["show", str(tmp_path / "b.csv")]) == 2
+    assert "--height 'My Trace [nm]'" in capsys.readouterr().err
