@@ -137,3 +137,17 @@ def test_a_slope_is_offered_as_no_height(tmp_path, capsys):
     (tmp_path / "b.csv").write_text("X [mm],My Trace [nm]\n" + "\n".join(f"{k}.5,{k / 7:.3f}" for k in range(30)))
     assert main(["show", str(tmp_path / "b.csv")]) == 2
     assert "--height 'My Trace [nm]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("highest", [1e160, 1e300, 1e10])
+def test_heights_out_of_any_range_are_one_sentence(tmp_path, capsys, highest):
+    picture = np.ones((4, 5))
+    picture[1, 2] = highest
+    (tmp_path / "a.sdf").write_bytes(sdf(picture, kind=7, scales=(2e-6, 3e-6, 1.0)))
+    (tmp_path / "a.csv").write_text("X [mm],Z [m]\n" + "\n".join(f"{k}.5,{highest:g}" for k in range(30)))
+    for arguments in (["a.sdf"], ["a.csv", "--profile"]):
+        assert main(["show", str(tmp_path / arguments[0]), *arguments[1:]]) == 2
+        out, error = capsys.readouterr()
+        assert out == ""
+        assert "the limit is 1e+06 mm" in error
+        assert error.count("\n") == 1

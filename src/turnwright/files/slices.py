@@ -10,6 +10,7 @@ import numpy as np
 from turnwright._arrays import Floats
 from turnwright._validate import whole
 from turnwright.errors import MapError
+from turnwright.files.base import require_heights
 from turnwright.files.lattice import even_places
 from turnwright.files.numbers import text_of
 from turnwright.files.points import read_slice
@@ -71,6 +72,7 @@ def read_profile(
             raise MapError(f"{path} is no text and names its own axes: do not give columns or units")
         return _only_line(path)
     at, z, description = read_slice(path, text, (distance, height), unit, lateral_unit)
+    require_heights(path, z)
     at, z = _one_slice(path, at, z, number)
     at, z = even_places(at, z)
     if at.size < 2:
