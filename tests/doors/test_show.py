@@ -124,7 +124,7 @@ def test_the_advice_on_a_profile_can_be_followed(tmp_path, capsys):
     assert main(["show", str(tmp_path / "a.csv")]) == 2
     assert "show --profile --height Y," in capsys.readouterr().err
     assert main(["show", str(tmp_path / "a.csv"), "--profile", "--height", "Y"]) == 2
-    assert "does not state the unit" in capsys.readouterr().err
+    assert "give it as --unit 'mm'" in capsys.readouterr().err
     assert "feed: 10 um" in shown(capsys, tmp_path / "a.csv", "--profile", "--height", "Y", "--unit", "um")
     assert main(["show", str(tmp_path / "a.csv"), "--profile", "--height", "Slice"]) == 2
     assert "no numbers in the column 'Slice'" in capsys.readouterr().err
@@ -137,6 +137,19 @@ def test_a_slope_is_offered_as_no_height(tmp_path, capsys):
     (tmp_path / "b.csv").write_text("X [mm],My Trace [nm]\n" + "\n".join(f"{k}.5,{k / 7:.3f}" for k in range(30)))
     assert main(["show", str(tmp_path / "b.csv")]) == 2
     assert "--height 'My Trace [nm]'" in capsys.readouterr().err
+
+
+def test_options_stand_for_arguments_in_python(tmp_path, capsys):
+    (tmp_path / "a.csv").write_text(SLICE + "\n" + SLICE.split("\n", 1)[1])
+    for extra, option in (
+        (["--height", "Y", "--unit", "um"], "--number 1"),
+        (["--profile"], "--unit 'mm'"),
+    ):
+        assert main(["show", str(tmp_path / "a.csv"), *extra]) == 2
+        assert option in capsys.readouterr().err
+    (tmp_path / "a.sdf").write_bytes(sdf())
+    assert main(["show", str(tmp_path / "a.sdf"), "--unit", "um"]) == 2
+    assert "do not give --unit 'um'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("highest", [1e160, 1e300, 1e10])
