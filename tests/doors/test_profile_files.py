@@ -41,13 +41,48 @@ def test_columns_are_chosen_by_name_or_number(tmp_path):
         read(tmp_path, text, distance="position", height="Z")
 
 
-def test_a_falling_slice_is_turned_and_rounded_steps_are_even(tmp_path):
+def test_a_falling_slice_keeps_its_places_and_steps_are_even(tmp_path):
     at = np.round(0.8711 * np.arange(400), 3)[::-1]
     rows = "\n".join(f"{x} {x / 1000}" for x in at)
     found = read(tmp_path, "x_um height_nm\n" + rows)
     assert found.step == pytest.approx(0.8711e-3, rel=1e-4)
-    assert found.distance[0] == pytest.approx(-at.max() * 1e-3, rel=1e-9)
-    assert found.z[0] == pytest.approx(at.max() * 1e-9, rel=1e-9)
+    assert found.distance[0] == 0
+    assert found.z[0] == 0
+    np.testing.assert_allclose(found.z, found.distance * 1e-6, rtol=1e-3, atol=1e-12)  # 1 nm per mm, as in the file
+    twice = read(tmp_path, "x_um height_nm\n" + rows + "\n" + rows.replace("\n", "5\n"), number=2)
+    assert twice.distance[0] < 1e-9
+    assert (np.diff(twice.z) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("distance", "height"),
+    [
+        ("X [mm]", "Z [um]"), ("x [mm]", "HEIGHT [um]"), ("Position (mm)", "Y (um)"), ("Distance_mm", "h_um"),
+        ("Y [mm]", "z [um]"), ("X [mm]", "Raw [um]"), ("t [mm]", "Height [um]"), ("x_pos [mm]", "Profile [um]"),
+    ],
+)  # fmt: skip
+def test_names_of_columns_outrank_their_order(tmp_path, distance, height):
+    at, z = 0.05 * np.arange(40), 0.001 * np.arange(40) ** 2
+    expected = 1e-3 * z
+    for first, second, header in ((at, z, f"{distance};{height}"), (z, at, f"{height};{distance}")):
+        rows = "\n".join(f"{one:.4f};{other:.4f}" for one, other in zip(first, second, strict=True))
+        found = read(tmp_path, f"{header}\n{rows}\n")
+        np.testing.assert_allclose(found.distance, at, atol=1e-12)
+        np.testing.assert_allclose(found.z, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("header", "column"),
+    [("slope,x", "slope"), ("x,Slope (urad)", "Slope"), ("X,Position", "Position"), ("Z,height", "Z")],
+)
+def test_columns_that_are_no_heights_are_not_taken_for_them(tmp_path, header, column):
+    with pytest.raises(MapError, match=rf"'{column}.*by its name: name the column"):
+        read(tmp_path, f"{header}\n1.0,0.0\n2.0,0.1\n3.0,0.2\n", unit="um")
+
+
+def test_a_column_of_words_is_no_height(tmp_path):
+    with pytest.raises(MapError, match="no numbers in the column 'Slice' for the height"):
+        read(tmp_path, SLICE, unit="um", height="Slice")
 
 
 def test_one_of_several_slices_is_asked_for(tmp_path):

@@ -113,3 +113,54 @@ def test_a_damaged_file_says_one_sentence(tmp_path, capfd):
     out, error = capfd.readouterr()
     assert out == ""
     assert len(error) < 400
+
+
+SLICE = "X,Y,Slice\n" + "\n".join(f"{k}.0,{k % 10 / 1000},Slice 1" for k in range(100))
+
+
+def test_the_advice_on_a_profile_can_be_followed(tmp_path, capsys):
+    """The column that is named holds numbers and is no distance; what is missing is stated by the option given."""
+    (tmp_path / "a.csv").write_text(SLICE)
+    assert main(["show", str(tmp_path / "a.csv")]) == 2
+    assert "show --profile --height Y," in capsys.readouterr().err
+    assert main(["show", str(tmp_path / "a.csv"), "--profile", "--height", "Y"]) == 2
+    assert "give it as --unit 'mm'" in capsys.readouterr().err
+    assert "feed: 10 um" in shown(capsys, tmp_path / "a.csv", "--profile", "--height", "Y", "--unit", "um")
+    assert main(["show", str(tmp_path / "a.csv"), "--profile", "--height", "Slice"]) == 2
+    assert "no numbers in the column 'Slice'" in capsys.readouterr().err
+
+
+def test_a_slope_is_offered_as_no_height(tmp_path, capsys):
+    (tmp_path / "a.dat").write_text("x(mm) Slope (urad)\n" + "\n".join(f"{k}.5 {k / 7:.3f}" for k in range(30)))
+    assert main(["show", str(tmp_path / "a.dat")]) == 2
+    assert "--height" not in capsys.readouterr().err
+    (tmp_path / "b.csv").write_text("X [mm],My Trace [nm]\n" + "\n".join(f"{k}.5,{k / 7:.3f}" for k in range(30)))
+    assert main(["show", str(tmp_path / "b.csv")]) == 2
+    assert "--height 'My Trace [nm]'" in capsys.readouterr().err
+
+
+def test_options_stand_for_arguments_in_python(tmp_path, capsys):
+    (tmp_path / "a.csv").write_text(SLICE + "\n" + SLICE.split("\n", 1)[1])
+    for extra, option in (
+        (["--height", "Y", "--unit", "um"], "--number 1"),
+        (["--profile"], "--unit 'mm'"),
+    ):
+        assert main(["show", str(tmp_path / "a.csv"), *extra]) == 2
+        assert option in capsys.readouterr().err
+    (tmp_path / "a.sdf").write_bytes(sdf())
+    assert main(["show", str(tmp_path / "a.sdf"), "--unit", "um"]) == 2
+    assert "do not give --unit 'um'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("highest", [1e160, 1e300, 1e10])
+def test_heights_out_of_any_range_are_one_sentence(tmp_path, capsys, highest):
+    picture = np.ones((4, 5))
+    picture[1, 2] = highest
+    (tmp_path / "a.sdf").write_bytes(sdf(picture, kind=7, scales=(2e-6, 3e-6, 1.0)))
+    (tmp_path / "a.csv").write_text("X [mm],Z [m]\n" + "\n".join(f"{k}.5,{highest:g}" for k in range(30)))
+    for arguments in (["a.sdf"], ["a.csv", "--profile"]):
+        assert main(["show", str(tmp_path / arguments[0]), *arguments[1:]]) == 2
+        out, error = capsys.readouterr()
+        assert out == ""
+        assert "the limit is 1e+06 mm" in error
+        assert error.count("\n") == 1

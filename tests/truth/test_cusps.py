@@ -219,3 +219,66 @@ def test_few_cusps_need_a_first_guess():
     with pytest.raises(InputError, match="the feed"):
         find_cusps(profile)
     assert find_cusps(profile, feed=0.011).feed == pytest.approx(0.010, rel=5e-3)
+
+
+def with_dropouts(seed, share, *, feed=0.015, noise=0.012):
+    """29 cusps whose heights are missing at random."""
+    random = np.random.default_rng(seed)
+    at = np.arange(int(29 / 0.028)) * 0.028 * feed
+    off = (at / feed - random.random() + 0.5) % 1 - 0.5
+    height = feed**2 / (8 * NOSE)
+    z = height * (2 * off) ** 2 + noise * height * random.standard_normal(at.size)
+    z[random.random(at.size) < share] = np.nan
+    return as_profile(at, z)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.05, 0.2])
+def test_missing_heights_break_no_run_of_cusps(share):
+    feed, crests = 0.015, []
+    for seed in range(8):
+        found = find_cusps(with_dropouts(seed, share))
+        assert found.feed == pytest.approx(feed, rel=2e-3)
+        assert len(found.stretches) == 1
+        crests.append(found.crest.size)
+    assert min(crests) >= 27
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_an_unmeasured_gap_at_the_axis_parts_the_sides(seed):
+    """The ends of the line show no crests of their own there; what is searched for another feed may hold none."""
+    random = np.random.default_rng(seed)
+    feed = 0.012
+    at = np.arange(-0.5, 0.5, 2e-4) + random.uniform(0, 1e-4)
+    off = (np.abs(at) / feed + 0.5 * (at < 0) + 0.5) % 1 - 0.5
+    z = (off * feed) ** 2 / (2 * NOSE) + 0.5e-6 * random.standard_normal(at.size)
+    z[np.abs(at) < random.uniform(0.01, 0.05)] = np.nan
+    for first in random.integers(0, at.size - 60, 2 * (seed % 2)):
+        z[first : first + random.integers(5, 60)] = np.nan
+    found = find_cusps(as_profile(at, z), axis=0.0)
+    assert found.feed == pytest.approx(feed, rel=1e-3)
+    assert found.scallop_median_nm == pytest.approx(scallop(feed), rel=0.05)
+
+
+def test_profiles_that_show_two_crests_or_fewer_say_so():
+    for cusps in (2, 3):
+        at = np.linspace(0, 0.010 * cusps, 60 * cusps)
+        ramp = as_profile(at, ((at / 0.010) % 1 - 0.5) ** 2 * 1e-3)
+        with pytest.raises(InputError, match=r"crests and no 3 that are neighbours|limits are"):
+            find_cusps(ramp, feed=0.010)
+    ramp = as_profile(STEP * np.arange(400), 1e-3 * np.exp(-STEP * np.arange(400) / 0.02))
+    with pytest.raises(InputError, match=r"[012] crests and no 3"):
+        find_cusps(ramp, feed=0.05)
+
+
+def test_noise_parts_no_constant_feed():
+    """100 profiles of one feed, with white noise of up to a tenth of the scallop: how many are parted by chance."""
+    random = np.random.default_rng(5)
+    parted = 0
+    for _ in range(100):
+        feed, count, pixels = random.uniform(0.004, 0.03), int(random.integers(9, 60)), random.uniform(5, 40)
+        at = np.arange(int(count * pixels)) * feed / pixels
+        off = (at / feed - random.random() + 0.5) % 1 - 0.5
+        height = feed**2 / (8 * NOSE)
+        z = height * (4 * off**2 + random.uniform(0, 0.1) * random.standard_normal(at.size))
+        parted += len(find_cusps(as_profile(at, z)).stretches) > 1
+    assert parted <= 8

@@ -94,21 +94,64 @@ def test_a_texture_of_known_direction_has_it(degrees, dy):
     assert abs(off) < 0.5
 
 
-def test_a_missing_point_is_a_border():
-    x = STEP * np.arange(121)
+def egg_box(n):
     k = 2 * np.pi / 0.020
-    z = 1e-4 * (np.cos(k * x) + np.cos(k * x[:, None]))
+    x = STEP * np.arange(n)
+    return 1e-4 * (np.cos(k * x) + np.cos(k * x[:, None]))
+
+
+def random_hills():
+    return noise((301, 301), 3.0)
+
+
+@pytest.mark.parametrize("surface", [lambda: egg_box(301), random_hills])
+@pytest.mark.parametrize("share", [0.001, 0.005, 0.02, 0.05])
+def test_few_missing_points_change_no_parameter(surface, share):
+    z = surface()
     whole = features(as_map(z), form="none")
-    z[61, 63] = np.nan
+    z[np.random.default_rng(0).random(z.shape) < share] = np.nan
+    found = features(as_map(z), form="none")
+    for name in ("spd", "svd", "spc", "svc", "s10z_nm", "s5p_nm", "s5v_nm"):
+        assert getattr(found, name) == pytest.approx(getattr(whole, name), rel=0.03), name
+    assert any("filled" in one for one in found.notes)
+
+
+@pytest.mark.parametrize("side", [7, 12])
+def test_a_large_hole_takes_its_hills_with_their_area(side):
+    z = egg_box(241)
+    whole = features(as_map(z), form="none")
+    for row, column in ((60, 80), (100, 180), (180, 120)):  # each about a peak
+        z[row - side // 2 : row + side // 2 + 1, column - side // 2 : column + side // 2 + 1] = np.nan
     holed = features(as_map(z), form="none")
-    assert whole.peaks - holed.peaks == 1
-    assert holed.spd == pytest.approx(holed.peaks / ((121**2 - 1) * STEP**2))
+    assert whole.peaks - holed.peaks == 3
+    assert holed.spd == pytest.approx(whole.spd, rel=0.01)
+    assert holed.s10z_nm == pytest.approx(whole.s10z_nm, rel=1e-9)
+    assert any("left out" in one and "peaks" in one for one in holed.notes)
+    assert features(as_map(z), form="none", border=True).peaks >= holed.peaks + 3
+
+
+def test_a_map_of_holes_states_nothing_and_says_so():
+    z = egg_box(121)
+    z[np.random.default_rng(1).random(z.shape) < 0.3] = np.nan
+    found = features(as_map(z), form="none")
+    assert all(np.isnan(value) for value in (found.spd, found.svd, found.s10z_nm, found.spc))
+    assert sum("no significant" in one and "hole" in one for one in found.notes) == 2
+
+
+def test_the_outside_of_a_round_map_is_a_border_and_no_hole():
+    z = egg_box(241)
+    x, y = np.meshgrid(np.arange(241) - 120, np.arange(241) - 120)
+    z[np.hypot(x, y) > 120] = np.nan
+    found = features(as_map(z), form="none")
+    assert found.spd == pytest.approx(found.peaks / (np.count_nonzero(~np.isnan(z)) * STEP**2))
+    assert found.notes == ()
 
 
 def test_grooves_reach_the_border_and_say_so():
     z = np.tile(1e-4 * np.cos(2 * np.pi * np.arange(100) / 20), (40, 1)) + 0.01 * noise((40, 100))
     found = features(as_map(z))
     assert np.isnan(found.s5p_nm)
+    assert np.isnan(found.spd)
     assert "border" in found.notes[0]
     assert features(as_map(z), border=True).peaks in (4, 5, 6)
 

@@ -99,3 +99,22 @@ def test_fewer_sections_are_said_and_too_few_refused():
         profile_roughness(sine(), cutoff=0.08, short=0.1)
     with pytest.raises(InputError, match="uneven"):
         profile_roughness(replace(sine(), distance=np.cumsum(1 + X)), cutoff=0.08)
+
+
+@pytest.mark.parametrize("gap", [1, 6, 20, 200, 800])
+def test_an_element_that_crosses_a_gap_does_not_count(gap):
+    """A sine of 5 um: each whole element is one period, wherever heights are missing, and however many."""
+    z = sine().z.copy()
+    for first in (1000, 2430):
+        z[first : first + gap] = np.nan
+    found = profile_roughness(as_profile(X, z), cutoff=0.08)
+    assert found.rsm == pytest.approx(WAVE, rel=2e-3)
+    assert any("gap" in one for one in found.notes) == (gap >= 8)  # 0.8 um, below which no hill or dale counts
+
+
+def test_gaps_in_all_elements_leave_no_spacing():
+    z = sine().z.copy()
+    z[(np.arange(X.size) % 50) < 10] = np.nan
+    found = profile_roughness(as_profile(X, z), cutoff=0.08)
+    assert np.isnan(found.rsm)
+    assert any("no whole profile element" in one for one in found.notes)

@@ -102,6 +102,53 @@ def test_the_defect_of_the_middle_tells_the_axis():
     assert abs(found.y - CENTRE[1]) < 4 * max(found.std[1], 1e-4)
 
 
+def defect_map(random, kind, *, noise=3e-6):
+    """A defect of 0.03 to 0.3 um over 3 to 12 pixels of 10 um, its middle, and 0.1 um of low form where asked for."""
+    pixel, middle = 0.01, random.uniform(-0.05, 0.05, 2)
+    axis = pixel * (np.arange(161) - 80)
+    x, y = np.meshgrid(axis, axis)
+    away = np.hypot(x - middle[0], y - middle[1])
+    width, size = random.uniform(4, 12) * pixel, random.uniform(60e-6, 300e-6) * random.choice([-1, 1])
+    if kind == "rings":
+        z = size * np.cos(4 * away / width) * np.exp(-away / width)
+    else:
+        z = size * np.maximum(1 - away / width, 0)
+    if kind == "cone on form":
+        z = z + 100e-6 * (x * x - y * y) + 60e-6 * (3 * x**3 - 2 * x) + 30e-6 * np.cos(6 * x)
+    return tw.HeightMap(x=axis, y=axis, z=z + random.normal(0, noise, z.shape)), middle
+
+
+@pytest.mark.parametrize("kind", ["cone", "rings", "cone on form"])
+def test_the_stated_uncertainty_of_a_defect_holds_its_middle(kind):
+    random, off = np.random.default_rng(3), []
+    for _ in range(14):
+        error, middle = defect_map(random, kind)
+        found = turning_centre(error)
+        if found is not None:
+            off.append((np.array([found.x, found.y]) - middle) / found.std)
+    assert len(off) >= 7
+    assert np.sqrt(np.mean(np.square(off))) < 1.4
+    assert np.abs(off).max() < 4
+
+
+@pytest.mark.parametrize("kind", ["round", "oval", "flat-topped", "pit", "two", "cone among grains"])
+def test_a_grain_of_dust_is_not_taken_for_the_axis(kind):
+    random = np.random.default_rng(4)
+    for _ in range(5):
+        pixel, (p, q) = 0.01, random.uniform(-0.05, 0.05, 2)
+        axis = pixel * (np.arange(161) - 80)
+        x, y = np.meshgrid(axis, axis)
+        width, size = random.uniform(2, 5) * pixel, random.uniform(50e-6, 300e-6)
+        square = ((x - p) ** 2 + ((y - q) * (1.4 if kind == "oval" else 1.0)) ** 2) / width**2
+        z = size * np.exp(-(square**2 if kind == "flat-topped" else square)) * (-1 if kind == "pit" else 1)
+        if kind == "two":
+            z += 100e-6 * np.exp(-((x - p - 5 * pixel) ** 2 + (y - q + 3 * pixel) ** 2) / (2 * pixel) ** 2)
+        if kind == "cone among grains":
+            z = 200e-6 * np.maximum(1 - np.hypot(x - p, y - q) / (6 * pixel), 0)
+            z += 250e-6 * np.exp(-((x - 0.5) ** 2 + (y + 0.4) ** 2) / (3 * pixel) ** 2)
+        assert turning_centre(tw.HeightMap(x=axis, y=axis, z=z + random.normal(0, 3e-6, z.shape))) is None
+
+
 def test_a_map_that_is_no_grid_is_refused():
     x = np.linspace(0, 1, 50)
     with pytest.raises(tw.InputError, match="needs a grid"):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from turnwright._signals import Stop
 
@@ -118,6 +118,17 @@ def _defect() -> str:
     return f"this is a defect of Turnwright, not of the job ({reason}), {kept}: please report it"
 
 
+def _with_options(text: str, command: Any, arguments: Sequence[str]) -> str:
+    """Return a message with the options of a command in place of the arguments in Python that they stand for."""
+    import re  # noqa: PLC0415
+
+    called = next((command.commands[one] for one in arguments if one in command.commands), None)
+    for name in [] if called is None else [one.name for one in called.params]:
+        option = f"--{name.replace('_', '-')}"
+        text = re.sub(rf"\b{name}=('[^']*'|[\w.]+)", lambda found, option=option: f"{option} {found[1]}", text)  # type: ignore[misc]
+    return text
+
+
 def _carry_out(arguments: Sequence[str] | None, door: Door) -> int:
     """Run a command and turn what ends it into a sentence and an exit code."""
     import warnings  # noqa: PLC0415
@@ -138,7 +149,7 @@ def _carry_out(arguments: Sequence[str] | None, door: Door) -> int:
         _say(str(error))
         return NOT_CERTAIN
     except InputError as error:
-        _say(str(error))
+        _say(_with_options(str(error), typer.main.get_command(app), sys.argv[1:] if arguments is None else arguments))
     except MemoryError as error:
         _say(f"the memory is not enough ({error}): take fewer points or a coarser map")
     except OSError as error:

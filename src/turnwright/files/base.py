@@ -27,6 +27,7 @@ __all__ = [
     "grid_map",
     "inflated",
     "require_bytes",
+    "require_heights",
     "require_points",
     "words",
 ]
@@ -36,6 +37,9 @@ LARGEST_FILE = 4 << 30
 
 MOST_POINTS = 200_000_000
 """Points of the largest map: 1.6 GB of heights."""
+
+HIGHEST = 1e6
+"""Size of a height from which it is none of a part: 1 km. [mm]"""
 
 DENSEST = 1032
 """Bytes that one byte of deflate can stand for."""
@@ -75,6 +79,16 @@ def require_points(path: Path, columns: int, rows: int) -> None:
         raise MapError(
             f"{path} says that it has {columns} x {rows} heights, the limit is {MOST_POINTS:,} in all: it is damaged, "
             "or crop it"
+        )
+
+
+def require_heights(path: Path, heights: Floats) -> None:
+    """Raise if heights are out of the range of any part."""
+    highest = float(np.nanmax(np.abs(heights), initial=0.0))
+    if highest > HIGHEST:
+        raise MapError(
+            f"{path} has heights of up to {highest:.3g} mm, the limit is {HIGHEST:g} mm: it is damaged, or its unit is "
+            "wrong"
         )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from shlex import quote
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,6 +59,15 @@ NAMES = {
     "y": re.compile(r"y([ _-]?(pos(ition)?|coord(inate)?|axis|value))?"),
     "z": re.compile(r"z([ _-]?(pos(ition)?|coord(inate)?|axis|value))?|heights?|sag|elevation"),
 }
+ROLES = {
+    "distance": re.compile(rf"{NAMES['x'].pattern}|dist(ance)?|pos(ition)?|lateral|abscissa|scan|along"),
+    "height": re.compile(rf"{NAMES['z'].pattern}|h|profile|deviation|topography"),
+}
+"""What names of columns say in a profile; y is whichever the other column is not."""
+
+NO_LENGTH = re.compile(r"slopes?\b.*|(local )?(gradient|angle|tilt|curvature)s?|dz[ /]?dx")
+"""Names of columns that hold neither distances nor heights."""
+
 UNIT = "|".join(sorted(map(re.escape, SPELLINGS), key=len, reverse=True)) + "|px|pixels?"
 CELL = re.compile(rf"(?i)\s*(.*?)\s*(?:[\[(/_,]\s*({UNIT})\s*[\])]?|\s({UNIT}))?\s*")
 STATED = re.compile(
@@ -89,7 +99,7 @@ def read(path: Path, text: str, unit: str | None, lateral_unit: str | None) -> H
         return _read_crossed(path, text, layout, crossed, _stated(lines[: crossed[0]]), (unit, lateral_unit, rest))
     above = lines[: layout.first]
     names = _names(above, layout)
-    chosen = _columns(path, names, layout.columns)
+    chosen = _columns(path, names, layout.columns, _numeric_columns(lines, layout))
     body = _body(text, layout)
     metadata = {"format": "text", "description": "\n".join(line for line in above if line.strip())[:LONGEST]}
     if chosen is None:
@@ -157,33 +167,56 @@ def _numeric_columns(lines: list[str], layout: _Layout) -> list[int]:
 def _slice_columns(
     path: Path, names: list[str], columns: tuple[str | None, str | None], numeric: list[int]
 ) -> tuple[int, int]:
-    """Return where distance and height stand."""
-    listed = ", ".join(repr(name) for name in names)
-    places = []
-    for what, wanted in zip(("distance", "height"), columns, strict=True):
-        if wanted is None:
-            continue
-        spelled = {wanted.strip().lower()}
-        matches = [at for at, name in enumerate(names) if {name.lower(), _split_cell(name)[0]} & spelled]
-        if not matches and wanted.isdigit() and 1 <= int(wanted) <= len(names):
-            matches = [int(wanted) - 1]
-        if len(matches) != 1:
+    """Return where distance and height stand: as they are asked for, else as their names say, else in this order."""
+    listed = ", ".join(repr(name) for name in names)[:200]
+    counted = ", ".join(repr(names[at]) for at in numeric)[:200]
+    places: dict[str, int] = {}
+    for what, wanted in zip(ROLES, columns, strict=True):
+        if wanted is not None:
+            places[what] = _column_of(path, names, listed, numeric, what, wanted)
+    rest = [at for at in numeric if at not in places.values()]
+    free = [what for what in ROLES if what not in places]
+    if len(rest) != len(free) and free:
+        raise MapError(
+            f"{path} has {len(numeric)} columns of numbers, {counted}, distance and height are 2: name both, as in "
+            "distance='X', height='Z'"
+        )
+    if len(free) == 2 and not all(_says(names[at], what) for at, what in zip(rest, free, strict=True)):
+        rest.reverse()
+    for at, what in zip(rest, free, strict=False):
+        if not _says(names[at], what):
             raise MapError(
-                f"{path} has {len(matches)} columns {wanted!r} for the {what}, its columns are {listed[:200]}: name "
-                "one of them"
+                f"{path} has the columns {listed}, and {names[at]!r} is no {what} by its name: name the column of the "
+                f"{what}, as in {what}='{'X' if what == 'distance' else 'Z'}'"
             )
-        places.append(matches[0])
-    if len(places) < 2:
-        rest = [at for at in numeric if at not in places]
-        if len(rest) != 2 - len(places):
-            raise MapError(
-                f"{path} has {len(numeric)} columns of numbers, {listed[:200]}, distance and height are 2: name both "
-                "(distance, height)"
-            )
-        places = [*places, *rest] if columns[0] is not None else [*rest, *places]
-    if places[0] == places[1]:
-        raise MapError(f"{path} has one column for distance and height, {names[places[0]]!r}: name two")
-    return places[0], places[1]
+        places[what] = at
+    if places["distance"] == places["height"]:
+        raise MapError(f"{path} has one column for distance and height, {names[places['height']]!r}: name two")
+    return places["distance"], places["height"]
+
+
+def _column_of(path: Path, names: list[str], listed: str, numeric: list[int], what: str, wanted: str) -> int:
+    """Return the column that is asked for by its name or number."""
+    spelled = wanted.strip().lower()
+    matches = [at for at, name in enumerate(names) if spelled in (name.lower(), _split_cell(name)[0])]
+    if not matches and wanted.isdigit() and 1 <= int(wanted) <= len(names):
+        matches = [int(wanted) - 1]
+    if len(matches) != 1:
+        raise MapError(
+            f"{path} has {len(matches)} columns {wanted!r} for the {what}, its columns are {listed}: name one of them"
+        )
+    if matches[0] not in numeric:
+        raise MapError(
+            f"{path} has no numbers in the column {wanted!r} for the {what}, its columns are {listed}: name another"
+        )
+    return matches[0]
+
+
+def _says(name: str, what: str) -> bool:
+    """Return whether the name of a column allows that it holds distances, or heights."""
+    plain = _split_cell(name)[0]
+    other = ROLES["height" if what == "distance" else "distance"]
+    return not (NO_LENGTH.fullmatch(plain) or other.fullmatch(plain))
 
 
 def _body(text: str, layout: _Layout) -> str:
@@ -424,7 +457,7 @@ def _axis(cell: str) -> str | None:
     return next((axis for axis, spelled in NAMES.items() if spelled.fullmatch(name)), None)
 
 
-def _columns(path: Path, names: list[str] | None, width: int) -> dict[str, int] | None:
+def _columns(path: Path, names: list[str] | None, width: int, numeric: list[int]) -> dict[str, int] | None:
     """Return where x, y and z stand; nothing for a bare table of heights."""
     axes = [_axis(cell) for cell in names or []]
     places = {axis: axes.index(axis) for axis in "xyz" if axis in axes}
@@ -435,8 +468,8 @@ def _columns(path: Path, names: list[str] | None, width: int) -> dict[str, int] 
         return places
     if names is not None and places:
         raise MapError(
-            f"{path} names its columns {', '.join(names)}, x, y and z (or x and z alone) are needed: "
-            f"name them so, or read a profile (show --profile --height {names[-1]}, read_profile in Python)"
+            f"{path} names its columns {', '.join(names)}, x, y and z (or x and z alone) are needed: name them so"
+            + _as_profile(names, numeric)
         )
     if width == 3:
         return {"x": 0, "y": 1, "z": 2}
@@ -446,6 +479,15 @@ def _columns(path: Path, names: list[str] | None, width: int) -> dict[str, int] 
         f"{path} has {width} columns without names, x, y and z are 3, and a table of heights has more than {BARE}: "
         "name the columns in the line above them"
     )
+
+
+def _as_profile(names: list[str], numeric: list[int]) -> str:
+    """Return the advice to read columns as a profile, if one is a distance and another can be a height."""
+    distance = [at for at in numeric if ROLES["distance"].fullmatch(_split_cell(names[at])[0])]
+    height = [at for at in numeric if at not in distance and _says(names[at], "height")]
+    if not distance or not height:
+        return ""
+    return f", or read a profile (show --profile --height {quote(names[height[-1]])}, read_profile in Python)"
 
 
 def _column_units(above: list[str], layout: _Layout) -> dict[str, str]:

@@ -23,7 +23,7 @@ from turnwright.files import (
     x3p,
     zygo_text,
 )
-from turnwright.files.base import DAMAGE, LARGEST_FILE
+from turnwright.files.base import DAMAGE, LARGEST_FILE, require_heights
 from turnwright.files.numbers import text_of
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ def read_map(
         raise MapError(
             f"{path} cannot be read as {kind} ({said}): it is damaged, so export or copy it again"
         ) from error
+    require_heights(path, found.z)
     if pixel_size is None:
         return found
     if found.calibrated:

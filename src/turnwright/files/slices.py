@@ -10,6 +10,7 @@ import numpy as np
 from turnwright._arrays import Floats
 from turnwright._validate import whole
 from turnwright.errors import MapError
+from turnwright.files.base import require_heights
 from turnwright.files.lattice import even_places
 from turnwright.files.numbers import text_of
 from turnwright.files.points import read_slice
@@ -33,10 +34,12 @@ def read_profile(
 ) -> Profile:
     """Read a measured profile: a slice in a text file, or a file of maps that holds one line, such as ``.sdf``.
 
-    In a text each row has a distance and a height, in two columns of numbers or in those that are named; a column
-    called Y may so be the height. Words beside them, such as the name of the slice, are left out. Where the distances
-    begin again, another slice begins. Distances are put on even steps where they stand there but for their decimals,
-    with nan where a row is left out.
+    In a text each row has a distance and a height, in two columns of numbers or in those that are asked for. The names
+    of two columns say which is which, whatever their order: X, distance or position, and Z or height; one called Y may
+    be either. Only columns whose names say neither are taken in this order. Words beside them, such as the name of the
+    slice, are left out. Where the distances begin again, another slice begins. Rows of falling distances are sorted, so
+    that every height keeps the distance that the file gives it. Distances are put on even steps where they stand there
+    but for their decimals, with nan where a row is left out.
 
     Parameters
     ----------
@@ -69,6 +72,7 @@ def read_profile(
             raise MapError(f"{path} is no text and names its own axes: do not give columns or units")
         return _only_line(path)
     at, z, description = read_slice(path, text, (distance, height), unit, lateral_unit)
+    require_heights(path, z)
     at, z = _one_slice(path, at, z, number)
     at, z = even_places(at, z)
     if at.size < 2:
@@ -81,7 +85,9 @@ def _only_line(path: Path) -> Profile:
     heights = read_map(path)
     heights.require_calibrated()
     if heights.x is None or heights.z.ndim != 2 or 1 not in heights.z.shape:
-        raise MapError(f"{path} holds a map, not a profile: read it (read_map), and take a line of it (line_profile)")
+        raise MapError(
+            f"{path} holds a map, not a profile: show it without --profile, or take a line of it (line_profile)"
+        )
     at = heights.x if heights.z.shape[0] == 1 else heights.y
     assert at is not None  # noqa: S101 - a rectangular grid has x and y
     return Profile(
@@ -92,13 +98,12 @@ def _only_line(path: Path) -> Profile:
 def _one_slice(path: Path, at: Floats, z: Floats, number: int | None) -> tuple[Floats, Floats]:
     """Return the slice that is asked for, its distances ascending."""
     step = np.diff(at)
-    if step.size and (step < 0).mean() > 0.5:
-        at, step = -at, -step
-    begins = np.flatnonzero(step <= 0) + 1
+    falling = bool(step.size and (step < 0).mean() > 0.5)
+    begins = np.flatnonzero((step >= 0) if falling else (step <= 0)) + 1
     count = begins.size + 1
     if number is None and count > 1:
         raise MapError(f"{path} holds {count} slices, the limit is 1: say which (number=1, ...), or export one")
     chosen = whole(1 if number is None else number, "the number of the slice", 1, count) - 1
     ends = [0, *begins.tolist(), at.size]
-    part = slice(ends[chosen], ends[chosen + 1])
-    return at[part], z[part]
+    rows = np.arange(ends[chosen], ends[chosen + 1])[:: -1 if falling else 1]
+    return at[rows], z[rows]

@@ -127,6 +127,10 @@ SHORTEST = 4
 LOCATED = 5e-3
 """Share of the feed to which a crest is located at best: its tip falls between points."""
 
+CORRELATION = 0.25
+"""Of the errors of neighbouring crests, which share a valley: at its ends the error of its tilt has 3 times the
+variance of that of its height, and moves both crests alike where that of its height moves them apart."""
+
 PENALTY = 4.0
 """Times log(n): how much better another stretch must fit, in units of the crests' scatter."""
 
@@ -276,7 +280,7 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
     ----------
     profile
         On even steps, at least four to a cusp, and eight cusps long (three with a first guess of the feed). Missing
-        heights and spikes are bridged for the search.
+        heights and spikes are bridged for the search; a crest in a hole wider than a fifth of the feed does not count.
     feed
         First guess instead of that of the spectrum, where another period is stronger or the cusps are few. [mm]
     axis
@@ -404,14 +408,15 @@ def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests
     least = PROMINENCE * float(np.ptp(np.percentile(flat, (5, 95))))
     tops, _ = signal.find_peaks(flat, distance=max(int(APART * guess / step), 1), prominence=least)
     half = max(int(AROUND * guess / step), 1)
-    crest = np.array([_turning_point(profile.distance, level, int(top), half)[0] for top in tops[valid[tops]]])
+    tops = tops[_bridge(profile.distance, valid)[tops] <= 2 * AROUND * guess]
+    crest = np.array([_turning_point(profile.distance, level, int(top), half)[0] for top in tops])
     run = _runs(crest, guess, axis, given=feed is not None)
-    found = _scallops(profile.distance[valid], level[valid], (z - level)[valid], crest, run, half)
-    if not found.lines:
+    if np.bincount(run, minlength=1).max() < FEWEST:
         raise InputError(
             f"the profile shows {crest.size} crests and no {FEWEST} that are neighbours: give the feed as a first "
             "guess, or a profile across the lay"
         )
+    found = _scallops(profile.distance[valid], level[valid], (z - level)[valid], crest, run, half)
     if feed is None and _alternating(found.crest, found.run, found.height_at, found.height_nm):
         if 2 * guess * PERIODS > np.ptp(profile.distance):
             raise InputError(
@@ -420,6 +425,15 @@ def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests
             )
         return _search(profile, 2 * guess, axis)
     return found
+
+
+def _bridge(at: Floats, valid: Bools) -> Floats:
+    """Return how far the valid points on either side of each missing point are apart, and 0 of a valid one. [mm]."""
+    index = np.arange(at.size)
+    before = np.maximum.accumulate(np.where(valid, index, -1))
+    after = np.minimum.accumulate(np.where(valid, index, at.size)[::-1])[::-1]
+    ends = (before < 0) | (after == at.size)
+    return np.where(ends, np.inf, at[np.minimum(after, at.size - 1)] - at[np.maximum(before, 0)])
 
 
 def _without_form(at: Floats, z: Floats) -> Floats:
@@ -778,9 +792,11 @@ def _crest_scatter(line: Floats, lines: list[Floats]) -> float:
     """Return how far the crests of a run scatter, by those of all runs of its feed. [mm]."""
     feed = float(np.median(np.diff(line)))
     alike = [one for one in lines if abs(float(np.median(np.diff(one))) / feed - 1) < OFF]
-    # The second difference of positions that scatter by s alone scatters by the root of 6 s².
+    # Of a series with variance s² and the correlation c between neighbours, second differences have (6 - 8 c) s², and
+    # means over many (1 + 2 c) s².
     second = np.concatenate([np.diff(one, 2) for one in alike])
-    return max(1.4826 * float(np.median(np.abs(second))) / float(np.sqrt(6)), LOCATED * feed)
+    ratio = (1 + 2 * CORRELATION) / (6 - 8 * CORRELATION)
+    return max(1.4826 * float(np.median(np.abs(second))) * float(np.sqrt(ratio)), LOCATED * feed)
 
 
 def _slope(lines: list[Floats]) -> tuple[float, float, float]:
@@ -804,7 +820,24 @@ def _slope(lines: list[Floats]) -> tuple[float, float, float]:
 
 
 def _stretches(line: Floats, scatter: float) -> list[Stretch]:
-    """Part a run where its feed changes: the cheapest parting, each part with a line and a price of its own."""
+    """Part a run where its feed changes, by more than its crests scatter about the lines of its parts."""
+    parts = _parted(line, scatter)
+    # Crests that share a valley err together, which neighbours do not show: of noise, the parts are then too many.
+    square = sum(_slope([part])[2] for part in parts)
+    freedom = line.size - 2 * len(parts)
+    if len(parts) > 1 and freedom > 0:
+        parts = _parted(line, max(scatter, float(np.sqrt(square / freedom))))
+    found = []
+    for part in parts:
+        feed, feed_std, _ = _slope([part])
+        found.append(
+            Stretch(start=float(part[0]), end=float(part[-1]), feed=feed, feed_std=feed_std, count=int(part.size))
+        )
+    return found
+
+
+def _parted(line: Floats, scatter: float) -> list[Floats]:
+    """Return the cheapest parting of a run, each part with a line and a price of its own."""
     size = line.size
     price = PENALTY * np.log(size)
     number = np.arange(size) - (size - 1) / 2
@@ -825,10 +858,6 @@ def _stretches(line: Floats, scatter: float) -> list[Stretch]:
     found = []
     end = size
     while end > 0:
-        part = line[begin[end] : end]
-        feed, feed_std, _ = _slope([part])
-        found.append(
-            Stretch(start=float(part[0]), end=float(part[-1]), feed=feed, feed_std=feed_std, count=int(part.size))
-        )
+        found.append(line[begin[end] : end])
         end = int(begin[end])
     return found[::-1]

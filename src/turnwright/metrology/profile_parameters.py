@@ -81,7 +81,8 @@ def profile_roughness(
 
     Rz is the mean over the sections of highest minus lowest, not that of the whole. For RSm the profile is parted where
     it crosses its mean line; a hill or dale of less than 10 % of Rz in height, or of 1 % of the section in length,
-    belongs to what is before it. Missing heights weigh nothing.
+    belongs to what is before it. Missing heights weigh nothing. A gap wide enough to hide such a hill or dale, which is
+    1 % of the section, is no part of an element: those that reach it do not count for RSm.
 
     Parameters
     ----------
@@ -148,9 +149,11 @@ def profile_roughness(
     rq = float(np.sqrt(np.mean(valid**2)))
     rp, rv = (float(np.mean([(side * one).max() for one in filled])) for side in (1.0, -1.0))
     rz = rp + rv
-    rsm = _element_spacing(parts, step, HEIGHT * rz, SPACING * cutoff)
+    rsm, crossed = _element_spacing(parts, step, HEIGHT * rz, SPACING * cutoff)
+    if crossed:
+        notes.append(f"{crossed} profile elements reach a gap without heights and do not count for rsm")
     if np.isnan(rsm):
-        notes.append("rsm is nan: the evaluation length holds no whole profile element")
+        notes.append("rsm is nan: the evaluation length holds no whole profile element without a gap")
     return ProfileRoughness(
         ra_nm=float(np.mean(np.abs(valid))) * NM,
         rq_nm=rq * NM,
@@ -168,11 +171,16 @@ def profile_roughness(
     )
 
 
-def _element_spacing(z: Floats, step: float, height: float, length: float) -> float:
-    """Return the mean spacing of profile elements: from where one hill begins to where the next one does. [mm]."""
+def _element_spacing(z: Floats, step: float, height: float, length: float) -> tuple[float, int]:
+    """Return the mean spacing of profile elements, and how many reach a gap and do not count. [mm].
+
+    An element is from where one hill begins to where the next one does.
+    """
     known = np.flatnonzero(~np.isnan(z))
     if known.size < 2:
-        return float("nan")
+        return float("nan"), 0
+    wide = np.flatnonzero((np.diff(known) > 1) & (np.diff(known) * step >= length))
+    gaps = np.column_stack([known[wide], known[wide + 1]])
     z = np.interp(np.arange(z.size), known, z[known])
     above = z > 0
     turns = np.flatnonzero(above[1:] != above[:-1])
@@ -191,6 +199,7 @@ def _element_spacing(z: Floats, step: float, height: float, length: float) -> fl
         if sign > 0 and last < 0:  # a hill after a dale: an element begins
             begins.append(float(borders[k]))
         last = sign
-    if len(begins) < 2:
-        return float("nan")
-    return (begins[-1] - begins[0]) / (len(begins) - 1) * step
+    start, end = np.array(begins[:-1]), np.array(begins[1:])
+    broken = ((gaps[:, :1] < end) & (gaps[:, 1:] > start)).any(axis=0)
+    spacing = (end - start)[~broken] * step
+    return float(spacing.mean()) if spacing.size else float("nan"), int(np.count_nonzero(broken))

@@ -81,6 +81,21 @@ LARGEST_DEFECT = 0.2
 EXPLAINED = 0.5
 """Share of the variance that a defect turned about its middle must explain."""
 
+DEFECT_KNOTS = np.array([*range(DEFECT_RADIUS + 1), 15, 18, 22, 27, 36], dtype=np.float64)
+"""Radii between which the profile of a defect is linear; up to the last a low form beside it is fitted. [pixels]"""
+
+DEFECT_STEPS = 20
+"""Steps of the search for the middle of a defect, at most."""
+
+UNLIKE = 0.05
+"""Root mean square by which a defect may differ around its middle beyond noise, over that of the defect."""
+
+GRAIN = 0.05
+"""Share of what a radial profile leaves by which a bump must be worse, so that a defect is no grain of dust."""
+
+GRAIN_PIXELS = 1.5
+"""Standard deviation of the Gaussian that grains are looked for with. [pixels]"""
+
 SHARPEST = 1e-3
 """Standard uncertainty of a centre from the harmonics of the cusps that blocks keep. [waves]"""
 
@@ -123,8 +138,13 @@ def turning_centre(
     of tiles show their wave vectors, which cross near c. About it the phase of the cusps is taken in blocks of two
     waves or more, and least squares finds c and f for each s of -1, 0 and 1, with amplitude and phase free in each of
     eight annuli. The blocks are then taken again about the best, until it stays. The uncertainty follows from what the
-    phases leave, as that of single blocks or of whole sectors, whichever is larger. A defect of the middle is what is
-    the same all around it: its radial mean is fitted about every place.
+    phases leave, as that of single blocks or of whole sectors, whichever is larger.
+
+    Without rings, a defect of the middle tells the axis if it is the same all around it: a radial profile and a low
+    form of degree 4 are fitted together, with the middle free, and the uncertainty follows as before. It must differ
+    around its middle by no more than noise and 5 %, nothing else in the map may stand out half as far, and no round or
+    oval bump may explain it as well. So a cone or damped rings are accepted, but a smooth pip or pit is not: a grain of
+    dust looks the same.
 
     Parameters
     ----------
@@ -134,14 +154,15 @@ def turning_centre(
         What the program says; rings of another distance, such as those that too coarse pixels show, then do not count.
         [mm/rev]
     near
-        About where a defect of the middle is looked for; rings need no such place. [mm]
+        About where a defect of the middle is looked for, within 12 pixels in x and y; rings need no such place. [mm]
 
     Returns
     -------
     TurningCentre or None
         ``None`` where neither rings nor a defect of the middle show it: where noise hides the cusps, a pixel is wider
         than half of the feed, the axis has no rings on all sides of it (it lies outside the map), or the sense of the
-        spiral is uncertain, which would move it.
+        spiral is uncertain, which would move it; where a defect may be a grain or lies further from ``near``, and over
+        pixels above 16.7 um, whose defects are no longer those of the middle.
 
     Raises
     ------
@@ -435,64 +456,179 @@ def _fitted(blocks: _Blocks, turns: int, *, search: bool) -> _Rings | None:
 
 
 def _from_defect(error: HeightMap, step: float, near: tuple[float, float]) -> TurningCentre | None:
-    """Return the middle of what is the same all around it, if it stands out."""
-    from scipy.optimize import minimize  # noqa: PLC0415 - scipy is costly to import
-
+    """Return the middle of what is the same all around it, if it stands out alone and is no grain."""
     reach = DEFECT_RADIUS * step
     if reach > LARGEST_DEFECT:
         return None
-    x, y = error.points()
-    region = np.isfinite(error.z) & (np.hypot(x - near[0], y - near[1]) <= 3 * reach)
-    if np.count_nonzero(region) < 4 * DEFECT_RADIUS:
+    at = _most_alike(error, step, near)
+    defect = None
+    for _ in range(ROUNDS):
+        last, defect = defect, None if at is None else _Defect.about(error, step, at)
+        if defect is None or np.hypot(defect.at[0] - near[0], defect.at[1] - near[1]) > math.sqrt(2) * reach:
+            return None
+        at = defect.at
+        if last is not None and np.abs(last.at - at).max() < 1e-3 * step:
+            break
+    if defect is None or not defect.is_symmetric or defect.is_grain() or not _is_alone(error, step, defect):
         return None
-    x, y, z = x[region] - near[0], y[region] - near[1], error.z[region]
-    smooth = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-    rim = np.hypot(x, y) > 1.5 * reach
-    if np.count_nonzero(rim) < 3 * smooth.shape[1]:
-        return None
-    z = z - smooth @ np.linalg.lstsq(smooth[rim], z[rim], rcond=1e-12)[0]
-    noise = float(np.std(z[rim]))
-
-    def profile(at: Floats) -> Floats:
-        """Return what the mean around a middle leaves, which is linear between knots that are a pixel apart."""
-        away = np.hypot(x - at[0], y - at[1]) / step
-        knot = np.minimum(away.astype(np.int64), DEFECT_RADIUS)
-        share = np.clip(away - knot, 0.0, 1.0)
-        size = DEFECT_RADIUS + 2
-
-        def total(values: Floats) -> Floats:
-            return np.bincount(knot, values, size).astype(np.float64)
-
-        normal = np.diag(total((1 - share) ** 2) + np.roll(total(share**2), 1))
-        between = total(share * (1 - share))[:-1]
-        normal += np.diag(between, 1) + np.diag(between, -1)
-        right = total((1 - share) * z) + np.roll(total(share * z), 1)
-        # Beyond the last knot there is no defect; a knot without points has no height.
-        inner = normal[:DEFECT_RADIUS, :DEFECT_RADIUS] + 1e-9 * np.eye(DEFECT_RADIUS)
-        heights = np.append(np.linalg.solve(inner, right[:DEFECT_RADIUS]), np.zeros(2))
-        return np.asarray(z - (1 - share) * heights[knot] - share * heights[knot + 1])
-
-    def cost(at: Floats) -> float:
-        return float(np.sum(profile(at) ** 2))
-
-    places = np.linspace(-reach, reach, 2 * DEFECT_RADIUS + 1)
-    tried = np.array([[cost(np.array([a, b])) for a in places] for b in places])
-    b, a = np.unravel_index(int(np.argmin(tried)), tried.shape)
-    best = minimize(cost, np.array([places[a], places[b]]), method="Nelder-Mead", options={"xatol": step * 1e-3})
-    core = np.hypot(x - best.x[0], y - best.x[1]) < reach
-    explained = 1 - float(np.sum(profile(best.x)[core] ** 2)) / max(float(np.sum(z[core] ** 2)), 1e-300)
-    if explained < EXPLAINED or float(np.std(z[core])) < 2 * noise:
-        return None
-    size = step / 4
-    jacobian = np.stack(
-        [(profile(best.x + one) - profile(best.x - one)) / (2 * size) for one in size * np.eye(2)], axis=1
-    )
-    # What is not the same all around errs together.
-    variance = np.linalg.pinv(jacobian.T @ jacobian) * max(best.fun / max(x.size - DEFECT_RADIUS - 3, 1), noise**2)
-    std = np.sqrt(np.diag(variance))
+    std = np.sqrt(np.diag(defect.covariance))
     if float(std.max()) > SURE * step:
         return None
     return TurningCentre(
-        x=float(best.x[0] + near[0]), y=float(best.x[1] + near[1]), std=(float(std[0]), float(std[1])),
-        source="centre defect", feed=float("nan"), turns=0,
+        x=float(defect.at[0]), y=float(defect.at[1]), std=(float(std[0]), float(std[1])), source="centre defect",
+        feed=float("nan"), turns=0,
     )  # fmt: skip
+
+
+def _most_alike(error: HeightMap, step: float, near: tuple[float, float]) -> Floats | None:
+    """Return the place, to a pixel, about which a radial mean explains most of what stands out, if it explains it."""
+    reach = DEFECT_RADIUS * step
+    x, y = error.points()
+    region = np.isfinite(error.z) & (np.hypot(x - near[0], y - near[1]) <= 3 * reach)
+    x, y, z = x[region], y[region], error.z[region]
+    smooth = np.stack([np.ones_like(x), u := x - near[0], v := y - near[1], u * u, u * v, v * v], axis=1)
+    rim = np.hypot(u, v) > 1.5 * reach
+    if np.count_nonzero(rim) < 3 * smooth.shape[1] or region.sum() < 4 * DEFECT_RADIUS:
+        return None
+    z = z - smooth @ np.linalg.lstsq(smooth[rim], z[rim], rcond=1e-12)[0]
+
+    def unexplained(place: Floats) -> float:
+        ring = np.minimum(np.rint(np.hypot(x - place[0], y - place[1]) / step).astype(np.int64), DEFECT_RADIUS)
+        count, total = (np.bincount(ring, weight, DEFECT_RADIUS + 1) for weight in (np.ones(z.size), z))
+        return -float(np.sum(total[:-1] ** 2 / np.maximum(count[:-1], 1)))
+
+    ways = np.linspace(-reach, reach, 2 * DEFECT_RADIUS + 1)
+    tried = [np.array([near[0] + a, near[1] + b]) for b in ways for a in ways]
+    best = min(tried, key=unexplained)
+    core = np.hypot(x - best[0], y - best[1]) < reach
+    explained = -unexplained(best) / max(float(np.sum(z[core] ** 2)), 1e-300)
+    return best if explained >= EXPLAINED and np.std(z[core]) >= 2 * np.std(z[rim]) else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Defect:
+    """Heights about a place (n,), fitted by a radial profile about ``at`` and a low form beside it."""
+
+    x: Floats
+    y: Floats
+    z: Floats
+    at: Floats
+    covariance: Floats
+    residual: Floats
+    form: Floats  # columns of the form. (n, k)
+    step: float
+
+    @classmethod
+    def about(cls, error: HeightMap, step: float, start: Floats) -> _Defect | None:
+        """Fit heights around a start; None where there are too few, or the middle is not found."""
+        extent = DEFECT_KNOTS[-1] * step
+        x, y = error.points()
+        region = np.isfinite(error.z) & (np.hypot(x - start[0], y - start[1]) <= extent)
+        x, y, z = x[region], y[region], error.z[region]
+        scaled = (x - start[0]) / extent, (y - start[1]) / extent
+        form = np.stack([scaled[0] ** a * scaled[1] ** b for a in range(5) for b in range(5 - a)], axis=1)
+        if z.size < 4 * (form.shape[1] + DEFECT_KNOTS.size):
+            return None
+
+        def design(at: Floats) -> Floats:
+            return np.hstack([_radial(np.hypot(x - at[0], y - at[1]) / step), form])
+
+        def left(at: Floats) -> Floats:
+            terms = design(at)
+            return np.asarray(z - terms @ np.linalg.lstsq(terms, z, rcond=1e-12)[0])
+
+        at, residual, size = start, left(start), step / 4
+        for _ in range(DEFECT_STEPS):
+            ways = np.stack([(left(at + one) - left(at - one)) / (2 * size) for one in size * np.eye(2)], axis=1)
+            change = -np.linalg.lstsq(ways, residual, rcond=1e-9)[0]
+            change *= min(1.0, step / max(float(np.abs(change).max()), 1e-300))
+            other = left(at + change)
+            if other @ other >= residual @ residual:
+                break
+            at, residual = at + change, other
+        normal = np.linalg.pinv(ways.T @ ways)
+        u, v = x - at[0], y - at[1]
+        core = np.hypot(u, v) < DEFECT_RADIUS * step
+        variance = max(float(np.mean(residual[one] ** 2)) for one in (core, ~core))
+        # Errors that go together over a sector count as one.
+        sector = ((np.arctan2(v, u) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
+        pulls = np.stack([np.bincount(sector, residual * way, SECTORS) for way in ways.T], axis=1)
+        apart = normal @ (pulls.T @ pulls) @ normal * SECTORS / (SECTORS - 2)
+        alone: Floats = np.asarray(normal * variance)
+        return cls(
+            x=x, y=y, z=z, at=at, covariance=np.asarray(apart if np.trace(apart) > np.trace(alone) else alone),
+            residual=residual, form=form, step=step,
+        )  # fmt: skip
+
+    @property
+    def core(self) -> Bools:
+        """Which points may belong to it."""
+        return np.asarray(np.hypot(self.x - self.at[0], self.y - self.at[1]) < DEFECT_RADIUS * self.step)
+
+    @property
+    def noise(self) -> float:
+        """Root mean square of what the fit leaves beside it. [mm]."""
+        return float(np.sqrt(np.mean(self.residual[~self.core] ** 2)))
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether the core is the same all around but for noise and the steps of its profile."""
+        unlike = float(np.mean(self.residual[self.core] ** 2)) - 1.5 * self.noise**2
+        return unlike < UNLIKE**2 * float(np.mean((self.z - self.form @ self._fit())[self.core] ** 2))
+
+    def _fit(self) -> Floats:
+        """Return the coefficients of the form."""
+        terms = np.hstack([_radial(np.hypot(self.x - self.at[0], self.y - self.at[1]) / self.step), self.form])
+        return np.asarray(np.linalg.lstsq(terms, self.z, rcond=1e-12)[0][-self.form.shape[1] :])
+
+    def is_grain(self) -> bool:
+        """Whether a round or oval bump explains it as well, such as a grain of dust or a pit shows."""
+        from scipy.optimize import least_squares  # noqa: PLC0415 - scipy is costly to import
+
+        u, v = (self.x - self.at[0]) / self.step, (self.y - self.at[1]) / self.step
+
+        def left(shape: Floats) -> Floats:
+            across, along, shear, p, q, power = shape
+            square = (across * (u - p)) ** 2 + (along * (v - q) + shear * (u - p)) ** 2
+            bump = np.exp(-((square + 1e-12) ** np.exp(np.clip(power, -1.0, 1.5))))
+            terms = np.column_stack([bump, self.form])
+            return np.asarray(self.z - terms @ np.linalg.lstsq(terms, self.z, rcond=1e-12)[0])
+
+        best = min(
+            float(2 * least_squares(left, [1 / width, 1 / width, 0.0, 0.0, 0.0, power], max_nfev=40).cost)
+            for width in (DEFECT_RADIUS / 5, DEFECT_RADIUS / 2)
+            for power in (0.0, 0.7)
+        )
+        own = float(self.residual @ self.residual)
+        return best - own < max(CERTAIN * self.noise**2, GRAIN * own)
+
+
+def _radial(away: Floats) -> Floats:
+    """Return the hat functions of the knots at distances in pixels. (n, knots - 1); beyond the last it is flat."""
+    place = np.interp(away, DEFECT_KNOTS, np.arange(DEFECT_KNOTS.size))
+    return np.asarray(np.maximum(1 - np.abs(place[:, None] - np.arange(DEFECT_KNOTS.size - 1)), 0.0))
+
+
+def _is_alone(error: HeightMap, step: float, defect: _Defect) -> bool:
+    """Whether nothing else in the map stands out half as far over its surroundings: where grains lie, it may be one."""
+    from scipy import ndimage  # noqa: PLC0415 - only this needs it
+
+    x, y = error.points()
+    valid = np.isfinite(error.z)
+    u, v = (x - x.mean()) / np.ptp(x), (y - y.mean()) / np.ptp(y)
+    form = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+    flat = error.z - form @ np.linalg.lstsq(form[valid], error.z[valid], rcond=1e-12)[0]
+
+    def smooth(sigma: float) -> tuple[Floats, Floats]:
+        known = ndimage.gaussian_filter(valid.astype(np.float64), sigma, mode="constant")
+        return ndimage.gaussian_filter(np.where(valid, flat, 0.0), sigma, mode="constant") / np.maximum(
+            known, 1e-9
+        ), known
+
+    (fine, _), (coarse, known) = smooth(GRAIN_PIXELS), smooth(DEFECT_RADIUS / 2)
+    stands = np.abs(fine - coarse) * (valid & (known > 0.95))
+    away = np.hypot(x - defect.at[0], y - defect.at[1])
+    inside, outside = (
+        float(stands[one].max(initial=0.0)) for one in (away < DEFECT_RADIUS * step, away > 2 * DEFECT_RADIUS * step)
+    )
+    return outside < 0.5 * inside
