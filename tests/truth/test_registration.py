@@ -145,7 +145,7 @@ def test_astigmatism_on_a_torus_and_a_rotation_pass_for_each_other():
     heights = measured(points, Pose())
     plain = register(heights, part)
     alike = 2e-3 / (7.5**2 * (1 / 250 - 1 / 500))
-    assert plain.held == ()
+    assert set(plain.held) <= {"y"}  # which a tilt undoes: the torus is one of revolution
     assert abs(plain.pose.rotation) == pytest.approx(alike, rel=0.01)
     assert plain.std["rotation"] > alike  # other forms too
     assert plain.rms_nm < 10  # of 408 nm
