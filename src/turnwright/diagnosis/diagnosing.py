@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from turnwright._arrays import Floats, frozen
-from turnwright._validate import positive
+from turnwright._validate import between, positive
 from turnwright.diagnosis.causes import CAUSES, DEFAULT, Cause, Columns
 from turnwright.diagnosis.estimate import Estimate
 from turnwright.diagnosis.findings import Diagnosis
@@ -27,6 +27,8 @@ __all__ = ["diagnose"]
 
 MOST_POWERS = 9
 
+NM = 1e6
+
 
 def diagnose(
     maps: HeightMap | Sequence[HeightMap],
@@ -43,6 +45,7 @@ def diagnose(
     feed: float = 0.0,
     worth_nm: float = 1.0,
     points: int = 60_000,
+    noise_nm: float | Sequence[float] = 0.0,
     repeats: bool = True,
     correct: Sequence[str] | None = None,
 ) -> Diagnosis:
@@ -83,6 +86,9 @@ def diagnose(
         What makes less than this of the form, rms, is not worth correcting.
     points
         Most points of each map that the fit takes, evenly over its grid.
+    noise_nm
+        Standard deviation of a height, independent from point to point, where it is known: one for all maps, or one for
+        each. The estimate takes what the maps show, and no less than this. [nm]
     repeats
         Whether the drift and the form without a source in a single map are taken to come back on the next part.
     correct
@@ -105,6 +111,10 @@ def diagnose(
         positive(feed, "feed", "mm/rev")
     positive(points, "points", "")
     thin = [one.thinned(points) for one in maps]
+    noises = [noise_nm] * len(maps) if isinstance(noise_nm, int | float) else list(noise_nm)
+    if len(noises) != len(maps):
+        raise InputError(f"there are {len(noises)} noises and {len(maps)} maps: give one for all, or one for each")
+    stated = np.array([between(one, "noise", 0.0, np.inf, "nm") for one in noises]) / NM
     sights, reach = sights_of(thin, parts, tool, tuple(free), reference, sense, feed)
     basis = _basis(waviness)
     radius = max(part.radius for part in parts)
@@ -126,6 +136,7 @@ def diagnose(
         sights=sights, columns=columns, sense=sense, radius=[part.radius for part in parts], kinds=_kinds(parts),
         plausible=plausible,
         values=np.zeros((len(maps), len(columns.all))), scale=np.full(len(maps), np.inf), together=np.ones(len(maps)),
+        stated=stated,
     )  # fmt: skip
     estimate.solve()
     asked = Asked(tool, machine, worth_nm, repeats, None if correct is None else frozenset(correct))

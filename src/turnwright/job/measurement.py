@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 
@@ -392,8 +392,9 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
             )
     report("diagnose", 0, 1)
     asked = first.measurement
+    means = [_gathered(one, first) for one in every]
     found = attribute(
-        [_gathered(one, first) for one in every],
+        [one.heights for one in means],
         [one.job.part.part for one in every],
         first.tool.tool,
         first.machine.machine,
@@ -404,11 +405,12 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
         sense=first.strategy.sense,
         worth_nm=asked.worth * NM,
         points=2 * CELLS,
+        noise_nm=[one.noise_nm for one in means],
         repeats=asked.repeats,
         correct=asked.correct,
     )
     report("diagnose", 1, 1)
-    return _stated(found, every) if asked.reference == "true form" else found
+    return _stated(found, every, means) if asked.reference == "true form" else found
 
 
 def _planned_with(job: Job) -> tuple[Tool, Machine]:
@@ -416,19 +418,15 @@ def _planned_with(job: Job) -> tuple[Tool, Machine]:
     return replace(job.tool.tool, plausible={}), replace(job.machine.machine, plausible={})
 
 
-def _stated(found: Diagnosis, every: Sequence[Measured]) -> Diagnosis:
-    """Return a diagnosis that states the form error as the measurement does: noise that cells average out is residual.
+def _stated(found: Diagnosis, every: Sequence[Measured], means: Sequence[_Means]) -> Diagnosis:
+    """Return a diagnosis that states the form error as the measurement does: what cells average out is residual.
 
     Maps whose errors were turned into those of another job have no such number.
     """
     if any(one.job != every[0].job for one in every):
         return found
     measured = float(np.sqrt(np.mean([one.form_rms_nm**2 for one in every])))
-    averaged = [
-        one.registration.noise_nm**2 * max(1 - cells.z.size / one.error.z.size, 0.0)
-        for one, cells in zip(every, found.residuals, strict=True)
-    ]
-    left = float(np.sqrt(found.unexplained_rms_nm**2 + np.mean(averaged)))
+    left = float(np.sqrt(found.unexplained_rms_nm**2 + np.mean([one.averaged_nm**2 for one in means])))
     return replace(found, measured_rms_nm=measured, unexplained_rms_nm=left)
 
 
@@ -444,8 +442,16 @@ def same_part(one: Job, other: Job) -> bool:
     return design == other_design and one.strategy == other.strategy and one.passes[-1:] == other.passes[-1:]
 
 
-def _gathered(measured: Measured, job: Job) -> HeightMap:
-    """Return a part's errors averaged over small cells, on the design, as if the job had cut it. Scattered. [mm].
+class _Means(NamedTuple):
+    """A part's errors averaged over small cells, on the design."""
+
+    heights: HeightMap  # scattered [mm]
+    noise_nm: float  # of a mean, as the job states that of a height; 0 if it does not
+    averaged_nm: float  # rms of the errors about the means of their cells
+
+
+def _gathered(measured: Measured, job: Job) -> _Means:
+    """Return a part's errors averaged over small cells, on the design, as if the job had cut it.
 
     They are without the cusps and the chords that the plan has: neither is a fault of tool or machine.
     """
@@ -464,13 +470,17 @@ def _gathered(measured: Measured, job: Job) -> HeightMap:
     which, at = np.unique(number, return_inverse=True)
     count = np.bincount(at, minlength=which.size)
     few = slice(None, None, -(-which.size // (2 * CELLS)) or 1)
-    x, y, error = ((np.bincount(at, weights=one, minlength=which.size) / count)[few] for one in (x, y, error))
+    means = [np.bincount(at, weights=one, minlength=which.size) / count for one in (x, y, error)]
+    averaged = float(np.sqrt(np.mean((error - means[2][at]) ** 2)))
+    noise = (measured.job.measurement.noise or 0.0) * float(np.sqrt(np.mean(1 / count[few])))
+    x, y, error = (one[few] for one in means)
     real = job if same_part(measured.job, job) else measured.job
     across = across_feed(measured.job, x, y)
     flat = [one.ravel() for one in across]
     planned = finished(measured.job, real, *flat) - real.part.aimed.surface.sag(*flat)
     error -= planned.reshape(across[0].shape).mean(axis=1)
-    return HeightMap(x=x, y=y, z=part.surface.sag(x, y) + error, name=measured.heights.name)
+    heights = HeightMap(x=x, y=y, z=part.surface.sag(x, y) + error, name=measured.heights.name)
+    return _Means(heights, noise * NM, averaged * NM)
 
 
 def _cells(x: Floats, y: Floats, cell: float) -> Ints:
