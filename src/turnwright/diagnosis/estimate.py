@@ -220,6 +220,12 @@ class Estimate:
             self.posterior = self._posterior()
             self._move(share)
 
+    def plausible_rms(self, m: int) -> float:
+        """Return what all sources make of a map beyond its pose, each as large as is plausible. [mm]."""
+        look = self._look(m)
+        j, k = look.poses, self.typical.size
+        return float(np.sqrt((look.root[j:, j : j + k] ** 2).sum() / look.rows.shape[0]))
+
     def _look(self, m: int) -> Look:
         """Take one map at the present numbers."""
         sight, values = self.sights[m], self.values[m]

@@ -21,7 +21,7 @@ from turnwright.files import write_map
 from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
-from turnwright.job.measurement import OF_POSE, Measured, cutoff_of, same_part
+from turnwright.job.measurement import Measured, beyond_pose, cutoff_of, same_part
 from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
 from turnwright.job.schema import Job
 from turnwright.job.text import edited
@@ -167,11 +167,14 @@ def correct(
     InputError
         If the job was not planned with the tool and machine of the measured parts, or was corrected by a map already.
     CorrectionError
-        If no correction is certain to help; nothing is written then.
+        If no correction is certain to help, or a map does not look like its part; nothing is written then.
     """
     report = progress or (lambda _stage, _done, _total: None)
     _check(job, found)
     every = [measured] if isinstance(measured, Measured) else list(measured or ())
+    for one in every:
+        if one.misplaced:
+            raise CorrectionError(f"nothing is corrected: {one.misplaced}")
     own = [same_part(one.job, job) for one in every]
     _check_new(job, every, own)
     _check_sane(found)
@@ -210,11 +213,11 @@ def correct(
         before = HeightMap(x=x, y=y, z=error.z[::step], name="measured error")
         # What the real tool leaves by the corrected job, less what it left by the old one.
         change = cut_by(new, real, x, y) - cut_by(old, real, x, y)
-        predicted = replace(before, z=_beyond_pose(job, x, y, before.z + change), name="predicted error")
+        predicted = replace(before, z=beyond_pose(job, x, y, before.z + change), name="predicted error")
         x, y = field.points()
         planned = cut_by(old, job, x, y) - job.part.part.surface.sag(x, y)
         off = planned + field.z + cut_by(new, real, x, y) - cut_by(old, real, x, y)
-    simulated = HeightMap(x=x, y=y, z=_beyond_pose(job, x, y, off), name="simulated error")
+    simulated = HeightMap(x=x, y=y, z=beyond_pose(job, x, y, off), name="simulated error")
     report("simulate", 2, 2)
     return Correction(
         job=better, file=file, cutoff=cutoff, measured=before, predicted=predicted, simulated=simulated,
@@ -298,7 +301,7 @@ def _check_effect(one: Measured) -> None:
     corrected = cut_by(motion, job, x, y) - cut_by(motion, plain, x, y) - _added(job, x, y)
     known = np.isfinite(corrected + error)
     x, y = x[known], y[known]
-    both = [_beyond_pose(job, x, y, each[known]) for each in (error, corrected)]
+    both = [beyond_pose(job, x, y, each[known]) for each in (error, corrected)]
     seen, was = (float(np.sqrt(np.mean(each**2))) * NM for each in both)
     share = float(both[0] @ both[1]) / max(float(both[1] @ both[1]), 1e-300)
     if was > job.measurement.worth * NM and share > AGAIN:
@@ -534,26 +537,7 @@ def _joined(job: Job, maps: Sequence[HeightMap]) -> HeightMap:
     x, y, z = (np.concatenate(one) for one in zip(*points, strict=True))
     known = ~np.isnan(z)
     x, y = x[known], y[known]
-    return HeightMap(x=x, y=y, z=_beyond_pose(job, x, y, z[known]), name="left to correct")
-
-
-def _beyond_pose(job: Job, x: Floats, y: Floats, z: Floats) -> Floats:
-    """Return errors beyond a change of pose that the measurement leaves open. (n,) [mm]."""
-    zx, zy = job.part.part.surface.gradient(x, y)
-    one, asked = np.ones_like(x), job.measurement
-    marks = {"z": one, "tilt_x": y, "tilt_y": x, "x": zx, "y": zy, "rotation": y * zx - x * zy}
-    known = {name for fixed in asked.fixed for name in OF_POSE[fixed]}
-    columns = [mark for name, mark in marks.items() if name in asked.free and name not in known]
-    if not columns:
-        return z
-    rows = np.stack(columns, axis=1)
-    rows = rows / np.maximum(np.sqrt((rows**2).mean(axis=0)), FLAT)
-    seen = np.isfinite(z)
-    return np.asarray(z - rows @ np.linalg.lstsq(rows[seen], z[seen], rcond=RANK)[0])
-
-
-FLAT, RANK = 1e-12, 1e-6
-"""Marks of a pose that are smaller than this are none, and those that others make but for this share."""
+    return HeightMap(x=x, y=y, z=beyond_pose(job, x, y, z[known]), name="left to correct")
 
 
 def _smooth(job: Job, left: HeightMap) -> Smooth:
