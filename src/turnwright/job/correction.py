@@ -62,8 +62,14 @@ LINEAR, LINEAR_NM = 0.1, 1.0
 SIMULATED, SIMULATED_NM = 0.3, 3.0
 """What a correction changes by simulation may differ from what is intended by this share of it, or by this."""
 
-EFFECT, AGAIN = 2_000, 0.6
-"""Places at which a part is looked at for what was corrected, and the share of it that it must not show."""
+EFFECT, RINGS, SECTORS = 2_000, 4, 12
+"""Places at which a part is looked at for what was corrected, and patches in which what else it has hangs together."""
+
+REPEATED, TOLD = 0.05, 3.0
+"""Standard deviation by which an error comes back in another size, and how many of these tell two sizes apart."""
+
+NOTHING = 0.05
+"""Share of what was corrected that is too little to be looked at apart."""
 
 FINE = 24
 """Places across a feed where little is left to see of a difference but cusps."""
@@ -259,6 +265,7 @@ def _better(
     kept = [line for line in job.measurement.corrected if not any(one.fingerprint in line for one, _ in ledger)]
     if ledger:
         table.setdefault("measurement", {})["corrected"] = [*kept, *(line for _, line in ledger)]
+    table.get("measurement", {}).pop("cut_by", None)  # the next part is another one
     table.pop("actual", None)  # the correction is its prediction now
     if plan.sources:
         tool, machine = (found.likely_tool, found.likely_machine) if plan.likely else (found.tool, found.machine)
@@ -280,12 +287,16 @@ def _check_new(job: Job, every: Sequence[Measured], own: Sequence[bool]) -> None
                 f"the map {one.heights.name!r} was taken into account by an earlier correction of this job: measure a "
                 "part that this job has cut, or give the map with the job that cut it"
             )
-        if part and noted:
+        if part and noted and one.job.measurement.cut_by is None:
             _check_effect(one)
 
 
 def _check_effect(one: Measured) -> None:
-    """Raise if a part shows again what its job was corrected by."""
+    """Raise if a part shows all that its job was corrected by, as one does that was cut before.
+
+    What tool and machine were corrected by and what the form was are looked at apart: a tool that moved again shows the
+    former, in another size or without the latter.
+    """
     job = one.job
     table = tomllib.loads(job.to_toml())
     for name in ("offset", "radius_error", "waviness", "waviness_file"):
@@ -298,17 +309,47 @@ def _check_effect(one: Measured) -> None:
     some = slice(None, None, -(-x.size // EFFECT))
     x, y, error = x[some], y[some], one.error.z[some]
     motion = motion_of(plain)
-    corrected = cut_by(motion, job, x, y) - cut_by(motion, plain, x, y) - _added(job, x, y)
-    known = np.isfinite(corrected + error)
+    by_tool, by_form = cut_by(motion, job, x, y) - cut_by(motion, plain, x, y), -_added(job, x, y)
+    known = np.isfinite(by_tool + by_form + error)
     x, y = x[known], y[known]
-    both = [beyond_pose(job, x, y, each[known]) for each in (error, corrected)]
-    seen, was = (float(np.sqrt(np.mean(each**2))) * NM for each in both)
-    share = float(both[0] @ both[1]) / max(float(both[1] @ both[1]), 1e-300)
-    if was > job.measurement.worth * NM and share > AGAIN:
+    seen, *effects = (beyond_pose(job, x, y, each[known]) for each in (error, by_tool, by_form))
+    corrected = effects[0] + effects[1]
+    seen_nm, was_nm = (float(np.sqrt(np.mean(each**2))) * NM for each in (seen, corrected))
+    if was_nm <= job.measurement.worth * NM:
+        return
+    columns = np.stack([each for each in effects if np.sqrt(np.mean(each**2)) * NM > NOTHING * was_nm], axis=1)
+    shares, covariance = _shares(columns, seen, _patches(x, y))
+    whole, none = (_away(shares - value, covariance) for value in (1.0, 0.0))
+    if whole < TOLD < none:
+        share = float(seen @ corrected) / float(corrected @ corrected)
         raise InputError(
-            f"the map {one.heights.name!r} shows {share:.0%} of the {was:.3g} nm rms that its job was corrected by, in "
-            f"{seen:.3g} nm: it was cut before the correction, give the job that cut it"
+            f"the map {one.heights.name!r} shows {share:.0%} of the {was_nm:.3g} nm rms that its job was corrected by, "
+            f"in {seen_nm:.3g} nm, as if it was cut before the correction: give the job that cut it. If this job did, "
+            'and the same error came back, write cut_by = "this job" in [measurement]'
         )
+
+
+def _patches(x: Floats, y: Floats) -> NDArray[np.intp]:
+    """Return which of rings and sectors of equal area points lie in, within which errors may hang together. (n,)."""
+    square = x * x + y * y
+    ring = np.minimum((RINGS * square / square.max()).astype(np.intp), RINGS - 1)
+    sector = np.minimum(((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.intp), SECTORS - 1)
+    return np.asarray(ring * SECTORS + sector)
+
+
+def _shares(columns: Floats, seen: Floats, patches: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Return how much of each column is seen, and the covariance of that if the rest hangs together in patches."""
+    inverse = np.linalg.pinv(columns)
+    shares = inverse @ seen
+    rest = seen - columns @ shares
+    pulls = np.stack([np.bincount(patches, weights=row * rest) for row in inverse])
+    return shares, np.asarray(pulls @ pulls.T, dtype=np.float64)
+
+
+def _away(off: Floats, covariance: Floats) -> float:
+    """Return by how many standard deviations shares are off, those by which cuts repeat included."""
+    both = covariance + REPEATED**2 * np.eye(off.size)
+    return float(np.sqrt(off @ np.linalg.solve(both, off)))
 
 
 def _check_sane(found: Diagnosis) -> None:
