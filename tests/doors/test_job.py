@@ -10,7 +10,7 @@ import pytest
 from job_files import changed, written
 
 import turnwright as tw
-from turnwright.errors import GougeError, LimitError, Stopped
+from turnwright.errors import GougeError, JobError, LimitError, Stopped
 from turnwright.job import Job, preview, run
 from turnwright.post import read_nc
 
@@ -105,6 +105,28 @@ def test_every_example_is_a_job_and_survives_being_written(path):
     job = Job.load(path)
     assert Job.read(tomllib.loads(job.to_toml())) == job
     assert path.read_text().startswith("# ")
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "sentence"),
+    [
+        ("pixel_size", "0 mm", "measurement.pixel_size: '0 mm' is not above 0 mm: "),
+        ("pixel_size", "wide", "measurement.pixel_size: 'wide' does not start with a plain number: "),
+        ("pixel_size", ["1 um", "0 um"], "measurement.pixel_size[2]: '0 um' is not above 0 mm: "),
+        ("pixel_size", ["1 um", "2 um", "3 um"], "measurement.pixel_size has 3 values, the limit is 2: "),
+        ("departure_from", "plan", "measurement.departure_from is 'plan', it must be 'design' or a table: "),
+        ("departure_from", {"family": "spere"}, "measurement.departure_from has the family 'spere', "),
+        ("departure_from", {}, "measurement.departure_from lacks the key family, "),
+    ],
+)
+def test_a_field_of_several_kinds_is_refused_in_one_sentence(place, value, sentence):
+    """The kind that the value is nearest to says what is wrong, under the name that the job has for the field."""
+    table = changed(("measurement.quantity", "departure"), ("measurement.departure_from", "design"))
+    table["measurement"][place] = value
+    with pytest.raises(JobError) as refused:
+        Job.read(table)
+    (said,) = str(refused.value).splitlines()
+    assert said.startswith(sentence)
 
 
 def test_waviness_in_degrees_is_the_polynomial_in_degrees():

@@ -74,6 +74,25 @@ def test_an_offset_is_found_on_a_sphere(ogive, reference):
             assert not found["radius error"].determined
 
 
+def test_a_stated_noise_is_the_least_that_the_intervals_know(ogive):
+    """Oracle: in a least squares the standard deviations are as the noise. Less than the map shows changes nothing."""
+    steady = replace(MACHINE, plausible={"drift of X": 1e-7, "drift of Z": 1e-7})
+
+    def found(noise_nm):
+        one = tw.diagnose(noisy(ogive, 1), SPHERE, TOOL, steady, feed=FEED, causes=["offset x"], noise_nm=noise_nm)
+        return one.noise_nm[0], one["offset x"].standard_uncertainty
+
+    shown, plain = found(0.0)
+    assert shown == pytest.approx(20, rel=0.05)
+    assert found(5.0) == (shown, plain)
+    (noise, wide), (larger, wider) = found(50.0), found([100.0])
+    assert (noise, larger) == pytest.approx((50, 100))
+    assert wide == pytest.approx(plain * noise / shown, rel=0.15)
+    assert wider == pytest.approx(2 * wide, rel=0.05)
+    with pytest.raises(tw.InputError, match="there are 2 noises and 1 maps"):
+        found([1.0, 2.0])
+
+
 def test_the_rule_of_the_handbook_is_for_small_angles(ogive):
     """Right for a fit of least PV on a flat sphere; a third too much for least squares at 30 degrees."""
     # The ogive |r| d / R less the parabola of least PV, by a fine search over parabolas through both ends.

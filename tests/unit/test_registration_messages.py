@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from turnwright import HeightMap, InputError, Part, Plane, Pose, Sphere, register
+from turnwright import HeightMap, InputError, Part, Plane, Pose, Sphere, XYPolynomial, register
 
 PART = Part(surface=Sphere(radius=20.0), radius=5.0)
 AXIS = np.linspace(-3, 3, 13)
@@ -34,6 +34,25 @@ MAP = HeightMap(x=AXIS, y=AXIS, z=PART.surface.sag(X, Y))
 def test_a_wrong_request_is_named(options, match):
     with pytest.raises(InputError, match=match):
         register(MAP, PART, **options)
+
+
+@pytest.mark.parametrize("across", [0.02, 5e-6])
+def test_a_field_too_small_to_be_looked_for_is_refused(across):
+    """Metres that are read as millimetres, say; 100 um of the same part are found."""
+    part = Part(surface=XYPolynomial(terms={(2, 0): 1e-3, (0, 2): 2e-3, (3, 0): 2e-4, (1, 2): -1e-4}), radius=3.0)
+    axis = np.linspace(-across / 2, across / 2, 41)
+    x, y = np.meshgrid(axis, axis)
+    small = HeightMap(x=axis, y=axis, z=part.surface.sag(x, y))
+    with pytest.raises(InputError, match=r"a reach of 5 mm .* million places .* Check the unit .* a reach of at most"):
+        register(small, part)
+    assert register(small, part, reach=across, clocking=0.0).rms_nm < 1e-3
+
+
+def test_a_reach_beyond_the_part_costs_no_places():
+    """Oracle: the same map within a reach that ends at the rim; where none of it lies on the part, no place counts."""
+    wide, near = (register(MAP, PART, reach=reach, clocking=0.0) for reach in (1e4, 5.0))
+    assert wide.rms_nm < 1e-3
+    np.testing.assert_allclose(wide.pose.shift, near.pose.shift, atol=1e-6)
 
 
 def test_a_map_without_heights_or_lengths_is_refused():

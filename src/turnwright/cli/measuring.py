@@ -175,14 +175,14 @@ def correct(
         new_folder(out, door, force=force) as folder,
         progress_of(door.stop, steps_of_correction(_heights(files))) as progress,
     ):
-        from turnwright.job import Job, correct, diagnose  # noqa: PLC0415
+        from turnwright.job import correct, diagnose  # noqa: PLC0415
 
         measured = _measured(files, job, progress, unit, keys)
         found = diagnose(measured, progress=progress)
         if of is None:
             better = correct(measured[0].job, found, measured, out=folder, source=job[0], progress=progress)
         else:
-            better = correct(Job.load(of), found, measured, out=folder, source=of, progress=progress)
+            better = correct(_job(of, keys), found, measured, out=folder, source=of, progress=progress)
         progress("report", 0, 1)
         from turnwright.report import archive_correction, write_correction  # noqa: PLC0415 - costly to import
 

@@ -1,7 +1,7 @@
 """Why a part is off: measured maps against the marks that tool and machine leave, by exact contact."""
 
 from turnwright.diagnosis.causes import CAUSES, DEFAULT, Cause
-from turnwright.diagnosis.diagnosing import diagnose
+from turnwright.diagnosis.diagnosing import diagnose, plausible_rms_nm
 from turnwright.diagnosis.findings import Contribution, Diagnosis, DrawnCut, Draws, Finding
 from turnwright.diagnosis.proof import Proof, prove
 from turnwright.diagnosis.setup import CentreDefect, Move, centre_defect, handbook_offset, moves
@@ -24,5 +24,6 @@ __all__ = [
     "diagnose",
     "handbook_offset",
     "moves",
+    "plausible_rms_nm",
     "prove",
 ]

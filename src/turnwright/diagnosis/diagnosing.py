@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from turnwright._arrays import Floats, frozen
-from turnwright._validate import positive
+from turnwright._validate import between, positive
 from turnwright.diagnosis.causes import CAUSES, DEFAULT, Cause, Columns
 from turnwright.diagnosis.estimate import Estimate
 from turnwright.diagnosis.findings import Diagnosis
@@ -23,9 +23,14 @@ if TYPE_CHECKING:
     from turnwright.part import Part
     from turnwright.tool import Tool
 
-__all__ = ["diagnose"]
+__all__ = ["diagnose", "plausible_rms_nm"]
 
 MOST_POWERS = 9
+
+POWERS, STRAIGHTNESS = (3, 4, 5, 6), 6
+"""Powers of the sweep, and positions along X, that are looked for if nobody says otherwise."""
+
+NM = 1e6
 
 
 def diagnose(
@@ -37,12 +42,13 @@ def diagnose(
     causes: Sequence[str | Cause] = DEFAULT,
     reference: Literal["true form", "best-fit sphere", "best-fit sphere, along its normal"] = "true form",
     free: Sequence[str] = FREE,
-    waviness: Sequence[int] | Floats = (3, 4, 5, 6),
-    straightness: int = 6,
+    waviness: Sequence[int] | Floats = POWERS,
+    straightness: int = STRAIGHTNESS,
     sense: int = 1,
     feed: float = 0.0,
     worth_nm: float = 1.0,
     points: int = 60_000,
+    noise_nm: float | Sequence[float] = 0.0,
     repeats: bool = True,
     correct: Sequence[str] | None = None,
 ) -> Diagnosis:
@@ -83,6 +89,9 @@ def diagnose(
         What makes less than this of the form, rms, is not worth correcting.
     points
         Most points of each map that the fit takes, evenly over its grid.
+    noise_nm
+        Standard deviation of a height, independent from point to point, where it is known: one for all maps, or one for
+        each. The estimate takes what the maps show, and no less than this. [nm]
     repeats
         Whether the drift and the form without a source in a single map are taken to come back on the next part.
     correct
@@ -105,11 +114,59 @@ def diagnose(
         positive(feed, "feed", "mm/rev")
     positive(points, "points", "")
     thin = [one.thinned(points) for one in maps]
-    sights, reach = sights_of(thin, parts, tool, tuple(free), reference, sense, feed)
+    noises = [noise_nm] * len(maps) if isinstance(noise_nm, int | float) else list(noise_nm)
+    if len(noises) != len(maps):
+        raise InputError(f"there are {len(noises)} noises and {len(maps)} maps: give one for all, or one for each")
+    stated = np.array([between(one, "noise", 0.0, np.inf, "nm") for one in noises]) / NM
     basis = _basis(waviness)
-    radius = max(part.radius for part in parts)
     if straightness < 3:
         raise InputError(f"straightness is sought at {straightness} positions, it needs at least 3: give more")
+    estimate = _estimate(
+        thin, parts, tool, machine, causes=causes, reference=reference, free=free, basis=basis,
+        straightness=straightness, sense=sense, feed=feed, stated=stated,
+    )  # fmt: skip
+    estimate.solve()
+    asked = Asked(tool, machine, worth_nm, repeats, None if correct is None else frozenset(correct))
+    return reported(estimate, maps, thin, parts, asked)
+
+
+def plausible_rms_nm(
+    part: Part, tool: Tool, machine: Machine, x: Floats, y: Floats, *, free: Sequence[str] = FREE, sense: int = 1
+) -> float:
+    """Return what errors of tool and machine plausibly make of a part, one standard deviation beyond its pose. [nm].
+
+    Parameters
+    ----------
+    part, tool, machine
+        What is cut, with which tool on which machine; see `diagnose`.
+    x, y
+        Where it counts, scattered. (n,) [mm]
+    free
+        What a change of pose may explain.
+    sense
+        +1 where the spindle angle under the tool grows with time, -1 where it falls.
+
+    Raises
+    ------
+    InputError
+        If too few of the points can be used.
+    """
+    design = HeightMap(x=x, y=y, z=part.surface.sag(x, y))
+    estimate = _estimate(
+        [design], [part], tool, machine, causes=DEFAULT, reference="true form", free=free, basis=_basis(POWERS),
+        straightness=STRAIGHTNESS, sense=sense, feed=0.0, stated=np.zeros(1),
+    )  # fmt: skip
+    return estimate.plausible_rms(0) * NM
+
+
+def _estimate(
+    thin: Sequence[HeightMap], parts: Sequence[Part], tool: Tool, machine: Machine, *, causes: Sequence[str | Cause],
+    reference: str, free: Sequence[str], basis: Powers | Splines, straightness: int, sense: int, feed: float,
+    stated: Floats,
+) -> Estimate:  # fmt: skip
+    """Return an estimate that has not looked at the heights yet."""
+    sights, reach = sights_of(thin, parts, tool, tuple(free), reference, sense, feed)
+    radius = max(part.radius for part in parts)
     farthest = max(float(np.nanmax(np.hypot(sight.x, sight.y))) for sight in sights)
     plausible = {**machine.plausible, **tool.plausible}
     columns = Columns(
@@ -122,14 +179,12 @@ def diagnose(
     )
     for sight in sights:
         mark(sight, columns)
-    estimate = Estimate(
+    return Estimate(
         sights=sights, columns=columns, sense=sense, radius=[part.radius for part in parts], kinds=_kinds(parts),
         plausible=plausible,
-        values=np.zeros((len(maps), len(columns.all))), scale=np.full(len(maps), np.inf), together=np.ones(len(maps)),
+        values=np.zeros((len(thin), len(columns.all))), scale=np.full(len(thin), np.inf), together=np.ones(len(thin)),
+        stated=stated,
     )  # fmt: skip
-    estimate.solve()
-    asked = Asked(tool, machine, worth_nm, repeats, None if correct is None else frozenset(correct))
-    return reported(estimate, maps, thin, parts, asked)
 
 
 def _kinds(parts: Sequence[Part]) -> list[int | None]:

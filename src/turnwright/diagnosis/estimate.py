@@ -142,6 +142,7 @@ class Estimate:
     values: Floats  # of the sources in each map (maps, k)
     scale: Floats  # of the noise of each map, so that points count as if they were independent [mm]
     together: Floats  # points of each map that count as one
+    stated: Floats  # noise of a height of each map as it is known, 0 where it is not: it is taken for no less [mm]
     plausible: Mapping[str, float]  # sizes of the groups of terms that are known beforehand [mm]
     own: Floats = field(init=False)  # variances of the groups of terms in each map (groups,) [mm² or rad²]
     common: Floats = field(init=False)  # of those that all maps of a part share (groups,)
@@ -207,7 +208,7 @@ class Estimate:
                 self.seen = self._seen()
                 self.looks = [self._look(m) for m in range(len(self.sights))]
                 for m, look in enumerate(self.looks):
-                    self.scale[m] = max(ROUGH * float(np.std(look.rows[:, -1])), FLOOR)
+                    self.scale[m] = max(ROUGH * float(np.std(look.rows[:, -1])), FLOOR, self.stated[m])
                 self.loose = [self._loose(m) for m in range(len(self.sights))]
             self._settle()
             self._measure_noise()
@@ -218,6 +219,12 @@ class Estimate:
             self.looks = [self._look(m) for m in range(len(self.sights))]
             self.posterior = self._posterior()
             self._move(share)
+
+    def plausible_rms(self, m: int) -> float:
+        """Return what all sources make of a map beyond its pose, each as large as is plausible. [mm]."""
+        look = self._look(m)
+        j, k = look.poses, self.typical.size
+        return float(np.sqrt((look.root[j:, j : j + k] ** 2).sum() / look.rows.shape[0]))
 
     def _look(self, m: int) -> Look:
         """Take one map at the present numbers."""
@@ -387,7 +394,7 @@ class Estimate:
             left = self.target(m) - look.root[:, :-1] @ self.numbers(m)
             points = look.rows.shape[0] / self.together[m]
             free = max(points - self._spent(m), 1.0)
-            scale = max(float(np.sqrt(left @ left / free)), FLOOR)
+            scale = max(float(np.sqrt(left @ left / free)), FLOOR, float(self.stated[m]))
             changes.append(abs(float(np.log(scale / self.scale[m]))))
             self.scale[m] = scale
         return changes

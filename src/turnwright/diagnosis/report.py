@@ -116,7 +116,7 @@ def reported(
         fields=tuple(one.field for one in whole),
         poses=tuple(_pose(sight) for sight in estimate.sights),
         measured_rms_nm=measured, explained_rms_nm=explained, unexplained_rms_nm=left,
-        noise_nm=tuple((estimate.scale / np.sqrt(estimate.together) * NM).tolist()),
+        noise_nm=tuple((np.maximum(estimate.scale / np.sqrt(estimate.together), estimate.stated) * NM).tolist()),
         together=tuple(estimate.together.tolist()),
         repeatability_nm=_repeatability_nm(estimate),
         rejected=tuple(int(np.count_nonzero(sight.apart)) for sight in estimate.sights),

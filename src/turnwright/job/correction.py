@@ -21,7 +21,7 @@ from turnwright.files import write_map
 from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
-from turnwright.job.measurement import OF_POSE, Measured, cutoff_of, errors_at_candidates, same_part
+from turnwright.job.measurement import Measured, beyond_pose, cutoff_of, errors_at_candidates, same_part
 from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
 from turnwright.job.schema import Job
 from turnwright.job.text import edited
@@ -62,8 +62,14 @@ LINEAR, LINEAR_NM = 0.1, 1.0
 SIMULATED, SIMULATED_NM = 0.3, 3.0
 """What a correction changes by simulation may differ from what is intended by this share of it, or by this."""
 
-EFFECT, AGAIN = 2_000, 0.6
-"""Places at which a part is looked at for what was corrected, and the share of it that it must not show."""
+EFFECT, RINGS, SECTORS = 2_000, 4, 12
+"""Places at which a part is looked at for what was corrected, and patches in which what else it has hangs together."""
+
+REPEATED, TOLD = 0.05, 3.0
+"""Standard deviation by which an error comes back in another size, and how many of these tell two sizes apart."""
+
+NOTHING = 0.05
+"""Share of what was corrected that is too little to be looked at apart."""
 
 FINE = 24
 """Places across a feed where little is left to see of a difference but cusps."""
@@ -170,11 +176,14 @@ def correct(
     InputError
         If the job was not planned with the tool and machine of the measured parts, or was corrected by a map already.
     CorrectionError
-        If no correction is certain to help; nothing is written then.
+        If no correction is certain to help, or a map does not look like its part; nothing is written then.
     """
     report = progress or (lambda _stage, _done, _total: None)
     _check(job, found)
     every = [measured] if isinstance(measured, Measured) else list(measured or ())
+    for one in every:
+        if one.misplaced:
+            raise CorrectionError(f"nothing is corrected: {one.misplaced}")
     own = [same_part(one.job, job) for one in every]
     _check_new(job, every, own)
     _check_sane(found)
@@ -191,34 +200,8 @@ def correct(
     )
     names = names if plan.sources else ()
     report("simulate", 0, 2)
-    with TemporaryDirectory(prefix="turnwright-") as folder:
-        real = _better(job, found, plan._replace(likely=True, sources=True, smooth=None), (), File(folder))
-        better = _better(job, found, plan, (), File(folder))
-        new = motion_of(better)
-        before = predicted = None
-        if any(own):
-            _check_simulated(job, better, plan)
-            report("simulate", 1, 2)
-            old, error, field = motion_of(job), every[plan.map].error, found.fields[plan.map]
-
-            def change(x: Floats, y: Floats) -> Floats:
-                """Return what the real tool leaves by the corrected job, less what it left by the old one."""
-                return cut_by(new, real, x, y) - cut_by(old, real, x, y)
-
-            step = -(-error.z.size // SHOWN)
-            x, y = (one[::step] for one in error.points())
-            before = HeightMap(x=x, y=y, z=error.z[::step], name="measured error")
-            predicted = replace(before, z=_beyond_pose(job, x, y, before.z + change(x, y)), name="predicted error")
-            x, y = field.points()
-            # The field holds what the job adds to its design already.
-            planned = cut_by(old, job, x, y) - job.part.aimed.surface.sag(x, y)
-            off = planned + field.z + change(x, y)
-            _check_claim(job, plan, off=(x, y, off), planned=planned)
-            _check_candidates(every[plan.map], job, change)
-        else:
-            x, y = evenly(job.part.part, SHOWN)
-            off = cut_by(new, real, x, y) - job.part.part.surface.sag(x, y)
-    simulated = HeightMap(x=x, y=y, z=_beyond_pose(job, x, y, off), name="simulated error")
+    maps = _simulated(job, found, plan, every if any(own) else ())
+    report("simulate", 1, 2)
     out.mkdir(parents=True, exist_ok=True)
     better = _better(job, found, plan, [(one, _entry(one, names, plan)) for one in every], out)
     file = out / "job.toml"
@@ -227,8 +210,9 @@ def correct(
     report("simulate", 2, 2)
     parts = [one for one, part in zip(every, own, strict=True) if part]
     return Correction(
-        job=better, file=file, cutoff=cutoff, measured=before, predicted=predicted, simulated=simulated,
-        proof=plan.proof, sources=names, sentences=_sentences(found, plan, names, parts),
+        job=better, file=file, cutoff=cutoff, measured=maps.measured, predicted=maps.predicted,
+        simulated=maps.simulated, proof=plan.proof, sources=names,
+        sentences=_sentences(found, plan, names, parts),
     )  # fmt: skip
 
 
@@ -241,6 +225,54 @@ class _Plan(NamedTuple):
     map: int  # by whose draws it is proved
     draws: Draws
     proof: Proof
+
+
+class _Maps(NamedTuple):
+    """See `Correction`."""
+
+    measured: HeightMap | None
+    predicted: HeightMap | None
+    simulated: HeightMap
+
+
+def _simulated(
+    job: Job, found: Diagnosis, plan: _Plan, every: Sequence[Measured]
+) -> _Maps:  # fmt: skip
+    """Return what a correction makes of the part, and raise where that is not what is claimed.
+
+    Parameters
+    ----------
+    every
+        The maps, if the part itself was among them.
+    """
+    with TemporaryDirectory(prefix="turnwright-") as folder:
+        real = _better(job, found, plan._replace(likely=True, sources=True, smooth=None), (), File(folder))
+        better = _better(job, found, plan, (), File(folder))
+        new = motion_of(better)
+        if not every:
+            x, y = evenly(job.part.part, SHOWN)
+            off = cut_by(new, real, x, y) - job.part.part.surface.sag(x, y)
+            simulated = HeightMap(x=x, y=y, z=beyond_pose(job, x, y, off), name="simulated error")
+            return _Maps(None, None, simulated)
+        _check_simulated(job, better, plan)
+    old, error, field = motion_of(job), every[plan.map].error, found.fields[plan.map]
+
+    def change(x: Floats, y: Floats) -> Floats:
+        """Return what the real tool leaves by the corrected job, less what it left by the old one."""
+        return cut_by(new, real, x, y) - cut_by(old, real, x, y)
+
+    step = -(-error.z.size // SHOWN)
+    x, y = (one[::step] for one in error.points())
+    before = HeightMap(x=x, y=y, z=error.z[::step], name="measured error")
+    predicted = replace(before, z=beyond_pose(job, x, y, before.z + change(x, y)), name="predicted error")
+    x, y = field.points()
+    # The field holds what the job adds to its design already.
+    planned = cut_by(old, job, x, y) - job.part.aimed.surface.sag(x, y)
+    off = planned + field.z + change(x, y)
+    _check_claim(job, plan, off=(x, y, off), planned=planned)
+    _check_candidates(every[plan.map], job, change)
+    simulated = HeightMap(x=x, y=y, z=beyond_pose(job, x, y, off), name="simulated error")
+    return _Maps(before, predicted, simulated)
 
 
 def _check(job: Job, found: Diagnosis) -> None:
@@ -266,6 +298,7 @@ def _better(
     kept = [line for line in job.measurement.corrected if not any(one.fingerprint in line for one, _ in ledger)]
     if ledger:
         table.setdefault("measurement", {})["corrected"] = [*kept, *(line for _, line in ledger)]
+    table.get("measurement", {}).pop("cut_by", None)  # the next part is another one
     table.pop("actual", None)  # the correction is its prediction now
     if plan.sources:
         tool, machine = (found.likely_tool, found.likely_machine) if plan.likely else (found.tool, found.machine)
@@ -287,12 +320,16 @@ def _check_new(job: Job, every: Sequence[Measured], own: Sequence[bool]) -> None
                 f"the map {one.heights.name!r} was taken into account by an earlier correction of this job: measure a "
                 "part that this job has cut, or give the map with the job that cut it"
             )
-        if part and noted:
+        if part and noted and one.job.measurement.cut_by is None:
             _check_effect(one)
 
 
 def _check_effect(one: Measured) -> None:
-    """Raise if a part shows again what its job was corrected by."""
+    """Raise if a part shows all that its job was corrected by, as one does that was cut before.
+
+    What tool and machine were corrected by and what the form was are looked at apart: a tool that moved again shows the
+    former, in another size or without the latter.
+    """
     job = one.job
     table = tomllib.loads(job.to_toml())
     for name in ("offset", "radius_error", "waviness", "waviness_file"):
@@ -305,17 +342,47 @@ def _check_effect(one: Measured) -> None:
     some = slice(None, None, -(-x.size // EFFECT))
     x, y, error = x[some], y[some], one.error.z[some]
     motion = motion_of(plain)
-    corrected = cut_by(motion, job, x, y) - cut_by(motion, plain, x, y) - _added(job, x, y)
-    known = np.isfinite(corrected + error)
+    by_tool, by_form = cut_by(motion, job, x, y) - cut_by(motion, plain, x, y), -_added(job, x, y)
+    known = np.isfinite(by_tool + by_form + error)
     x, y = x[known], y[known]
-    both = [_beyond_pose(job, x, y, each[known]) for each in (error, corrected)]
-    seen, was = (float(np.sqrt(np.mean(each**2))) * NM for each in both)
-    share = float(both[0] @ both[1]) / max(float(both[1] @ both[1]), 1e-300)
-    if was > job.measurement.worth * NM and share > AGAIN:
+    seen, *effects = (beyond_pose(job, x, y, each[known]) for each in (error, by_tool, by_form))
+    corrected = effects[0] + effects[1]
+    seen_nm, was_nm = (float(np.sqrt(np.mean(each**2))) * NM for each in (seen, corrected))
+    if was_nm <= job.measurement.worth * NM:
+        return
+    columns = np.stack([each for each in effects if np.sqrt(np.mean(each**2)) * NM > NOTHING * was_nm], axis=1)
+    shares, covariance = _shares(columns, seen, _patches(x, y))
+    whole, none = (_away(shares - value, covariance) for value in (1.0, 0.0))
+    if whole < TOLD < none:
+        share = float(seen @ corrected) / float(corrected @ corrected)
         raise InputError(
-            f"the map {one.heights.name!r} shows {share:.0%} of the {was:.3g} nm rms that its job was corrected by, in "
-            f"{seen:.3g} nm: it was cut before the correction, give the job that cut it"
+            f"the map {one.heights.name!r} shows {share:.0%} of the {was_nm:.3g} nm rms that its job was corrected by, "
+            f"in {seen_nm:.3g} nm, as if it was cut before the correction: give the job that cut it. If this job did, "
+            'and the same error came back, write cut_by = "this job" in [measurement]'
         )
+
+
+def _patches(x: Floats, y: Floats) -> NDArray[np.intp]:
+    """Return which of rings and sectors of equal area points lie in, within which errors may hang together. (n,)."""
+    square = x * x + y * y
+    ring = np.minimum((RINGS * square / square.max()).astype(np.intp), RINGS - 1)
+    sector = np.minimum(((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.intp), SECTORS - 1)
+    return np.asarray(ring * SECTORS + sector)
+
+
+def _shares(columns: Floats, seen: Floats, patches: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Return how much of each column is seen, and the covariance of that if the rest hangs together in patches."""
+    inverse = np.linalg.pinv(columns)
+    shares = inverse @ seen
+    rest = seen - columns @ shares
+    pulls = np.stack([np.bincount(patches, weights=row * rest) for row in inverse])
+    return shares, np.asarray(pulls @ pulls.T, dtype=np.float64)
+
+
+def _away(off: Floats, covariance: Floats) -> float:
+    """Return by how many standard deviations shares are off, those by which cuts repeat included."""
+    both = covariance + REPEATED**2 * np.eye(off.size)
+    return float(np.sqrt(off @ np.linalg.solve(both, off)))
 
 
 def _check_sane(found: Diagnosis) -> None:
@@ -491,7 +558,7 @@ def _check_claim(job: Job, plan: _Plan, *, off: tuple[Floats, Floats, Floats], p
     """Raise if the corrected part, by simulation, is farther off than the draws and its cusps say."""
     x, y, z = off
     simulated, cusps = (
-        float(np.sqrt(np.nanmean(_beyond_pose(job, x, y, one) ** 2))) * NM for one in (z, planned)
+        float(np.sqrt(np.nanmean(beyond_pose(job, x, y, one) ** 2))) * NM for one in (z, planned)
     )  # fmt: skip
     claimed = math.hypot(plan.proof.after_nm, cusps)
     if simulated > claimed + max(SIMULATED * claimed, SIMULATED_NM):
@@ -510,7 +577,7 @@ def _check_candidates(one: Measured, job: Job, change: Callable[[Floats, Floats]
         step = -(-error.z.size // SHOWN)
         x, y, z = x[::step], y[::step], error.z[::step]
         before, after = (
-            float(np.sqrt(np.nanmean(_beyond_pose(job, x, y, each) ** 2))) * NM for each in (z, z + change(x, y))
+            float(np.sqrt(np.nanmean(beyond_pose(job, x, y, each) ** 2))) * NM for each in (z, z + change(x, y))
         )
         if after > before + worth_nm:
             shift = ", ".join(f"{value:.4g}" for value in pose.shift)
@@ -607,26 +674,7 @@ def _joined(job: Job, maps: Sequence[HeightMap]) -> HeightMap:
     x, y, z = (np.concatenate(one) for one in zip(*points, strict=True))
     known = ~np.isnan(z)
     x, y = x[known], y[known]
-    return HeightMap(x=x, y=y, z=_beyond_pose(job, x, y, z[known]), name="left to correct")
-
-
-def _beyond_pose(job: Job, x: Floats, y: Floats, z: Floats) -> Floats:
-    """Return errors beyond a change of pose that the measurement leaves open. (n,) [mm]."""
-    zx, zy = job.part.part.surface.gradient(x, y)
-    one, asked = np.ones_like(x), job.measurement
-    marks = {"z": one, "tilt_x": y, "tilt_y": x, "x": zx, "y": zy, "rotation": y * zx - x * zy}
-    known = {name for fixed in asked.fixed for name in OF_POSE[fixed]}
-    columns = [mark for name, mark in marks.items() if name in asked.free and name not in known]
-    if not columns:
-        return z
-    rows = np.stack(columns, axis=1)
-    rows = rows / np.maximum(np.sqrt((rows**2).mean(axis=0)), FLAT)
-    seen = np.isfinite(z)
-    return np.asarray(z - rows @ np.linalg.lstsq(rows[seen], z[seen], rcond=RANK)[0])
-
-
-FLAT, RANK = 1e-12, 1e-6
-"""Marks of a pose that are smaller than this are none, and those that others make but for this share."""
+    return HeightMap(x=x, y=y, z=beyond_pose(job, x, y, z[known]), name="left to correct")
 
 
 def _smooth(job: Job, left: HeightMap) -> Smooth:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import combinations
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 
-from turnwright.diagnosis import DEFAULT, FREE, Diagnosis
+from turnwright.diagnosis import DEFAULT, FREE, Diagnosis, plausible_rms_nm
 from turnwright.diagnosis import diagnose as attribute
 from turnwright.errors import InputError, MapError
 from turnwright.files import read_map
@@ -28,6 +30,7 @@ from turnwright.metrology import (
     TurningCentre,
     ZernikeFit,
     area_rms,
+    axisymmetric,
     base_forms,
     despike,
     fit_zernike,
@@ -52,7 +55,7 @@ if TYPE_CHECKING:
     from turnwright.surface import Surface
     from turnwright.tool import Tool
 
-__all__ = ["Measured", "cutoff_of", "diagnose", "measure", "read_measurement", "same_part"]
+__all__ = ["Measured", "beyond_pose", "cutoff_of", "diagnose", "measure", "read_measurement", "same_part"]
 
 FIRST = 100_000
 """Points by which a map is found on the part before its spikes are known."""
@@ -70,6 +73,42 @@ FEEDS = 40
 
 ACROSS = 30
 """Cutoffs on the diameter, unless the job states one."""
+
+FEW = 3_000
+"""Points by which a part is told from another one."""
+
+FAR = 3.0
+"""Plausible sizes of errors beyond which a part is not off by these."""
+
+SHARE = 0.5
+"""Share of what the design has beyond a sphere, or a plane, by which a part of this design is not off."""
+
+TWICE = 3.0
+"""A map that is turned is off by at most twice what the design has there, its noise and errors aside."""
+
+BETTER = 5.0
+"""By so much less a part must be off in another orientation to be taken to lie so."""
+
+CHECK = (
+    "Check the unit of the heights, the pixel size, mirrored, inverted and rotation, whether heights that are missing "
+    "are stored as 0, and the part."
+)
+"""What to do with a map that does not look like its part in any orientation."""
+
+ALIKE = 1.2
+"""Orientations fit as well if the part is off by no more than this many times the best of them."""
+
+ZEROS, STANDS_OUT = 0.005, 5.0
+"""Share of heights of exactly 0, and how much farther off than the others they are, that are no heights."""
+
+OF_RIM = 6**-0.5
+"""Root mean square of an astigmatism over its height at the rim."""
+
+KNOWN = 0.95
+"""Share of the points by which orientations are compared: spikes are in the map yet."""
+
+FLAT, RANK = 1e-12, 1e-6
+"""Marks of a pose that are smaller than this are none, and those that others make but for this share."""
 
 OF_POSE = MappingProxyType(
     {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
@@ -116,6 +155,8 @@ class Measured:
         if the job states no instrument, or it cannot be applied to such a map. [nm]
     texture
         The cusps against the predicted ones, seen through that instrument, if it was stated and the map shows them.
+    misplaced
+        Why the heights do not look like this part as the job has it placed, in a sentence; ``None`` if they do.
     """
 
     job: Job
@@ -133,6 +174,7 @@ class Measured:
     axis: TurningCentre | None = None
     seen_design_nm: float | None = None
     texture: SeenTexture | None = None
+    misplaced: str | None = None
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
@@ -159,7 +201,8 @@ class Measured:
     @property
     def open_questions(self) -> tuple[str, ...]:
         """What the registration could not settle, and what to write in the job's ``measurement`` to settle it."""
-        return open_questions(self.registration, self.job.measurement, self.job.part.radius)
+        found = open_questions(self.registration, self.job.measurement, self.job.part.radius)
+        return found if self.misplaced is None else (self.misplaced, *found)
 
 
 def read_measurement(job: Job, file: str | PathLike[str], *, unit: str | None = None) -> HeightMap:
@@ -210,7 +253,8 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     report = progress or (lambda _stage, _done, _total: None)
     asked, part = job.measurement, job.part.part
     report("register", 0, 1)
-    heights, start = _with_reference(_turned(_masked(heights, job), job), job)
+    raw = _masked(heights, job)
+    heights, start = _with_reference(_turned(raw, job), job)
     pieces = part.surface.in_pieces
     common = _registered_by(job)
     free = common["free"]
@@ -270,6 +314,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         fingerprint=_fingerprint(error.z), axis=axis,
         seen_design_nm=seen_design_nm, texture=texture_as_seen(job, registration.error, registration.pose),
     )  # fmt: skip
+    measured = replace(measured, misplaced=_misplaced(measured, raw))
     report("judge", 1, 1)
     return measured
 
@@ -300,6 +345,131 @@ def errors_at_candidates(measured: Measured) -> Iterator[tuple[Pose, HeightMap]]
             measured.heights, part, loss=loss, start=one.pose, reach=0.0, clocking=0.0, **_registered_by(job)
         )  # fmt: skip
         yield there.pose, _on_part(measured.heights, there)[1]
+
+
+def _misplaced(measured: Measured, raw: HeightMap) -> str | None:
+    """Return why heights do not look like the part of their job, ``None`` if they do.
+
+    A part is not off by half of what its design has beyond a sphere, or beyond a plane if tool and machine plausibly
+    make as much as that: another one is in the map, or this one in other units, or seen from another side.
+    """
+    job, off = measured.job, measured.form_rms_nm
+    if job.measurement.reference != "true form":
+        return None  # the heights hold a departure from a sphere that is not known
+    few = measured.error.thinned(FEW)
+    x, y = few.points()
+    inside = np.isfinite(few.z) & (np.hypot(x, y) <= job.part.part.radius)
+    x, y = x[inside], y[inside]
+    design = job.part.part.surface.sag(x, y)
+    own = [float(np.sqrt(np.mean(beyond_pose(job, x, y, design, sphere=one) ** 2))) * NM for one in (True, False)]
+    shapes = ("best-fit sphere", "best-fit plane")
+    better = None
+    name = measured.heights.name or job.part.part.name
+    if zeros := _zeros(measured):
+        return f"the heights of {name!r} do not look like this part: {zeros}"
+    faintest = FAR * measured.registration.noise_nm
+    if any(max(SHARE * one, faintest) < off <= TWICE * one for one in own):
+        better = _better_orientation(job, raw)
+    form = FAR * job.measurement.form_error * OF_RIM * NM
+    plausible = form
+    if better is None:
+        if off <= max(SHARE * own[0], form):
+            return None
+        try:
+            plausible = float(np.hypot(form, FAR * _plausible_nm(job, x, y)))
+        except InputError:
+            return None  # too little of the part is there
+        which = 0 if SHARE * own[0] > plausible else 1
+        if off <= max(SHARE * own[which], plausible):
+            return None
+    else:
+        which = 0 if SHARE * own[0] < off else 1
+    return (
+        f"the heights of {name!r} do not look like this part: they are off by {off:.4g} nm rms, and the design departs "
+        f"from its {shapes[which]} by {own[which]:.4g} nm. " + (better or CHECK)
+    )
+
+
+def _zeros(measured: Measured) -> str | None:
+    """Return that heights of exactly 0 stand out of the others, in a sentence, if they do."""
+    error, heights = measured.registration.error.z, measured.heights.z
+    known = np.isfinite(error)
+    zero = known & (heights == 0)
+    count, of = int(np.count_nonzero(zero)), int(np.count_nonzero(known))
+    if not ZEROS * of < count < of:
+        return None
+    off, others = (float(np.median(np.abs(error[some]))) * NM for some in (zero, known & ~zero))
+    if off <= STANDS_OUT * others:
+        return None
+    return (
+        f"{count} of its {of} heights are exactly 0 and off by {off:.3g} nm, most of the others by less than "
+        f"{others:.3g} nm. Leave out heights that are missing, or name a mask in [measurement]."
+    )
+
+
+def _plausible_nm(job: Job, x: Floats, y: Floats) -> float:
+    """Return what tool and machine plausibly make of a part, one standard deviation. [nm]."""
+    free = [one for one in FREE if one not in job.measurement.fixed]
+    return plausible_rms_nm(
+        job.part.part, job.tool.tool, job.machine.machine, x, y, free=free, sense=job.strategy.sense
+    )
+
+
+def _better_orientation(job: Job, raw: HeightMap) -> str | None:
+    """Return the keys of the measurement by which a map fits far better, in a sentence, the fewest of them."""
+    asked = job.measurement
+    turned = (asked.rotation or 0.0) + (np.pi if (asked.rotation or 0.0) <= 0 else -np.pi)
+    changes: dict[str, tuple[str, Any]] = {
+        "mirrored": (f"mirrored = {str(not asked.mirrored).lower()}", not asked.mirrored),
+        "inverted": (f"inverted = {str(not asked.inverted).lower()}", not asked.inverted),
+        "rotation": (f'rotation = "{np.rad2deg(turned):.6g} deg"', turned),
+    }
+    if axisymmetric(job.part.part.surface, job.part.radius):
+        changes = {"inverted": changes["inverted"]}
+    thin = raw.thinned(FEW)
+    off_nm = _fit_nm(job, thin)
+    for count in range(1, len(changes) + 1):
+        found = []
+        for keys in combinations(changes, count):
+            table = asked.model_copy(update={key: changes[key][1] for key in keys})
+            with suppress(InputError):
+                found.append((_fit_nm(job.model_copy(update={"measurement": table}), thin), keys))
+        best = min((fits for fits, _ in found), default=np.inf)
+        if best * BETTER <= off_nm:
+            # A part that is its own mirror image fits as well turned as mirrored.
+            alike = [", ".join(changes[key][0] for key in keys) for fits, keys in found if fits <= ALIKE * best]
+            return f"It is off by {best:.3g} nm with {' or with '.join(alike)} in [measurement]: write what is so."
+    return None
+
+
+def _fit_nm(job: Job, raw: HeightMap) -> float:
+    """Return how far a part is off by most of the points of a map, rms. [nm]."""
+    heights, start = _with_reference(_turned(raw, job), job)
+    asked = job.measurement
+    known = {name for one in asked.fixed for name in OF_POSE[one]}
+    free = tuple(name for name in asked.free if name not in known)
+    found = register(
+        heights, job.part.part, loss="huber", start=start, free=free, reach=asked.reach,
+        clocking=asked.clocking if "rotation" in free else 0.0, form_error=asked.form_error,
+    )  # fmt: skip
+    squares = np.sort(found.error.z[np.isfinite(found.error.z)] ** 2)
+    return float(np.sqrt(np.mean(squares[: int(np.ceil(KNOWN * squares.size))]))) * NM
+
+
+def beyond_pose(job: Job, x: Floats, y: Floats, z: Floats, *, sphere: bool = False) -> Floats:
+    """Return errors beyond a change of pose that the measurement leaves open, and beyond a sphere. (n,) [mm]."""
+    zx, zy = job.part.part.surface.gradient(x, y)
+    one, asked = np.ones_like(x), job.measurement
+    marks = {"z": one, "tilt_x": y, "tilt_y": x, "x": zx, "y": zy, "rotation": y * zx - x * zy}
+    known = {name for fixed in asked.fixed for name in OF_POSE[fixed]}
+    columns = [mark for name, mark in marks.items() if name in asked.free and name not in known]
+    columns += [x * x + y * y] if sphere else []
+    if not columns:
+        return z
+    rows = np.stack(columns, axis=1)
+    rows = rows / np.maximum(np.sqrt((rows**2).mean(axis=0)), FLAT)
+    seen = np.isfinite(z)
+    return np.asarray(z - rows @ np.linalg.lstsq(rows[seen], z[seen], rcond=RANK)[0])
 
 
 def _without_seen_design(job: Job, heights: HeightMap, pose: Pose) -> tuple[HeightMap, float | None]:
@@ -410,8 +580,9 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
             )
     report("diagnose", 0, 1)
     asked = first.measurement
+    means = [_gathered(one, first) for one in every]
     found = attribute(
-        [_gathered(one, first) for one in every],
+        [one.heights for one in means],
         [one.job.part.part for one in every],
         first.tool.tool,
         first.machine.machine,
@@ -422,11 +593,12 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
         sense=first.strategy.sense,
         worth_nm=asked.worth * NM,
         points=2 * CELLS,
+        noise_nm=[one.noise_nm for one in means],
         repeats=asked.repeats,
         correct=asked.correct,
     )
     report("diagnose", 1, 1)
-    return _stated(found, every) if asked.reference == "true form" else found
+    return _stated(found, every, means) if asked.reference == "true form" else found
 
 
 def _planned_with(job: Job) -> tuple[Tool, Machine]:
@@ -434,19 +606,15 @@ def _planned_with(job: Job) -> tuple[Tool, Machine]:
     return replace(job.tool.tool, plausible={}), replace(job.machine.machine, plausible={})
 
 
-def _stated(found: Diagnosis, every: Sequence[Measured]) -> Diagnosis:
-    """Return a diagnosis that states the form error as the measurement does: noise that cells average out is residual.
+def _stated(found: Diagnosis, every: Sequence[Measured], means: Sequence[_Means]) -> Diagnosis:
+    """Return a diagnosis that states the form error as the measurement does: what cells average out is residual.
 
     Maps whose errors were turned into those of another job have no such number.
     """
     if any(one.job != every[0].job for one in every):
         return found
     measured = float(np.sqrt(np.mean([one.form_rms_nm**2 for one in every])))
-    averaged = [
-        one.registration.noise_nm**2 * max(1 - cells.z.size / one.error.z.size, 0.0)
-        for one, cells in zip(every, found.residuals, strict=True)
-    ]
-    left = float(np.sqrt(found.unexplained_rms_nm**2 + np.mean(averaged)))
+    left = float(np.sqrt(found.unexplained_rms_nm**2 + np.mean([one.averaged_nm**2 for one in means])))
     return replace(found, measured_rms_nm=measured, unexplained_rms_nm=left)
 
 
@@ -462,8 +630,16 @@ def same_part(one: Job, other: Job) -> bool:
     return design == other_design and one.strategy == other.strategy and one.passes[-1:] == other.passes[-1:]
 
 
-def _gathered(measured: Measured, job: Job) -> HeightMap:
-    """Return a part's errors averaged over small cells, on the design, as if the job had cut it. Scattered. [mm].
+class _Means(NamedTuple):
+    """A part's errors averaged over small cells, on the design."""
+
+    heights: HeightMap  # scattered [mm]
+    noise_nm: float  # of a mean, as the job states that of a height; 0 if it does not
+    averaged_nm: float  # rms of the errors about the means of their cells
+
+
+def _gathered(measured: Measured, job: Job) -> _Means:
+    """Return a part's errors averaged over small cells, on the design, as if the job had cut it.
 
     They are without the cusps and the chords that the plan has: neither is a fault of tool or machine.
     """
@@ -482,13 +658,17 @@ def _gathered(measured: Measured, job: Job) -> HeightMap:
     which, at = np.unique(number, return_inverse=True)
     count = np.bincount(at, minlength=which.size)
     few = slice(None, None, -(-which.size // (2 * CELLS)) or 1)
-    x, y, error = ((np.bincount(at, weights=one, minlength=which.size) / count)[few] for one in (x, y, error))
+    means = [np.bincount(at, weights=one, minlength=which.size) / count for one in (x, y, error)]
+    averaged = float(np.sqrt(np.mean((error - means[2][at]) ** 2)))
+    noise = (measured.job.measurement.noise or 0.0) * float(np.sqrt(np.mean(1 / count[few])))
+    x, y, error = (one[few] for one in means)
     real = job if same_part(measured.job, job) else measured.job
     across = across_feed(measured.job, x, y)
     flat = [one.ravel() for one in across]
     planned = finished(measured.job, real, *flat) - real.part.aimed.surface.sag(*flat)
     error -= planned.reshape(across[0].shape).mean(axis=1)
-    return HeightMap(x=x, y=y, z=part.surface.sag(x, y) + error, name=measured.heights.name)
+    heights = HeightMap(x=x, y=y, z=part.surface.sag(x, y) + error, name=measured.heights.name)
+    return _Means(heights, noise * NM, averaged * NM)
 
 
 def _cells(x: Floats, y: Floats, cell: float) -> Ints:

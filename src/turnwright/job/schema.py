@@ -660,6 +660,8 @@ class MeasurementTable(Table):
         Whether drift, and form without a cause, that a single map shows are taken to come back on the next part.
     corrected
         Maps that this job was corrected by, as `correct` notes them, so that none is taken into account twice.
+    cut_by
+        "this job", if a part was cut by it as corrected though it shows what was corrected: the error came back.
     """
 
     pixel_size: Size | tuple[Size, Size] | None = None
@@ -694,6 +696,7 @@ class MeasurementTable(Table):
     correct: tuple[Text, ...] | None = None
     repeats: Annotated[bool, Strict()] = True
     corrected: tuple[Text, ...] = ()
+    cut_by: Literal["this job"] | None = None
 
     @property
     def pose(self) -> Pose | None:

@@ -8,7 +8,8 @@ import os
 import re
 from itertools import islice
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias, Union, get_args, get_origin
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -19,7 +20,7 @@ from turnwright.errors import JobError, UnitError, shortened, shown
 from turnwright.units import parse, unit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from turnwright._arrays import Floats
 
@@ -145,20 +146,42 @@ def _children(annotation: object) -> Iterator[type[Table]]:
         yield from _children(inner)
 
 
-def _place(root: type[Table], loc: tuple[str | int, ...], tags: Mapping[str, type[Table]]) -> tuple[str, type[Table]]:
-    """Return the dotted path of a field, counting from 1 in lists, and the table that it belongs to."""
-    path, model, owner = "", root, root
+class _Place(NamedTuple):
+    """Where something is wrong: the dotted path, the table it belongs to, the field of several kinds and the kind."""
+
+    path: str
+    owner: type[Table]
+    choice: str = ""  # the path of a field that may be of several kinds, none of which the value is
+    kind: str = ""  # which of them this is about
+
+
+def _place(root: type[Table], loc: tuple[str | int, ...], tags: Mapping[str, type[Table]]) -> _Place:
+    """Return the place of a field, counting from 1 in lists."""
+    path, model, owner, several = "", root, root, False
+    choice = kind = ""
     for step in loc:
         if isinstance(step, int):
             path += f"[{step + 1}]"
         elif step in tags and step not in model.model_fields:
             model = tags[step]
+        elif several:
+            choice, kind = path, step  # pydantic's own name of the kind, which is no key of the job
         else:
             path += f".{step}" if path else step
             owner = model
             field = model.model_fields.get(step)
             model = next(_children(field.annotation), model) if field else model
-    return path, owner
+            several = field is not None and _of_several_kinds(field.annotation)
+            continue
+        several = False
+    return _Place(path, owner, choice, kind)
+
+
+def _of_several_kinds(annotation: object) -> bool:
+    """Whether a field may be of more than one kind, besides not being there."""
+    if get_origin(annotation) not in (Union, UnionType):
+        return False
+    return sum(one is not NoneType for one in get_args(annotation)) > 1
 
 
 def sentences(error: ValidationError, root: type[Table], tags: Mapping[str, type[Table]]) -> list[str]:
@@ -178,9 +201,19 @@ def sentences(error: ValidationError, root: type[Table], tags: Mapping[str, type
 
 def faults(error: ValidationError, root: type[Table], tags: Mapping[str, type[Table]]) -> Iterator[tuple[str, str]]:
     """Yield the place of each thing that is wrong, such as ``passes[1].feed``, and its sentence. See `sentences`."""
+    choices: dict[str, dict[str, list[_Fault]]] = {}
+    found: list[_Fault | str] = []
     for problem in islice(error.errors(include_url=False), MOST_FAULTS):
-        path, owner = _place(root, problem["loc"], tags)
-        yield shortened(path), shortened(_sentence(path, owner, problem))
+        fault = _Fault(_place(root, problem["loc"], tags), problem)
+        choice, kind = fault.place.choice, fault.place.kind
+        if not choice:
+            found.append(fault)
+            continue
+        if choice not in choices:
+            found.append(choice)
+        choices.setdefault(choice, {}).setdefault(kind, []).append(fault)
+    for one in found:
+        yield from _nearest(one, choices[one]) if isinstance(one, str) else [one.said]
     if error.error_count() > MOST_FAULTS:
         yield "", f"{error.error_count() - MOST_FAULTS} more places of the job are wrong: correct these first"
 
@@ -219,6 +252,44 @@ def _sentence(path: str, owner: type[Table], problem: Mapping[str, Any]) -> str:
         return f"{path} is {shown(value)}, it must be {_KINDS[kind]}: write it so"
     text = str(context.get("error") or context.get("text") or problem["msg"])
     return f"{path}: {text}" if path else text
+
+
+class _Fault(NamedTuple):
+    """One thing that is wrong."""
+
+    place: _Place
+    problem: Mapping[str, Any]
+
+    @property
+    def said(self) -> tuple[str, str]:
+        """Its place and its sentence."""
+        path, owner, *_ = self.place
+        return shortened(path), shortened(_sentence(path, owner, self.problem))
+
+    @property
+    def distance(self) -> int:
+        """How far the value is from being of the kind: wrong within it, of its form, of another form, no such thing."""
+        kind = self.problem["type"]
+        if self.place.path != self.place.choice:
+            return 0
+        if kind in _KINDS or kind == "literal_error":
+            return 3
+        return 1 if kind in _SAID else 2
+
+
+def _nearest(path: str, kinds: Mapping[str, Sequence[_Fault]]) -> Iterator[tuple[str, str]]:
+    """Yield what is wrong with a value as the kind that it is nearest to, or, if it is none, what it may be."""
+    nearest = min(kinds.values(), key=lambda faults: max(one.distance for one in faults))
+    if max(one.distance for one in nearest) < 3:
+        yield from (one.said for one in nearest)
+        return
+    allowed = [
+        one.problem["ctx"]["expected"] if one.problem["type"] == "literal_error" else _KINDS[one.problem["type"]]
+        for faults in kinds.values()
+        for one in faults
+    ]
+    value = shown(next(iter(kinds.values()))[0].problem["input"])
+    yield shortened(path), f"{path} is {value}, it must be {' or '.join(allowed)}: write it so"
 
 
 def _suggest(key: str, known: Iterable[str]) -> str:

@@ -12,6 +12,7 @@ from turnwright.metrology.form import Form, remove_form
 from turnwright.metrology.grid import area_rms
 from turnwright.metrology.lens_array import Lenslet, Lenslets, base_forms, has_lenslets, lenslets
 from turnwright.metrology.map_overview import level, overview
+from turnwright.metrology.pose_search import axisymmetric
 from turnwright.metrology.profile import line_profile, without_form
 from turnwright.metrology.profile_parameters import ProfileRoughness, profile_roughness
 from turnwright.metrology.registration import EDGE, DoubtKind, PoseCandidate, Registration, Undetermined, register
@@ -56,6 +57,7 @@ __all__ = [
     "ZernikeFit",
     "area_psd",
     "area_rms",
+    "axisymmetric",
     "base_forms",
     "bearing",
     "best_fit",

@@ -9,10 +9,12 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats
 from turnwright._kernels.registration import misfit, settle
+from turnwright.errors import InputError
 from turnwright.metrology.rigid import Fit, Problem, fit, residuals, rows, turns
 from turnwright.pose import Pose
 from turnwright.progress import run_chunks
 from turnwright.surface import LensArray, Placed, Sum, Surface
+from turnwright.units import say_length
 
 __all__ = ["Lattice", "axisymmetric", "costs", "lattice_of", "ranked", "search"]
 
@@ -57,6 +59,9 @@ POOR = 4.0
 MOST_LOOKUPS = 30_000_000
 """Points times places of the search; beyond it points are left out, down to the fewest."""
 
+MOST_PLACES = 4_000_000
+"""Places of the search, which take a minute of two cores and 0.5 GB; a map that needs more is refused."""
+
 MOST_REPEATS = 60
 PLACES_AT_A_TIME = 64
 COVER = 0.95
@@ -81,6 +86,18 @@ class _Tabled(NamedTuple):
     low: float
     step: float
     moves: Bools  # which of shift (x, y, z) and turns about x, y, z may move
+
+
+class _Marks(NamedTuple):
+    """Evenly spaced places along an axis, or turns, that may be too many to lay out. [mm or rad]."""
+
+    begin: float
+    number: float  # of them, a whole one
+    pitch: float
+
+    @property
+    def at(self) -> Floats:
+        return np.asarray(self.begin + self.pitch * np.arange(self.number))
 
 
 class Lattice(NamedTuple):
@@ -165,20 +182,10 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
     # A turn about the middle of the map moves the frame that the reach is stated in.
     reach += 2 * np.sin(min(clocking, np.pi) / 2) * min(float(np.hypot(*state[:2])), a) if reach > 0 else 0.0
     turn_step = min(step / a * 1.5, 0.35)
-    angles = _turns(clocking, turn_step)
-    along = [_axis(reach, step) if k in free else np.zeros(1) for k in (0, 1)]
-    cell: Floats
-    if pattern.steps is not None and 0 in free and 1 in free:
-        count = np.maximum(np.ceil(np.hypot(*pattern.steps.T) / step), 2)
-        u, v = np.meshgrid(np.arange(count[0]) / count[0], np.arange(count[1]) / count[1])
-        cell = np.stack([u.ravel() - 0.5, v.ravel() - 0.5], axis=-1) @ pattern.steps
-        if cell.shape[0] > along[0].size * along[1].size:
-            pattern = Lattice(None, pattern.fine)
-    if pattern.steps is None or 0 not in free or 1 not in free:
-        x, y = np.meshgrid(*along)
-        cell = np.stack([x.ravel(), y.ravel()], axis=-1)
-    places = np.concatenate([np.repeat(cell, angles.size, axis=0), np.tile(angles, cell.shape[0])[:, None]], axis=1)
-    places += np.array([start[0], start[1], 0.0])
+    places, pattern = _places(
+        pattern, start, free, reach=reach, step=step, clocking=clocking, turn_step=turn_step,
+        rim=1 / size[3], within=problem.within,
+    )  # fmt: skip
     scores = _scores(tabled, places)
     chosen = _peaks(places, scores[0], 1.6 * step, 1.6 * turn_step, SETTLED * (2 if clocking > 1.0 else 1))
     begin = np.concatenate([places, scores[1:].T], axis=1)[chosen]
@@ -279,17 +286,70 @@ def _levelled(problem: Problem, state: Floats) -> Floats | None:
     return np.ascontiguousarray(np.delete(arm, bad, axis=1))
 
 
-def _axis(reach: float, step: float) -> Floats:
-    """Return places from -reach to reach no farther apart than the step."""
-    half = int(np.ceil(reach / step))
-    return np.linspace(-reach, reach, 2 * half + 1) if half else np.zeros(1)
+def _places(
+    pattern: Lattice, start: Floats, free: list[int], *, reach: float, step: float, clocking: float, turn_step: float,
+    rim: float, within: float,
+) -> tuple[Floats, Lattice]:  # fmt: skip
+    """Return places and turns to look at (n, 3), and the pattern if they are those of one of its cells.
+
+    Raises
+    ------
+    InputError
+        If they are more than can be looked at.
+    """
+    turns_tried = _turns(clocking, turn_step)
+    # Farther from the part's axis nothing of the map lies on the part.
+    farthest = within + rim
+    along = [
+        _axis(reach, step, -farthest - start[k], farthest - start[k]) if k in free else _Marks(0.0, 1, 0.0)
+        for k in (0, 1)
+    ]
+    count = along[0].number * along[1].number
+    of_cell = np.full(2, np.inf)
+    if pattern.steps is not None and 0 in free and 1 in free:
+        of_cell = np.maximum(np.ceil(np.hypot(*pattern.steps.T) / step), 2)
+    by_cell = bool(of_cell.prod() <= count)
+    total = min(count, float(of_cell.prod())) * turns_tried.number
+    if by_cell and pattern.steps is not None:
+        total += float(2 * _most_repeats(pattern.steps, reach) + 1) ** 2
+    if total > MOST_PLACES:
+        widest = step * (np.sqrt(MOST_PLACES / turns_tried.number) - 1) / 2
+        remedy = f"a reach of at most {say_length(widest)}" if widest > step else "a smaller reach and clocking"
+        raise InputError(
+            f"the map's field of {say_length(2 * rim)} cannot be looked for within a reach of {say_length(reach)} and "
+            f"a clocking of {np.rad2deg(clocking):.3g} deg: these are {total / 1e6:,.0f} million places "
+            f"{say_length(step)} apart, the limit is {MOST_PLACES / 1e6:g} million. Check the unit of its lengths; if "
+            f"that is right, state shift and rotation of the map and {remedy}"
+        )
+    if by_cell:
+        u, v = np.meshgrid(np.arange(of_cell[0]) / of_cell[0], np.arange(of_cell[1]) / of_cell[1])
+        cell = np.stack([u.ravel() - 0.5, v.ravel() - 0.5], axis=-1) @ pattern.steps
+    else:
+        pattern = Lattice(None, pattern.fine)
+        x, y = np.meshgrid(*(one.at for one in along))
+        cell = np.stack([x.ravel(), y.ravel()], axis=-1)
+        cell = cell[np.hypot(*(cell + start[:2]).T) <= farthest]
+    angles = turns_tried.at
+    places = np.concatenate([np.repeat(cell, angles.size, axis=0), np.tile(angles, cell.shape[0])[:, None]], axis=1)
+    return places + np.array([start[0], start[1], 0.0]), pattern
 
 
-def _turns(clocking: float, step: float) -> Floats:
+def _axis(reach: float, step: float, low: float = -np.inf, high: float = np.inf) -> _Marks:
+    """Return places from -reach to reach no farther apart than the step, and of them those between two others."""
+    half = float(np.ceil(reach / step))
+    if half == 0:
+        return _Marks(0.0, 1, 0.0)
+    pitch = reach / half
+    first, last = max(-half, np.ceil(low / pitch)), min(half, np.floor(high / pitch))
+    return _Marks(first * pitch, max(last - first + 1, 0.0), pitch)
+
+
+def _turns(clocking: float, step: float) -> _Marks:
     """Return turns from -clocking to clocking no farther apart than the step; a full turn closes on itself."""
     if clocking < np.pi * (1 - 1e-9):
         return _axis(clocking, step)
-    return np.linspace(-np.pi, np.pi, int(np.ceil(2 * np.pi / step)), endpoint=False)
+    count = float(np.ceil(2 * np.pi / step))
+    return _Marks(-np.pi, count, 2 * np.pi / count)
 
 
 def _moves(free: list[int]) -> Bools:
@@ -328,7 +388,7 @@ def _scores(tabled: _Tabled, places: Floats, *, share: float = LEAST) -> Floats:
         out[:, start:stop] = part
 
     run_chunks(work, places.shape[0], PLACES_AT_A_TIME)
-    most = max(out[0].max(), 1.0)
+    most = max(out[0].max(initial=0.0), 1.0)
     # A flat valley is the same everywhere: there the more of the map lies on the part, the better.
     score = np.where(out[0] >= share * most, out[1] * (most / np.maximum(out[0], 1)) ** 2, np.inf)
     return np.concatenate([score[None], out[2:]])
@@ -399,6 +459,11 @@ def _refined(problem: Problem, state: Floats, free: list[int], size: Floats, *, 
     return found if found.used > 0 else None
 
 
+def _most_repeats(steps: Floats, reach: float) -> int:
+    """Return how many steps of a pattern, either way, may lie within reach."""
+    return int(np.ceil((2 * reach) / np.sqrt(abs(np.linalg.det(steps))))) + 1
+
+
 def _repeats(
     problem: Problem, fits: list[Fit], steps: Floats, state: Floats, reach: float, free: list[int], size: Floats,
     tabled: _Tabled,
@@ -406,7 +471,7 @@ def _repeats(
     """Return fits from every repeat of the pattern within reach of the best that was found."""
     start = tabled.start
     base = ranked(problem, fits)[0]
-    most = int(np.ceil((2 * reach) / np.sqrt(abs(np.linalg.det(steps))))) + 1
+    most = _most_repeats(steps, reach)
     i, j = np.meshgrid(np.arange(-most, most + 1), np.arange(-most, most + 1))
     at = base.state[:2] + np.stack([i.ravel(), j.ravel()], axis=-1) @ steps
     at = at[np.abs(at - state[:2]).max(axis=1) <= reach + np.hypot(*steps.T).min() / 2]
