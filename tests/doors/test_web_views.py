@@ -250,7 +250,7 @@ def test_a_coarse_window_is_what_was_stored(made: tuple[Path, tw.job.Result]) ->
 def test_a_map_that_is_generated_again_is_the_one_that_was_stored(interpolation: str, tmp_path: Path) -> None:
     # Oracle: the run itself, whatever the controller makes of the points of its program.
     lathe = tmp_path / "lathe.toml"
-    generic = Path(turnwright.machine.__file__).parent / "machines" / "generic.toml"
+    generic = Path(turnwright.__file__).parent / "machines" / "generic.toml"
     lathe.write_text(f'{generic.read_text(encoding="utf-8")}\n[controller]\ninterpolation = "{interpolation}"\n')
     data = {**BOWL, "machine": {"file": str(lathe)}}
     job = tw.Job.read({**data, "strategy": {**BOWL["strategy"], "points_per_rev": 24}})

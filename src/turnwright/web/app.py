@@ -35,7 +35,7 @@ __all__ = ["create_app"]
 
 STATIC = Path(__file__).resolve().parent / "static"
 
-ROUTERS = ("_planning", "_files", "_views", "_runs", "_windows", "_measurements")
+ROUTERS = ("planning", "files", "views", "runs", "windows", "measurements")
 """Modules that bring routes, each in its ``router``."""
 
 REFUSED: dict[int | str, dict[str, Any]] = {

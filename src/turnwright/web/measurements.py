@@ -91,7 +91,7 @@ async def show(
     file = state.folder / "files" / f".{secrets.token_hex(16)}{suffix}"
     try:
         await stored(request, file, FILE_BYTES)
-        packed = await state.workers.ask("_shown:lone_map", str(file), shown_name(name), limit_s=FILE_S)
+        packed = await state.workers.ask("shown:lone_map", str(file), shown_name(name), limit_s=FILE_S)
     finally:
         file.unlink(missing_ok=True)
     return Response(packed, media_type=MEDIA_TYPE)
@@ -152,7 +152,7 @@ async def measured_map(
     file = folder / PICTURES[name]
     if not file.is_file():
         raise HTTPException(409, f"there is no {name} map yet: wait until it is done")
-    packed = await state.workers.ask("_shown:shown_map", str(file), state.runs.data(run), str(state.folder), nx, ny)
+    packed = await state.workers.ask("shown:shown_map", str(file), state.runs.data(run), str(state.folder), nx, ny)
     return Response(packed, media_type=MEDIA_TYPE)
 
 

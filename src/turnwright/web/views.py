@@ -66,7 +66,7 @@ def apart(request: Request) -> Workers:
     """Return the one process for what takes long, so that nobody waits behind it."""
     state = request.app.state
     if getattr(state, "path_worker", None) is None:
-        state.path_worker = Workers(1, threads=1, warm="_jobs:warm")
+        state.path_worker = Workers(1, threads=1, warm="jobs:warm")
     found: Workers = state.path_worker
     return found
 
@@ -84,7 +84,7 @@ def _workers(request: Request, data: dict[str, Any]) -> Workers:
 async def _seen(workers: Workers, question: Question, what: str, *arguments: Any, keep: bool = True) -> Response:
     """Return what one of the processes packs; of equal questions of one page only the last counts."""
     latest = f"{what} {question.client}" if question.client else ""
-    found = await workers.ask(f"_seen:{what}", question.data, *arguments, latest=latest, keep=keep)
+    found = await workers.ask(f"seen:{what}", question.data, *arguments, latest=latest, keep=keep)
     return Response(found, media_type=MEDIA_TYPE)
 
 

@@ -107,7 +107,7 @@ class Workers:
         Parameters
         ----------
         function
-            Called there with the arguments; what it raises is raised here. A name such as "_jobs:check", of a module of
+            Called there with the arguments; what it raises is raised here. A name such as "jobs:check", of a module of
             this package, spares the server its import.
         arguments
             Plain data.
@@ -260,8 +260,8 @@ class Workers:
 
 def planners() -> Workers:
     """Start the processes that plan what a page describes: each has all cores, for one question at a time."""
-    then = ("_seen:warm_compiler", "_seen:warm_surface", "_jobs:warm_kernels")
-    return Workers(PLANNERS, threads=cores(), warm="_jobs:warm", then=then)
+    then = ("seen:warm_compiler", "seen:warm_surface", "jobs:warm_kernels")
+    return Workers(PLANNERS, threads=cores(), warm="jobs:warm", then=then)
 
 
 def _call(function: Callable[..., Any] | str, arguments: tuple[Any, ...]) -> Any:
