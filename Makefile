@@ -69,7 +69,7 @@ docs: setup ## build the documentation; every page is run
 	@echo "docs/_build/html/index.html"
 
 screenshots: $(VENV)/.testing ## take the pictures of the workbench that docs and README show; needs Chromium
-	TURNWRIGHT_SCREENSHOTS=docs/images/workbench $(BIN)/python -m pytest tests/doors/test_web_page.py -q -k picture
+	TURNWRIGHT_SCREENSHOTS=docs/images/workbench $(BIN)/python -m pytest tests/web/test_web_page.py -q -k picture
 
 check: setup lint types layers test docs ## everything CI runs
 

@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
-import model_trials
 import numpy as np
 import pytest
-from model_trials import FLAT, MACHINE, SPHERE, TOOL, model_maps
 from scipy.optimize import least_squares
 
+import model_trials
 import turnwright as tw
+from model_trials import FLAT, MACHINE, SPHERE, TOOL, model_maps
 from turnwright.diagnosis.model import Deviations
 from turnwright.metrology.smoothing import form_compensation
 

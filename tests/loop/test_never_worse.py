@@ -1,16 +1,12 @@
 """A correction never harms: errors that every lathe has, cut by brute force. See `tests.proof.proof_loop`."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+import blind_parts as blind
 import turnwright as tw
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
-from tests.loop import blind_parts as blind
 from tests.proof.proof_artefacts import maps_of
 from tests.proof.proof_loop import Sample, commander, outcome
 

@@ -42,9 +42,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a fork keeps no threads
 sys.path.insert(0, str(Path(__file__).parent))
 
 import fuzz_inputs as inputs
-from fuzz_inputs import Case
-
 import turnwright as tw
+from fuzz_inputs import Case
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:

@@ -19,7 +19,8 @@ import numpy as np
 import tomli_w
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "doors"))
+sys.path.insert(0, str(ROOT / "tests" / "support"))
+sys.path.insert(0, str(ROOT / "tests" / "cli"))
 
 import measured_files as maps  # noqa: E402
 from job_files import SMALL  # noqa: E402
@@ -452,7 +453,7 @@ def good_maps() -> dict[str, bytes]:
 
 
 def experiment() -> dict[str, bytes]:
-    from test_material_door import EXPERIMENT, averages, forces
+    from test_material_commands import EXPERIMENT, averages, forces
 
     time, force = forces()
     table = np.column_stack((time, force * 1e3))[::5]

@@ -1,6 +1,6 @@
 """Two artefacts whose maps are off their axis, and the part that is cut after them: 1.5 times a clean part at most.
 
-Oracle: brute-force cutting, see `tests.loop.blind_parts`; nothing of what is cut and judged is the program's own
+Oracle: brute-force cutting, see `blind_parts`; nothing of what is cut and judged is the program's own
 simulation. A tilted flat and a concave sphere are cut with the errors of the part, their maps are decentred by up to
 30 um, and the part is planned with what both show.
 
@@ -10,13 +10,16 @@ simulation. A tilted flat and a concave sphere are cut with the errors of the pa
 import sys
 import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
-from tests.loop import blind_parts as blind
-from tests.proof.proof_loop import Sample, commander, draw, truth
 
+from tests.proof.proof_loop import Sample, commander, draw, truth
 from turnwright.errors import CorrectionError
 from turnwright.job import artefact, correct, diagnose, measure
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+import blind_parts as blind
 
 OFF = 0.03
 WORST = 1.5

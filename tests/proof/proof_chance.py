@@ -7,12 +7,12 @@ at most p may have a chance of p or less; the same cut off at a level; a plateau
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 import numpy as np
-from learning_cases import CLIPPED, clipped, misled, plateau
 from scipy import stats
 
+from learning_cases import CLIPPED, clipped, misled, plateau
 from turnwright.cutting.learning import learn_material
 from turnwright.errors import InputError
 

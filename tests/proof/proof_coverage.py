@@ -6,9 +6,12 @@ what is left is not the noise.
 """
 
 import sys
+from pathlib import Path
 
 import numpy as np
-from tests.loop import model_trials
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+import model_trials
 
 
 def main(trials=100, seed=0):

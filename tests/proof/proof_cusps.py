@@ -20,10 +20,9 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 from cusp_profiles import KINDS, NOSE, as_profile, cut, off_edge, random_cut
-
 from turnwright.errors import InputError
 from turnwright.instrument import Instrument
 from turnwright.metrology import edge_from_cusps, find_cusps

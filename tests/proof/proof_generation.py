@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
-
-from moving_motions import CASES, random_maps, random_points, reach
-from pass_oracle import Passes
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 import turnwright as tw
+from moving_motions import CASES, random_maps, random_points, reach
+from pass_oracle import Passes
 
 LIMIT = 1e-9
 

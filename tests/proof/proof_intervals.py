@@ -1,6 +1,6 @@
 """Whether 95 % intervals of a diagnosis hold the truth: small maps of blind parts, a single one of each.
 
-What is cut is not the program's own simulation, see `tests.loop.blind_parts`. Only sources that the diagnosis calls
+What is cut is not the program's own simulation, see `blind_parts`. Only sources that the diagnosis calls
 determined count. Where nothing but sources is wrong, or the spindle is tilted, the intervals are wider than they need
 be: one map does not show that a part has neither lobes nor drift. They are not where the machine states that it does
 not drift.
@@ -14,10 +14,10 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from tests.proof import proof_loop
-from tests.proof.proof_loop import GROUPS, draw, truth
 
 import turnwright as tw
+from tests.proof import proof_loop
+from tests.proof.proof_loop import GROUPS, draw, truth
 
 PIXELS = 45
 ENOUGH = 400

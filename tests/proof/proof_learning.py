@@ -6,10 +6,9 @@ Run: python tests/proof/proof_learning.py [CASES] [SEED]. Oracle: the coefficien
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 from learning_cases import KC, KINDS, SMOOTH, covered, shipped
-
 from turnwright.cutting.learning import learn_material
 
 HELD = 0.90

@@ -1,6 +1,6 @@
 """Blind parts cut by brute force, measured, diagnosed, corrected and cut again: none may become worse.
 
-Nothing of what is cut and judged here is the program's own simulation, see `tests.loop.blind_parts`. Every part is
+Nothing of what is cut and judged here is the program's own simulation, see `blind_parts`. Every part is
 taken as one map, and as two maps of two cuts. In half of the drift parts the drift is drawn anew for each cut.
 
 ``python -m tests.proof.proof_loop [PARTS] [SEED]``, so many of each group, prints one table of figures and fails if one
@@ -11,14 +11,17 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
-from tests.loop import blind_parts as blind
 
 import turnwright as tw
 from turnwright.errors import CorrectionError
 from turnwright.job import Job, correct, diagnose, measure
 from turnwright.placing import touch
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+import blind_parts as blind
 
 NM = 1e6
 GROUPS = ("modelled", "lobed", "drift", "tilt", "mixture")

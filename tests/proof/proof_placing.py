@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 from steep_oracle import CASES, errors
 

@@ -13,9 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 import pvt_oracle
-
 from turnwright import drive
 from turnwright.errors import LimitError
 

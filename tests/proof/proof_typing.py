@@ -7,10 +7,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "doors"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "web"))
 
 from playwright.sync_api import sync_playwright
 from test_web_page import typed_by_hand
+
 from workbench_page import Bench, chromium, serving
 
 

@@ -17,11 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
-
-from tolerance_jobs import SERVO
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 import turnwright as tw
+from tolerance_jobs import SERVO
 from turnwright.job import finishing_motion
 
 TURN = 2 * np.pi

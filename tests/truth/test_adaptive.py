@@ -1,10 +1,10 @@
 """Adaptive steps and points: dense simulation of the program itself, and circle geometry. No planner inside."""
 
-import cusp_oracle
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
+import cusp_oracle
 from turnwright import (
     AdaptiveToolServo,
     Axis,

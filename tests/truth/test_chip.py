@@ -5,9 +5,9 @@ from dataclasses import replace
 import mpmath
 import numpy as np
 import pytest
-from chip_oracle import brute, edge_of, layer, passes
 
 import turnwright as tw
+from chip_oracle import brute, edge_of, layer, passes
 from turnwright.cutting.chip import OrthogonalChip, RoundChip, chip_map
 
 MACHINE = tw.Machine.load("generic")

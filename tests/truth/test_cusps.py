@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cusp_profiles import NOSE, as_profile, cut
 
+from cusp_profiles import NOSE, as_profile, cut
 from turnwright.errors import InputError
 from turnwright.metrology import find_cusps
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from force_oracle import ACROSS, CHANNELS, RATE, tap_tests, through, true_response
 
+from force_oracle import ACROSS, CHANNELS, RATE, tap_tests, through, true_response
 from turnwright.cutting.dynamometer import Dynamometer
 from turnwright.cutting.signals import ForceRecord
 

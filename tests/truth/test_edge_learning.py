@@ -8,6 +8,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
+
 from edge_oracle import (
     FLY,
     RATE,
@@ -20,8 +22,6 @@ from edge_oracle import (
     slot,
     turning,
 )
-from scipy.optimize import least_squares
-
 from turnwright.cutting.chip import RoundChip
 from turnwright.cutting.edge_cuts import NoseCuts, interrupted_cuts
 from turnwright.cutting.edge_learning import learn_along_edge

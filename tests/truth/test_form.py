@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from area_oracle import ring_weights
 
+from area_oracle import ring_weights
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import remove_form
 

@@ -5,10 +5,10 @@
 
 import numpy as np
 import pytest
-from moving_motions import CASES, DEG, MACHINE, random_maps, random_points, reach
-from pass_oracle import Passes
 
 import turnwright as tw
+from moving_motions import CASES, DEG, MACHINE, random_maps, random_points, reach
+from pass_oracle import Passes
 
 
 def expect(passes, x, y, got):

@@ -4,9 +4,9 @@ import csv
 
 import numpy as np
 import pytest
-from lenslet_oracle import APERTURE, ARRAY, BASE, PART, RIM, MadeArray
 
 import turnwright as tw
+from lenslet_oracle import APERTURE, ARRAY, BASE, PART, RIM, MadeArray
 
 POSE = tw.Pose(shift=(0.3, -0.2, 0.5), rotation=0.02, tilt=(0.004, -0.003))
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cusp_profiles import as_profile
 
+from cusp_profiles import as_profile
 from turnwright.errors import InputError
 from turnwright.metrology import profile_roughness
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pvt_oracle
 import pytest
 
+import pvt_oracle
 import turnwright as tw
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -1,7 +1,6 @@
 """Registration. Oracles: poses that were put in, SciPy's least squares on residuals written here, closed forms."""
 
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+import proof_registration
 from turnwright import (
     Biconic,
     Conic,
@@ -26,10 +26,6 @@ from turnwright import (
     Zernike,
     register,
 )
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "proof"))
-
-import proof_registration
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TORUS = Toroid(radius_x=500.0, radius_y=250.0)

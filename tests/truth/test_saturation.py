@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from learning_cases import CLIPPED, clipped, plateau, shipped
 
+from learning_cases import CLIPPED, clipped, plateau, shipped
 from turnwright.cutting.edge_cuts import NoseCuts
 from turnwright.cutting.edge_learning import learn_along_edge
 from turnwright.cutting.learning import Cuts, learn_material

@@ -5,9 +5,9 @@ The acceptance run of 1,000 tips is ``tests/proof/proof_placing.py``.
 
 import numpy as np
 import pytest
-from steep_oracle import CASES, RADIUS, errors, tool_of
 
 import turnwright as tw
+from steep_oracle import CASES, RADIUS, errors, tool_of
 from turnwright.placing import Touch, contact
 
 SLOW = ("wall across", "sharp wall", "slanting wall", "ring wall")

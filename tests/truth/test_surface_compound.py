@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import sympy as sp
 from scipy.spatial.transform import Rotation
-from surface_oracle import X, Y, computed, disc, error
 
+from surface_oracle import X, Y, computed, disc, error
 from turnwright.errors import DomainError
 from turnwright.surface import Expression, LensArray, Placed, Plane, SineGrid, Sphere, Sum
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from surface_oracle import computed, disc, error, even_conic, exact
 
+from surface_oracle import computed, disc, error, even_conic, exact
 from turnwright.surface import Conic, EvenAsphere, Plane, Sphere
 
 ASPHERE = {2: 1e-4, 4: -3e-6, 6: 4e-9, 10: 1e-14}

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import sympy as sp
-from surface_oracle import X, Y, computed, disc, error
 
+from surface_oracle import X, Y, computed, disc, error
 from turnwright.errors import DomainError, InputError
 from turnwright.surface import Expression, expression
 

@@ -8,8 +8,8 @@ import pytest
 import scipy.special
 import sympy as sp
 from prysm.polynomials import qpoly
-from surface_oracle import X, Y, disc, error, even_conic
 
+from surface_oracle import X, Y, disc, error, even_conic
 from turnwright.surface import Forbes
 
 U2 = X**2 + Y**2

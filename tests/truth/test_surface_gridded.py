@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import sympy as sp
 from scipy.interpolate import RectBivariateSpline
-from surface_oracle import X, Y, computed, disc, error
 
+from surface_oracle import X, Y, computed, disc, error
 from turnwright.errors import DomainError
 from turnwright.surface import Gridded
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import sympy as sp
-from surface_oracle import X, Y, error
 
+from surface_oracle import X, Y, error
 from turnwright.errors import DomainError
 from turnwright.surface import Expression, LensArray, Plane, SineGrid, Sphere
 

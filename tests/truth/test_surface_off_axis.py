@@ -3,8 +3,8 @@
 import mpmath
 import numpy as np
 import pytest
-from surface_oracle import computed
 
+from surface_oracle import computed
 from turnwright.errors import DomainError, InputError
 from turnwright.part import Part
 from turnwright.surface import Biconic, Conic, EvenAsphere, OffAxis, Sphere

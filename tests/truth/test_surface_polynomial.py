@@ -6,8 +6,8 @@ from math import perm
 import numpy as np
 import pytest
 import sympy as sp
-from surface_oracle import X, Y, computed, disc, error
 
+from surface_oracle import X, Y, computed, disc, error
 from turnwright.surface import RadialPolynomial, XYPolynomial
 
 RADIAL = (-3.62e-03, 8.50e-08, -4.00e-12, 2.88e-16, -1.61e-18, 2.31e-20, -1.31e-22)

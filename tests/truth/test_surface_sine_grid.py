@@ -2,8 +2,8 @@
 
 import numpy as np
 import sympy as sp
-from surface_oracle import X, Y, disc, error
 
+from surface_oracle import X, Y, disc, error
 from turnwright.surface import SineGrid
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import sympy as sp
-from surface_oracle import X, Y, computed, error, even_conic, exact
 
+from surface_oracle import X, Y, computed, error, even_conic, exact
 from turnwright.surface import Biconic, Toroid
 
 

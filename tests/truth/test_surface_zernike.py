@@ -6,8 +6,8 @@ import mpmath
 import numpy as np
 import pytest
 from prysm.polynomials import ansi_j_to_nm, fringe_to_nm, noll_to_nm, zernike_nm
-from surface_oracle import computed, disc
 
+from surface_oracle import computed, disc
 from turnwright.surface import Zernike
 from turnwright.surface.zernike import zernike_order
 

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
-from tolerance_jobs import job_of
 
 import turnwright as tw
+from tolerance_jobs import job_of
 from turnwright.diagnosis import prove
 from turnwright.errors import CorrectionError
 from turnwright.generation import generate_points

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cusp_profiles import KINDS, NOSE, as_profile, cut, off_edge, random_cut
 
+from cusp_profiles import KINDS, NOSE, as_profile, cut, off_edge, random_cut
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.instrument import Instrument

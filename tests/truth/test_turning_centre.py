@@ -1,16 +1,11 @@
 """The axis of turning. Oracle: the centre about which rings, spirals and defects are made, in closed form."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.metrology import turning_centre
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "proof"))
 from proof_turning_centre import judge
+from turnwright.metrology import turning_centre
 
 CENTRE = (0.0173, -0.0121)
 

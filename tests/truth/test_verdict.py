@@ -1,24 +1,19 @@
 """What a part is judged by: the highest and the lowest place, one judge for all, and the cusps of a study."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import turnwright as tw
+from proof_verdict import judged, random_job
+from tolerance_jobs import SERVO, job_of
 from turnwright.generation import generate_polar
 from turnwright.job import finishing_motion, judge, judge_form, missed, plan, unjudged
 from turnwright.job.extremes import find_extremes
 from turnwright.job.running import Watch, planned
 from turnwright.studies import ErrorBudget, Store
 from turnwright.studies.draws import Bench, laid_out
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "proof"))
-
-from proof_verdict import judged, random_job
-from tolerance_jobs import SERVO, job_of
 
 DISH = {
     "part": {"name": "dish", "radius": "0.4 mm", "surface": {"family": "sphere", "radius": "20 mm"}},

@@ -7,8 +7,8 @@ from math import factorial
 import mpmath
 import numpy as np
 import pytest
-from area_oracle import ring_weights
 
+from area_oracle import ring_weights
 from turnwright._kernels import least_squares
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import fit_zernike

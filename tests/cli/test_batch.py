@@ -1,0 +1,127 @@
+"""Several jobs at once: each in its own folder, one that fails holds up no other, and nothing is done twice."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import tomli_w
+
+from job_files import changed
+from turnwright.cli import main
+
+
+def jobs(folder, **changes):
+    """Write jobs by name; the changes are (dotted place, value) pairs."""
+    files = []
+    for name, change in changes.items():
+        files.append(folder / f"{name}.toml")
+        files[-1].write_text(tomli_w.dumps(changed(*change)), encoding="utf-8")
+    return [str(file) for file in files]
+
+
+COARSE = ("strategy.feed", "40 um/rev")
+
+
+def test_each_job_is_a_line_and_a_folder_and_none_is_done_twice(tmp_path, capsys):
+    files = jobs(
+        tmp_path, good=[COARSE], wrong=[("tool.nose_radius", "3 apples")], other=[("strategy.feed", "50 um/rev")]
+    )
+    out = tmp_path / "out"
+    command = ["run", *files, str(tmp_path / "gone.toml"), "--out", str(out)]
+    assert main([*command, "--workers", "2"]) == 2
+    good, wrong, other, gone, last = capsys.readouterr().out.splitlines()
+    assert good.startswith("good   ")
+    assert "patch Sq" in good
+    assert wrong.startswith("wrong  failed: tool.nose_radius: '3 apples' has the unit 'apples'")
+    assert other.startswith("other  ")
+    assert gone.startswith("gone   failed: the job file")
+    assert last == f"2 of 4 jobs are done, their reports in {out}/JOB/report.html"
+    assert sorted(file.name for file in out.iterdir()) == ["good", "other"]
+    assert {"report.html", "result.json", "part.nc", "case.json"} <= {file.name for file in (out / "good").iterdir()}
+    assert json.loads((out / "good" / "result.json").read_text())["passes"][0]["feed"] == pytest.approx(0.04)
+
+    before = {file: file.stat().st_mtime_ns for file in out.rglob("*")}
+    jobs(tmp_path, other=[COARSE])
+    assert main(command) == 2
+    good, wrong, other, gone, last = capsys.readouterr().out.splitlines()
+    assert good.startswith("good   as before: ")
+    assert other.startswith("other  failed: ")
+    assert "is there already and not empty" in other  # it is the folder of another job by now
+    assert {file: file.stat().st_mtime_ns for file in out.rglob("*")} == before
+
+    assert main([*command[:2], files[2], "--out", str(out), "--force"]) == 0
+    assert "as before" not in capsys.readouterr().out.splitlines()[1]
+    assert sorted(file.name for file in out.iterdir()) == ["good", "other", "other.old-1"]
+
+    (out / "good" / "case.json").write_text("[1]")  # somebody else's
+    assert main([*command[:2], files[2], "--out", str(out)]) == 2
+    assert "is there already and not empty" in capsys.readouterr().out.splitlines()[0]
+
+
+def at_work(session):
+    """Whether a process of the session goes on; one that has ended and waits to be counted does not."""
+    found = subprocess.run(["ps", "-e", "-o", "sid=,stat="], capture_output=True, text=True, check=True)
+    return any(
+        int(number) == session and not state.startswith("Z")
+        for number, state in map(str.split, found.stdout.splitlines())
+    )
+
+
+@pytest.mark.usefixtures("signals_heard")
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "kill -9"])
+def test_an_end_in_the_middle_keeps_what_is_finished_and_leaves_no_half(how, tmp_path):
+    files = jobs(tmp_path, **{f"job{n}": [("strategy.feed", f"{40 + n} um/rev")] for n in range(2)})
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "turnwright", "run", *files, "--out", str(out), "--workers", "1"]
+    process = subprocess.Popen(
+        command, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    start = time.monotonic()
+    while len(list(out.glob("*"))) < 2 or not (out / "job0").exists():  # the second is on its way
+        assert time.monotonic() - start < 60
+        time.sleep(0.01)
+    if how == signal.SIGINT:
+        os.killpg(process.pid, how)
+    else:
+        process.kill()
+    said = process.communicate(timeout=20)[1]
+    assert process.returncode == (130 if how == signal.SIGINT else -signal.SIGKILL)
+    if how == signal.SIGINT:
+        assert said.splitlines()[-1] == (
+            f"turnwright: interrupted, what is finished stays in {out}: give the same command to go on"
+        )
+        assert "Traceback" not in said
+    while at_work(process.pid):  # its worker notices
+        assert time.monotonic() - start < 120
+        time.sleep(0.05)
+    assert {one.name for one in out.iterdir()} <= {"job0", "job1"}  # no half of a folder, and no hidden one
+    before = (out / "job0" / "report.html").stat().st_mtime_ns
+    assert main(command[3:]) == 0
+    assert (out / "job0" / "report.html").stat().st_mtime_ns == before
+    assert sorted(one.name for one in out.iterdir()) == ["job0", "job1"]
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        ([], "2 jobs are named 'a', and so would be their folders"),
+        (["b"], "the number of workers is 0, it must be a whole number, 1 to 1000: give one"),
+    ],
+)
+def test_a_batch_that_cannot_be_is_refused_first(more, sentence, tmp_path, capsys):
+    (tmp_path / "sub").mkdir()
+    files = [*jobs(tmp_path, a=[]), *jobs(tmp_path / "sub", **{name: [] for name in more or ["a"]})]
+    assert main(["run", *files, "--out", str(tmp_path / "out"), "--workers", "0"]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_batch_of_failures_leaves_nothing(tmp_path, capsys):
+    files = [str(tmp_path / f"{name}.toml") for name in "ab"]
+    assert main(["run", *files, "--out", str(tmp_path / "deep" / "out")]) == 2
+    assert capsys.readouterr().out.splitlines()[-1].startswith("0 of 2 jobs are done")
+    assert not (tmp_path / "deep").exists()
