@@ -348,8 +348,8 @@ def close(case, entry, figures, name):
 def run(cases, seed, figures):
     """Write the programs of random jobs and follow each."""
     from turnwright.errors import TurnwrightError
-    from turnwright.job import Job
-    from turnwright.job.running import Watch, planned, repeated, require_depths, written
+    from turnwright.job import Job, plan_pass
+    from turnwright.job.running import repeated, require_depths, written
 
     random = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as place:
@@ -365,7 +365,7 @@ def run(cases, seed, figures):
                 require_depths(job)
                 motions, stock, allowances = {}, job.part.part.stock, {}
                 for cut in job.passes:
-                    _, _, motion, _ = planned(job, cut, Watch(None))
+                    motion = plan_pass(job, cut).commanded
                     for name, _, left, lifted in repeated(cut, motion, stock):
                         motions[name], allowances[name] = lifted, left
                     stock = cut.allowance

@@ -17,6 +17,7 @@ from turnwright.job.contributions import Shares, has_servos, shares, without_ser
 from turnwright.job.correction import Correction, correct
 from turnwright.job.finish_terms import Finish, finish
 from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
+from turnwright.job.pass_plan import PassPlan, plan_pass
 from turnwright.job.planning import Plan, Trial, plan
 from turnwright.job.prescriptions import GriddedTable, Series
 from turnwright.job.result import Pass, Prediction, Preview, Result
@@ -50,6 +51,7 @@ __all__ = [
     "PartShape",
     "PartTable",
     "Pass",
+    "PassPlan",
     "Plan",
     "Prediction",
     "Preview",
@@ -77,6 +79,7 @@ __all__ = [
     "missed",
     "part_shape",
     "plan",
+    "plan_pass",
     "predict",
     "predicted_motion",
     "preview",

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.generation import generate_points
-from turnwright.motion import drive
-from turnwright.placing import place
+from turnwright.job.pass_plan import plan_pass
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
@@ -28,10 +27,7 @@ def feed_of(job: Job) -> float:
 
 def motion_of(job: Job) -> Motion:
     """Return the motion of a job's finishing pass."""
-    aim, tool = job.part.aimed, job.tool.tool
-    servo = job.servo(job.passes[-1])
-    path = place(servo.spiral(aim, tool), aim, tool, along=job.strategy.along)
-    return drive(path, servo, job.machine.machine, profile=job.strategy.profile(job.passes[-1]))
+    return plan_pass(job, job.passes[-1]).wanted
 
 
 def cut_by(motion: Motion, real: Job, x: Floats, y: Floats) -> Floats:

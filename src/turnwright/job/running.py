@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from bisect import bisect_right
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
@@ -33,16 +31,16 @@ from turnwright.job.cutting import PassChips, chips_of, foretold
 from turnwright.job.extremes import find_extremes
 from turnwright.job.gouge import find_gouge
 from turnwright.job.interpolated import interpolated, off_curves
+from turnwright.job.pass_plan import Watch, plan_pass
 from turnwright.job.result import Pass, Prediction, Preview, Result
 from turnwright.job.shape import part_shape
 from turnwright.job.verdict import judge
 from turnwright.metrology import roughness
-from turnwright.motion import check_limits, drive
+from turnwright.motion import check_limits
 from turnwright.path import Spiral
 from turnwright.placing import place
 from turnwright.post import ProgramFiles, ProgramHeader, dialect_of, read_fast_tool, read_nc, write_fast_tool, write_nc
 from turnwright.strategy import SlowToolServo
-from turnwright.tracking import precorrect
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
@@ -54,7 +52,6 @@ if TYPE_CHECKING:
     from turnwright.cutting import ChipMap
     from turnwright.heightmap import HeightMap
     from turnwright.job.schema import Job, PassTable
-    from turnwright.machine import Machine
     from turnwright.part import Part
     from turnwright.path import Motion, Path
     from turnwright.progress import Progress, StageProgress
@@ -63,9 +60,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "WHOLE",
-    "Watch",
     "depths_of",
-    "planned",
     "predict",
     "preview",
     "read_back",
@@ -82,28 +77,6 @@ WHOLE = "whole part"
 
 GOUGE = 1e-9
 """Clearance below zero that is rounding. [mm]"""
-
-
-class Watch:
-    """Tells each stage's progress and keeps its time."""
-
-    def __init__(self, progress: StageProgress | None) -> None:
-        self.progress = progress
-        self.timings: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[Progress]:
-        """Run a stage; what it yields is its own progress."""
-
-        def tell(done: int, total: int) -> None:
-            if self.progress is not None:
-                self.progress(name, done, total)
-
-        tell(0, 1)
-        start = time.perf_counter()
-        yield tell
-        self.timings[name] = self.timings.get(name, 0.0) + time.perf_counter() - start
-        tell(1, 1)
 
 
 def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[str] | None = None) -> Result:
@@ -148,7 +121,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
     stock, before = part.stock, None
     for cut in job.passes:
         _require_sense(cut, job.servo(cut), part, tool)
-        feed, path, motion, meant = planned(job, cut, watch)
+        feed, path, motion, meant = plan_pass(job, cut, watch)
         warnings += _accepted_gouge(job, path)
         for name, depth, left, lifted in repeated(cut, motion, stock):
             with watch.stage("limits"):
@@ -252,21 +225,6 @@ def _walls(job: Job, passes: list[Pass], entries: Mapping[str, Entry]) -> list[s
                 f"cuts up to {say_length(limit)}: state part.blank and a lead_in with which the passes begin beside it"
             )
     return found
-
-
-def planned(job: Job, cut: PassTable, watch: Watch) -> tuple[float, Path, Motion, Motion | None]:
-    """Return the feed of a pass [mm/rev], its path, what is commanded, and what is meant where that is corrected."""
-    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
-    servo = job.servo(cut)
-    with watch.stage("plan") as tell:
-        spiral = _asked(servo.spiral(part, tool, progress=tell), machine)
-    with watch.stage("place") as tell:
-        path = place(spiral, part, tool, along=job.strategy.along, progress=tell)
-    feed = spiral.feed
-    del spiral
-    with watch.stage("drive") as tell:
-        motion, meant = _commanded(job, drive(path, servo, machine, profile=job.strategy.profile(cut)), tell)
-    return feed, path, motion, meant
 
 
 def repeated(cut: PassTable, motion: Motion, stock: float) -> Iterator[tuple[str, float, float, Motion]]:
@@ -588,7 +546,8 @@ def program_shares(job: Job, file: File, name: str) -> Shares:
     spiral = job.servo(cut).spiral(part, tool)
     if not job.program.precorrect:
         return shares(part, tool, spiral, again)
-    _, _, motion, meant = planned(job, cut, Watch(None))
+    plan = plan_pass(job, cut)
+    motion, meant = plan.commanded, plan.meant
     return shares(part, tool, spiral, motion, again=again, meant=meant)
 
 
@@ -620,13 +579,6 @@ def _accepted_gouge(job: Job, path: Path) -> list[str]:
     return _accepted(job, "gouge", GougeError(f'{cut}, the limit is 0 nm: place it along "z"'))
 
 
-def _asked(spiral: Spiral, machine: Machine) -> Spiral:
-    """Return a spiral without its rates where no controller asks for them, so that nobody computes that of the tip."""
-    if machine.controller.interpolation == "hermite":
-        return spiral
-    return replace(spiral, radius_rate=None, y_rate=None)
-
-
 def _require_sense(cut: PassTable, servo: Strategy, part: Part, tool: Tool) -> None:
     """Raise where C turns by half a turn or more from point to point: no program tells which way."""
     plan = getattr(servo, "plan", servo)
@@ -638,11 +590,6 @@ def _require_sense(cut: PassTable, servo: Strategy, part: Part, tool: Tool) -> N
             f"arc_length turns C by {np.degrees(step):.4g} deg from point to point near the axis in the pass "
             f'{cut.name}, the limit is below 180 deg: state max_step as well, such as max_step = "10 deg"'
         )
-
-
-def _commanded(job: Job, motion: Motion, tell: Progress) -> tuple[Motion, Motion | None]:
-    """Return what is commanded, and what was meant if the job wants that corrected for the servos."""
-    return (precorrect(motion, progress=tell), motion) if job.program.precorrect else (motion, None)
 
 
 def _outermost(spiral: Spiral) -> Spiral:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 from turnwright.access import check_access
 from turnwright.errors import InputError
 from turnwright.job.cutting import chips_of
+from turnwright.job.pass_plan import PassPlan, plan_pass
 from turnwright.job.result import Pass
-from turnwright.job.running import GOUGE, WHOLE, Watch, judge_depths, planned, predict, repeated
+from turnwright.job.running import GOUGE, WHOLE, judge_depths, predict, repeated
 from turnwright.job.window import can_be_parted, predict_parted
 from turnwright.motion import check_limits
 
@@ -89,30 +90,30 @@ class Stages:
         return _access(part, tool, self.job.strategy.sense, files)
 
     @cached_property
-    def _finishing(self) -> tuple[float, Path, Motion, Motion | None]:
-        return planned(self.job, self.job.passes[-1], Watch(None))
+    def _finishing(self) -> PassPlan:
+        return plan_pass(self.job, self.job.passes[-1])
 
     @property
     def feed(self) -> float:
         """Mean advance per revolution of the finishing pass. [mm/rev]."""
-        return self._finishing[0]
+        return self._finishing.feed
 
     @property
     def path(self) -> Path:
         """Where the tool stands in the finishing pass."""
-        return self._finishing[1]
+        return self._finishing.path
 
     @property
     def motion(self) -> Motion:
         """What the finishing pass commands the axes."""
-        return self._finishing[2]
+        return self._finishing.commanded
 
     def _repetitions(self) -> Iterator[tuple[PassTable, float, tuple[str, float, float, Motion]]]:
         """Yield every pass with its feed and, for each repetition, its name, depth, what it leaves, and its motion."""
         stock = self.job.part.part.stock
         for cut in self.job.passes:
             last = cut is self.job.passes[-1]
-            feed, _, motion, _ = self._finishing if last else planned(self.job, cut, Watch(None))
+            feed, _, motion, _ = self._finishing if last else plan_pass(self.job, cut)
             for one in repeated(cut, motion, stock):
                 yield cut, feed, one
             stock = cut.allowance

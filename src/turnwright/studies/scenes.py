@@ -16,11 +16,9 @@ import numpy as np
 
 from turnwright.access import check_access
 from turnwright.generation import generate, generate_points, generate_polar
-from turnwright.job import has_servos, without_servos
-from turnwright.motion import drive
+from turnwright.job import has_servos, plan_pass, without_servos
 from turnwright.path import Motion
-from turnwright.placing import place
-from turnwright.tracking import precorrect, track
+from turnwright.tracking import track
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats
@@ -339,18 +337,11 @@ class Planned:
 def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned:
     """Return the finishing pass of a job, planned once for all cases."""
     told = progress or (lambda _done, _total: None)
-    aim, tool, machine, cut = job.part.aimed, job.tool.tool, job.machine.machine, job.passes[-1]
-    servo = job.servo(cut)
-    told(0, 4)
-    spiral = servo.spiral(aim, tool)
-    if machine.controller.interpolation != "hermite":
-        spiral = replace(spiral, radius_rate=None, y_rate=None)
-    told(1, 4)
-    path = place(spiral, aim, tool, along=job.strategy.along)
-    told(2, 4)
-    meant = drive(path, servo, machine, profile=job.strategy.profile(cut))
-    told(3, 4)
-    commanded = precorrect(meant) if job.program.precorrect else meant
+    tool, machine = job.tool.tool, job.machine.machine
+    told(0, 2)
+    plan = plan_pass(job, job.passes[-1])
+    path, commanded, meant = plan.path, plan.commanded, plan.wanted
+    told(1, 2)
     real, actual = meant, job.actual_machine
     servos: dict[str, tuple[Floats, Floats]] = {}
     if job.simulation.tracking:
@@ -375,7 +366,7 @@ def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned
     aside = max((float(np.abs(axis).max()) for letter, axis in real.axes.items() if letter == "Y"), default=0.0)
     # Where the nose does not fit, one place is cut by passes that touch the part elsewhere.
     tight = job.part.aimed.surface.in_pieces or float(path.clearance.min()) < -GOUGED or not _fits(job)
-    told(4, 4)
+    told(2, 2)
     return Planned(
         motion=real, contact=contact, across=lean + aside + abs(tool.offset[1]), edge=edge + abs(tool.offset[0]),
         blend=2 * edge if tight else 0.0, core=1.5 * math.sqrt(2 * radius / sine) if sine else 0.0,
