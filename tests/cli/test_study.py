@@ -19,7 +19,7 @@ from pyarrow import parquet
 
 from turnwright import Job, cli
 from turnwright.errors import InputError, StudyError
-from turnwright.job import Stages
+from turnwright.job import Pipeline
 from turnwright.studies import Store, Study, study
 
 DATA = {
@@ -128,7 +128,7 @@ def test_the_table_is_asked_by_name_and_by_number(job, threads):
     assert found.best("pv_nm@askew", 1, largest=True) == [2]
     assert found.is_grid
     # What a case says is what its own job says.
-    alone = Stages(Job.read({**DATA, "tool": {**DATA["tool"], "nose_radius": "0.4 mm"}}))
+    alone = Pipeline(Job.read({**DATA, "tool": {**DATA["tool"], "nose_radius": "0.4 mm"}}))
     assert found["pv_nm@askew"][4] == alone.prediction("askew").roughness.pv_nm
     assert found["deepest"][4] == deepest(alone)
     assert found["form_pv_nm"][4] == alone.form_pv_nm

@@ -8,7 +8,7 @@ import copy
 import numpy as np
 import pytest
 
-from turnwright.job import Job, Stages, plan_pass, predict, run
+from turnwright.job import Job, Pipeline, plan_pass, predict, run
 from turnwright.job.window import can_be_parted, predict_parted
 
 GRID = {"family": "sine grid", "amplitude": ["3 um", "2 um"], "period": ["0.9 mm", "1.3 mm"]}
@@ -110,7 +110,7 @@ def test_access_is_that_of_the_file_as_it_is_now(tmp_path):
         rows = ["," + ",".join(f"{x:.1f}" for x in at)]
         rows += [f"{y:.1f}," + ",".join(f"{(x * x + y * y) / (2 * radius):.12f}" for x in at) for y in at]
         file.write_text("\n".join(rows), encoding="utf-8")
-        return Stages(job_with(job)).access.nose_radius_limit
+        return Pipeline(job_with(job)).access.nose_radius_limit
 
     # A paraboloid bears its radius at the vertex.
     assert limit(10.0) == pytest.approx(10, rel=1e-3)
@@ -130,7 +130,7 @@ def test_access_is_that_of_the_file_as_it_is_now(tmp_path):
 )  # fmt: skip
 def test_the_stages_of_a_job_are_those_of_its_run(changes):
     job = job_with(changes)
-    stages, result = Stages(job), run(job)
+    stages, result = Pipeline(job), run(job)
     assert stages.access == result.access
     assert [one.name for one in stages.passes] == [one.name for one in result.passes]
     for one, other in zip(stages.passes, result.passes, strict=True):

@@ -132,7 +132,7 @@ def test_the_chip_on_a_curve_is_that_found_along_a_path() -> None:
     # Oracle: the chip of a path that was placed, well away from entry and axis.
     job = tw.Job.read(BOWL)
     part, tool = job.part.part, job.tool.tool
-    motion = tw.job.Stages(job).motion
+    motion = tw.job.Pipeline(job).motion
     found = tw.cutting.chip_map(motion, tool, part)
     away = np.hypot(found.x, found.y)
     there = found.inside & (away > 0.8) & (away < 1.7)

@@ -18,6 +18,7 @@ from turnwright.job.correction import Correction, correct
 from turnwright.job.finish_terms import Finish, finish
 from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
 from turnwright.job.pass_plan import PassPlan, plan_pass
+from turnwright.job.pipeline import Pipeline
 from turnwright.job.planning import Plan, Trial, plan
 from turnwright.job.prescriptions import GriddedTable, Series
 from turnwright.job.result import Pass, Prediction, Preview, Result
@@ -31,7 +32,6 @@ from turnwright.job.running import (
 )
 from turnwright.job.schema import InstrumentTable, Job, MachineTable, PartTable, ToolDeviations, faults
 from turnwright.job.shape import PartShape, part_shape
-from turnwright.job.stages import Stages
 from turnwright.job.table import Table, sentences
 from turnwright.job.text import as_tables, edited, written
 from turnwright.job.verdict import Verdict, judge, judge_form, missed, unjudged
@@ -52,13 +52,13 @@ __all__ = [
     "PartTable",
     "Pass",
     "PassPlan",
+    "Pipeline",
     "Plan",
     "Prediction",
     "Preview",
     "Result",
     "Series",
     "Shares",
-    "Stages",
     "Table",
     "ToolDeviations",
     "Trial",

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from turnwright.job import Job, Stages
+from turnwright.job import Job, Pipeline
 from turnwright.studies.files import at_hand, moved
 from turnwright.studies.measures import Measure, evaluate, measure_of
 
@@ -37,12 +37,12 @@ def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store |
     start = time.perf_counter()
     with at_hand(data["files"], shared.get("files", {}), store) as places:
         job = Job.read(moved(data["job"], places))
-        stages = Stages(job)
+        pipeline = Pipeline(job)
         own = shared.get("own", {})
         measures = [_measure(job, name, own) for name in shared["measures"]]
-        row = evaluate(stages, measures)
-    if stages.refused:
-        row[REFUSED] = "; ".join(stages.refused)
+        row = evaluate(pipeline, measures)
+    if pipeline.refused:
+        row[REFUSED] = "; ".join(pipeline.refused)
     row[SECONDS] = round(time.perf_counter() - start, 4)
     return row
 

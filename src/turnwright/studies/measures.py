@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from turnwright.errors import InputError, TurnwrightError
-from turnwright.job import Stages
+from turnwright.job import Pipeline
 from turnwright.machine import ROTARY
 from turnwright.studies.measure_keys import sign_of
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["MEASURES", "Measure", "Own", "Value", "evaluate", "measure_of"]
 
 Value: TypeAlias = float | int | str | None
-Own: TypeAlias = Callable[[Stages], Value]
+Own: TypeAlias = Callable[[Pipeline], Value]
 """A measure of one's own: takes the stages of a case, returns a number."""
 
 WHOLE = "whole part"
@@ -68,9 +68,9 @@ class Measure:
         return f"{self.name} {getattr(self.own, '__module__', '')} {sign_of(self.own)}"
 
 
-def _margin(stages: Stages, name: str) -> float:
+def _margin(pipeline: Pipeline, name: str) -> float:
     """Return how much a tool has left of what a part asks of it; infinite where nothing is asked."""
-    margins = [one.margin for one in stages.access.findings if one.name == name]
+    margins = [one.margin for one in pipeline.access.findings if one.name == name]
     return margins[0] if margins and margins[0] is not None else math.inf
 
 
@@ -79,28 +79,30 @@ def _most(values: Sequence[float | None]) -> float | None:
     return max(known) if known else None
 
 
-_Taken: TypeAlias = Callable[[Stages, str], Value]
+_Taken: TypeAlias = Callable[[Pipeline, str], Value]
 
 PLAIN: dict[str, tuple[str, str, _Taken]] = {
-    "nose_radius_limit": ("mm", "access", lambda stages, _: stages.access.nose_radius_limit),
-    "included_margin_deg": ("", "access", lambda stages, _: math.degrees(_margin(stages, "included angle"))),
-    "clearance_margin_deg": ("", "access", lambda stages, _: math.degrees(_margin(stages, "clearance"))),
-    "turns": ("", "plan", lambda stages, _: float(np.ptp(stages.path.angle)) / (2 * math.pi)),
-    "feed": ("mm/rev", "plan", lambda stages, _: stages.feed),
-    "least_clearance_nm": ("", "plan", lambda stages, _: float(stages.path.clearance.min()) * NM),
-    "largest_sweep_deg": ("", "plan", lambda stages, _: math.degrees(float(np.abs(stages.path.sweep).max()))),
-    "minutes": ("", "drive", lambda stages, _: stages.minutes),
-    "points": ("", "drive", lambda stages, _: sum(one.points for one in stages.passes)),
-    "spindle_rpm": ("", "drive", lambda stages, _: stages.limits.spindle_rpm),
-    "block_rate_hz": ("", "drive", lambda stages, _: stages.limits.block_rate_hz),
-    "utilisation": ("", "drive", lambda stages, _: max(max(one.limits.utilisation.values()) for one in stages.passes)),
-    "binding": ("", "drive", lambda stages, _: stages.limits.binding),
-    "thickest_chip_nm": ("", "chips", lambda stages, _: stages.chips[-1].thickest * NM),
-    "typical_chip_nm": ("", "chips", lambda stages, _: stages.chips[-1].typical * NM),
-    "axial_force_mN": ("", "chips", lambda stages, _: _milli(stages.chips[-1].axial)),
-    "cutting_force_mN": ("", "chips", lambda stages, _: _milli(stages.chips[-1].cutting)),
-    "form_pv_nm": ("", "place", lambda stages, _: stages.form_pv_nm),
-    "form_rms_nm": ("", "place", lambda stages, _: stages.prediction(WHOLE).roughness.sq_nm),
+    "nose_radius_limit": ("mm", "access", lambda pipeline, _: pipeline.access.nose_radius_limit),
+    "included_margin_deg": ("", "access", lambda pipeline, _: math.degrees(_margin(pipeline, "included angle"))),
+    "clearance_margin_deg": ("", "access", lambda pipeline, _: math.degrees(_margin(pipeline, "clearance"))),
+    "turns": ("", "plan", lambda pipeline, _: float(np.ptp(pipeline.path.angle)) / (2 * math.pi)),
+    "feed": ("mm/rev", "plan", lambda pipeline, _: pipeline.feed),
+    "least_clearance_nm": ("", "plan", lambda pipeline, _: float(pipeline.path.clearance.min()) * NM),
+    "largest_sweep_deg": ("", "plan", lambda pipeline, _: math.degrees(float(np.abs(pipeline.path.sweep).max()))),
+    "minutes": ("", "drive", lambda pipeline, _: pipeline.minutes),
+    "points": ("", "drive", lambda pipeline, _: sum(one.points for one in pipeline.passes)),
+    "spindle_rpm": ("", "drive", lambda pipeline, _: pipeline.limits.spindle_rpm),
+    "block_rate_hz": ("", "drive", lambda pipeline, _: pipeline.limits.block_rate_hz),
+    "utilisation": (
+        "", "drive", lambda pipeline, _: max(max(one.limits.utilisation.values()) for one in pipeline.passes),
+    ),
+    "binding": ("", "drive", lambda pipeline, _: pipeline.limits.binding),
+    "thickest_chip_nm": ("", "chips", lambda pipeline, _: pipeline.chips[-1].thickest * NM),
+    "typical_chip_nm": ("", "chips", lambda pipeline, _: pipeline.chips[-1].typical * NM),
+    "axial_force_mN": ("", "chips", lambda pipeline, _: _milli(pipeline.chips[-1].axial)),
+    "cutting_force_mN": ("", "chips", lambda pipeline, _: _milli(pipeline.chips[-1].cutting)),
+    "form_pv_nm": ("", "place", lambda pipeline, _: pipeline.form_pv_nm),
+    "form_rms_nm": ("", "place", lambda pipeline, _: pipeline.prediction(WHOLE).roughness.sq_nm),
 }  # fmt: skip
 """Measures of a whole job: unit, stage and how it is taken. Chips and forces are those of the finishing pass."""
 
@@ -184,7 +186,7 @@ def _known() -> str:
     return ", ".join(MEASURES)
 
 
-def evaluate(stages: Stages, measures: Sequence[Measure]) -> dict[str, Value]:
+def evaluate(pipeline: Pipeline, measures: Sequence[Measure]) -> dict[str, Value]:
     """Return the measures of a case by name; only the stages that they need are carried out.
 
     Parameters
@@ -196,14 +198,14 @@ def evaluate(stages: Stages, measures: Sequence[Measure]) -> dict[str, Value]:
     """
     found: dict[str, Value] = {}
     for one in sorted(measures, key=lambda measure: ORDER.index(measure.stage)):
-        found[one.name] = _finite(_taken(stages, one))
+        found[one.name] = _finite(_taken(pipeline, one))
     return {one.name: found[one.name] for one in measures}
 
 
-def _taken(stages: Stages, one: Measure) -> Value:
+def _taken(pipeline: Pipeline, one: Measure) -> Value:
     if one.own is not None:
         try:
-            return one.own(stages)
+            return one.own(pipeline)
         except (TurnwrightError, MemoryError, OSError, ImportError):  # of a stage, or of the machine
             raise
         except Exception as error:
@@ -211,17 +213,17 @@ def _taken(stages: Stages, one: Measure) -> Value:
             raise InputError(f"the measure {one.name} fails ({type(error).__name__}: {said}): correct it") from error
     name, _, where = one.name.partition("@")
     if name in ROUGHNESS:
-        patch = where or stages.job.simulation.patches[0].name
-        value: Any = getattr(stages.prediction(patch).roughness, name)
+        patch = where or pipeline.job.simulation.patches[0].name
+        value: Any = getattr(pipeline.prediction(patch).roughness, name)
         return value  # type: ignore[no-any-return] # a number
     if name in AXES:
-        if where not in stages.limits.travel:
+        if where not in pipeline.limits.travel:
             raise InputError(f"{one.name}: this case does not move axis {where}")
         if name == "stroke":
-            low, high = stages.limits.travel[where]
+            low, high = pipeline.limits.travel[where]
             return high - low
-        return float(getattr(stages.limits, name)[where])
-    return PLAIN[name][2](stages, where)
+        return float(getattr(pipeline.limits, name)[where])
+    return PLAIN[name][2](pipeline, where)
 
 
 def _finite(value: Any) -> Value:

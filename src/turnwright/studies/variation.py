@@ -429,7 +429,7 @@ def study(
         distribution of ``scipy.stats``. Entries of lists are named, or counted from 1 ("actual.tool.offset[1]"). A feed
         may be given per minute ("0.2..1 mm/min:9"): it is divided by the spindle speed of the same case.
     measure
-        Names such as "sq_nm", "sq_nm@PATCH", "minutes" or "peak_acceleration@X", or functions of `Stages` (top-level
+        Names such as "sq_nm", "sq_nm@PATCH", "minutes" or "peak_acceleration@X", or functions of `Pipeline` (top-level
         ones of a module, so that other processes find them).
     design
         "grid", "random", "sobol", "halton", "latin hypercube", or a list of cases, each a mapping from field to value.

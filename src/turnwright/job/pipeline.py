@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from turnwright.motion import Limits
     from turnwright.path import Motion, Path
 
-__all__ = ["Stages"]
+__all__ = ["Pipeline"]
 
 
 @lru_cache(maxsize=8)
@@ -44,7 +44,7 @@ def _stamps(value: Any) -> Iterator[tuple[int, int]]:
             yield from _stamps(one)
 
 
-class Stages:
+class Pipeline:
     """What becomes of a job, stage by stage: each is carried out when it is first asked for, and kept.
 
     Unlike `run` it writes no program, and refuses nothing: what `run` would refuse is in `refused`. A place on the part
@@ -73,7 +73,7 @@ class Stages:
     ...         ],
     ...     },
     ... })
-    >>> stages = Stages(job)
+    >>> stages = Pipeline(job)
     >>> f"{stages.prediction('rim').roughness.sq_nm:.2f} nm in {stages.minutes:.1f} minutes"
     '7.48 nm in 2.0 minutes'
     """
