@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, only_read
 from turnwright._kernels import generation as kernel
+from turnwright._kernels.edge import DX, DY, DZ, RAKE_SIN
 from turnwright._validate import check_azimuths
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
@@ -61,7 +62,7 @@ class _Cut:
     @property
     def upright(self) -> bool:
         """Whether the whole edge moves in the plane through the axis."""
-        return bool(self.row[4] == 0 and self.row[6] == 0 and self.y.size == 0)
+        return bool(self.row[RAKE_SIN] == 0 and self.row[DY] == 0 and self.y.size == 0)
 
 
 def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
@@ -83,7 +84,7 @@ def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
     kernel.turn_starts(c, motion.sense, starts)
     bounds = np.empty((7, turns))
     edge = tool.table(motion.sense)
-    kernel.turn_bounds(c, x, y, z, motion.sense, starts, edge.row[5], bounds)
+    kernel.turn_bounds(c, x, y, z, motion.sense, starts, edge.row[DX], bounds)
     profile = tool.profile()
     gap, bend = (0.0, 0.0) if profile.table.size == 0 else _falls(profile)
     return _Cut(c, x, y, z, motion.sense, starts, bounds, edge.row, *profile, gap, bend)
@@ -228,7 +229,7 @@ def _prepared(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
     useful, core = np.empty((count, 2, 2), dtype=np.int64), np.zeros(count, dtype=np.bool_)
     most_y = float(np.abs(cut.y).max(initial=0.0))
     blocks = np.empty((5, 0 if cut.upright else -(-(cut.c.size - 1) // kernel.BLOCK)))
-    kernel.block_bounds(cut.x, cut.y, cut.z, cut.row[5], blocks)
+    kernel.block_bounds(cut.x, cut.y, cut.z, cut.row[DX], blocks)
     if cut.upright and cut.convex:
         kernel.useful_by_ring(cut.bounds, cut.profile, cut.table, rings, useful)
     else:
@@ -367,7 +368,7 @@ def generate_polar(
 def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Progress | None) -> None:
     def work(start: int, stop: int) -> None:
         kernel.polar_block(
-            cut.c, cut.x, cut.z, cut.sense, cut.starts, cut.bounds, cut.row[5], cut.row[7], cut.profile, cut.table,
+            cut.c, cut.x, cut.z, cut.sense, cut.starts, cut.bounds, cut.row[DX], cut.row[DZ], cut.profile, cut.table,
             radius, angle[start:stop], z[start:stop],
         )  # fmt: skip
 
@@ -376,5 +377,5 @@ def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Pr
     if radius[0] == 0:
         # The axis is one point, whichever azimuth it is approached along.
         z[:, 0] = kernel.axis_height(
-            cut.x, cut.z, cut.starts, cut.bounds, cut.row[5], cut.row[7], cut.profile, cut.table, cut.gap
+            cut.x, cut.z, cut.starts, cut.bounds, cut.row[DX], cut.row[DZ], cut.profile, cut.table, cut.gap
         )

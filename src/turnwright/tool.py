@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats, Value, frozen
+from turnwright._arrays import Bools, Floats, Value, frozen, only_read
 from turnwright._kernels import edge as kernel
 from turnwright._kernels.edge import sweeps_at
 from turnwright._validate import between, check_angle, check_numbers, finite_tuple, plausible_sizes, positive
@@ -208,14 +209,14 @@ class Tool(Value):
     def arc(self) -> tuple[float, float]:
         """Sweep at the two ends of the arc (lo, hi): half the included angle, or just before a vertical wall. [rad]."""
         half = HALF_CIRCLE if self.included is None else min(self.included / 2, HALF_CIRCLE)
-        if self._perfect or half <= STEEP:
+        if self.perfect or half <= STEEP:
             return -half, half
         steps = np.linspace(STEEP, half, 1001)
         low, high = (side * steps[_before(side * self._slope_angle(side * steps) > HALF_CIRCLE)] for side in (-1, 1))
         return float(low), float(high)
 
     @property
-    def _perfect(self) -> bool:
+    def perfect(self) -> bool:
         """Whether the edge is an arc of one circle, without waviness."""
         return not isinstance(self.waviness, WavinessTable) and not any(self.waviness)
 
@@ -226,20 +227,7 @@ class Tool(Value):
 
     def table(self, sense: int = 1) -> EdgeTable:
         """Return the edge as plain arrays; ``sense`` is +1 where the spindle angle under the tool grows, else -1."""
-        low, high = self.arc
-        if isinstance(self.waviness, WavinessTable):
-            spline = _spline(self.waviness)
-            breaks, coefficients = spline.x, spline.c
-        else:
-            # One piece, expanded about sweep 0: sum of c_k sweep^k, with no constant (that is the radius error).
-            breaks = np.array([0.0, 1.0])
-            coefficients = np.array([*reversed(self.waviness), 0.0])[:, None]
-        lean = -sense * np.sin(self.rake)
-        return EdgeTable(
-            row=np.array([self.actual_radius, low, high, np.cos(self.rake), lean, *self.offset]),
-            breaks=np.ascontiguousarray(breaks, dtype=np.float64),
-            coefficients=np.ascontiguousarray(coefficients, dtype=np.float64),
-        )
+        return _table(self, sense)
 
     def profile(self) -> EdgeProfile:
         """Return the edge as a height over the distance from its tip, for the kernels.
@@ -251,66 +239,7 @@ class Tool(Value):
         J · 6e-13 mm on half a circle and a tenth of that within 100 deg, where scatter of 20 nm at every degree makes
         it 1e-11 mm.
         """
-        table = self.table()
-
-        def trace(sweep: ArrayLike) -> Floats:
-            out = np.empty((4, np.size(sweep)))
-            kernel.trace(*table, np.asarray(sweep, dtype=np.float64), out)
-            return out
-
-        u, w, du, dw = trace(self.arc)
-        slope = dw / du
-        sine = np.sin(np.arctan(slope))
-        if sine[1] - sine[0] < np.sin(self.arc[1]):  # waves outweigh the arc: half of what it rises by
-            sine = np.sin(self.arc)
-        base = self.actual_radius if self._perfect else (u[1] - u[0]) / (sine[1] - sine[0])
-        row = [base, u[0], w[0], slope[0], u[1], w[1], slope[1]]
-        if self._perfect:
-            return EdgeProfile(row=np.array([*row, 0.0, 0.0, 0.0]), table=np.empty((0, 0)), convex=True)
-        centre = u[0] - base * sine[0]
-
-        # Nodes at equal steps of x, two of them where a certificate ends inside the arc: there the slope jumps.
-        breaks = self.waviness.sweep[[0, -1]] if isinstance(self.waviness, WavinessTable) else np.empty(0)
-        kinks = breaks[(breaks > self.arc[0]) & (breaks < self.arc[1])]
-        joints = np.concatenate([self.arc[:1], kinks, self.arc[1:]])
-        across = trace(joints)[0] - centre
-        at = across / (base + np.sqrt(base * base - across * across))
-        first = 1 if kinks.size == 2 else int(np.argmax(np.diff(at)))
-        span = at[first + 1] - at[first]
-        count = int(np.ceil(PIECES * span / (at[-1] - at[0])))
-        step = span / count
-        before, after = (int(np.ceil(rest / step - 1e-3)) for rest in (at[first] - at[0], at[-1] - at[first + 1]))
-        x = at[first] + step * np.arange(-before, count + after + 1)
-        node = np.clip(x, at[0], at[-1])
-        sweep = np.empty(node.size)
-        sweeps_at(*table, centre + 2 * base * node / (1 + node * node), sweep)
-        sweep[[before, before + count]] = joints[first : first + 2]
-        sweep = np.clip(sweep, *self.arc)
-        rate = 2 * base * (1 - node * node) / (1 + node * node) ** 2  # du/dx
-        # Each piece from its own side of its nodes.
-        _, a, du, dw = trace(np.nextafter(sweep[:-1], np.inf))
-        c = dw / du * rate[:-1] * np.diff(node)
-        _, b, du, dw = trace(np.nextafter(sweep[1:], -np.inf))
-        d = dw / du * rate[1:] * np.diff(node)
-        square, cube = 3 * (b - a) - 2 * c - d, 2 * (a - b) + c + d
-        # The first and the last piece are cut off by the ends of the arc; all count their place in whole steps.
-        scale, shift = step / np.diff(node), (x - node)[:-1] / np.diff(node)
-        pieces = [
-            a + shift * (c + shift * (square + shift * cube)),
-            scale * (c + shift * (2 * square + shift * 3 * cube)),
-            scale**2 * (square + shift * 3 * cube),
-            scale**3 * cube,
-        ]
-
-        _, _, du, dw = trace(np.linspace(*self.arc, 4 * PIECES))
-        convex = bool((du > 0).all() and (np.diff(dw / du) > 0).all())
-        (_, _, du, dw), (_, _, du_after, dw_after) = (trace(np.nextafter(kinks, way)) for way in (-np.inf, np.inf))
-        convex = convex and bool((dw_after / du_after - dw / du > -1e-12).all())
-        return EdgeProfile(
-            row=np.array([*row, 1 / step, x[0], centre]),
-            table=np.ascontiguousarray(np.transpose(pieces)),
-            convex=convex,
-        )
+        return _profile(self)
 
     def deviation(self, sweep: ArrayLike) -> Floats:
         """Waviness at ``sweep``, held constant beyond the arc (and beyond a certificate's ends). [mm]."""
@@ -357,3 +286,89 @@ def _spline(certificate: WavinessTable) -> CubicSpline:
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - scipy is costly to import
 
     return CubicSpline(certificate.sweep, certificate.deviation)
+
+
+@lru_cache(maxsize=64)
+def _table(tool: Tool, sense: int) -> EdgeTable:
+    """Return the edge of a tool as plain arrays; the last tools are kept."""
+    low, high = tool.arc
+    if isinstance(tool.waviness, WavinessTable):
+        spline = _spline(tool.waviness)
+        breaks, coefficients = spline.x, spline.c
+    else:
+        # One piece, expanded about sweep 0: sum of c_k sweep^k, with no constant (that is the radius error).
+        breaks = np.array([0.0, 1.0])
+        coefficients = np.array([*reversed(tool.waviness), 0.0])[:, None]
+    lean = -sense * np.sin(tool.rake)
+    return EdgeTable(
+        row=only_read(np.array([tool.actual_radius, low, high, np.cos(tool.rake), lean, *tool.offset])),
+        breaks=only_read(np.asarray(breaks, dtype=np.float64)),
+        coefficients=only_read(np.asarray(coefficients, dtype=np.float64)),
+    )
+
+
+@lru_cache(maxsize=32)
+def _profile(tool: Tool) -> EdgeProfile:
+    """Return the edge of a tool as `Tool.profile` describes it; the last tools are kept."""
+    table = tool.table()
+
+    def trace(sweep: ArrayLike) -> Floats:
+        out = np.empty((4, np.size(sweep)))
+        kernel.trace(*table, np.asarray(sweep, dtype=np.float64), out)
+        return out
+
+    u, w, du, dw = trace(tool.arc)
+    slope = dw / du
+    sine = np.sin(np.arctan(slope))
+    if sine[1] - sine[0] < np.sin(tool.arc[1]):  # waves outweigh the arc: half of what it rises by
+        sine = np.sin(tool.arc)
+    base = tool.actual_radius if tool.perfect else (u[1] - u[0]) / (sine[1] - sine[0])
+    row = [base, u[0], w[0], slope[0], u[1], w[1], slope[1]]
+    if tool.perfect:
+        return EdgeProfile(
+            row=only_read(np.array([*row, 0.0, 0.0, 0.0])), table=only_read(np.empty((0, 0))), convex=True
+        )
+    centre = u[0] - base * sine[0]
+
+    # Nodes at equal steps of x, two of them where a certificate ends inside the arc: there the slope jumps.
+    breaks = tool.waviness.sweep[[0, -1]] if isinstance(tool.waviness, WavinessTable) else np.empty(0)
+    kinks = breaks[(breaks > tool.arc[0]) & (breaks < tool.arc[1])]
+    joints = np.concatenate([tool.arc[:1], kinks, tool.arc[1:]])
+    across = trace(joints)[0] - centre
+    at = across / (base + np.sqrt(base * base - across * across))
+    first = 1 if kinks.size == 2 else int(np.argmax(np.diff(at)))
+    span = at[first + 1] - at[first]
+    count = int(np.ceil(PIECES * span / (at[-1] - at[0])))
+    step = span / count
+    before, after = (int(np.ceil(rest / step - 1e-3)) for rest in (at[first] - at[0], at[-1] - at[first + 1]))
+    x = at[first] + step * np.arange(-before, count + after + 1)
+    node = np.clip(x, at[0], at[-1])
+    sweep = np.empty(node.size)
+    sweeps_at(*table, centre + 2 * base * node / (1 + node * node), sweep)
+    sweep[[before, before + count]] = joints[first : first + 2]
+    sweep = np.clip(sweep, *tool.arc)
+    rate = 2 * base * (1 - node * node) / (1 + node * node) ** 2  # du/dx
+    # Each piece from its own side of its nodes.
+    _, a, du, dw = trace(np.nextafter(sweep[:-1], np.inf))
+    c = dw / du * rate[:-1] * np.diff(node)
+    _, b, du, dw = trace(np.nextafter(sweep[1:], -np.inf))
+    d = dw / du * rate[1:] * np.diff(node)
+    square, cube = 3 * (b - a) - 2 * c - d, 2 * (a - b) + c + d
+    # The first and the last piece are cut off by the ends of the arc; all count their place in whole steps.
+    scale, shift = step / np.diff(node), (x - node)[:-1] / np.diff(node)
+    pieces = [
+        a + shift * (c + shift * (square + shift * cube)),
+        scale * (c + shift * (2 * square + shift * 3 * cube)),
+        scale**2 * (square + shift * 3 * cube),
+        scale**3 * cube,
+    ]
+
+    _, _, du, dw = trace(np.linspace(*tool.arc, 4 * PIECES))
+    convex = bool((du > 0).all() and (np.diff(dw / du) > 0).all())
+    (_, _, du, dw), (_, _, du_after, dw_after) = (trace(np.nextafter(kinks, way)) for way in (-np.inf, np.inf))
+    convex = convex and bool((dw_after / du_after - dw / du > -1e-12).all())
+    return EdgeProfile(
+        row=only_read(np.array([*row, 1 / step, x[0], centre])),
+        table=only_read(np.transpose(pieces)),
+        convex=convex,
+    )

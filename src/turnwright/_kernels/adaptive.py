@@ -8,7 +8,7 @@ array is (n,), and ``path`` (7, n) holds t, z, dz, x, dx, s and aside.
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import height, slope
+from turnwright._kernels.edge import DY, DZ, RAKE_COS, RAKE_SIN, height, slope
 
 LOOK = 2  # a point is looked for up to so many times as far as the furthest that was found, and some samples
 MORE = 8
@@ -251,7 +251,7 @@ def tips_at(first, step, z, rate, row, radius, tip, along):
 def under(row, profile, table, cosine, sine, radius, at, x, y):
     """Fill where in plan the edge of a tip at ``radius`` stands over ``at``, both distances along the rake plane."""
     for i in range(radius.size):
-        across = row[6] + row[4] * height(profile, table, at[i] - radius[i])
+        across = row[DY] + row[RAKE_SIN] * height(profile, table, at[i] - radius[i])
         x[i] = at[i] * cosine[i] - across * sine[i]
         y[i] = at[i] * sine[i] + across * cosine[i]
 
@@ -266,11 +266,11 @@ def crest_step(row, profile, table, cosine, sine, scallop, radius, tip, f, fx, f
     for i in range(at.size):
         u = at[i] - radius[i]
         steep = slope(profile, table, u)
-        over = tip[i] + row[7] + row[3] * height(profile, table, u) - f[i] - scallop
+        over = tip[i] + row[DZ] + row[RAKE_COS] * height(profile, table, u) - f[i] - scallop
         rise = (
-            row[3] * steep
+            row[RAKE_COS] * steep
             - (fx[i] * cosine[i] + fy[i] * sine[i])
-            - row[4] * steep * (fy[i] * cosine[i] - fx[i] * sine[i])
+            - row[RAKE_SIN] * steep * (fy[i] * cosine[i] - fx[i] * sine[i])
         )
         if over < 0.0:
             low[i] = max(low[i], at[i])
@@ -293,8 +293,8 @@ def next_step(row, profile, table, goal, at, tip, along, radius, low, high):
     most = 0.0
     for i in range(at.size):
         u = at[i] - radius[i]
-        over = tip[i] + row[7] + row[3] * height(profile, table, u) - goal[i]
-        rise = along[i] - row[3] * slope(profile, table, u)
+        over = tip[i] + row[DZ] + row[RAKE_COS] * height(profile, table, u) - goal[i]
+        rise = along[i] - row[RAKE_COS] * slope(profile, table, u)
         if over < 0.0 or rise <= 0.0:
             low[i] = max(low[i], radius[i])
         else:

@@ -8,7 +8,7 @@ is a lower envelope built with a stack. The chip is what the edge takes off belo
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import height, slope
+from turnwright._kernels.edge import BASE, HIGH_U, LOW_U, height, slope
 from turnwright._kernels.generation import TURN, guess_index, locate
 
 FAR = 1e300
@@ -38,14 +38,17 @@ def _edge(profile, table, upright, u):
 def _crossing(profile, table, upright, p1, z1, m1, p2, z2, m2, low, high):
     """Return where the piece 1 (p1 < p2) stops being the lower one, within [low, high]."""
     if table.shape[1] == 0 and upright == 1.0:
-        radius = profile[0]
+        radius = profile[BASE]
         dp, dz = p2 - p1, z2 - z1
         square = dp * dp + dz * dz
         x = 0.5 * (p1 + p2)
         if square < 4.0 * radius * radius:
             x += dz * np.sqrt(radius * radius / square - 0.25)
             if (
-                x - p1 > profile[1] and x - p1 < profile[4] and x - p2 > profile[1] and x - p2 < profile[4]
+                x - p1 > profile[LOW_U]
+                and x - p1 < profile[HIGH_U]
+                and x - p2 > profile[LOW_U]
+                and x - p2 < profile[HIGH_U]
             ):  # the arc of a perfect nose is symmetric
                 return min(max(x, low), high)
     a, b = low, high
@@ -191,7 +194,7 @@ def _envelope(profile, table, upright, p, z, mirror, count, low, high, which, be
         hidden = False
         while top > 0:
             a = which[top - 1]
-            if p[b] - p[a] <= EPSILON * (abs(p[a]) + profile[0]):
+            if p[b] - p[a] <= EPSILON * (abs(p[a]) + profile[BASE]):
                 if z[b] >= z[a]:
                     hidden = True
                     break
@@ -227,17 +230,17 @@ def _stock(stock, row, first, step, x):
 def _foot(profile, table, upright, u, w):
     """Return thickness, sine and cosine of the normal's angle, and curvature of the edge, below a point (u, w)."""
     if table.shape[1] == 0 and upright == 1.0:
-        radius = profile[0]
+        radius = profile[BASE]
         up = radius - w
         r = np.sqrt(u * u + up * up)
-        if profile[1] * r < u * radius and u * radius < profile[4] * r:
+        if profile[LOW_U] * r < u * radius and u * radius < profile[HIGH_U] * r:
             return radius - r, u / r, up / r, 1.0 / radius
-        side = profile[1] if u < 0.0 else profile[4]
+        side = profile[LOW_U] if u < 0.0 else profile[HIGH_U]
         sine = side / radius
         cosine = np.sqrt(1.0 - sine * sine)
         return radius - (u * sine + up * cosine), sine, cosine, 0.0
     at = u
-    tilt = 1e-5 * profile[0]
+    tilt = 1e-5 * profile[BASE]
     d, bend = 0.0, 0.0
     for _ in range(8):
         d = upright * slope(profile, table, at)
@@ -245,7 +248,7 @@ def _foot(profile, table, upright, u, w):
         above = w - upright * height(profile, table, at)
         step = ((u - at) + above * d) / (1.0 + d * d - above * bend)
         at += step
-        if abs(step) < 1e-13 * profile[0]:
+        if abs(step) < 1e-13 * profile[BASE]:
             break
     d = upright * slope(profile, table, at)
     long = np.sqrt(1.0 + d * d)
@@ -327,7 +330,7 @@ def chips(
         layers = _envelope(profile, table, upright, p, zs, mirror, count, low, high, which, begin)
         # Forces bend where a plateau begins, if the chip comes near it: finer cells.
         limit = critical[row] if critical.size > 0 else FAR
-        cells = 2 * CELLS if plateau.size > 0 and 1.5 * advance * reach > limit * profile[0] else CELLS
+        cells = 2 * CELLS if plateau.size > 0 and 1.5 * advance * reach > limit * profile[BASE] else CELLS
         # Elementary intervals: equal cells, and where another pass begins to be lowest.
         size, layer = 0, 0
         for k in range(cells + 1):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import edge
+from turnwright._kernels.edge import DX, DY, DZ, HIGH, LOW, RAKE_COS, RAKE_SIN, edge
 from turnwright._kernels.trig import sincos
 
 GOLDEN = 0.6180339887498949  # the golden ratio less 1: its multiples, without their whole parts, leave no large gap
@@ -23,13 +23,13 @@ def rates(
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
         _, _, du, dw, ddu, ddw = edge(row, breaks, coefficients, sweep[i])
-        dx = du * cosine - row[4] * dw * sine
-        dy = du * sine + row[4] * dw * cosine
-        ddx = ddu * cosine - row[4] * ddw * sine
-        ddy = ddu * sine + row[4] * ddw * cosine
+        dx = du * cosine - row[RAKE_SIN] * dw * sine
+        dy = du * sine + row[RAKE_SIN] * dw * cosine
+        ddx = ddu * cosine - row[RAKE_SIN] * ddw * sine
+        ddy = ddu * sine + row[RAKE_SIN] * ddw * cosine
         bent_x, bent_y = fxx[i] * dx + fxy[i] * dy, fxy[i] * dx + fyy[i] * dy
-        second = bent_x * dx + bent_y * dy + fx[i] * ddx + fy[i] * ddy - row[3] * ddw
-        step = (row[3] * dw - fx[i] * dx - fy[i] * dy) / second if second < 0.0 else np.nan
+        second = bent_x * dx + bent_y * dy + fx[i] * ddx + fy[i] * ddy - row[RAKE_COS] * ddw
+        step = (row[RAKE_COS] * dw - fx[i] * dx - fy[i] * dy) / second if second < 0.0 else np.nan
         tangent[i] = abs(step) < near
         if not tangent[i]:
             step = 0.0
@@ -37,7 +37,7 @@ def rates(
         out_y = outward[i] * sine + upward[i] * cosine + x[i]
         rate[i] = (fx[i] + bent_x * step) * out_x + (fy[i] + bent_y * step) * out_y
         across[0, i], across[1, i] = out_x, out_y
-        along[0, i], along[1, i], rise[i] = dx, dy, row[3] * dw
+        along[0, i], along[1, i], rise[i] = dx, dy, row[RAKE_COS] * dw
 
 
 @jit
@@ -55,7 +55,7 @@ def normal_rates(
         # How the contact moves with the angle at a fixed sweep, and with the sweep, as a leaning edge moves it aside.
         turned_x = outward[i] * cosine - upward[i] * sine - y[i]
         turned_y = outward[i] * sine + upward[i] * cosine + x[i]
-        swept_x, swept_y = -row[4] * dw * sine, row[4] * dw * cosine
+        swept_x, swept_y = -row[RAKE_SIN] * dw * sine, row[RAKE_SIN] * dw * cosine
         along, across = fx[i] * cosine + fy[i] * sine, fy[i] * cosine - fx[i] * sine
         bent_x, bent_y = fxx[i] * turned_x + fxy[i] * turned_y, fxy[i] * turned_x + fyy[i] * turned_y
         along_turned = bent_x * cosine + bent_y * sine + across
@@ -63,10 +63,17 @@ def normal_rates(
         bent_x, bent_y = fxx[i] * swept_x + fxy[i] * swept_y, fxy[i] * swept_x + fyy[i] * swept_y
         along_swept = bent_x * cosine + bent_y * sine
         across_swept = bent_y * cosine - bent_x * sine
-        rolls = (row[3] - across * row[4]) * ddw - along * ddu - row[4] * dw * across_swept - du * along_swept
-        rate = (row[4] * dw * across_turned + du * along_turned) / rolls
+        rolls = (
+            (row[RAKE_COS] - across * row[RAKE_SIN]) * ddw
+            - along * ddu
+            - row[RAKE_SIN] * dw * across_swept
+            - du * along_swept
+        )
+        rate = (row[RAKE_SIN] * dw * across_turned + du * along_turned) / rolls
         radius_rate[i] = outward[i] - du * rate
-        z_rate[i] = fx[i] * (turned_x + swept_x * rate) + fy[i] * (turned_y + swept_y * rate) - row[3] * dw * rate
+        z_rate[i] = (
+            fx[i] * (turned_x + swept_x * rate) + fy[i] * (turned_y + swept_y * rate) - row[RAKE_COS] * dw * rate
+        )
 
 
 @jit
@@ -76,7 +83,7 @@ def places(row, breaks, coefficients, angle, radius, aside, first, step, below, 
     The places follow each other by the golden ratio: half of them on the arc; the others on the flanks, closer together
     at its ends, as far as ``below`` and ``above`` reach. [rad]
     """
-    low, high = row[1], row[2]
+    low, high = row[LOW], row[HIGH]
     for i in range(angle.size):
         at = (first + step * i) * GOLDEN
         at = 2.0 * (at - np.floor(at)) - 1.0
@@ -88,11 +95,11 @@ def places(row, breaks, coefficients, angle, radius, aside, first, step, below, 
             sweep = 0.5 * (low + high) + (high - low) * at
         sine, cosine = sincos(angle[i])
         u, w, _, _, _, _ = edge(row, breaks, coefficients, sweep)
-        along = radius[i] + row[5] + u
-        across = aside[i] + row[6] + row[4] * w
+        along = radius[i] + row[DX] + u
+        across = aside[i] + row[DY] + row[RAKE_SIN] * w
         x[i] = along * cosine - across * sine
         y[i] = along * sine + across * cosine
-        e[i] = row[3] * w + row[7]
+        e[i] = row[RAKE_COS] * w + row[DZ]
 
 
 @jit

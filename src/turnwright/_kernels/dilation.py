@@ -3,7 +3,22 @@
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import edge, height, slope
+from turnwright._kernels.edge import (
+    BASE,
+    DX,
+    DY,
+    DZ,
+    HIGH,
+    HIGH_U,
+    LOW,
+    LOW_U,
+    RADIUS,
+    RAKE_COS,
+    RAKE_SIN,
+    edge,
+    height,
+    slope,
+)
 from turnwright._kernels.trig import sincos
 
 FULL, OUTSIDE = -1, -2  # what `candidates` answers when it cannot
@@ -19,8 +34,8 @@ def under_edge(row, breaks, coefficients, angle, radius, aside, sweep, x, y):
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
         u, w, _, _, _, _ = edge(row, breaks, coefficients, sweep[i])
-        along = radius[i] + row[5] + u
-        across = aside[i] + row[6] + row[4] * w
+        along = radius[i] + row[DX] + u
+        across = aside[i] + row[DY] + row[RAKE_SIN] * w
         x[i] = along * cosine - across * sine
         y[i] = along * sine + across * cosine
 
@@ -37,16 +52,16 @@ def newton_step(row, breaks, coefficients, angle, sweep, f, fx, fy, fxx, fxy, fy
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
         _, w, du, dw, ddu, ddw = edge(row, breaks, coefficients, sweep[i])
-        dx = du * cosine - row[4] * dw * sine
-        dy = du * sine + row[4] * dw * cosine
-        ddx = ddu * cosine - row[4] * ddw * sine
-        ddy = ddu * sine + row[4] * ddw * cosine
+        dx = du * cosine - row[RAKE_SIN] * dw * sine
+        dy = du * sine + row[RAKE_SIN] * dw * cosine
+        ddx = ddu * cosine - row[RAKE_SIN] * ddw * sine
+        ddy = ddu * sine + row[RAKE_SIN] * ddw * cosine
         rise = fx[i] * dx + fy[i] * dy
         curve = fxx[i] * dx * dx + 2.0 * fxy[i] * dx * dy + fyy[i] * dy * dy + fx[i] * ddx + fy[i] * ddy
-        first[i] = rise - row[3] * dw
-        second = curve - row[3] * ddw
+        first[i] = rise - row[RAKE_COS] * dw
+        second = curve - row[RAKE_COS] * ddw
         bend[i] = (curve - rise * ddu / du) / (du * du)
-        value[i] = f[i] - row[3] * w - row[7]
+        value[i] = f[i] - row[RAKE_COS] * w - row[DZ]
         step[i] = -first[i] / second if second < 0.0 else np.nan
         top[i] = value[i] + 0.5 * first[i] * step[i]
 
@@ -57,8 +72,8 @@ def round_start(row, angle, radius, cosine, sine, x, y):
     for i in range(angle.size):
         s, c = sincos(angle[i])
         sine[i], cosine[i] = s, c
-        x[i] = (radius[i] + row[5]) * c
-        y[i] = (radius[i] + row[5]) * s
+        x[i] = (radius[i] + row[DX]) * c
+        y[i] = (radius[i] + row[DX]) * s
 
 
 @jit
@@ -69,7 +84,7 @@ def round_step(row, limit, cosine, sine, radius, u, f, fx, fy, fxx, fxy, fyy, z,
     many places curve up by ``limit`` or more. [1/mm]
     """
     far, doubtful = 0, 0
-    square = row[0] * row[0]
+    square = row[RADIUS] * row[RADIUS]
     for i in range(u.size):
         c, s = cosine[i], sine[i]
         q = np.sqrt(square - u[i] * u[i])
@@ -77,15 +92,15 @@ def round_step(row, limit, cosine, sine, radius, u, f, fx, fy, fxx, fxy, fyy, z,
         curve = fxx[i] * c * c + 2.0 * fxy[i] * c * s + fyy[i] * s * s
         second = curve - square / (q * q * q)
         step = -first / second
-        z[i] = f[i] - (row[0] - q) - row[7] + 0.5 * first * step
-        reach = max(-0.98 * row[0], min(0.98 * row[0], u[i] + step))
+        z[i] = f[i] - (row[RADIUS] - q) - row[DZ] + 0.5 * first * step
+        reach = max(-0.98 * row[RADIUS], min(0.98 * row[RADIUS], u[i] + step))
         u[i] = reach
-        along = radius[i] + row[5] + reach
+        along = radius[i] + row[DX] + reach
         x[i] = along * c
         y[i] = along * s
         # Written so that nan counts as doubtful.
         doubtful += 0 if curve < limit else 1
-        far += 1 if abs(step) > CLOSE * row[0] or abs(0.5 * first * step) > LITTLE else 0
+        far += 1 if abs(step) > CLOSE * row[RADIUS] or abs(0.5 * first * step) > LITTLE else 0
     return far, doubtful
 
 
@@ -95,10 +110,10 @@ def places(row, profile, table, angle, radius, aside, u, x, y):
     for i in range(u.shape[0]):
         sine, cosine = sincos(angle[i])
         for j in range(u.shape[1]):
-            along = radius[i] + row[5] + u[i, j]
-            across = aside[i] + row[6]
-            if row[4] != 0.0:
-                across += row[4] * height(profile, table, u[i, j])
+            along = radius[i] + row[DX] + u[i, j]
+            across = aside[i] + row[DY]
+            if row[RAKE_SIN] != 0.0:
+                across += row[RAKE_SIN] * height(profile, table, u[i, j])
             x[i, j] = along * cosine - across * sine
             y[i, j] = along * sine + across * cosine
 
@@ -108,15 +123,15 @@ def slopes_along(row, profile, table, angle, u, fx, fy, out):
     """Fill ``out`` with the slope of the surface along the track of the edge, per distance ``u`` from the tip."""
     for i in range(u.size):
         sine, cosine = sincos(angle[i])
-        lean = row[4] * slope(profile, table, u[i]) if row[4] != 0.0 else 0.0
+        lean = row[RAKE_SIN] * slope(profile, table, u[i]) if row[RAKE_SIN] != 0.0 else 0.0
         out[i] = fx[i] * (cosine - lean * sine) + fy[i] * (sine + lean * cosine)
 
 
 @jit
 def lower_edge(rake_cos, profile, table, heights, origin, step, p, begin, end, out):
     """Fill ``out`` with f - e over the samples begin to end, the tip at ``p`` along the line."""
-    base, low, high = profile[0], origin + step * begin - p, origin + step * end - p
-    if table.shape[1] == 0 and low >= profile[1] and high <= profile[4]:
+    base, low, high = profile[BASE], origin + step * begin - p, origin + step * end - p
+    if table.shape[1] == 0 and low >= profile[LOW_U] and high <= profile[HIGH_U]:
         for j in range(begin, end + 1):
             u = origin + step * j - p
             out[j] = heights[j] - rake_cos * (base - np.sqrt(base * base - u * u))
@@ -367,12 +382,12 @@ def keep_highest(point, top, sweep, z, best, ended):
 def tangent_sweep(row, breaks, coefficients, slope_along, slope_across, sweep):
     """Improve ``sweep`` until the edge's tangent lies in the surface's tangent plane; nan beyond the arc."""
     for i in range(sweep.size):
-        low, high = row[1], row[2]
+        low, high = row[LOW], row[HIGH]
         s = min(max(sweep[i], low), high)
         # How fast the edge rises over the tangent plane; it grows along a convex edge.
         for _ in range(100):
             _, _, du, dw, ddu, ddw = edge(row, breaks, coefficients, s)
-            lift = row[3] - slope_across[i] * row[4]
+            lift = row[RAKE_COS] - slope_across[i] * row[RAKE_SIN]
             rise = lift * dw - slope_along[i] * du
             if rise > 0.0:
                 high = s
@@ -386,5 +401,5 @@ def tangent_sweep(row, breaks, coefficients, slope_along, slope_across, sweep):
             if abs(step) < 1e-15:
                 break
         _, _, du, dw, _, _ = edge(row, breaks, coefficients, s)
-        residual = (row[3] - slope_across[i] * row[4]) * dw - slope_along[i] * du
-        sweep[i] = s if abs(residual) < 1e-10 * row[0] else np.nan
+        residual = (row[RAKE_COS] - slope_across[i] * row[RAKE_SIN]) * dw - slope_along[i] * du
+        sweep[i] = s if abs(residual) < 1e-10 * row[RADIUS] else np.nan

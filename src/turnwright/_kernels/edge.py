@@ -5,6 +5,12 @@ import numpy as np
 from turnwright._kernels import jit
 from turnwright._kernels.trig import sincos
 
+# Places in a row: radius [mm], sweep at the ends of the arc [rad], cosine and sine of the rake, offset of the tip [mm].
+RADIUS, LOW, HIGH, RAKE_COS, RAKE_SIN, DX, DY, DZ = range(8)
+# Places in a profile: radius of the circle that its table stands on; distance, height and slope at the ends of the arc;
+# pieces per x, least x, and the distance of the circle's centre.
+BASE, LOW_U, LOW_W, LOW_SLOPE, HIGH_U, HIGH_W, HIGH_SLOPE, PIECES_PER_X, LEAST_X, MIDDLE_U = range(10)
+
 
 @jit
 def waviness(breaks, coefficients, s):
@@ -43,9 +49,9 @@ def arc(row, breaks, coefficients, s):
     d, d1, d2 = waviness(breaks, coefficients, s)
     sine, cosine = sincos(s)
     half_sine, _ = sincos(0.5 * s)
-    r = row[0] + d
+    r = row[RADIUS] + d
     u = r * sine
-    w = 2.0 * row[0] * half_sine * half_sine - d * cosine
+    w = 2.0 * row[RADIUS] * half_sine * half_sine - d * cosine
     du = d1 * sine + r * cosine
     dw = r * sine - d1 * cosine
     ddu = d2 * sine + 2.0 * d1 * cosine - r * sine
@@ -56,8 +62,8 @@ def arc(row, breaks, coefficients, s):
 @jit
 def edge(row, breaks, coefficients, s):
     """Return (u, w, u', w', u'', w'') on the arc or, beyond it, on the flank that is tangent to its end."""
-    if s < row[1] or s > row[2]:
-        end = row[1] if s < row[1] else row[2]
+    if s < row[LOW] or s > row[HIGH]:
+        end = row[LOW] if s < row[LOW] else row[HIGH]
         u, w, du, dw, _, _ = arc(row, breaks, coefficients, end)
         return u + (s - end) * du, w + (s - end) * dw, du, dw, 0.0, 0.0
     return arc(row, breaks, coefficients, s)
@@ -68,16 +74,16 @@ def edge_points(row, breaks, coefficients, sweep, out):
     """Fill ``out`` (3, n) with (u, v, e) from the commanded tip."""
     for i in range(sweep.size):
         u, w, _, _, _, _ = edge(row, breaks, coefficients, sweep[i])
-        out[0, i] = row[5] + u
-        out[1, i] = row[6] + row[4] * w
-        out[2, i] = row[7] + row[3] * w
+        out[0, i] = row[DX] + u
+        out[1, i] = row[DY] + row[RAKE_SIN] * w
+        out[2, i] = row[DZ] + row[RAKE_COS] * w
 
 
 @jit
 def sweep_at(row, breaks, coefficients, u):
     """Return the sweep at which the edge stands at distance ``u`` from the nominal tip."""
-    s = np.arcsin(max(-1.0, min(1.0, u / row[0])))
-    s = max(row[1], min(row[2], s))
+    s = np.arcsin(max(-1.0, min(1.0, u / row[RADIUS])))
+    s = max(row[LOW], min(row[HIGH], s))
     for _ in range(60):
         at, _, du, _, _, _ = edge(row, breaks, coefficients, s)
         step = (u - at) / du
@@ -104,12 +110,12 @@ def trace(row, breaks, coefficients, sweep, out):
 @jit
 def height(profile, table, u):
     """Return the height w of the edge above the tip at distance ``u``, see tool.EdgeProfile."""
-    if u < profile[1]:
-        return profile[2] + (u - profile[1]) * profile[3]
-    if u > profile[4]:
-        return profile[5] + (u - profile[4]) * profile[6]
+    if u < profile[LOW_U]:
+        return profile[LOW_W] + (u - profile[LOW_U]) * profile[LOW_SLOPE]
+    if u > profile[HIGH_U]:
+        return profile[HIGH_W] + (u - profile[HIGH_U]) * profile[HIGH_SLOPE]
     if table.shape[1] == 0:
-        return profile[0] - np.sqrt(profile[0] * profile[0] - u * u)
+        return profile[BASE] - np.sqrt(profile[BASE] * profile[BASE] - u * u)
     i, t, _ = piece(profile, table, u)
     return table[i, 0] + t * (table[i, 1] + t * (table[i, 2] + t * table[i, 3]))
 
@@ -117,22 +123,22 @@ def height(profile, table, u):
 @jit
 def slope(profile, table, u):
     """Return dw/du."""
-    if u < profile[1]:
-        return profile[3]
-    if u > profile[4]:
-        return profile[6]
+    if u < profile[LOW_U]:
+        return profile[LOW_SLOPE]
+    if u > profile[HIGH_U]:
+        return profile[HIGH_SLOPE]
     if table.shape[1] == 0:
-        return u / np.sqrt(profile[0] * profile[0] - u * u)
+        return u / np.sqrt(profile[BASE] * profile[BASE] - u * u)
     i, t, q = piece(profile, table, u)
     rate = table[i, 1] + t * (2.0 * table[i, 2] + 3.0 * t * table[i, 3])
-    return rate * profile[7] * profile[0] / (q * (profile[0] + q))
+    return rate * profile[PIECES_PER_X] * profile[BASE] / (q * (profile[BASE] + q))
 
 
 @jit
 def piece(profile, table, u):
     """Return (which cubic of the arc stands at ``u``, place within it from 0 to 1, height of the centre above u)."""
-    p = u - profile[9]
-    q = np.sqrt(profile[0] * profile[0] - p * p)
-    t = (p / (profile[0] + q) - profile[8]) * profile[7]
+    p = u - profile[MIDDLE_U]
+    q = np.sqrt(profile[BASE] * profile[BASE] - p * p)
+    t = (p / (profile[BASE] + q) - profile[LEAST_X]) * profile[PIECES_PER_X]
     i = min(int(t), table.shape[0] - 1)
     return i, t - i, q

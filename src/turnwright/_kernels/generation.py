@@ -12,7 +12,7 @@ that is not convex) small tiles of neighbouring points share one list of passes 
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import height, slope
+from turnwright._kernels.edge import BASE, DX, DY, DZ, HIGH_U, LOW_U, RAKE_COS, RAKE_SIN, height, slope
 from turnwright._kernels.trig import sincos
 
 TURN = 2.0 * np.pi
@@ -102,7 +102,7 @@ def useful_turns(bounds, mirrored, low, high, profile, table, keep):
         best, ceiling = -1, FAR
         for m in range(turns - 1):  # the last may be a part of a turn, which not every azimuth has
             reach = max(abs(r - bounds[0, m]), abs(r - bounds[1, m]))
-            if reach < profile[4] and reach < -profile[1]:
+            if reach < profile[HIGH_U] and reach < -profile[LOW_U]:
                 top = bounds[3, m] + max(height(profile, table, reach), height(profile, table, -reach))
                 if top < ceiling:
                     best, ceiling = m, top
@@ -126,14 +126,17 @@ def useful_turns(bounds, mirrored, low, high, profile, table, keep):
 @jit
 def crossing(p1, z1, p2, z2, low, high, mirrored, profile, table):
     """Return where pass 2 (further in, p2 < p1) stops and pass 1 begins to be lowest, within [low, high]."""
-    radius = profile[0]
+    radius = profile[BASE]
     dp, dz = p1 - p2, z1 - z2
     square = dp * dp + dz * dz
     x = 0.5 * (p1 + p2)
     if square < 4.0 * radius * radius:
         x += dz * np.sqrt(radius * radius / square - 0.25)
         inside = (
-            x - p1 > profile[1] and x - p1 < profile[4] and x - p2 > profile[1] and x - p2 < profile[4]
+            x - p1 > profile[LOW_U]
+            and x - p1 < profile[HIGH_U]
+            and x - p2 > profile[LOW_U]
+            and x - p2 < profile[HIGH_U]
         )  # of a symmetric arc when there is no table
         if inside and table.shape[1] == 0:
             return min(max(x, low), high)
@@ -166,7 +169,7 @@ def crossing(p1, z1, p2, z2, low, high, mirrored, profile, table):
 @jit
 def heights(winner, plain, mirrored, first, profile, table, radius, out):
     """Set (with ``first``) or lower ``out`` to the pass that ``winner`` (2, n) names by position and level."""
-    base = profile[0]
+    base = profile[BASE]
     square = base * base
     if plain and first:
         for k in range(radius.size):
@@ -186,14 +189,14 @@ def stacked(position, level, count, mirrored, profile, table, low, high, stack, 
     Return how many they are. On a turned part nearly every pass is lowest somewhere: if the crossings of neighbours are
     in order that proves it, and they come from one loop that vectorises.
     """
-    radius = profile[0]
+    radius = profile[BASE]
     ordered = table.shape[1] == 0
     if ordered:
         for i in range(1, count):
             dp, dz = position[i - 1] - position[i], level[i - 1] - level[i]
             quotient = radius * radius / (dp * dp + dz * dz) - 0.25
             limit[i] = 0.5 * (position[i - 1] + position[i]) + dz * np.sqrt(quotient)
-        reach = profile[4]
+        reach = profile[HIGH_U]
         for i in range(1, count):
             # Also false for nan: equal passes, or so far apart that the circles do not meet.
             ordered = ordered and abs(limit[i] - position[i - 1]) < reach and abs(limit[i] - position[i]) < reach
@@ -283,7 +286,7 @@ def envelope(position, level, count, mirrored, first, profile, table, radius, ou
                     winner[0, k + q] = p
                 for q in range(8):
                     winner[1, k + q] = z
-            plain = plain and radius[i] - p >= profile[1] and radius[j - 1] - p <= profile[4]
+            plain = plain and radius[i] - p >= profile[LOW_U] and radius[j - 1] - p <= profile[HIGH_U]
             i = j
     if depth > 0:
         heights(winner, plain, mirrored, first, profile, table, radius, out)
@@ -362,12 +365,12 @@ def stand(c, x, y, z, sense, row, profile, table, at, along, hint):
     i = locate(c, sense, at, hint)
     ci = sense * c[i]
     share = (at - ci) / (sense * c[i + 1] - ci)
-    u = along - (x[i] + share * (x[i + 1] - x[i]) + row[5])
+    u = along - (x[i] + share * (x[i + 1] - x[i]) + row[DX])
     w = height(profile, table, u)
-    across = row[6] + row[4] * w
+    across = row[DY] + row[RAKE_SIN] * w
     if y.size > 0:
         across += y[i] + share * (y[i + 1] - y[i])
-    return z[i] + share * (z[i + 1] - z[i]) + row[7] + row[3] * w, across, u, i
+    return z[i] + share * (z[i + 1] - z[i]) + row[DZ] + row[RAKE_COS] * w, across, u, i
 
 
 @jit
@@ -381,7 +384,7 @@ def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
     sign = 1.0 if side == 0 else -1.0
-    if row[4] == 0.0 and row[6] == 0.0 and y.size == 0:
+    if row[RAKE_SIN] == 0.0 and row[DY] == 0.0 and y.size == 0:
         if t < begin - ROUNDING or t > end + ROUNDING:
             return FAR, hint, 0.0, t, 0.0
         # What `stand` does, without what is aside: a third faster.
@@ -389,8 +392,8 @@ def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
         i = locate(c, sense, at, hint)
         ci = sense * c[i]
         share = (at - ci) / (sense * c[i + 1] - ci)
-        u = sign * r - (x[i] + share * (x[i + 1] - x[i]) + row[5])
-        return z[i] + share * (z[i + 1] - z[i]) + row[7] + height(profile, table, u), i, u, at, 0.0
+        u = sign * r - (x[i] + share * (x[i + 1] - x[i]) + row[DX])
+        return z[i] + share * (z[i + 1] - z[i]) + row[DZ] + height(profile, table, u), i, u, at, 0.0
     aside, i, before = 0.0, hint, FAR
     while abs(aside) <= r:
         at = t - sign * sense * np.arcsin(aside / r)
@@ -400,7 +403,7 @@ def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
         step = abs(across - aside)
         if step == 0.0 or step > 0.75 * before:
             # The angle of the spindle rounds with its size, and the edge moves aside by half of that at most.
-            rounding = 8.0 * EPSILON * (r * (1.0 + abs(t)) + abs(across) + abs(along) + abs(u) + profile[0])
+            rounding = 8.0 * EPSILON * (r * (1.0 + abs(t)) + abs(across) + abs(along) + abs(u) + profile[BASE])
             reached = step <= rounding and abs(at - held) <= ROUNDING
             return (h if reached else FAR), i, u, held, across
         aside, before = across, step
@@ -432,10 +435,10 @@ def over(line, row, profile, table, sense, r, phase, s):
     cosine of the angle from the point to the tool).
     """
     sine, cosine = sincos(phase + s)
-    u = r * cosine - (line[0] + line[3] * s + row[5])
+    u = r * cosine - (line[0] + line[3] * s + row[DX])
     w = height(profile, table, u)
-    aside = -sense * r * sine - (line[1] + line[4] * s) - row[6] - row[4] * w
-    return line[2] + line[5] * s + row[7] + row[3] * w, aside, u, sine, cosine
+    aside = -sense * r * sine - (line[1] + line[4] * s) - row[DY] - row[RAKE_SIN] * w
+    return line[2] + line[5] * s + row[DZ] + row[RAKE_COS] * w, aside, u, sine, cosine
 
 
 @jit
@@ -447,7 +450,7 @@ def lowest_on_line(line, row, profile, table, bend, sense, r, phase, first, last
     edge by F. Pieces that bounds of F and of the height exclude are dropped; one in which F only grows, or only falls,
     holds at most one root; others are halved. ``pieces`` (64, 2) is scratch.
     """
-    size = r + abs(line[0]) + abs(line[1]) + abs(row[5]) + abs(row[6]) + profile[0]
+    size = r + abs(line[0]) + abs(line[1]) + abs(row[DX]) + abs(row[DY]) + profile[BASE]
     tiny = 4.0 * EPSILON * (size + (abs(line[3]) + abs(line[4])) * max(abs(first), abs(last)))
     pieces[0, 0], pieces[0, 1] = first, last
     depth = 1
@@ -460,14 +463,14 @@ def lowest_on_line(line, row, profile, table, bend, sense, r, phase, first, last
         pace, loose = -r * sine - line[3], r * half * (abs(cosine) + 0.5 * half)
         du = (abs(pace) + loose) * half
         flat, steep = slope(profile, table, u - du) - bend, slope(profile, table, u + du) + bend
-        if h - abs(line[5]) * half - row[3] * max(abs(flat), abs(steep)) * du > lowest - tiny:
+        if h - abs(line[5]) * half - row[RAKE_COS] * max(abs(flat), abs(steep)) * du > lowest - tiny:
             continue
         if abs(aside) <= tiny:
             lowest = min(lowest, h)
         rate, doubt = -sense * r * cosine - line[4], r * half * (abs(sine) + 0.5 * half)
-        if row[4] != 0.0:
-            rate -= row[4] * 0.5 * (flat + steep) * pace
-            doubt += abs(row[4]) * (0.5 * (steep - flat) * (abs(pace) + loose) + 0.5 * abs(flat + steep) * loose)
+        if row[RAKE_SIN] != 0.0:
+            rate -= row[RAKE_SIN] * 0.5 * (flat + steep) * pace
+            doubt += abs(row[RAKE_SIN]) * (0.5 * (steep - flat) * (abs(pace) + loose) + 0.5 * abs(flat + steep) * loose)
         if abs(aside) > (abs(rate) + doubt) * half + tiny:
             continue
         # Two roots within a microradian, that no change of sign betrays: 1e-13 r further in there are none.
@@ -491,8 +494,8 @@ def lowest_on_line(line, row, profile, table, bend, sense, r, phase, first, last
             else:
                 b = s
             rate = -sense * r * cosine - line[4]
-            if row[4] != 0.0:
-                rate += row[4] * slope(profile, table, u) * (r * sine + line[3])
+            if row[RAKE_SIN] != 0.0:
+                rate += row[RAKE_SIN] * slope(profile, table, u) * (r * sine + line[3])
             if abs(aside) <= 2e-15 * abs(rate) or b - a < 1e-15:
                 break
             following = s - aside / rate if rate != 0.0 else a
@@ -515,10 +518,10 @@ def core_height(
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
     turns, lines = bounds.shape[1], c.size - 1
-    off, lean = abs(row[6]) + most_y, abs(row[4])
+    off, lean = abs(row[DY]) + most_y, abs(row[RAKE_SIN])
     dip = max(gap - height(profile, table, 0.0), 0.0)  # the most that the edge is below the tip
-    size = r + profile[0] + abs(row[5]) + abs(row[6]) + most_y + max(abs(bounds[1, 0]), abs(bounds[0, turns - 1]))
-    if row[4] * row[6] >= 0.0 and r + 64.0 * EPSILON * size < abs(row[6]) - lean * dip - most_y:
+    size = r + profile[BASE] + abs(row[DX]) + abs(row[DY]) + most_y + max(abs(bounds[1, 0]), abs(bounds[0, turns - 1]))
+    if row[RAKE_SIN] * row[DY] >= 0.0 and r + 64.0 * EPSILON * size < abs(row[DY]) - lean * dip - most_y:
         return FAR  # the edge is always further aside of the axis
     pieces, line = np.empty((64, 2)), np.empty(6)
     lowest = FAR
@@ -539,16 +542,16 @@ def core_height(
                 continue
             before = min(max(int((t - 0.5 * np.pi - begin) / TURN), 0), turns - 1)
             after = min(max(int((t + 0.5 * np.pi - begin) / TURN), 0), turns - 1)
-            bottom = min(bounds[2, before], bounds[2, after]) + row[7]
+            bottom = min(bounds[2, before], bounds[2, after]) + row[DZ]
             low, high = min(bounds[0, before], bounds[0, after]), max(bounds[1, before], bounds[1, after])
-            aside = off + lean * max((lowest - bottom) / row[3], dip)
+            aside = off + lean * max((lowest - bottom) / row[RAKE_COS], dip)
             share = min(aside / r * (1.0 + 1e-12), 1.0) if r > 0.0 else 1.0
             wide, inner = np.arcsin(share) + ROUNDING, r * np.sqrt(1.0 - share * share)
             if which == 0:
                 least = least_between(profile, table, gap, inner - high, r - low)
             else:
                 least = least_between(profile, table, gap, -r - high, -inner - low)
-            if bottom + row[3] * least > lowest or t - wide > end + ROUNDING or t + wide < begin - ROUNDING:
+            if bottom + row[RAKE_COS] * least > lowest or t - wide > end + ROUNDING or t + wide < begin - ROUNDING:
                 continue
             base = t - behind
             at = min(max(t - wide, begin), end)
@@ -563,12 +566,12 @@ def core_height(
                 half += ROUNDING
                 along, across = r * half * (abs(sine) + 0.5 * half), r * half * (abs(cosine) + 0.5 * half)
                 low, high = r * cosine - along - blocks[1, k], r * cosine + along - blocks[0, k]
-                rise = (lowest - blocks[4, k] - row[7]) / row[3]
+                rise = (lowest - blocks[4, k] - row[DZ]) / row[RAKE_COS]
                 if least_between(profile, table, gap, low, high) > rise:
                     continue
                 rise = min(rise, max(height(profile, table, low), height(profile, table, high)) + gap)
                 across += 0.5 * (blocks[3, k] - blocks[2, k]) + lean * max(rise, dip) + ROUNDING * (1.0 + r)
-                if abs(-sense * r * sine - row[6] - 0.5 * (blocks[2, k] + blocks[3, k])) > across:
+                if abs(-sense * r * sine - row[DY] - 0.5 * (blocks[2, k] + blocks[3, k])) > across:
                     continue
                 for j in range(i, stop):
                     following = sense * c[j + 1] - base
@@ -665,7 +668,7 @@ def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, cor
     way out from the tip, ``bend`` the most that its slope falls back.
     """
     turns = bounds.shape[1]
-    lean, off = abs(row[4]), abs(row[6]) + most_y
+    lean, off = abs(row[RAKE_SIN]), abs(row[DY]) + most_y
     dip = max(gap - height(profile, table, 0.0), 0.0)  # the most that the edge is below the tip
     ranges = np.empty((2, 2, turns))  # of the tip, mirrored for the other side; of its own and its neighbouring turns
     tops = np.empty(turns)
@@ -696,7 +699,7 @@ def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, cor
                 last = -heap[2, k] if which == 1 else heap[3, k]
                 reach = max(first - high, high - last, 0.0)
                 least = max(height(profile, table, reach), height(profile, table, -reach))
-                if (step > 0 and k == lowest) or heap[4, k] + row[7] + row[3] * least >= ceiling:
+                if (step > 0 and k == lowest) or heap[4, k] + row[DZ] + row[RAKE_COS] * least >= ceiling:
                     continue
                 for m in range(max(HEAP * k, 1), min(HEAP * (k + 1), turns - 2)):
                     first, last = ranges[which, 0, m], ranges[which, 1, m]
@@ -707,21 +710,21 @@ def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, cor
                         continue
                     reach = max(abs(np.sqrt(low * low - aside * aside) - last), abs(high - first))
                     most = max(height(profile, table, reach), height(profile, table, -reach)) + gap
-                    if off + lean * max(most, dip) <= aside and tops[m] + row[7] + row[3] * most < ceiling:
-                        ceiling = tops[m] + row[7] + row[3] * most
+                    if off + lean * max(most, dip) <= aside and tops[m] + row[DZ] + row[RAKE_COS] * most < ceiling:
+                        ceiling = tops[m] + row[DZ] + row[RAKE_COS] * most
                         nearest = k
         most = 0.0
         for which in range(2):
             side = -1.0 if which == 1 else 1.0
             out[ring, which, 0], out[ring, which, 1] = turns, -1
             for k in range(heaps):
-                rise = (ceiling - heap[5, k] - row[7]) / row[3]
+                rise = (ceiling - heap[5, k] - row[DZ]) / row[RAKE_COS]
                 aside = off + lean * max(rise, dip)
                 u = nearest_use(heap[0, k], heap[1, k], which, aside, low, high)
                 if height(profile, table, side * u) - 2.0 * gap > rise:
                     continue
                 for m in range(HEAP * k, min(HEAP * (k + 1), turns)):
-                    rise = (ceiling - bounds[2, m] - row[7]) / row[3]
+                    rise = (ceiling - bounds[2, m] - row[DZ]) / row[RAKE_COS]
                     aside = off + lean * max(rise, dip)
                     u = nearest_use(bounds[0, m], bounds[1, m], which, aside, low, high)
                     if height(profile, table, side * u) - gap <= rise:
@@ -823,7 +826,7 @@ def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count,
     if best >= 0:
         i = hint[best]
         step = sense * (c[i + 1] - c[i])
-        g = row[3] * slope(profile, table, work[1, best])
+        g = row[RAKE_COS] * slope(profile, table, work[1, best])
         steer_r = g if side[best] == 0 else -g
         steer_a = ((z[i + 1] - z[i]) - g * (x[i + 1] - x[i])) / step
     for k in range(count):
@@ -844,10 +847,10 @@ def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count,
             rate = (z[i + 1] - z[i]) / step
             rise, fall = max(rise, rate), min(fall, rate)
         du = hr + drift * ha
-        g1, g2 = row[3] * slope(profile, table, u - du), row[3] * slope(profile, table, u + du)
+        g1, g2 = row[RAKE_COS] * slope(profile, table, u - du), row[RAKE_COS] * slope(profile, table, u + du)
         sign = 1.0 if side[k] == 0 else -1.0
-        dev_r = max(abs(sign * g1 - steer_r), abs(sign * g2 - steer_r)) + row[3] * bend
-        dev_a = max(abs(rise - steer_a), abs(fall - steer_a)) + (max(abs(g1), abs(g2)) + row[3] * bend) * drift
+        dev_r = max(abs(sign * g1 - steer_r), abs(sign * g2 - steer_r)) + row[RAKE_COS] * bend
+        dev_a = max(abs(rise - steer_a), abs(fall - steer_a)) + (max(abs(g1), abs(g2)) + row[RAKE_COS] * bend) * drift
         work[2, k] = hr * dev_r + ha * dev_a + 1e-13
     return choose(work, count, chosen)
 
@@ -884,7 +887,7 @@ def gradients(c, x, y, z, sense, row, profile, table, bend, rc, hr, ha, at, i, u
     both follow from r sin(azimuth of the point - azimuth of the tool) = v(u) + Y, differentiated. Return False where no
     bounds hold: the pass does not cover all of it, or D may vanish.
     """
-    lean, rise, sign = row[4], row[3], (1.0 if side == 0 else -1.0)
+    lean, rise, sign = row[RAKE_SIN], row[RAKE_COS], (1.0 if side == 0 else -1.0)
     beside = sense * across
     away = rc * rc - beside * beside
     if not away > 0.0 or hr >= rc:
@@ -1004,7 +1007,7 @@ def tiles(
     shift, near_shift = np.empty(room), np.empty(room)
     chosen, picked = np.empty(room, np.int64), np.empty(room, np.int64)
     work, tilts = np.empty((3, room)), np.empty((room, 4))
-    upright = row[4] == 0.0 and row[6] == 0.0 and y.size == 0
+    upright = row[RAKE_SIN] == 0.0 and row[DY] == 0.0 and y.size == 0
     for g in range(start, stop):
         origin = offsets[groups[g]]
         count = offsets[groups[g + 1]] - origin
@@ -1029,7 +1032,7 @@ def tiles(
             for j in range(count):
                 i = origin + j
                 if r[j] == 0.0 and upright:
-                    out[i] = axis_height(x, z, starts, bounds, row[5], row[7], profile, table, gap)
+                    out[i] = axis_height(x, z, starts, bounds, row[DX], row[DZ], profile, table, gap)
                     continue
                 ring, _ = rings_between(rings, r[j], r[j])
                 if core[ring] and not upright:

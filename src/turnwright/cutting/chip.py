@@ -28,6 +28,7 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, Ints, only_read
 from turnwright._kernels import chip as kernel
 from turnwright._kernels import generation as generation_kernel
+from turnwright._kernels.edge import BASE
 from turnwright._validate import check_angle, check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.progress import run_chunks
@@ -398,7 +399,7 @@ def chip_map(
         raise InputError(f"points go from {at.min()} to {at.max()}, a motion has 0 to {moved.c.size - 1}: choose those")
     upright = float(np.cos(tool.rake))
     azimuth = moved.c[at]
-    contact = moved.x[at] + tool.profile().row[0] * np.sin(np.arctan(moved.slope(at) / upright))
+    contact = moved.x[at] + tool.profile().row[BASE] * np.sin(np.arctan(moved.slope(at) / upright))
     x, y = contact * np.cos(azimuth), contact * np.sin(azimuth)
     rake = tool.rake - _climb(part, moved.sense, azimuth, contact)
     said = _Said.of(material, rake, azimuth)

@@ -25,6 +25,7 @@ import numpy as np
 from turnwright._arrays import Floats
 from turnwright._kernels import dilation as dilation_kernel
 from turnwright._kernels import swept as kernel
+from turnwright._kernels.edge import DX, DY, DZ, HIGH, LOW, RADIUS
 from turnwright.placing import touch as touch_down
 from turnwright.progress import run_chunks
 from turnwright.surface import Surface
@@ -277,8 +278,8 @@ class Swept:
         edge = self.tool.table(self.sense)
         planned, wave = edge.row, edge[1:]
         row = planned.copy()
-        row[0] += real.radius
-        row[5:8] += real.offset
+        row[RADIUS] += real.radius
+        row[[DX, DY, DZ]] += real.offset
         late = self.sense * real.late
         radius, azimuth = np.hypot(x, y), np.arctan2(y, x)
         own = None if not self.surface.in_pieces else self.surface.piece(x, y)
@@ -286,7 +287,7 @@ class Swept:
         def deviation() -> Floats:
             if not real.waviness.size:
                 return np.zeros((3, x.size))
-            held = np.clip(np.nan_to_num(cut), planned[1], planned[2])
+            held = np.clip(np.nan_to_num(cut), planned[LOW], planned[HIGH])
             return np.tensordot(real.basis.values(held), real.waviness, (1, 0))
 
         at_x, at_y = np.empty(x.size), np.empty(x.size)

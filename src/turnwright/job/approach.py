@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._kernels import generation as kernel
+from turnwright._kernels.edge import BASE, HIGH_SLOPE, HIGH_U, LOW_SLOPE, LOW_U
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate_polar
 from turnwright.machine import FAST, Axis
@@ -156,9 +157,13 @@ def _edge(tool: Tool, sense: int, u: Floats) -> tuple[Floats, Floats]:
     if profile.table.size:
         w = np.asarray(kernel.sampled(row, profile.table, u)[0])
     else:
-        inside = np.clip(u, row[1], row[4])
-        w = row[0] - np.sqrt(row[0] ** 2 - inside**2)
-        w = w + np.where(u < row[1], (u - row[1]) * row[3], 0.0) + np.where(u > row[4], (u - row[4]) * row[6], 0.0)
+        inside = np.clip(u, row[LOW_U], row[HIGH_U])
+        w = row[BASE] - np.sqrt(row[BASE] ** 2 - inside**2)
+        w = (
+            w
+            + np.where(u < row[LOW_U], (u - row[LOW_U]) * row[LOW_SLOPE], 0.0)
+            + np.where(u > row[HIGH_U], (u - row[HIGH_U]) * row[HIGH_SLOPE], 0.0)
+        )
     table = tool.table(sense).row
     return table[3] * w, table[4] * w
 
@@ -334,8 +339,8 @@ def _azimuths(part: Part, radius: float) -> Floats:
 def _before(part: Part, tool: Tool, before: Motion | None, x0: float, angle: Floats, wider: float) -> _Material:
     """Return the material that stands before a pass, under the edge at its first point."""
     row = tool.profile().row
-    half = max(-float(row[1]), float(row[4]))
-    flank = max(min(-float(row[3]), float(row[6])), 0.05)
+    half = max(-float(row[LOW_U]), float(row[HIGH_U]))
+    flank = max(min(-float(row[LOW_SLOPE]), float(row[HIGH_SLOPE])), 0.05)
     reach = 2 * half + (part.stock + 4 * GAP) / flank
     low, high = (max(x0 - reach, 0.0), x0 + reach) if x0 - reach > 0 else (0.0, max(x0 + reach, reach - x0))
     radius = np.linspace(low, high, STEPS + 1)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from turnwright._kernels.edge import RADIUS, RAKE_COS, RAKE_SIN
 from turnwright.generation import Prepared, Tiles, generate_polar
 from turnwright.progress import run_chunks
 
@@ -202,7 +203,7 @@ class _Search:
         self.uncut = 0.0
         if lean == 0 and aside != 0 and self.ready.most_y == 0:
             # All passes end at one distance from the axis, and there rounding decides which of them reach a place.
-            size = self.ready.cut.row[0] + part.radius + float(np.abs(self.ready.cut.bounds[:2]).max())
+            size = self.ready.cut.row[RADIUS] + part.radius + float(np.abs(self.ready.cut.bounds[:2]).max())
             self.uncut = abs(float(aside)) + ROUNDINGS * np.finfo(float).eps * size
 
     def at(self, radius: Floats, angle: Floats) -> Floats:
@@ -319,9 +320,9 @@ class _Search:
         """Return radius, azimuth and error where the edge is ``u`` from its tip; infinite beyond the part."""
         c, x, y, z = self._tip(line)
         w = self.ready.edge(u.ravel())[0].reshape(u.shape)
-        along, across = x + u, y + self.ready.cut.row[4] * w
+        along, across = x + u, y + self.ready.cut.row[RAKE_SIN] * w
         radius, angle = np.hypot(along, across), c + np.arctan2(across, along)
-        error = z + self.ready.cut.row[3] * w
+        error = z + self.ready.cut.row[RAKE_COS] * w
         inside = radius <= self.part.radius
         r, a = radius[inside], angle[inside]
         error[inside] -= self.part.surface.sag(r * np.cos(a), r * np.sin(a))
@@ -330,12 +331,12 @@ class _Search:
 
     def _valleys(self, line: Floats, step: float) -> tuple[Floats, Floats]:
         """Return where the motion comes closest to the design. Each (n,)."""
-        c, nose, u, before = self._tip(line)[0], self.ready.cut.row[0], np.zeros(line.size), np.zeros(line.size)
+        c, nose, u, before = self._tip(line)[0], self.ready.cut.row[RADIUS], np.zeros(line.size), np.zeros(line.size)
         for _ in range(3):
             radius, angle, _ = self._gap(line, u)
             radius = np.minimum(radius, self.part.radius)
             zx, zy = self.part.surface.gradient(radius * np.cos(angle), radius * np.sin(angle))
-            slope = (zx * np.cos(c) + zy * np.sin(c)) / self.ready.cut.row[3]
+            slope = (zx * np.cos(c) + zy * np.sin(c)) / self.ready.cut.row[RAKE_COS]
             before, u = u, nose * slope / np.sqrt(1 + slope**2)
         first = np.argsort(self._gap(line, u)[2])[:POLISHED]
         # Over an edge of the design the slope leaps, and with it the place on the edge.

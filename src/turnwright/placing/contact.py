@@ -29,6 +29,7 @@ import numpy as np
 from turnwright._arrays import Bools, Floats
 from turnwright._kernels import contact as kernel
 from turnwright._kernels import dilation as dilation_kernel
+from turnwright._kernels.edge import DY
 from turnwright.errors import GougeError, InputError
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
@@ -244,7 +245,7 @@ def _tangent(
     edge = tool.table(sense)
     cosine, sine = np.cos(angle), np.sin(angle)
     sweep = np.zeros(angle.size)
-    across = aside + edge.row[6]
+    across = aside + edge.row[DY]
     for _ in range(20):
         x, y = contact * cosine - across * sine, contact * sine + across * cosine
         surface_z = part.surface.sag(x, y)

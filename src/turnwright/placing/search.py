@@ -38,7 +38,22 @@ from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, same_length
 from turnwright._kernels import dilation as kernel
-from turnwright._kernels.edge import edge_points, sweeps_at
+from turnwright._kernels.edge import (
+    DX,
+    DY,
+    DZ,
+    HIGH,
+    HIGH_SLOPE,
+    HIGH_U,
+    LOW,
+    LOW_SLOPE,
+    LOW_U,
+    RADIUS,
+    RAKE_COS,
+    RAKE_SIN,
+    edge_points,
+    sweeps_at,
+)
 from turnwright.errors import DomainError, GougeError, InputError
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
@@ -209,7 +224,7 @@ def follow(
     nose to start. (n,) [rad]
     """
     edge = tool.table(sense)
-    s, tilt = sweep.copy(), 0.5 * float(min(-edge.row[1], edge.row[2]))
+    s, tilt = sweep.copy(), 0.5 * float(min(-edge.row[LOW], edge.row[HIGH]))
     lost = np.zeros(s.size, dtype=np.bool_)
     for _ in range(12):
         x, at_y, value, first, top, step, bend = np.empty((7, s.size))
@@ -222,7 +237,7 @@ def follow(
         far = ~lost & ((np.abs(step) > kernel.CLOSE) | (np.abs(top - value) > kernel.LITTLE))
         if not far.any():
             break
-    lost |= far | (s < edge.row[1]) | (s > edge.row[2])
+    lost |= far | (s < edge.row[LOW]) | (s > edge.row[HIGH])
     kernel.under_edge(*edge, angle, radius, y, s, x, at_y)
     z = np.where(lost, np.nan, top)
     return Touch(z, s, x, at_y, z + tool.edge(s, sense)[2])
@@ -317,31 +332,31 @@ class _Contact:
         self.edge: EdgeTable = tool.table(sense)
         self.profile: EdgeProfile = tool.profile()
         self.row = self.edge.row
-        self.upright = bool(self.row[4] == 0 and self.row[6] == 0 and not aside.any())
-        self.nearest = float(radius.min() + self.row[5])
-        self.farthest = float(radius.max() + self.row[5])
-        self.arc = (float(self.profile.row[1]), float(self.profile.row[4]))
+        self.upright = bool(self.row[RAKE_SIN] == 0 and self.row[DY] == 0 and not aside.any())
+        self.nearest = float(radius.min() + self.row[DX])
+        self.farthest = float(radius.max() + self.row[DX])
+        self.arc = (float(self.profile.row[LOW_U]), float(self.profile.row[HIGH_U]))
         # A curvature that vanishes may change by its own size over no distance at all; the nose does not feel it.
-        self.feature = max(surface.feature_size, FINEST * float(self.row[0]))
+        self.feature = max(surface.feature_size, FINEST * float(self.row[RADIUS]))
         # What the plan covers.
-        outermost = float(np.hypot(radius + self.row[5], aside).max())
+        outermost = float(np.hypot(radius + self.row[DX], aside).max())
         self.rim = max(rim, outermost)
         self.extent = self.rim if self.rim < np.inf else outermost
         self.reach = self.extent + max(self.arc[1], -self.arc[0])
-        self.flank = float(self.row[3] * min(-self.profile.row[3], self.profile.row[6]))
+        self.flank = float(self.row[RAKE_COS] * min(-self.profile.row[LOW_SLOPE], self.profile.row[HIGH_SLOPE]))
         # Height that the surface reaches outside of what is looked at, where it is steeper than the flanks.
         self.top = -np.inf
 
     def edge_curvature(self) -> float:
         """Return the least curvature of the edge anywhere on its arc, as height over distance. [1/mm]."""
-        s = np.linspace(self.row[1], self.row[2], 2001)
+        s = np.linspace(self.row[LOW], self.row[HIGH], 2001)
         u = np.empty((3, s.size))
         upright = self.row.copy()
         upright[3], upright[5:] = 1.0, 0.0
         self.edge_points(upright, self.edge.breaks, self.edge.coefficients, s, u)
         slopes = np.diff(u[2]) / np.diff(u[0])
         middles = 0.5 * (u[0, 1:] + u[0, :-1])
-        return float(self.row[3] * (np.diff(slopes) / np.diff(middles)).min())
+        return float(self.row[RAKE_COS] * (np.diff(slopes) / np.diff(middles)).min())
 
     def one_tangent(self) -> bool:
         """Say whether, on a grid over the part, the surface curves up less than the edge everywhere."""
@@ -376,9 +391,9 @@ class _Contact:
         slope, bend = np.abs(zx * c + zy * s), zxx * c * c + 2 * zxy * c * s + zyy * s * s
         if not self.upright:
             # Out of the radial plane any direction counts, and the slope across lifts a leaning edge.
-            slope, lean = np.hypot(zx, zy), abs(self.row[4])
+            slope, lean = np.hypot(zx, zy), abs(self.row[RAKE_SIN])
             mean, half = 0.5 * (zxx + zyy), np.hypot(0.5 * (zxx - zyy), zxy)
-            bend = (mean + half) * (1 + lean) ** 2 + slope * lean / self.row[0]
+            bend = (mean + half) * (1 + lean) ** 2 + slope * lean / self.row[RADIUS]
             slope = slope * (1 + lean)
         there = np.isfinite(bend) & np.isfinite(slope)
         if inside is not None:
@@ -394,7 +409,7 @@ class _Contact:
         else:
             certain = self._newton_edge(angle, radius, aside, out)
         # Nothing is said of the flanks beyond the arc.
-        return certain and bool((out.sweep >= self.row[1]).all() and (out.sweep <= self.row[2]).all())
+        return certain and bool((out.sweep >= self.row[LOW]).all() and (out.sweep <= self.row[HIGH]).all())
 
     def _newton_round(self, angle: Floats, radius: Floats, out: Touch) -> bool:
         """Newton for a perfect nose in the radial plane, with loops that vectorise."""
@@ -413,9 +428,9 @@ class _Contact:
                 break
         else:
             return False
-        nose = self.row[0]
+        nose = self.row[RADIUS]
         np.arcsin(u / nose, out=out.sweep)
-        np.add(out.z, (nose + self.row[7]) - np.sqrt(nose * nose - u * u), out=out.surface_z)
+        np.add(out.z, (nose + self.row[DZ]) - np.sqrt(nose * nose - u * u), out=out.surface_z)
         return self._inside(out.x, out.y)
 
     def _newton_edge(self, angle: Floats, radius: Floats, aside: Floats, out: Touch) -> bool:
@@ -482,7 +497,7 @@ class _Contact:
         width = self.arc[1] - self.arc[0]
         step = min(self.feature / SAMPLES_PER_FEATURE, width / SAMPLES_PER_EDGE)
         ground = _ground(_Same(self.surface), self.extent, radial=self.upright)
-        steep = ground.steepest * (1 + abs(self.row[4])) >= CONCAVITY * self.flank
+        steep = ground.steepest * (1 + abs(self.row[RAKE_SIN])) >= CONCAVITY * self.flank
         self.top = ground.top if steep else -np.inf
 
         def lines(start: int, stop: int) -> None:
@@ -550,15 +565,15 @@ class _Contact:
         else:
             # The line itself is the track of an edge whose tip stands on the axis.
             offsets = np.append(np.flatnonzero(np.diff(line, prepend=-1)), line.size)
-            row_angle, row_radius = angle[offsets[:-1]], np.full(offsets.size - 1, -self.row[5])
+            row_angle, row_radius = angle[offsets[:-1]], np.full(offsets.size - 1, -self.row[DX])
             row_aside = np.zeros(offsets.size - 1)
-            position = radius + self.row[5]
+            position = radius + self.row[DX]
         first, last = float(position.min()) + low, float(position.max()) + high
         if whole:
             first, last = min(first, -self.extent), max(last, self.extent)
         if self.rim < np.inf:
             # Nothing counts outside the rim.
-            tips = radius + self.row[5] if line is None else np.zeros(1)
+            tips = radius + self.row[DX] if line is None else np.zeros(1)
             first = max(first, -self.rim - float(tips.max()))
             last = min(last, self.rim - float(tips.min()))
         # Not on the axis, nor on any other round place where a prescription may be special.
@@ -578,7 +593,7 @@ class _Contact:
         if found.point.size or not narrow.all():
             top, sweep = self._maximum(angle[found.point], radius[found.point], aside[found.point], found)
             sweeps_at(*self.edge, direct_at, best)
-            z = direct - self.row[7]
+            z = direct - self.row[DZ]
             self.kernel.keep_highest(found.point, top, sweep, z, best, ended)
         if not (np.isfinite(z) | narrow).all():
             k = int(np.argmin(np.isfinite(z) | narrow))
@@ -600,14 +615,14 @@ class _Contact:
         if inside.any():
             k = int(np.argmax(inside))
             self._outside(float(angle[k]), float(radius[k]))
-        on_flank = np.flatnonzero((at.sweep < self.row[1]) | (at.sweep > self.row[2]))
+        on_flank = np.flatnonzero((at.sweep < self.row[LOW]) | (at.sweep > self.row[HIGH]))
         if not on_flank.size:
             return
         # A wall that the rim happens to cut is touched like any other; a surface that climbs all the way is not met.
         angle, radius, aside, sweep = (one[on_flank] for one in (angle, radius, aside, at.sweep))
         x, y, lift = np.empty(on_flank.size), np.empty(on_flank.size), []
         for part in np.linspace(0.0, 0.99, 9):
-            place = np.clip(sweep, self.row[1], self.row[2]) * (1 - part) + sweep * part
+            place = np.clip(sweep, self.row[LOW], self.row[HIGH]) * (1 - part) + sweep * part
             self.kernel.under_edge(*self.edge, angle, radius, aside, place, x, y)
             lift.append(self._heights(x, y) - self._edge_at(place)[2])
         climbs = (np.diff(lift, axis=0) > 0).all(axis=0)
@@ -656,7 +671,7 @@ class _Contact:
             point = np.empty(size, dtype=np.int64)
             start, stop, guess = np.empty((3, size))
             found = self.kernel.candidates(
-                heights, origin, step, offsets, position, *breaks, self.row[3], *self.profile, low, high,
+                heights, origin, step, offsets, position, *breaks, self.row[RAKE_COS], *self.profile, low, high,
                 elsewhere, whole, point, start, stop, guess, direct, direct_at, ended, narrow,
             )  # fmt: skip
             if found >= 0:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from turnwright._kernels import adaptive as kernel
+from turnwright._kernels.edge import DX, DZ, RAKE_COS, RAKE_SIN
 from turnwright._kernels.edge import trace as edge_trace
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import GougeError, InputError, LimitError
@@ -342,7 +343,7 @@ class _Steps:
         self.row = self.edge.row
         self.profile = tool.profile()
         low, high = tool.arc
-        edge = tool.edge(np.array([low, high]))[2] - self.row[7]
+        edge = tool.edge(np.array([low, high]))[2] - self.row[DZ]
         if scallop >= edge.min():
             raise GougeError(
                 f"scallop is {scallop:g} mm, the arc of the tool is only {edge.min():.4g} mm high, so cuts would not "
@@ -397,16 +398,16 @@ class _Steps:
     def _placed(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats, Ints]:
         """Return that, and which piece of the surface the edge touches, -1 where it rests between two. Each (n,)."""
         surface, sense = self.part.surface, self.sense
-        at = touch(surface, self.tool, angle=angle, radius=radius - self.row[5], sense=sense, rim=self.rim)
+        at = touch(surface, self.tool, angle=angle, radius=radius - self.row[DX], sense=sense, rim=self.rim)
         with np.errstate(all="ignore"):
             _, zx, zy = surface.evaluate(at.x, at.y, 1)
         around = zy * at.x - zx * at.y
         outward = zx * np.cos(angle) + zy * np.sin(angle)
-        if self.row[4] == 0:
+        if self.row[RAKE_SIN] == 0:
             # Upright, the edge slopes as its own height does, also where it rests on a ridge, which has no slope.
             trace = np.empty((4, angle.size))
             self.trace(*self.edge, np.ascontiguousarray(at.sweep), trace)
-            outward = self.row[3] * trace[3] / trace[2]
+            outward = self.row[RAKE_COS] * trace[3] / trace[2]
         sides = [surface.piece(at.x + way * np.cos(angle), at.y + way * np.sin(angle)) for way in (-BESIDE, BESIDE)]
         if sides[0] is None or sides[1] is None:
             return at.z, around, outward, np.zeros(angle.size, dtype=np.int64)
@@ -466,7 +467,7 @@ class _Steps:
         self.inner = float(radius.min())
         tip, along = self._tips(radius)
         # The edge touches where it slopes as its height does along the spoke.
-        slope = along / self.row[3]
+        slope = along / self.row[RAKE_COS]
         low = radius + self.tool.actual_radius * np.clip(slope / np.sqrt(1 + slope * slope), *np.sin(self.tool.arc))
         crest, high = low + step / 2, low + self.width
         low = low.copy()
@@ -477,7 +478,7 @@ class _Steps:
                 break
         new = radius + 1.2 * step
         low, high = radius.copy(), radius + STEP_GROWTH * step
-        upright = bool(self.row[4] == 0)
+        upright = bool(self.row[RAKE_SIN] == 0)
         goal = self._under(radius, crest)[0] + self.scallop
         for _ in range(60):
             if not upright:  # the edge of the next tip meets the crest at another place across the rake plane
