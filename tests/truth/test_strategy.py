@@ -1,7 +1,5 @@
 """The spiral against its own definition, its arc length by quadrature, and the chord by a dense independent check."""
 
-import sys
-import types
 
 import mpmath
 import numpy as np
@@ -169,9 +167,7 @@ def sharp(monkeypatch):
         asked.append(angle)
         return surface.sag(radius * np.cos(angle), radius * np.sin(angle))
 
-    module = types.ModuleType("turnwright.placing")
-    module.tip_height = tip_height
-    monkeypatch.setitem(sys.modules, "turnwright.placing", module)
+    monkeypatch.setattr("turnwright.strategy.slow.tip_height", tip_height)
     return asked
 
 
