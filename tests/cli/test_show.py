@@ -79,6 +79,9 @@ def test_a_profile_is_shown_with_its_feed_and_scallops(tmp_path, capsys):
     assert "as seen by zygo-nexview-10x" in out
     assert "roughness over 5 sections of 80 um: Ra 8.427 nm" in out
     assert (tmp_path / "a.png").stat().st_size > 1000
+    # A feed is stated as in a job.
+    guided = shown(capsys, REAL / "measured_slice_1016.csv", "--profile", "--feed", "10 um/rev", "--axis", "0.415 mm")
+    assert "feed: 10.17 um" in guided
 
 
 def test_columns_of_a_profile_are_chosen_by_name(tmp_path, capsys):

@@ -1,6 +1,5 @@
 """The spiral against its own definition, its arc length by quadrature, and the chord by a dense independent check."""
 
-
 import mpmath
 import numpy as np
 import pytest

@@ -38,7 +38,7 @@ def show(
     height: Annotated[str | None, typer.Option(help="Column of a profile's height.")] = None,
     number: Annotated[int | None, typer.Option(min=1, help="Which profile of several.")] = None,
     cutoff: Annotated[str | None, typer.Option(help='L-filter of a profile\'s roughness, such as "0.08 mm".')] = None,
-    feed: Annotated[str | None, typer.Option(help='First guess of a profile\'s feed, such as "10 um".')] = None,
+    feed: Annotated[str | None, typer.Option(help='First guess of a profile\'s feed, such as "10 um/rev".')] = None,
     axis: Annotated[
         str | None, typer.Option(help='Where a profile crosses the spindle axis, such as "0.4 mm".')
     ] = None,
@@ -60,8 +60,8 @@ def show(
         require_new(picture)
     kind = int(form) if form.isdigit() else form
 
-    def stated(length: str | None) -> float | None:
-        return None if length is None else parse(length, "mm")
+    def stated(quantity: str | None, unit: str = "mm") -> float | None:
+        return None if quantity is None else parse(quantity, unit)
 
     if profile or distance is not None or height is not None or number is not None:
         from turnwright.files import read_profile  # noqa: PLC0415
@@ -70,7 +70,7 @@ def show(
             raise InputError("a profile has distances, not pixels: leave --pixel-size out, or state --lateral-unit")
         line = read_profile(file, distance=distance, height=height, unit=unit, lateral_unit=lateral_unit, number=number)
         drawn: HeightMap | Profile = _show_profile(
-            door, line, kind, stated(feed), stated(axis), stated(nose_radius), instrument,
+            door, line, kind, stated(feed, "mm/rev"), stated(axis), stated(nose_radius), instrument,
         )  # fmt: skip
         if cutoff is not None:
             _say_roughness(door, line, parse(cutoff, "mm"))
