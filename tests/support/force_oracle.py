@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from turnwright.cutting.dynamometer import Dynamometer, TapTest
-from turnwright.cutting.learning import learn_material, measured_cuts
-from turnwright.cutting.signals import ForceRecord, engagements, in_air, remove_drift
+from turnwright.cutting.learning.dynamometer import Dynamometer, TapTest
+from turnwright.cutting.learning.material_fit import learn_material, measured_cuts
+from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, remove_drift
 
 RATE = 25_600.0
 RESONANCE, DAMPING, ACROSS = 3000.0, 0.01, 0.05

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from turnwright.cutting.learning import Cuts, _Rows, _transition, learn_material
-from turnwright.cutting.slope_change import slope_change
+from turnwright.cutting.learning.material_fit import Cuts, _Rows, _transition, learn_material
+from turnwright.cutting.learning.slope_change import slope_change
 from turnwright.material import Material
 
 KC, KT = 1489.0, 816.0

@@ -23,10 +23,10 @@ from edge_oracle import (
     turning,
 )
 from turnwright.cutting.chip import RoundChip
-from turnwright.cutting.edge_cuts import NoseCuts, interrupted_cuts
-from turnwright.cutting.edge_learning import learn_along_edge
 from turnwright.cutting.forces import FlyCut, SlotMill, chip_forces
-from turnwright.cutting.signals import ForceRecord
+from turnwright.cutting.learning.edge_cuts import NoseCuts, interrupted_cuts
+from turnwright.cutting.learning.edge_fit import learn_along_edge
+from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.material import Material
 
 NOSE, DEPTH = 1.0, 0.020

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.cutting.dynamometer import Dynamometer, TapTest
-from turnwright.cutting.edge_cuts import NoseCuts
-from turnwright.cutting.edge_learning import learn_along_edge
 from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
 from turnwright.cutting.fracture import ri80
-from turnwright.cutting.learning import Cuts, learn_material, measured_cuts
-from turnwright.cutting.signals import (
+from turnwright.cutting.learning.dynamometer import Dynamometer, TapTest
+from turnwright.cutting.learning.edge_cuts import NoseCuts
+from turnwright.cutting.learning.edge_fit import learn_along_edge
+from turnwright.cutting.learning.material_fit import Cuts, learn_material, measured_cuts
+from turnwright.cutting.learning.signals import (
     ForceRecord,
     average_force,
     correlation_time,

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from learning_cases import CLIPPED, clipped, plateau, shipped
-from turnwright.cutting.edge_cuts import NoseCuts
-from turnwright.cutting.edge_learning import learn_along_edge
-from turnwright.cutting.learning import Cuts, learn_material
-from turnwright.cutting.signals import ForceRecord
+from turnwright.cutting.learning.edge_cuts import NoseCuts
+from turnwright.cutting.learning.edge_fit import learn_along_edge
+from turnwright.cutting.learning.material_fit import Cuts, learn_material
+from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.errors import InputError
 
 CHIP = np.linspace(50e-6, 1200e-6, 60)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from turnwright.cutting.signals import (
+from turnwright.cutting.learning.signals import (
     ForceRecord,
     average_force,
     correlation_time,

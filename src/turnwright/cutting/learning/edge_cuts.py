@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from turnwright._arrays import Floats, Ints, freeze, frozen, same_length
 from turnwright._validate import check_numbers, positive
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning import freeze_cuts, stretches
-from turnwright.cutting.signals import ForceRecord
+from turnwright.cutting.learning.material_fit import freeze_cuts, stretches
+from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:

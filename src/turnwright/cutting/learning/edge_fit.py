@@ -28,9 +28,9 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, frozen
 from turnwright._validate import between
-from turnwright.cutting.edge_cuts import InterruptedCuts, NoseCuts
-from turnwright.cutting.edge_rows import Fit, InterruptedRows, Rows, TurningRows
-from turnwright.cutting.learning import (
+from turnwright.cutting.learning.edge_cuts import InterruptedCuts, NoseCuts
+from turnwright.cutting.learning.edge_rows import Fit, InterruptedRows, Rows, TurningRows
+from turnwright.cutting.learning.material_fit import (
     CERTAIN,
     EXACT,
     FEWEST,

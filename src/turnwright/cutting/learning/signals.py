@@ -17,7 +17,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, frozen
 from turnwright._validate import between, check_numbers, positive
-from turnwright.cutting.saturation import require_unsaturated, saturated
+from turnwright.cutting.learning.saturation import require_unsaturated, saturated
 from turnwright.errors import InputError
 from turnwright.units import MOST
 

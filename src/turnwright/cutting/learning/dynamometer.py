@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from turnwright._arrays import Bools, Floats, frozen
 from turnwright._validate import between, check_numbers, positive
-from turnwright.cutting.signals import ForceRecord
+from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:

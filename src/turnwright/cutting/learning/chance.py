@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from turnwright._arrays import Floats, Ints
-    from turnwright.cutting.learning import _Rows
+    from turnwright.cutting.learning.material_fit import _Rows
 
 __all__ = ["chance_of"]
 

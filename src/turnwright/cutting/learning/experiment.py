@@ -18,8 +18,9 @@ from turnwright import units
 from turnwright._arrays import Floats, Ints, rows_of_numbers
 from turnwright._io import read_toml
 from turnwright._validate import positive
-from turnwright.cutting.dynamometer import CLOSES, Dynamometer, TapTest
-from turnwright.cutting.edge_cuts import (
+from turnwright.cutting.forces import FlyCut, SlotMill
+from turnwright.cutting.learning.dynamometer import CLOSES, Dynamometer, TapTest
+from turnwright.cutting.learning.edge_cuts import (
     MILLED,
     OFF_SPEED,
     TURNED,
@@ -28,11 +29,10 @@ from turnwright.cutting.edge_cuts import (
     interrupted_cuts,
     turning_cuts,
 )
-from turnwright.cutting.edge_learning import learn_along_edge
-from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning import Cuts, LearnedMaterial, learn_material, measured_cuts
-from turnwright.cutting.records import NEWTONS, read_forces, separator
-from turnwright.cutting.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
+from turnwright.cutting.learning.edge_fit import learn_along_edge
+from turnwright.cutting.learning.material_fit import Cuts, LearnedMaterial, learn_material, measured_cuts
+from turnwright.cutting.learning.records import NEWTONS, read_forces, separator
+from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from turnwright.cutting.edge_cuts import Passband
+    from turnwright.cutting.learning.edge_cuts import Passband
 
 __all__ = ["Experiment", "learn_from_file"]
 

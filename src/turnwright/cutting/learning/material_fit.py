@@ -30,10 +30,10 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, Ints, freeze, frozen, same_length
 from turnwright._validate import between, check_numbers, positive
 from turnwright._validate import whole as whole_number
-from turnwright.cutting.chance import chance_of
-from turnwright.cutting.saturation import SOLID, rail, saturated
-from turnwright.cutting.signals import ForceRecord, correlation_time, in_air
-from turnwright.cutting.slope_change import SlopeChange, slope_change
+from turnwright.cutting.learning.chance import chance_of
+from turnwright.cutting.learning.saturation import SOLID, rail, saturated
+from turnwright.cutting.learning.signals import ForceRecord, correlation_time, in_air
+from turnwright.cutting.learning.slope_change import SlopeChange, slope_change
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from turnwright.cutting.edge_cuts import NoseCuts
+    from turnwright.cutting.learning.edge_cuts import NoseCuts
 
 __all__ = ["Cuts", "Estimate", "ForceFit", "LearnedMaterial", "learn_material", "measured_cuts"]
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats
 from turnwright.cutting.chip import RoundChip
-from turnwright.cutting.edge_cuts import MILLED, OFF_SPEED, TURNED, Complexes, InterruptedCuts, NoseCuts
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning import FEWEST, drifts
-from turnwright.cutting.signals import correlation_time
+from turnwright.cutting.learning.edge_cuts import MILLED, OFF_SPEED, TURNED, Complexes, InterruptedCuts, NoseCuts
+from turnwright.cutting.learning.material_fit import FEWEST, drifts
+from turnwright.cutting.learning.signals import correlation_time
 from turnwright.errors import InputError
 
 __all__ = ["Fit", "InterruptedRows", "Rows", "TurningRows"]

@@ -20,8 +20,8 @@ import numpy as np
 from turnwright._arrays import Floats, rows_of_numbers
 from turnwright._io import answer_parent, read_isolated
 from turnwright._validate import positive
-from turnwright.cutting.saturation import require_unsaturated
-from turnwright.cutting.signals import ForceRecord
+from turnwright.cutting.learning.saturation import require_unsaturated
+from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.errors import InputError
 
 __all__ = ["read_forces"]

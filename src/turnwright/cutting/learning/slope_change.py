@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright.cutting.chance import chance_of
+from turnwright.cutting.learning.chance import chance_of
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
-    from turnwright.cutting.learning import _Rows
+    from turnwright.cutting.learning.material_fit import _Rows
 
 __all__ = ["SlopeChange", "slope_change"]
 

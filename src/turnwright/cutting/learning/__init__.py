@@ -1,0 +1,50 @@
+"""Materials learned from forces: records, signals, experiments, and the fits that make coefficients of them."""
+
+from turnwright.cutting.learning.dynamometer import Dynamometer, TapTest
+from turnwright.cutting.learning.edge_cuts import InterruptedCuts, NoseCuts, interrupted_cuts, turning_cuts
+from turnwright.cutting.learning.edge_fit import learn_along_edge
+from turnwright.cutting.learning.experiment import Experiment, learn_from_file
+from turnwright.cutting.learning.material_fit import (
+    Cuts,
+    Estimate,
+    ForceFit,
+    LearnedMaterial,
+    learn_material,
+    measured_cuts,
+)
+from turnwright.cutting.learning.records import read_forces
+from turnwright.cutting.learning.signals import (
+    ForceAverage,
+    ForceRecord,
+    average_force,
+    engagements,
+    in_air,
+    low_pass,
+    remove_drift,
+)
+
+__all__ = [
+    "Cuts",
+    "Dynamometer",
+    "Estimate",
+    "Experiment",
+    "ForceAverage",
+    "ForceFit",
+    "ForceRecord",
+    "InterruptedCuts",
+    "LearnedMaterial",
+    "NoseCuts",
+    "TapTest",
+    "average_force",
+    "engagements",
+    "in_air",
+    "interrupted_cuts",
+    "learn_along_edge",
+    "learn_from_file",
+    "learn_material",
+    "low_pass",
+    "measured_cuts",
+    "read_forces",
+    "remove_drift",
+    "turning_cuts",
+]
