@@ -73,7 +73,7 @@ def at_work(session):
 
 @pytest.mark.usefixtures("signals_heard")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "kill -9"])
-def test_an_end_in_the_middle_keeps_what_is_finished_and_leaves_no_half(how, tmp_path):
+def test_an_interrupted_study_keeps_finished_rows(how, tmp_path):
     files = jobs(tmp_path, **{f"job{n}": [("strategy.feed", f"{40 + n} um/rev")] for n in range(2)})
     out = tmp_path / "out"
     command = [sys.executable, "-m", "turnwright", "run", *files, "--out", str(out), "--workers", "1"]

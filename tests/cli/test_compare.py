@@ -69,7 +69,7 @@ def test_the_job_as_it_stands_is_the_first(tmp_path):
     assert found.stated(first) == {**own, "spindle_speed": "40 rpm"}
 
 
-def test_a_fast_tool_and_a_swinging_one_join_where_the_machine_has_them(tmp_path):
+def test_fast_and_swinging_tools_join_where_the_machine_has_them(tmp_path):
     found = compare(Job.load(written(tmp_path, *CHANGES, ("machine.name", "nanoform-fts-70"))))
     fast = {one.name: one for one in found.candidates}
     assert {"fast", "hybrid"} <= set(fast)

@@ -83,7 +83,7 @@ def test_a_batch_ends_with_the_gravest_code(tmp_path, capsys):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no locks on folders")
-def test_a_second_run_into_a_folder_is_refused_at_once_and_a_kill_is_cleaned_by_any(tmp_path):
+def test_a_second_run_into_a_folder_is_refused_at_once(tmp_path):
     program = (
         "import sys, time; from pathlib import Path; from turnwright._signals import Stop\n"
         "from turnwright.cli.shared import Door, new_folder\n"

@@ -157,7 +157,7 @@ def test_check_names_feed_and_what_the_material_does_not_say(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("stock", "code"), [("10 nm", 0), ("0.6 mm", 2)])
-def test_a_stock_whose_chips_cannot_be_foretold_does_not_stop_a_check(tmp_path, capsys, stock, code):
+def test_unknown_chips_do_not_stop_a_check(tmp_path, capsys, stock, code):
     """Cusps of 25 nm are higher than 10 nm of stock, which a run judges; 0.6 mm in one pass are beyond the nose."""
     file = job(tmp_path, stock=stock)
     assert main(["check", str(file)]) == code

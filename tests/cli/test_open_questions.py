@@ -48,7 +48,7 @@ def test_held_directions_are_fixed_by_the_keys_that_the_warning_names():
     assert not questions(sphere, 2, heights, **keys)
 
 
-def test_one_of_several_places_is_singled_out_by_the_keys_that_the_warning_names():
+def test_named_keys_single_out_one_of_several_places():
     """Two of the lenses of a row are seen: they are any two neighbours."""
     lens = {"family": "sphere", "radius": "-3 mm"}
     array = {"family": "lens array", "layout": "square", "pitch": "0.8 mm", "rows": 6, "columns": 6, "lenslet": lens}
@@ -61,7 +61,7 @@ def test_one_of_several_places_is_singled_out_by_the_keys_that_the_warning_names
     assert not [one for one in questions(array, 2, heights, **keys) if "nearly as well" in one]
 
 
-def test_a_symmetric_part_is_clocked_by_the_keys_that_the_warning_names():
+def test_a_symmetric_part_is_clocked_by_the_named_keys():
     toroid = {"family": "toroid", "radius_x": "20 mm", "radius_y": "30 mm"}
     heights = grid(tw.Toroid(radius_x=20.0, radius_y=30.0).sag, 1.4)
     turned = [one for one in questions(toroid, 2, heights, clocking="180 deg") if "symmetric" in one]

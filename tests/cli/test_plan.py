@@ -197,7 +197,7 @@ def steady(tmp_path_factory):
     return plan(Job.load(lathe(tmp_path_factory.mktemp("steady"))))
 
 
-def test_the_quickest_interpolation_that_the_controller_offers_is_taken(tmp_path, capsys, monkeypatch):
+def test_the_fastest_offered_interpolation_is_taken(tmp_path, capsys, monkeypatch):
     """Oracle: SciPy's cubic Hermite spline through the program read back, against the exact height of the tip."""
     job = lathe(tmp_path, controller='other_interpolations = { hermite = "pmac" }', rate=100)
     assert main(["plan", str(job), "--out", str(tmp_path / "planned.toml")]) == 0

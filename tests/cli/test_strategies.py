@@ -132,7 +132,7 @@ def test_what_does_not_fit_is_one_sentence(changes, sentence):
         Job.read(changed(*changes))
 
 
-def test_a_stream_too_slow_for_the_motion_is_refused_and_nothing_is_left(tmp_path, capsys):
+def test_a_stream_too_slow_for_the_motion_is_refused(tmp_path, capsys):
     program = {"fast_tool": "time", "fast_tool_rate": "1 Hz"}
     servo = {"kind": "fast tool servo", **SPIRAL}
     job = written(tmp_path, *PART, *FAST, BLANK, ("strategy", servo), ("program", program))
@@ -165,7 +165,7 @@ def test_a_spline_controller_is_judged_by_the_path_that_was_meant(tmp_path):
     assert added[1] < 1.0, "decimals and what a command of 90 points a second cannot correct; inside it would be 5 nm"
 
 
-def test_the_page_shows_the_frequency_of_a_fast_tool_against_its_bandwidth(tmp_path):
+def test_the_page_shows_bandwidth_of_a_fast_tool(tmp_path):
     job = written(
         tmp_path, *PART, *FAST, ("strategy", {"kind": "fast tool servo", **SPIRAL}),
         ("program", {"fast_tool": "position"}),

@@ -67,7 +67,7 @@ def counted(stages):
     return stages.job.tool.nose_radius
 
 
-def test_the_command_leaves_a_table_a_page_and_a_study_that_can_be_loaded(job_file, tmp_path, capsys):
+def test_the_command_leaves_table_page_and_study(job_file, tmp_path, capsys):
     out = tmp_path / "study"
     code = cli.main([
         "study", str(job_file), "--out", str(out), "--workers", "1",
@@ -252,7 +252,7 @@ def test_a_measure_is_the_same_one_in_every_process(tmp_path):
         assert sign("1") != first
 
 
-def test_a_measure_that_fails_is_told_as_the_one_who_wrote_it_can_mend(job, threads):
+def test_a_failing_measure_is_reported_to_its_author(job, threads):
     def wrong(_stages):
         return 1 / 0
 
@@ -332,7 +332,7 @@ def test_a_file_that_a_job_names_travels_through_the_store(threads, tmp_path, mo
         study(job, vary={"strategy.feed": "9, 10 um/rev"}, measure=deepest, executor=threads)
 
 
-def test_what_a_worker_does_not_find_in_the_store_is_no_outcome_of_its_case(threads, tmp_path, monkeypatch):
+def test_a_missing_array_is_no_outcome_of_a_case(threads, tmp_path, monkeypatch):
     (tmp_path / "edge.csv").write_text("sweep [deg],deviation [um]\n-20,0\n-5,0\n5,0\n20,0.3\n", encoding="utf-8")
     job = Job.read({**DATA, "actual": {"tool": {"waviness_file": "edge.csv"}}}, folder=tmp_path)
     from turnwright.studies import files as _files
@@ -383,7 +383,7 @@ def test_a_worker_elsewhere_gets_what_the_files_of_a_job_name_too(threads, tmp_p
     assert not list((tmp_path / "other").iterdir())
 
 
-def test_a_store_in_the_memory_of_one_process_is_refused_for_others(job, job_file, tmp_path, capsys, threads):
+def test_a_store_in_memory_is_refused_for_other_processes(job, job_file, tmp_path, capsys, threads):
     pytest.importorskip("fsspec")
     code = cli.main([
         "study", str(job_file), "--out", str(tmp_path / "out"), "--store", "memory://kept", "--workers", "1",
@@ -398,7 +398,7 @@ def test_a_store_in_the_memory_of_one_process_is_refused_for_others(job, job_fil
     assert study(job, executor=threads, **asked).ok.all()
 
 
-def test_a_study_of_refused_cases_alone_is_no_success_but_its_rows_are_there(job_file, tmp_path, capsys):
+def test_a_study_of_refused_cases_keeps_its_rows(job_file, tmp_path, capsys):
     out = tmp_path / "out"
     code = cli.main([
         "study", str(job_file), "--out", str(out), "--workers", "1",
@@ -416,7 +416,7 @@ def test_a_study_of_refused_cases_alone_is_no_success_but_its_rows_are_there(job
 
 
 @pytest.mark.usefixtures("signals_heard")
-def test_what_a_killed_command_left_is_removed_by_the_next_and_nothing_else(job_file, tmp_path):
+def test_the_next_command_removes_what_a_kill_left(job_file, tmp_path):
     def command(out):
         return [
             sys.executable, "-m", "turnwright", "study", str(job_file), "--out", str(tmp_path / out), "--workers", "1",
@@ -452,7 +452,7 @@ def test_what_a_killed_command_left_is_removed_by_the_next_and_nothing_else(job_
     assert (tmp_path / ".output-12345678").is_dir()
 
 
-def test_a_scheduler_that_does_not_answer_is_one_sentence_and_leaves_nothing(job_file, tmp_path, capsys):
+def test_a_silent_scheduler_is_one_sentence(job_file, tmp_path, capsys):
     code = cli.main([
         "study", str(job_file), "--out", str(tmp_path / "out"), "--cluster", "tcp://127.0.0.1:9",
         "--vary", "tool.nose_radius=0.2..0.6 mm:3", "--measure", "sq_nm",

@@ -230,7 +230,7 @@ def test_a_disk_that_becomes_full_keeps_what_is_finished(tmp_path, monkeypatch):
     assert np.array_equal(found.height_map().z, made(tmp_path / "other").height_map().z, equal_nan=True)
 
 
-def test_processes_make_the_same_map_and_one_that_is_killed_costs_nothing(tmp_path):
+def test_processes_make_the_same_map_despite_a_kill(tmp_path):
     started = time.monotonic()
     seen = []
 
@@ -246,7 +246,7 @@ def test_processes_make_the_same_map_and_one_that_is_killed_costs_nothing(tmp_pa
     assert time.monotonic() - started < 60
 
 
-def test_a_map_that_was_killed_while_its_first_file_was_written_is_begun_again(tmp_path):
+def test_a_map_killed_at_its_first_file_begins_again(tmp_path):
     (tmp_path / ".case.json.part").write_text('{"ke')
     _tiling._require_own(tmp_path)
     (tmp_path / "thesis.txt").write_text("somebody's")

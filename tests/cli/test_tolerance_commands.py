@@ -113,7 +113,7 @@ def test_a_case_that_fails_is_a_reason(job, tmp_path, monkeypatch):
     assert found.outcomes["as planned"].probability.value == pytest.approx(kept / 24, abs=1e-12)
 
 
-def test_a_file_that_changes_or_goes_is_no_trouble_of_what_was_planned(tmp_path):
+def test_a_plan_outlives_changes_of_its_files(tmp_path):
     edge = tmp_path / "edge.csv"
 
     def asked(rise):
@@ -258,7 +258,7 @@ def test_a_job_without_tolerances_is_refused(job):
         tw.studies.tolerance(job, count=3)
 
 
-def test_a_store_in_the_memory_of_one_process_is_refused_before_anything_is_planned(job):
+def test_a_store_in_memory_is_refused_before_planning(job):
     pytest.importorskip("fsspec")
     with pytest.raises(InputError, match="'memory://kept' lies in the memory of this process"):
         tw.studies.tolerance(job, count=20, store="memory://kept", workers=1)

@@ -215,7 +215,7 @@ UNSIZED = {
 
 
 @pytest.mark.parametrize(("name", "data"), UNSIZED.values(), ids=UNSIZED)
-def test_a_file_without_calibration_loads_and_asks_for_its_pixel_size(tmp_path, name, data):
+def test_an_uncalibrated_file_asks_for_its_pixel_size(tmp_path, name, data):
     found = read(tmp_path, data, name)
     assert not found.calibrated
     assert found.x.tolist() == [0, 1, 2, 3]
@@ -325,7 +325,7 @@ def test_places_of_a_lattice_that_are_not_listed_are_missing(tmp_path):
     assert np.argwhere(np.isnan(found.z)).tolist() == [[0, 3], [1, 1], [1, 2]]
 
 
-def test_a_column_that_is_nowhere_listed_is_a_column_of_missing_heights(tmp_path):
+def test_an_unlisted_column_has_missing_heights(tmp_path):
     lines = [f"{x} {y} 1" for y in range(6) for x in (0, 1, 2, 4, 5, 6, 7)]
     found = read(tmp_path, "\n".join(lines), "a.xyz", unit="mm")
     assert found.x.tolist() == [0, 1, 2, 3, 4, 5, 6, 7]

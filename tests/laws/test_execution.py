@@ -100,7 +100,7 @@ def standard():
 @pytest.mark.parametrize(
     "executor", [lambda: local(2), threads_of_this, standard], ids=["local", "threads", "standard"]
 )
-def test_rows_are_those_of_the_work_in_the_order_of_the_cases_on_any_executor(executor, store):
+def test_rows_keep_the_order_of_cases_on_any_executor(executor, store):
     told = []
     asked = cases(12)[::-1]
     with executor() as made:
@@ -554,7 +554,7 @@ def test_what_is_no_address_is_said(address):
         pass
 
 
-def test_a_dask_cluster_computes_each_case_once_and_its_loss_is_one_sentence(store, log, caplog):
+def test_a_dask_cluster_computes_each_case_once(store, log, caplog):
     distributed = pytest.importorskip("distributed")
     program_version.cache_clear()  # whoever edits the program while the tests run has another one by now
     with distributed.LocalCluster(

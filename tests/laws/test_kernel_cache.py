@@ -33,7 +33,7 @@ def called(name):
 
 
 @pytest.mark.parametrize("edited", ["trig", "edge", "generation", "chip", "text", "__init__"])
-def test_an_edit_leaves_only_the_kernels_that_have_nothing_to_do_with_it(edited, tmp_path):
+def test_an_edit_renews_only_dependent_kernels(edited, tmp_path):
     copy = shutil.copytree(FOLDER, tmp_path / "kernels")
     names = sorted(file.stem for file in copy.glob("*.py"))
     before = {name: compiling._digest(copy, name) for name in names}
@@ -43,7 +43,7 @@ def test_an_edit_leaves_only_the_kernels_that_have_nothing_to_do_with_it(edited,
     assert changed == {name for name in names if edited in {name, "__init__"} | called(name)}
 
 
-def test_each_module_has_a_folder_and_other_compiled_functions_keep_theirs():
+def test_each_kernel_module_has_its_folder():
     places = {one.__name__: Path(function.dispatcher.stats.cache_path).parent.name for one, function in (
         (edge, edge.height), (sines, sines.wave), (trig, trig.sincos),
     )}  # fmt: skip

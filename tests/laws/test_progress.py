@@ -31,7 +31,7 @@ def test_every_place_is_worked_on_once_and_told_of(threads, total, chunk):
 
 
 @pytest.mark.parametrize(("chunk", "threads"), [(2, 1), (5, 2)])
-def test_a_single_thread_is_the_callers_and_so_is_that_of_a_single_chunk(chunk, threads):
+def test_a_single_thread_or_chunk_runs_in_the_caller(chunk, threads):
     """A thread made for each call would take memory anew each time, a tenth of the time of a case of a study."""
     used = set()
     run_chunks(lambda _start, _stop: used.add(threading.get_ident()), 5, chunk, threads=threads)
@@ -102,7 +102,7 @@ def test_a_fraction_is_the_work_that_is_done_and_never_falls():
     assert [one.step for one in seen] == [1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 4, 4]
 
 
-def test_a_step_that_does_not_happen_counts_as_done_and_an_unknown_stage_as_nothing():
+def test_skipped_steps_count_as_done():
     whole, seen = overall(("plan", 1.0), ("chips", 1.0), ("write", 2.0))
     for told in (("plan", 1, 1), ("dust", 1, 2), ("write", 0, 0)):
         whole(*told)

@@ -73,7 +73,7 @@ def test_the_infrared_lens_is_corrected_beyond_the_anchor_of_the_field(lens):
 
 
 @pytest.mark.parametrize("factor", [1.2, 0.8])
-def test_a_wrong_model_leaves_its_own_square_and_a_log_the_square_of_that(lens, factor):
+def test_a_wrong_model_leaves_its_own_square(lens, factor):
     command = tw.precorrect(lens.motion)
     before = rms(lens.error(lens.motion))
     share = abs(factor**2 - 1)
@@ -89,7 +89,7 @@ def _at(real, command, letter):
     return np.interp(command.time, real.time, real.axes[letter])
 
 
-def test_the_lens_array_is_corrected_where_its_lenses_are_and_between_them():
+def test_the_lens_array_is_corrected_everywhere():
     strategy = tw.SlowToolServo(feed=0.02, arc_length=0.004, max_step=np.deg2rad(0.5), spindle_rpm=30)
     cut = Cut("hexagonal_array", strategy, radius=1.0)
     radius, angle = cut.grid["radius"], cut.grid["angle"][:, None]

@@ -33,7 +33,7 @@ def planned(surface, servo, response=None):
 
 
 @pytest.mark.parametrize("turns", [0, 1e4, 1e5])
-def test_the_ends_of_a_spiral_stand_once_however_far_the_spindle_turned(turns):
+def test_the_ends_of_a_spiral_stand_once(turns):
     """At every one of 720 azimuths in a turn, and once more at its end."""
     angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     turned = turns * 2 * np.pi + np.linspace(0, 2 * np.pi, 145)

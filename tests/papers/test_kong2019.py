@@ -44,7 +44,7 @@ def test_37_of_the_49_lenses_are_whole():
     assert np.hypot(6, 6) > RIM
 
 
-def test_compensating_base_and_lenses_apart_errs_by_tens_of_nanometres(path):
+def test_compensating_base_and_lenses_apart_errs(path):
     """Where the edge touches within one lens it is R s1 s2 / (1 - R k) to second order in the slopes."""
     at = {"angle": path.angle, "radius": path.radius, "sense": 1}
     apart = tip_height(BASE, TOOL, **at) + tip_height(ARRAY, TOOL, **at)
@@ -60,7 +60,7 @@ def test_compensating_base_and_lenses_apart_errs_by_tens_of_nanometres(path):
     assert off[middle] == pytest.approx(law[middle], abs=0.02 * np.abs(law[middle]).max())
 
 
-def test_split_by_design_the_slide_follows_the_torus_and_the_tool_the_lenses(path):
+def test_a_split_by_design_gives_the_slide_the_torus(path):
     servo = tw.HybridToolServo(plan=PLAN, base=BASE, tool=TOOL)
     motion = tw.drive(path, servo, MACHINE)
     assert np.abs(motion.axes["Z"] + motion.axes["W"] - path.z).max() < 1e-9

@@ -136,7 +136,7 @@ def test_samples_half_way_between_the_passes_lose_roughness(count):
         assert sq == pytest.approx(6.74, abs=0.01)
 
 
-def test_a_map_of_seven_samples_a_cusp_joined_by_lines_gives_the_paper_s_figure(grid):
+def test_seven_samples_a_cusp_give_the_figure_of_the_paper(grid):
     motion, tool = grid
     coarse = np.arange(0.1, 2.6, FEED / 7.03)  # one period of the grid; not a whole number, so every phase is met
     fine = np.arange(coarse[0], coarse[-1], 2e-5)

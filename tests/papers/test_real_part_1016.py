@@ -131,7 +131,7 @@ def test_neither_the_microscope_nor_the_edge_can_be_left_out(measured, motion, e
     assert np.abs(nominal / truth - 1).max() > 0.2
 
 
-def test_an_objective_of_twice_the_aperture_at_the_same_pixel_agrees_too(measured, motion):
+def test_twice_the_aperture_at_the_same_pixel_agrees(measured, motion):
     """20x at half the zoom has this pixel as well; which of the two was used is not recorded."""
     like = measured["1016"]
     other = Instrument(pixel=0.871e-3, numerical_aperture=0.40, wavelength=570e-6)

@@ -39,7 +39,7 @@ def error_at_contacts(path, motion, machine):
     return generate_points(motion, WAVY, x=x, y=y, machine=machine) - path.contact_z[here]
 
 
-def test_planning_with_the_real_tool_and_machine_leaves_the_design_at_every_contact():
+def test_a_plan_with_the_real_tool_leaves_the_design():
     path, motion = planned_with(WAVY, OUT_OF_SQUARE)
     assert np.abs(path.contact_z - PART.surface.sag(path.contact_x, path.contact_y)).max() < 1e-12
     assert np.abs(error_at_contacts(path, motion, OUT_OF_SQUARE)).max() * 1e6 < 1e-3
@@ -65,7 +65,7 @@ def wavy_envelope(slope):
     return away, z
 
 
-def test_planning_with_the_nominal_tool_leaves_what_the_envelope_of_the_wavy_edge_says():
+def test_a_nominal_plan_leaves_the_envelope_of_the_wavy_edge():
     path, motion = planned_with(NOMINAL, SQUARE)
     start = np.flatnonzero(path.angle % (2 * np.pi) < 1e-6)
     tips = path.radius[start][::5]
@@ -80,7 +80,7 @@ def test_planning_with_the_nominal_tool_leaves_what_the_envelope_of_the_wavy_edg
     assert np.ptp(made - PART.surface.sag(away, 0)) > 0.002
 
 
-def test_waviness_added_at_the_nominal_contact_gouges_by_tens_of_nanometres():
+def test_waviness_at_the_nominal_contact_gouges():
     # The thesis lifts the tip by d / cos(s) where the nominal nose touches. (Its Eq. 6.18 prints cos, and the other
     # sign.) The wavy edge touches elsewhere: where its support function, r + d'²/2r to second order, is the greater.
     s = np.linspace(0.05, 0.35, 7)
@@ -93,7 +93,7 @@ def test_waviness_added_at_the_nominal_contact_gouges_by_tens_of_nanometres():
     assert 20 < gouge.max() * 1e6 < 25
 
 
-def test_the_mean_deviation_of_cusps_is_a_quarter_of_their_height_not_a_third():
+def test_the_mean_deviation_of_cusps_is_a_quarter_of_pv():
     servo = SlowToolServo(feed=0.010, points_per_rev=360, spindle_rpm=50)
     tool = Tool(nose_radius=0.5, included=np.deg2rad(60))
     part = Part(surface=Plane(), radius=1.0)
@@ -105,7 +105,7 @@ def test_the_mean_deviation_of_cusps_is_a_quarter_of_their_height_not_a_third():
     assert rough.sq_nm / rough.pv_nm == pytest.approx(np.sqrt(4 / 45), rel=1e-4)
 
 
-def test_the_step_for_a_chord_follows_the_height_along_the_turn_and_does_not_shrink_at_the_centre():
+def test_the_step_for_a_chord_does_not_shrink_at_the_centre():
     # Eq. 6.5 divides by a curvature that diverges at the centre. On a saddle c/2 (x² - y²) the height along a turn
     # bends by 2 c r², so the step is sqrt(8 chord / 2 c r²): it grows towards the centre up to the largest step.
     c, chord = 0.01, 1e-6

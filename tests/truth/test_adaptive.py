@@ -127,7 +127,7 @@ def test_on_a_flat_the_turns_stand_as_circle_geometry_has_it():
     assert spiral.radius[0] == spiral.radius_rate[0] == 0
 
 
-def test_the_radius_has_two_continuous_derivatives_also_over_the_seam():
+def test_the_radius_is_smooth_over_the_seam():
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=1e-7, interpolation="hermite", inside_out=True)
     spiral = servo.spiral(GRID, TOOL)
     # Quotients of the rate over shorter and shorter steps about any point approach one value from either side.
@@ -239,7 +239,7 @@ def test_a_split_motion_recombines_and_x_is_steady():
 
 
 @pytest.mark.parametrize("bend", [-8.0, 8.0])
-def test_over_the_kinks_of_a_lens_array_steps_go_on_and_the_chord_is_kept(bend):
+def test_the_chord_is_kept_over_creases_of_a_lens_array(bend):
     part = Part(surface=LensArray.hexagonal(pitch=0.3, lenslet=Sphere(radius=bend), rings=3), radius=0.4)
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation="linear", inside_out=True)
     _, angle, radius, z, exact = followed(servo, part, each=8)
@@ -250,7 +250,7 @@ def test_over_the_kinks_of_a_lens_array_steps_go_on_and_the_chord_is_kept(bend):
     assert np.diff(np.interp(at, angle, radius)[::20]) == pytest.approx(step, rel=5e-3)
 
 
-def test_turns_come_to_rest_outside_the_rim_with_no_denser_points_than_inside():
+def test_turns_outside_the_rim_have_no_denser_points():
     servo = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation="linear", inside_out=True)
     spiral = servo.spiral(Part(surface=GRID.surface, radius=0.6), TOOL)
     rate = TURN / np.diff(spiral.angle)
@@ -313,7 +313,7 @@ def test_the_last_turns_ask_x_for_little_more_jerk_than_those_inside():
         assert jerk[resting].max() < 2 * jerk[~resting].max()
 
 
-def test_the_last_turns_over_a_lens_array_are_as_even_as_those_inside():
+def test_the_last_turns_over_lenses_are_even():
     part = Part(surface=LensArray.hexagonal(pitch=0.3, lenslet=Sphere(radius=8.0), rings=3), radius=0.4)
     spiral = AdaptiveToolServo(scallop=SCALLOP, chord=10e-6, interpolation="linear", inside_out=True).spiral(part, TOOL)
     at = np.arange(2.0, spiral.angle[-1] / TURN - 0.4, 0.004) * TURN

@@ -35,7 +35,7 @@ def disc(form, radius, angle):
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("radii", [ends, middles])
-def test_the_rms_over_a_disc_is_the_closed_form_to_second_order_in_the_step(form, radii):
+def test_rms_over_a_disc_converges_to_second_order(form, radii):
     """Five radii are within a tenth; each time the step is halved the error falls to a quarter."""
     power, _, exact = FORMS[form]
     off = [area_rms(disc(form, radii(count), full_turn(24))) / exact - 1 for count in (5, 9, 17, 33, 65)]

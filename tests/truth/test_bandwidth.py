@@ -34,7 +34,7 @@ def test_a_sine_that_does_not_close_is_found_within_two_waves(waves, turns):
     assert 2 * waves < found < 2 * (waves + 4 / min(turns, 2))
 
 
-def test_what_is_lower_than_the_residual_does_not_count_and_a_burst_does():
+def test_bursts_count_and_low_residuals_do_not():
     """10 nm: a sine of 9 nm remains unseen, one of 13 nm shows, for four turns too."""
     turned = np.linspace(0, 20 * TURN, 20 * 1000 + 1)
     slow = 1e-3 * np.sin(5 * turned)
@@ -91,7 +91,7 @@ def test_the_message_states_what_remains():
     assert "above which less than 10 nm of its motion remains" in sentence
 
 
-def test_a_fast_tool_is_judged_by_stroke_bandwidth_speed_and_acceleration():
+def test_a_fast_tool_is_judged_by_all_of_its_limits():
     """0.04 mm at 400 waves of 2 turns/s: beyond 0.035 mm, 700 Hz, 100 mm/s and 1e5 mm/s^2, all of them."""
     turned = np.linspace(0, 3 * TURN, 3 * 20_000 + 1)
     found = limits(0.04 * np.sin(400 * turned), turned)

@@ -86,7 +86,7 @@ def test_noisy_spheres_are_those_that_scipy_finds_by_geometry():
         assert found.uncertainty["z"] == pytest.approx(vertex, rel=1e-3)
 
 
-def test_a_plane_by_normals_is_the_total_least_squares_of_the_singular_vectors():
+def test_a_plane_by_normals_is_total_least_squares():
     rng = np.random.default_rng(2)
     z = 0.7 * COLUMNS - 1.1 * ROWS + 0.1 * rng.standard_normal(COLUMNS.shape)
     found = best_fit(HeightMap(x=X, y=X, z=z), "plane", distance="normal")

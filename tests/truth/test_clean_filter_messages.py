@@ -111,7 +111,7 @@ def test_a_map_of_one_line_is_a_profile():
         )
 
 
-def test_a_point_alone_is_its_own_mean_and_an_empty_line_stays_empty():
+def test_single_points_and_empty_lines_are_filtered():
     z = np.full((40, 50), np.nan)
     z[5, 7] = 3.0
     for order in (0, 1, 2):

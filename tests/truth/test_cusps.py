@@ -128,7 +128,7 @@ def test_a_straight_line_has_no_cusps():
         find_cusps(as_profile(at, 0.01 * at))
 
 
-def test_a_scratched_stretch_and_missed_crests_do_not_refuse_the_rest():
+def test_scratches_and_missed_crests_leave_the_rest():
     profile = flat(0.010 * np.arange(1, 60), noise=1e-6)
     z = profile.z.copy()
     z[300:420] = 1e-4 * np.random.default_rng(0).standard_normal(120)

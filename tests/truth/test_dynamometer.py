@@ -44,7 +44,7 @@ def test_a_force_comes_back_through_ringing_and_cross_talk(quiet):
     assert left < 5e-4 * 0.2
 
 
-def test_within_the_bandwidth_a_smooth_force_comes_back_exactly_but_for_the_regularisation(quiet):
+def test_a_smooth_force_comes_back_within_the_bandwidth(quiet):
     time = np.arange(25_600) / RATE
     bump = np.exp(-(((time - 0.5) / 2e-4) ** 2))  # its spectrum ends at about 4 kHz
     force = bump[:, None] * [1.0, -0.5, 0.25]

@@ -102,7 +102,7 @@ def test_stated_uncertainties_give_those_of_weighted_least_squares():
     assert found.uncertainty == pytest.approx(spread, rel=1e-3)
 
 
-def test_a_common_error_of_all_areas_and_of_one_channel_is_in_the_intervals():
+def test_intervals_hold_common_errors_of_areas_and_channels():
     cuts = averages(Glass(1489.0, 816.0))
     found = learn_along_edge(cuts, area_uncertainty=0.02, calibration=(0.0, 0.0, 0.01))
     assert found.uncertainty[0] == pytest.approx(1489 * np.hypot(0.02, 0.01), rel=1e-3)
@@ -140,7 +140,7 @@ def test_a_size_effect_comes_back_with_its_power():
 
 
 @pytest.mark.parametrize("kind", ["square", "round"])
-def test_a_slot_gives_back_the_material_wherever_the_cutter_stands_and_at_whatever_speed_it_turns(kind):
+def test_a_slot_gives_its_material_at_any_phase_and_speed(kind):
     found, glass = learned_milling(np.random.default_rng(3), kind, block=1e-3)
     assert found.cutting.value == pytest.approx(glass.cutting, rel=0.01)
     assert found.thrust.value == pytest.approx(glass.thrust, rel=0.015)

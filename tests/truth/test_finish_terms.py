@@ -44,7 +44,7 @@ def test_the_strip_left_standing_is_as_wide_as_the_geometry_says(flat):
     assert width == pytest.approx(NOSE * chip / FEED, rel=1e-2)
 
 
-def test_material_pressed_down_for_good_leaves_nothing_and_half_of_it_half(flat):
+def test_springback_leaves_its_share(flat):
     radius = cusps()
     full, half, none = (
         left_standing(flat, TOOL, MinimumChip(thickness=20e-6, recovery=share), radius=radius, angle=[0.7]).z
@@ -126,7 +126,7 @@ def test_the_terms_add_up_to_the_surface(flat):
     assert np.abs(total - found.surface.z).max() < 1e-15
 
 
-def test_a_vibrating_motion_passes_through_its_sine_at_every_point_and_keeps_the_other_axes(flat):
+def test_a_vibrating_motion_adds_its_sine_to_one_axis(flat):
     shake = Vibration(amplitude=1e-5, frequency_hz=95.0, phase=1.0)
     moved = vibrated(flat, shake)
     assert np.abs(moved.axes["Z"] - 1e-5 * np.sin(2 * np.pi * 95 * moved.time + 1.0)).max() < 1e-15

@@ -56,7 +56,7 @@ def test_g92_is_cancelled(tmp_path, code):
 
 @settings(max_examples=60)
 @given(seed=st.integers(0, 2**32), dialect=st.sampled_from(["nanotech", "generic"]))
-def test_a_program_that_sets_coordinates_moves_as_one_that_does_not(tmp_path_factory, seed, dialect):
+def test_set_coordinates_do_not_change_the_motion(tmp_path_factory, seed, dialect):
     """The same places, written with and without random G92 before, within and after the cut."""
     random = np.random.default_rng(seed)
     folder = tmp_path_factory.mktemp("g92")
@@ -293,7 +293,7 @@ LONG = {
 
 
 @pytest.mark.parametrize("name", LONG)
-def test_numbers_and_names_of_any_length_are_refused_in_one_short_sentence(tmp_path, name):
+def test_long_numbers_and_names_get_a_short_sentence(tmp_path, name):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ProgramWarning)
         with pytest.raises(ProgramError) as error:
@@ -364,7 +364,7 @@ def test_a_c_beyond_one_turn_is_taken_as_written(tmp_path, dialect, start, stops
     assert degrees(tmp_path, stops, dialect, start) == pytest.approx([start, *stops], rel=1e-14, abs=1e-11)
 
 
-def test_a_c_within_one_turn_rolls_over_or_counts_as_the_dialect_says(tmp_path):
+def test_c_within_one_turn_follows_the_dialect(tmp_path):
     assert degrees(tmp_path, (200, 350)) == pytest.approx([0, 200, 350])
     assert degrees(tmp_path, (200, 30), "nanotech") == pytest.approx([0, -160, -330])
     for dialect in ("generic", "nanotech"):

@@ -16,7 +16,7 @@ def test_a_share_that_was_made_is_found():
     assert np.array_equal(found.intact, intensity > 40)
 
 
-def test_exactly_eighty_percent_does_not_exceed_it_and_holes_do_not_count():
+def test_eighty_percent_is_not_exceeded_by_itself():
     found = ri80([[8.0, 8.000001, np.nan, 1.0]], 10.0)
     assert (found.share, found.measured) == (pytest.approx(1 / 3), 0.75)
 

@@ -45,7 +45,7 @@ def test_the_infrared_lens_is_ductile_in_finishing(lens):
     assert gate.sentence.startswith(f"ductile, with a margin of {margin:.0f} %: the chip is up to 20")
 
 
-def test_the_infrared_lens_is_brittle_in_roughing_and_asks_for_allowance(lens):
+def test_the_infrared_lens_is_brittle_in_roughing(lens):
     """Issue: 25 um and 25 um/rev give about 4.3 um."""
     part, tool, motion, points = planned(lens, 0.025, 0.025)
     chips = chip_map(motion, tool, part, material=GLASS, points=points)

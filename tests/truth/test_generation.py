@@ -360,7 +360,7 @@ def passes_of_a_swinging_tool(motion, x, y, above):
 @pytest.mark.parametrize("above", [0.0, 0.004])
 @pytest.mark.parametrize("sense", [1, -1])
 @pytest.mark.parametrize("share", [0.11, 0.2])
-def test_a_tool_that_stands_still_over_the_part_equals_every_pass_in_closed_form(sense, above, share):
+def test_a_tool_at_rest_equals_the_closed_form(sense, above, share):
     """A swing of a ninth of a radian just stops over the part nine times a turn; a larger one turns back and forth."""
     edge = tw.Tool(nose_radius=0.1, offset=(0.0, above, 0.0))
     motion = spiral_motion(0.4, 0.02, 180, lambda x, y: 0.02 * np.cos(9 * np.arctan2(y, x)), sense=sense)

@@ -21,7 +21,7 @@ def job_of(surface, **measurement):
     )
 
 
-def test_cusps_agree_with_the_prediction_only_through_the_instrument():
+def test_cusps_agree_only_through_the_instrument():
     """Resolution of 10 um at a feed of 25 um. The instrument of the oracle convolves by a dense sum of its own."""
     sphere = {"family": "sphere", "radius": "20 mm"}
     instrument = {"resolution": "10 um", "pixel": "2 um"}

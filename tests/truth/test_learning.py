@@ -38,7 +38,7 @@ def trials():
 
 
 @pytest.mark.parametrize(("which", "limit"), [(0, 0.01), (1, 0.01), (2, 0.03)])
-def test_a_hundred_records_with_noise_drift_and_resonance_give_back_what_they_were_made_of(trials, which, limit):
+def test_a_hundred_disturbed_records_give_their_coefficients(trials, which, limit):
     off, inside, half = trials[:, which].T
     assert np.abs(off).max() < limit
     assert np.count_nonzero(inside) >= 93
@@ -51,7 +51,7 @@ def test_without_the_inverse_filter_the_cross_talk_would_stay():
     assert abs(learned_raw(record).thrust.value / truth.thrust - 1) > 0.05
 
 
-def test_a_ramp_without_interruption_needs_to_know_for_how_long_the_tool_is_in_air():
+def test_an_uninterrupted_ramp_needs_its_time_in_air():
     inside = []
     for seed in range(20):
         random = np.random.default_rng(70_000 + seed)
@@ -72,7 +72,7 @@ def test_air_that_is_counted_as_cut_is_told_of():
     assert any("scatter" in one for one in learned(record, tap_tests(random)).sentences)
 
 
-def test_cuts_too_weak_to_be_told_from_air_are_told_of_and_only_then():
+def test_cuts_too_weak_for_their_noise_are_reported():
     """At four times the noise the first cuts are missed; whenever an interval then fails, a sentence has said so."""
     for seed in range(90_000, 90_008):
         for times, weak in ((1, False), (4, True)):
@@ -82,7 +82,7 @@ def test_cuts_too_weak_to_be_told_from_air_are_told_of_and_only_then():
             assert any("may have been taken for air" in one for one in said) == weak
 
 
-def test_chips_that_are_thinner_than_stated_are_told_of_with_by_how_much():
+def test_chips_thinner_than_stated_are_reported():
     chip, width, force = averages(np.random.default_rng(6), noise=1e-4)
     found = learn_material(Cuts(thickness=chip + 20e-6, width=width, cutting=force, thrust=force))
     told = [re.search(r"as if the chips were (\S+) nm thinner than stated", one) for one in found.sentences]
@@ -152,7 +152,7 @@ def test_the_chance_of_a_transition_is_that_of_forces_without_one(count):
         assert (chances <= p).sum() <= stats.binom.ppf(0.999, chances.size, p)
 
 
-def test_averages_of_few_cuts_give_the_critical_thickness_within_their_steps():
+def test_few_averages_give_the_critical_thickness():
     """Twelve cuts, stated uncertainties, brittle from the eighth on: the truth lies between two cuts."""
     inside, exact = 0, 0
     chip = np.array([50, 100, 150, 200, 300, 400, 500, 700, 800, 900, 1000, 1200]) * 1e-6
@@ -195,7 +195,7 @@ def test_two_records_have_each_a_drift_of_their_own():
     assert found.cutting.low <= 1489 <= found.cutting.high
 
 
-def test_the_axial_force_of_a_round_nose_counts_by_the_area_that_it_sees():
+def test_axial_force_counts_by_its_projected_area():
     """Turning with the usual chip f sin s: areas f d and half of R f sin² S in closed form, forces by quadrature."""
     from turnwright.cutting.chip import RoundChip
     from turnwright.cutting.forces import chip_forces
@@ -276,7 +276,7 @@ def falling(random, noise, count=60, top=1200e-6):
     return Cuts(thickness=chip, width=np.full(count, 0.2), cutting=cutting, thrust=thrust)
 
 
-def test_a_size_effect_comes_back_with_its_power_and_the_limit_unmoved():
+def test_a_size_effect_is_learned_beside_the_limit():
     found = learn_material(falling(np.random.default_rng(0), 1e-9), size_effect=True)
     reference = found.reference_thickness
     assert [one.value for one in found.exponents] == pytest.approx([0.3, 0.2], abs=1e-6)
@@ -286,7 +286,7 @@ def test_a_size_effect_comes_back_with_its_power_and_the_limit_unmoved():
     assert found.remaining == pytest.approx((0.6, 0.6), abs=0.02)
 
 
-def test_the_uncertainty_of_a_power_is_that_of_nonlinear_least_squares():
+def test_the_uncertainty_of_a_power_is_that_of_least_squares():
     """Oracle: SciPy's curve_fit of the same curve over the ductile rows."""
     from scipy.optimize import curve_fit
 

@@ -37,7 +37,7 @@ def test_an_array_tilted_against_its_base_is_refused():
         found(SPHERE + tw.LensArray(centres=[[0, 0]], lenslet=SPHERE).placed(tilt=(0.01, 0.0)))
 
 
-def test_a_form_that_does_not_tell_its_centre_or_its_sphere_is_refused():
+def test_a_form_without_centre_or_sphere_is_refused():
     wedge = tw.LensArray(centres=[[0, 0]], lenslet=tw.Plane(slope=(0.1, 0.0)))
     with pytest.raises(InputError, match=r"tells the centre along . from the other free parameters by 0"):
         found(wedge)

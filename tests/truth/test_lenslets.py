@@ -36,7 +36,7 @@ def perfect():
 
 
 @pytest.mark.parametrize("form", ["design", "sphere"])
-def test_centres_and_forms_are_those_of_an_ideal_fit_of_the_true_surface(made, form):
+def test_centres_and_forms_are_those_of_an_ideal_fit(made, form):
     """The pose is off as a registration leaves it: turned by the dislocations themselves, tilted by 30 urad."""
     array, heights = made
     off = tw.Pose(shift=(0.010, 0.005, 2e-3), rotation=3e-3, tilt=(2e-5, -3e-5)).after(POSE)
@@ -76,7 +76,7 @@ def test_without_noise_centre_height_and_radius_are_exact(perfect):
 
 
 @pytest.mark.parametrize("patch", [1, 2])
-def test_the_uncertainty_is_honest_also_where_neighbours_err_together(perfect, patch):
+def test_the_uncertainty_holds_for_correlated_noise(perfect, patch):
     """Noise that is one value over patches of 2 x 2 pixels carries a quarter of the information."""
     rng = np.random.default_rng(3)
     x = np.linspace(-RIM, RIM, 900)
@@ -107,7 +107,7 @@ def test_the_lowest_pixel_is_no_centre(perfect):
     assert rms(np.array(lowest) - perfect.centres) > 100 * rms(found.centres - perfect.centres)
 
 
-def test_a_rotation_with_scale_is_told_from_what_the_machine_did_to_single_lenslets():
+def test_rotation_and_scale_are_told_from_lens_displacements():
     """The share that is one rotation or scale; the same turn from the singular vectors of the covariance (Umeyama)."""
     rng = np.random.default_rng(5)
     turn, scale = 4e-3, 1 + 2e-3

@@ -174,7 +174,7 @@ def rows(text):
 
 
 @pytest.mark.parametrize("dialect", ["nanotech", "generic"])
-def test_a_program_with_other_points_than_its_header_says_is_refused(tmp_path, dialect):
+def test_a_program_unlike_its_header_is_refused(tmp_path, dialect):
     path = tmp_path / "part.nc"
     done = write_nc(motion(np.arange(9) * 0.1, np.arange(9.0)), machine(dialect), path, depth=None)
     cuts, whole = done.files[-1], done.files[-1].read_text()

@@ -78,7 +78,7 @@ def test_cusps_have_their_closed_form(feed, nose):
     assert found.sdq == pytest.approx(feed / (2 * np.sqrt(3) * nose), rel=2e-3)
 
 
-def test_cusps_at_any_lay_decorrelate_as_the_fourth_bernoulli_polynomial():
+def test_cusps_decorrelate_as_a_bernoulli_polynomial():
     # The autocorrelation of a parabolic sawtooth is 1 - 30 t²(1 - t)² at the share t of its period.
     feed = 0.020
     expected = feed * (1 - np.sqrt(1 - 4 * np.sqrt(0.8 / 30))) / 2
@@ -90,7 +90,7 @@ def test_cusps_at_any_lay_decorrelate_as_the_fourth_bernoulli_polynomial():
         assert found.str < 0.05
 
 
-def test_isotropic_and_stretched_noise_have_the_lengths_of_their_filter():
+def test_noise_has_the_lengths_of_its_filter():
     # White noise through a Gaussian of width w has the autocorrelation exp(-t²/4w²), which is 0.2 at 2 w sqrt(ln 5).
     step, width = (0.001, 0.002), (4, 3)  # columns and rows: a lay twice as long as wide
     z = filtered_noise((1200, 1200), width[::-1])
@@ -155,7 +155,7 @@ def holed(shape, seed=3):
     return z
 
 
-def test_missing_points_are_left_out_as_loops_over_the_definitions_leave_them_out():
+def test_missing_points_count_as_in_the_definitions():
     z = holed((30, 25))
     found = roughness(HeightMap(x=np.arange(25) * 0.01, y=np.arange(30) * 0.02, z=z), form="none")
     for name, value in by_hand(z, 0.01, 0.02).items():

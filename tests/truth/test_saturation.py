@@ -51,7 +51,7 @@ def test_channels_in_proportion_that_end_at_a_force_are_no_transition(kind):
             learn_material(clipped(kind, np.random.default_rng(seed)))
 
 
-def test_forces_of_a_material_that_stand_still_are_learned_with_a_question():
+def test_constant_forces_are_learned_with_a_question():
     """Their noise is that of the other forces, in both channels: the law of the shipped IRG 26."""
     for seed in range(12):
         assert any("ends of the ranges" in one for one in learn_material(shipped(seed)).sentences)
@@ -68,7 +68,7 @@ def test_averages_of_a_coarse_converter_are_not_saturated(levels):
         learn_material(Cuts(thickness=CHIP, width=np.full(60, 0.2), cutting=cutting, thrust=thrust))
 
 
-def test_averages_with_or_without_noise_that_are_not_saturated_are_learned():
+def test_unsaturated_averages_are_learned():
     for noise in (0.01, 0.0):
         cutting, thrust = forces(3, noise).T
         learned = learn_material(Cuts(thickness=CHIP, width=np.full(60, 0.2), cutting=cutting, thrust=thrust))

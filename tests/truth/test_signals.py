@@ -24,7 +24,7 @@ def record(force, rate=RATE):
 
 @pytest.mark.parametrize("order", [1, 2, 4])
 @pytest.mark.parametrize("frequency", [50.0, 200.0, 500.0])
-def test_the_low_pass_has_the_gain_of_a_butterworth_filter_twice_and_no_delay(order, frequency):
+def test_the_low_pass_is_a_butterworth_filter_without_delay(order, frequency):
     time = np.arange(40_000) / RATE
     tone = np.cos(2 * np.pi * frequency * time)
     out = low_pass(record(tone), 200.0, order).force[:, 0]
@@ -39,7 +39,7 @@ def test_the_correlation_time_of_an_autoregression_is_its_closed_form(memory):
     assert correlation_time(series) == pytest.approx((1 + memory) / (1 - memory), rel=0.05)
 
 
-def test_the_uncertainty_of_an_average_counts_samples_that_hang_together():
+def test_the_uncertainty_of_an_average_counts_correlation():
     """The true standard deviation of the mean of an autoregression is sigma over sqrt(n) (1 - a), for long records."""
     random = np.random.default_rng(1)
     series = lfilter([1], [1, -0.9], random.normal(size=(1000, 4000)))
@@ -71,7 +71,7 @@ def test_lines_between_the_stretches_in_air_take_a_crooked_drift():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_every_engagement_is_found_to_the_sample_where_the_force_is_clear(seed):
+def test_engagements_are_found_to_the_sample(seed):
     random = np.random.default_rng(seed)
     starts = np.array([1000, 3000, 5500, 8000])
     stops = starts + np.array([900, 1500, 700, 1200])

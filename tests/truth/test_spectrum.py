@@ -60,7 +60,7 @@ def test_lines_are_scipys_periodogram(size):
     assert turned.density == pytest.approx(found.density, rel=1e-12)
 
 
-def test_white_noise_is_as_dense_as_its_variance_times_the_area_of_a_point():
+def test_white_noise_has_its_spectral_density():
     found = area_psd(plain(noise((400, 500))), form="mean", window="hann")
     radial = found.radial()
     mean = np.average(radial.density[2:], weights=np.diff(radial.edges**2)[2:])

@@ -130,7 +130,7 @@ def test_both_axes_together_are_the_path_and_leave_the_same_surface(compound):
         assert tw.check_limits(motion, machine).ok
 
 
-def test_a_second_axis_of_the_tool_adds_to_x_but_not_to_the_errors_of_its_slide(compound):
+def test_a_second_tool_axis_has_no_errors_of_the_slide(compound):
     _, tool, _, _, path = compound
     crooked = replace(tw.Machine.load("nanoform-fts-500"), squareness=1e-3)
     moved = 0.003 * np.sin(3 * path.angle)
@@ -173,7 +173,7 @@ def test_the_rates_of_both_axes_are_derivatives_and_add_up(compound):
     assert pvt.axes["W"].bandwidth_hz == 1000
 
 
-def test_a_lathe_beside_a_fast_tool_writes_only_the_blocks_that_it_needs(compound):
+def test_blocks_beside_a_fast_tool_are_as_few_as_needed(compound):
     part, tool, plan, base, path = compound
     machine = tw.Machine.load("nanoform-fts-500")
     for servo, most in zip(servos(part, tool, plan, base), (17, 361, 46, 361), strict=True):

@@ -40,7 +40,7 @@ def test_scattered_azimuths_meet_the_other_side_of_the_axis():
 
 
 @pytest.mark.parametrize("name", ["sin phi", "pedestals", "spike"])
-def test_the_clearance_shows_a_tip_that_gouges_whatever_the_search_says(name, monkeypatch):
+def test_clearance_shows_a_gouge_despite_the_search(name, monkeypatch):
     """A path 20 um too low is 20 um too low somewhere, found without the places of contact."""
     part, tool = tw.Part(surface=CASES[name].surface, radius=RADIUS), tool_of("narrow")
     servo = tw.SlowToolServo(feed=0.02, spindle_rpm=50, points_per_rev=180)

@@ -139,7 +139,7 @@ def test_the_last_cusp_inside_the_rim_is_no_higher_than_the_others(radius):
 
 @pytest.mark.parametrize(("along", "curve"), [("z", 1), ("normal", 1), ("z", -1)])
 @pytest.mark.parametrize("points", [{"points_per_rev": 360}, {"points_per_rev": 360, "inside_out": True, "sense": -1}])
-def test_a_quarter_feed_beyond_the_axis_leaves_no_cusp_there_above_the_others(tmp_path, points, along, curve):
+def test_a_quarter_feed_of_overrun_levels_the_cusp_on_the_axis(tmp_path, points, along, curve):
     shape, nose, feed = Part(surface=Sphere(radius=curve * 30.0), radius=0.2), 0.5, 0.02
     tool, machine = Tool(nose_radius=nose, included=np.deg2rad(120)), Machine.load("generic")
     # Oracle: a gap g leaves g² / 8R(1 - R/r) placed along z and g²/8 (1/R - 1/r) along the normal, and the innermost
@@ -252,7 +252,7 @@ def test_chord_counts_with_the_tip_of_the_real_edge():
     assert np.median(error) > 0.9 * chord
 
 
-def test_a_path_is_placed_at_the_same_azimuths_in_every_turn_but_near_its_kinks(monkeypatch):
+def test_azimuths_repeat_each_turn_but_near_creases(monkeypatch):
     asked = sharp(monkeypatch)
     surface = Roof()
     spiral = SlowToolServo(feed=0.05, chord=1e-6).spiral(Part(surface=surface, radius=2.0), TOOL)

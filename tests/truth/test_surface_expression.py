@@ -85,7 +85,7 @@ def test_without_a_limit_the_axis_is_named(formula, defined):
     assert np.isfinite(computed(surface, 1.0, 1.0)).all()
 
 
-def test_rho_squared_times_a_wave_has_slopes_but_no_curvature_on_the_axis():
+def test_a_radial_wave_has_no_curvature_on_the_axis():
     surface = Expression("rho**2*cos(3*phi)")
     assert surface.gradient(0.0, 0.0) == (0.0, 0.0)
     with pytest.raises(DomainError, match="no curvature"):

@@ -54,7 +54,7 @@ def test_the_interval_of_a_chance_is_that_of_scipy(good, of):
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 0.95])
-def test_the_interval_of_a_percentile_misses_it_no_more_often_than_it_says(share):
+def test_the_interval_of_a_percentile_holds(share):
     # Draws that are their own order: the end of an interval is the number of a draw.
     one = percentile(np.arange(1.0, 201.0), share)
     first = 0 if math.isinf(one.low) else int(one.low)
@@ -205,7 +205,7 @@ def left_by(job, plan, **offset):
     return left, left.z - job.part.part.surface.sag(left.x.ravel(), left.y.ravel()).reshape(left.z.shape), tool
 
 
-def test_lines_reach_the_axis_where_a_tool_that_stands_off_along_x_leaves_the_tip_of_a_cone():
+def test_lines_reach_the_tip_of_a_cone_on_the_axis():
     job = job_of("fine mirror")  # cusps of a nanometre
     plan = planned(job, Reach(along=0.02, across=0.01, servos={}))
     size, rim, nose = 40.0, 3.0 * (1 - 1e-4), 0.5
@@ -233,7 +233,7 @@ def test_lines_reach_the_axis_where_a_tool_that_stands_off_along_x_leaves_the_ti
 
 
 @pytest.mark.parametrize("overrun", [False, True])
-def test_form_sees_the_highest_cusp_of_the_last_turn_with_a_tool_above_centre_or_not(overrun):
+def test_form_sees_the_highest_cusp_of_the_last_turn(overrun):
     table = tomllib.loads(job_of("flat").to_toml())
     feed, nose = 0.005, 0.5
     if overrun:
@@ -278,7 +278,7 @@ def test_nothing_leaps_while_a_core_grows():
 
 
 @pytest.mark.parametrize("kind", ["fine mirror", "raked over the axis"])
-def test_lines_end_at_the_core_that_a_tool_above_or_below_centre_leaves(kind):
+def test_lines_end_at_the_core_of_a_tool_off_centre(kind):
     job = job_of(kind)
     plan = planned(job, Reach(along=0.02, across=0.01, servos={}))
     for aside in (0.003, -0.006):

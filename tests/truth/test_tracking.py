@@ -174,7 +174,7 @@ def test_a_steady_motion_lags_by_the_axis_and_its_dead_time():
     assert np.abs(made.axes["X"] - (5 - 0.1 * (made.time - 0.002))).max() < 1e-13
 
 
-def test_a_measured_response_gives_what_the_axis_it_was_measured_on_gives():
+def test_a_measured_response_acts_as_its_axis():
     axis = SecondOrder(frequency_hz=90, damping=0.6, velocity_feedforward=1)
     f = np.geomspace(0.05, 5000, 20000)
     measured = FrequencyResponse(frequency_hz=f, magnitude=np.abs(axis.at(f)), phase=np.angle(axis.at(f)))
@@ -228,7 +228,7 @@ def test_a_short_look_ahead_keeps_the_spindle_slow():
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "hermite", "quadratic spline", "cubic spline"])
-def test_a_corrected_command_comes_out_as_meant_also_by_an_ode_solver(interpolation):
+def test_a_corrected_command_agrees_with_an_ode_solver(interpolation):
     axis = SecondOrder(frequency_hz=100, damping=0.7, velocity_feedforward=1)
     on = machine(interpolation, Z=Axis(response=axis), C=Axis(response=axis, dead_time=0.002))
     given = motion(on, points=401)

@@ -593,7 +593,7 @@ def test_a_job_is_kept_as_it_was_written(client):
     client.post(f"/api/runs/{plain}/cancel")
 
 
-def test_a_file_that_was_brought_by_two_names_is_in_the_archive_by_both(client):
+def test_a_file_of_two_names_is_archived_by_both(client):
     """Oracle: the bytes that were brought."""
     first, second = (
         client.post("/api/files", params={"kind": "waviness", "name": name}, content=WAVY).json()["reference"]

@@ -197,7 +197,7 @@ def test_the_verdict_turns_at_the_radius_of_the_sphere(bench, by_hand):
     assert figures(limit.inner_text()) == pytest.approx([NOSE, SPHERE])
 
 
-def test_a_wrong_field_is_told_where_it_stands_in_the_words_of_the_command_line(bench, by_hand, tmp_path, capsys):
+def test_a_wrong_field_is_marked_where_it_stands(bench, by_hand, tmp_path, capsys):
     one = bench().take(by_hand.parent / "job.toml")
     nose = one.page.locator("#field-tool-nose_radius")
     for typed in ("0.5 kg", "0,5 mm", "-1 mm"):
@@ -282,7 +282,7 @@ def test_text_counts_as_soon_as_it_is_typed(bench, by_hand):
     gone(one, answer.json()["id"])
 
 
-def test_text_that_the_server_did_not_read_is_neither_lost_nor_passed_over(bench, by_hand):
+def test_unread_text_is_neither_lost_nor_skipped(bench, by_hand):
     one = bench().take(by_hand.parent / "job.toml")
     page = one.page
     asked = []
@@ -306,7 +306,7 @@ def test_text_that_the_server_did_not_read_is_neither_lost_nor_passed_over(bench
     one.wrong = [each for each in one.wrong if "503" not in each]  # as the browser says it, too
 
 
-def test_an_archive_that_comes_late_leaves_the_job_that_was_opened_since(bench, by_hand, tmp_path):
+def test_a_late_archive_leaves_a_newer_job(bench, by_hand, tmp_path):
     with zipfile.ZipFile(tmp_path / "late.zip", "w") as archive:
         archive.writestr("job.toml", (by_hand.parent / "job.toml").read_text(encoding="utf-8").replace("dish", "late"))
     one = bench()
@@ -462,7 +462,7 @@ def test_a_map_of_one_value_has_a_scale_around_it(bench, by_hand):
 # -------------------------------------------------------------------------------------------------------- a long run
 
 
-def test_a_long_run_tells_its_progress_outlives_a_reload_and_is_cancelled(bench, folder, tmp_path):
+def test_a_long_run_shows_progress_and_can_be_cancelled(bench, folder, tmp_path):
     one = bench().take(written(tmp_path, *LONG))
     page = one.page
     name = begun(one, lambda: page.keyboard.press("Control+Enter"))
@@ -720,7 +720,7 @@ def test_a_map_is_shown_without_a_job(bench, tmp_path):
 
 
 @pytest.mark.usefixtures("measured")
-def test_a_measurement_tells_the_injected_offset_and_becomes_a_better_program(bench, folder, tmp_path):
+def test_an_injected_offset_is_found_and_corrected(bench, folder, tmp_path):
     one = bench().look_at("measure")
     page = one.page
     cause = page.locator(".cause", has=page.get_by_text("offset x", exact=True))

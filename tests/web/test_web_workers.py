@@ -28,7 +28,7 @@ def carried_out(questions, count=2, **more):
     return asyncio.run(ask())
 
 
-def test_what_is_asked_first_waits_for_the_process_that_warms_up_and_starts_no_other():
+def test_a_first_request_waits_for_the_warming_process():
     async def two(workers):
         return await asyncio.gather(workers.ask(os.getpid), workers.ask(os.getpid))
 
@@ -53,7 +53,7 @@ def test_a_question_behind_a_long_one_gets_a_process_of_its_own(monkeypatch):
     assert first != second
 
 
-def test_what_may_be_asked_for_later_is_loaded_when_a_page_is_content(monkeypatch):
+def test_later_needs_are_loaded_when_the_page_is_idle(monkeypatch):
     called, loading = [], threading.Event()
     submit = _workers.LocalPool.submit
 
