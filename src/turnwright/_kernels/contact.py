@@ -1,4 +1,4 @@
-"""How fast a tip in contact rises along its spiral: the pointwise parts. See contact.py for the method."""
+"""How fast a tip in contact rises along its spiral: the pointwise parts. See placing.contact for the method."""
 
 import numpy as np
 

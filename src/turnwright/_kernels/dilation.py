@@ -1,4 +1,4 @@
-"""Bringing the edge down onto the surface: the pointwise parts. See dilation.py for the method."""
+"""Bringing the edge down onto the surface: the pointwise parts. See placing.search for the method."""
 
 import numpy as np
 

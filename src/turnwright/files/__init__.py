@@ -1,7 +1,7 @@
 """Measured maps come in and go out: one file format per module.
 
 A reader is given the path and the bytes of a file and returns a `turnwright.HeightMap` in mm, rows ascending in y.
-To add a format, add a module here and a line to ``_read.py`` (its signature) or ``_write.py`` (its suffix).
+To add a format, add a module here and a line to ``read.py`` (its signature) or ``write.py`` (its suffix).
 
 Whatever a file claims is compared with the bytes that are there before memory is asked for, and everything that goes
 wrong ends in one sentence, a `turnwright.errors.MapError`.

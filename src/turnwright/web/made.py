@@ -1,7 +1,7 @@
 """What is seen of a finished run: its maps at any size, profiles, and how its axes move.
 
 Whole maps come from what the run has stored. A window finer than that is generated for what is looked at: one process
-keeps the motions of the last runs ready for it, each read back from its own program. `_windows` has the routes.
+keeps the motions of the last runs ready for it, each read back from its own program. `windows` has the routes.
 """
 
 from __future__ import annotations

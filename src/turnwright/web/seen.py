@@ -1,6 +1,6 @@
 """What is seen of a job that is only typed: its surface in any colour, the path, the edge in contact.
 
-This runs in the warm processes and only calls what the command line calls; `_views` has the routes.
+This runs in the warm processes and only calls what the command line calls; `views` has the routes.
 """
 
 from __future__ import annotations
