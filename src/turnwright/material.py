@@ -17,8 +17,7 @@ import numpy as np
 from turnwright import units
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._io import read_toml
-from turnwright._validate import between, check_angle, check_numbers, positive
-from turnwright._validate import whole as whole_number
+from turnwright._validate import between, check_angle, check_numbers, positive, whole as whole_number
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:

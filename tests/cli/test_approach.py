@@ -13,8 +13,7 @@ import turnwright as tw
 from job_files import changed
 from proof_approach import Figures, failures, run
 from turnwright.errors import GougeError, InputError, JobError, LimitError, ProgramError
-from turnwright.job import Job, preview
-from turnwright.job import approach as _approach
+from turnwright.job import Job, approach as _approach, preview
 
 FEW = ("simulation", {"whole_part": {"radii": 11, "angles": 8}})
 DOME = (

@@ -8,8 +8,7 @@ import pytest
 
 from job_files import GONE, changed
 from turnwright.errors import GougeError
-from turnwright.job import Job, run
-from turnwright.job import running as _run
+from turnwright.job import Job, run, running as _run
 
 ONLY_WHOLE = ("simulation.patches", [])
 ROUND = {"family": "sphere", "radius": "50 mm"}

@@ -15,8 +15,7 @@ from dish import DISH, OFFSET, seen
 from job_files import written
 from turnwright._signals import Stop
 from turnwright.cli import main
-from turnwright.job import Job
-from turnwright.job import measurement as _measure
+from turnwright.job import Job, measurement as _measure
 
 DIAGNOSE = _measure._diagnosed
 

@@ -13,9 +13,7 @@ import turnwright as tw
 from job_files import written
 from turnwright.cli import main
 from turnwright.errors import JobError
-from turnwright.job import Job, compare, plan, run
-from turnwright.job import comparison as _compare
-from turnwright.job import planning as _plan
+from turnwright.job import Job, compare, comparison as _compare, plan, planning as _plan, run
 
 TOLERANCES = {"form_pv": "300 nm", "sq": "20 nm"}
 

@@ -16,8 +16,7 @@ import pytest
 import zarr
 
 import turnwright as tw
-from turnwright.cli import main
-from turnwright.cli import tiling as _tiling
+from turnwright.cli import main, tiling as _tiling
 from turnwright.studies import Cluster, LocalPool
 
 JOB = """

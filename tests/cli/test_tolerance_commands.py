@@ -14,8 +14,7 @@ import turnwright as tw
 from turnwright._signals import Stop
 from turnwright.cli.commands import Door, app
 from turnwright.errors import InputError, JobError, StudyError
-from turnwright.studies import Cluster, ErrorBudget, Spread, Store
-from turnwright.studies import draws as _draws
+from turnwright.studies import Cluster, ErrorBudget, Spread, Store, draws as _draws
 
 JOB = {
     "part": {"name": "mirror", "radius": "3 mm", "surface": {"family": "sphere", "radius": "40 mm"}},

@@ -9,8 +9,7 @@ import pytest
 
 import turnwright as tw
 from job_files import written
-from turnwright.cli import main
-from turnwright.cli import shared as _shared
+from turnwright.cli import main, shared as _shared
 from turnwright.job import Job
 from turnwright.progress import OverallProgress
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from turnwright.heightmap import HeightMap
 from turnwright.metrology import area_psd, bearing, best_fit, fit_zernike, line_psd, remove_form, slope_error

@@ -28,9 +28,15 @@ import turnwright as tw
 from execution_work import answer, begun, cases
 from turnwright.errors import InputError, StudyError
 from turnwright.progress import at_most, cores, free_memory_gb
-from turnwright.studies import case_key, cluster, conduct, local, program_version
-from turnwright.studies import cases as _conduct
-from turnwright.studies import executors as _executors
+from turnwright.studies import (
+    case_key,
+    cases as _conduct,
+    cluster,
+    conduct,
+    executors as _executors,
+    local,
+    program_version,
+)
 from turnwright.studies.store import Store
 
 HERE = Path(__file__).parents[1] / "support"

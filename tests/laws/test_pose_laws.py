@@ -1,8 +1,7 @@
 """Rigid motions against SciPy's rotations."""
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
 from turnwright import HeightMap, Plane, Pose

@@ -1,8 +1,7 @@
 """Registration finds the motion that was put in."""
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from turnwright import HeightMap, Part, Pose, XYPolynomial, register
 

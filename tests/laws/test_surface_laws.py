@@ -5,8 +5,7 @@ import pickle  # noqa: TID251 - what a process pool does to its arguments
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from turnwright.surface import (
     Biconic,

@@ -161,8 +161,7 @@ def _by_name(case: Case, folder: Path, listener: Listener) -> int:
 
 def _by_command(case: Case, folder: Path, listener: Listener) -> int:
     from turnwright import cli
-    from turnwright.cli import cutting as _cutting
-    from turnwright.cli import materials as _materials
+    from turnwright.cli import cutting as _cutting, materials as _materials
 
     @contextlib.contextmanager
     def progress_of(_stop: object, _steps: object) -> Any:

@@ -19,8 +19,7 @@ from turnwright.diagnosis import prove
 from turnwright.errors import CorrectionError
 from turnwright.generation import generate_points
 from turnwright.job import correct
-from turnwright.studies import ErrorBudget, Spread, Store
-from turnwright.studies import draws as draws_of
+from turnwright.studies import ErrorBudget, Spread, Store, draws as draws_of
 from turnwright.studies.scenes import (
     Reach,
     drift_share,

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import pint
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from turnwright.errors import UnitError

@@ -18,9 +18,7 @@ pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 't
 
 from fastapi.testclient import TestClient
 
-from turnwright.web import budget as _budget
-from turnwright.web import create_app
-from turnwright.web import made as _made
+from turnwright.web import budget as _budget, create_app, made as _made
 from turnwright.web.packed import MEDIA_TYPE, unpack
 
 RUN = "0123456789abcdef"

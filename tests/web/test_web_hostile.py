@@ -25,10 +25,7 @@ from fastapi.testclient import TestClient
 import turnwright as tw
 from job_files import changed
 from turnwright.errors import InputError
-from turnwright.web import bundles as _bundles
-from turnwright.web import create_app
-from turnwright.web import queue as _queue
-from turnwright.web import server as _server
+from turnwright.web import bundles as _bundles, create_app, queue as _queue, server as _server
 from turnwright.web.guard import Guard
 from turnwright.web.limits import FILE_BYTES, SPARE_BYTES
 from turnwright.web.workers import TooLong

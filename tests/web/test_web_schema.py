@@ -10,8 +10,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from turnwright.web import create_app
-from turnwright.web import windows as _windows
+from turnwright.web import create_app, windows as _windows
 
 CHECKS = [
     not_a_server_error,

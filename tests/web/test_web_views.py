@@ -20,9 +20,7 @@ pytest.importorskip("fastapi", reason="the workbench is an extra: pip install 't
 
 from fastapi.testclient import TestClient
 
-from turnwright.web import create_app
-from turnwright.web import made as _made
-from turnwright.web import seen as _seen
+from turnwright.web import create_app, made as _made, seen as _seen
 from turnwright.web.packed import MEDIA_TYPE, pack, unpack
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

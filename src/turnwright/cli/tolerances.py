@@ -45,8 +45,7 @@ def tolerance(
     """Say how likely a part keeps its tolerances, with and without artefacts, and what to set up better first."""
     door: Door = context.obj
     from turnwright.job import Job  # noqa: PLC0415 - costly
-    from turnwright.studies import ErrorBudget  # noqa: PLC0415
-    from turnwright.studies import tolerance as carry_out  # noqa: PLC0415
+    from turnwright.studies import ErrorBudget, tolerance as carry_out  # noqa: PLC0415 - costly
 
     recipe = Job.load(job)
     errors = ErrorBudget.typical() if budget is None else ErrorBudget.load(budget)

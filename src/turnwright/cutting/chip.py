@@ -26,8 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, only_read
-from turnwright._kernels import chip as kernel
-from turnwright._kernels import generation as generation_kernel
+from turnwright._kernels import chip as kernel, generation as generation_kernel
 from turnwright._kernels.edge import BASE
 from turnwright._validate import check_angle, check_numbers, positive
 from turnwright.errors import InputError

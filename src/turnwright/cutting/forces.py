@@ -25,8 +25,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Floats, frozen
-from turnwright._validate import between, check_angle, check_numbers, positive
-from turnwright._validate import whole as whole_number
+from turnwright._validate import between, check_angle, check_numbers, positive, whole as whole_number
 from turnwright.cutting.chip import OrthogonalChip, RoundChip
 from turnwright.errors import InputError
 

@@ -23,8 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from turnwright._arrays import Floats
-from turnwright._kernels import dilation as dilation_kernel
-from turnwright._kernels import swept as kernel
+from turnwright._kernels import dilation as dilation_kernel, swept as kernel
 from turnwright._kernels.edge import DX, DY, DZ, HIGH, LOW, RADIUS
 from turnwright.placing import touch as touch_down
 from turnwright.progress import run_chunks

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 
-from turnwright.diagnosis import DEFAULT, FREE, Diagnosis, plausible_rms_nm
-from turnwright.diagnosis import diagnose as attribute
+from turnwright.diagnosis import DEFAULT, FREE, Diagnosis, diagnose as attribute, plausible_rms_nm
 from turnwright.errors import InputError, MapError
 from turnwright.files import read_map
 from turnwright.heightmap import HeightMap

@@ -25,8 +25,7 @@ from pydantic import (
     model_validator,
 )
 
-from turnwright import machine as lathe
-from turnwright import tool as diamond
+from turnwright import machine as lathe, tool as diamond
 from turnwright._io import read_toml, write_whole
 from turnwright._validate import key_of
 from turnwright.diagnosis import CAUSES
@@ -45,11 +44,11 @@ from turnwright.job.table import (
     Text,
     Thickness,
     existing,
+    faults as faults_of,
     read_columns,
     refuse,
     sentences,
 )
-from turnwright.job.table import faults as faults_of
 from turnwright.machine import Machine
 from turnwright.material import Material
 from turnwright.motion import require_variable

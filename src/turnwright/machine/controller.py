@@ -8,8 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from turnwright._arrays import Value
-from turnwright._validate import check_angle, check_numbers
-from turnwright._validate import whole as whole_number
+from turnwright._validate import check_angle, check_numbers, whole as whole_number
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from turnwright._arrays import only_read
-from turnwright._kernels import limits as limits_kernel
-from turnwright._kernels import tracking as tracking_kernel
+from turnwright._kernels import limits as limits_kernel, tracking as tracking_kernel
 from turnwright.machine import FAST, ROTARY, Axis
 from turnwright.path import Motion, block_points
 

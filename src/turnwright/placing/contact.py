@@ -27,8 +27,7 @@ from typing import Literal
 import numpy as np
 
 from turnwright._arrays import Bools, Floats
-from turnwright._kernels import contact as kernel
-from turnwright._kernels import dilation as dilation_kernel
+from turnwright._kernels import contact as kernel, dilation as dilation_kernel
 from turnwright._kernels.edge import DY
 from turnwright.errors import GougeError, InputError
 from turnwright.part import Part

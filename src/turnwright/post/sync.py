@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from turnwright._arrays import rows_of_numbers
-from turnwright._kernels import table as table_kernel
-from turnwright._kernels import text as text_kernel
+from turnwright._kernels import table as table_kernel, text as text_kernel
 from turnwright._validate import positive
 from turnwright.errors import ProgramError
 from turnwright.path import Motion

@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 import numpy as np
 
 from turnwright._arrays import Floats, Ints
-from turnwright._kernels import text as text_kernel
-from turnwright._kernels import tracking as tracking_kernel
+from turnwright._kernels import text as text_kernel, tracking as tracking_kernel
 from turnwright.errors import ProgramError
 from turnwright.machine import FAST
 from turnwright.path import Motion

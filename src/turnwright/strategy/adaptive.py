@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from turnwright._kernels import adaptive as kernel
-from turnwright._kernels.edge import DX, DZ, RAKE_COS, RAKE_SIN
-from turnwright._kernels.edge import trace as edge_trace
+from turnwright._kernels.edge import DX, DZ, RAKE_COS, RAKE_SIN, trace as edge_trace
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import rounding
-from turnwright._validate import check_numbers
-from turnwright._validate import whole as whole_number
+from turnwright._validate import check_numbers, whole as whole_number
 from turnwright.errors import InputError
 from turnwright.machine import Axis
 from turnwright.placing import touch

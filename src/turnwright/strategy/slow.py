@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._kernels import chord as kernel
-from turnwright._validate import check_numbers, positive
-from turnwright._validate import whole as whole_number
+from turnwright._validate import check_numbers, positive, whole as whole_number
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
 from turnwright.placing import tip_height

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from turnwright._validate import finite
-from turnwright._validate import whole as whole_number
+from turnwright._validate import finite, whole as whole_number
 from turnwright.errors import InputError
 from turnwright.surface.base import Surface
 from turnwright.units import LEAST, MOST

@@ -169,8 +169,7 @@ def _run(run: Path, server: Path, out: Path, _record: dict[str, Any], tell: _Tel
 
 
 def _cut(job: Job, out: Path, tell: _Teller) -> Ended:
-    from turnwright import job as recipe  # noqa: PLC0415
-    from turnwright import report  # noqa: PLC0415
+    from turnwright import job as recipe, report  # noqa: PLC0415
     from turnwright.web.program import index  # noqa: PLC0415
 
     result = recipe.run(job, progress=tell, out=out)

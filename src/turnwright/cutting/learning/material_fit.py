@@ -28,8 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, freeze, frozen, same_length
-from turnwright._validate import between, check_numbers, positive
-from turnwright._validate import whole as whole_number
+from turnwright._validate import between, check_numbers, positive, whole as whole_number
 from turnwright.cutting.learning.chance import chance_of
 from turnwright.cutting.learning.saturation import SOLID, rail, saturated
 from turnwright.cutting.learning.signals import ForceRecord, correlation_time, in_air
