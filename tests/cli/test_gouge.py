@@ -8,7 +8,7 @@ import pytest
 
 from job_files import GONE, changed
 from turnwright.errors import GougeError
-from turnwright.job import Job, run, running as _run
+from turnwright.job import Job, pass_plan, run
 
 ONLY_WHOLE = ("simulation.patches", [])
 ROUND = {"family": "sphere", "radius": "50 mm"}
@@ -27,8 +27,8 @@ def lowered(monkeypatch):
         where = (path.radius < 0.84) & (path.radius > 0.76) & (turns > 1)
         return replace(path, z=path.z - 1e-3 * where)
 
-    placed = _run.place
-    monkeypatch.setattr(_run, "place", low)
+    placed = pass_plan.place
+    monkeypatch.setattr(pass_plan, "place", low)
 
 
 @pytest.mark.parametrize("surface", [ROUND, WAVY], ids=["round", "wavy"])
