@@ -539,3 +539,22 @@ def test_a_turn_about_an_axis_beside_the_part_is_held():
     assert found.held
     assert not found.ambiguous
     assert max(found.std.values()) < 0.1
+
+
+def test_a_torus_is_held_within_its_edge_in_few_steps():
+    """It is one of revolution: a shift along y is a tilt. The map shows 97 % of its radius, moved by half a mm."""
+    surface, radius = Toroid(radius_x=30.0, radius_y=45.0), 5.0
+    pose = Pose(shift=(0.4, -0.3, 0.02), rotation=0.05, tilt=(1e-3, -2e-3))
+    axis = np.linspace(-5.4, 5.4, 241)
+    x, y = np.meshgrid(axis, axis)
+    z = np.zeros(x.shape)
+    for _ in range(20):
+        u, v, w = pose.apply(x, y, z)
+        on = np.hypot(u, v) < 0.97 * radius
+        z[on] -= w[on] - surface.sag(u[on], v[on])
+    z = np.where(on, z + np.random.default_rng(3).normal(0, 8e-6, z.shape), np.nan)
+    found = register(HeightMap(x=axis, y=axis, z=z), Part(surface=surface, radius=radius))
+    assert found.held == ("y",)
+    assert found.lost == 0
+    assert found.rms_nm == pytest.approx(8.0, rel=0.01)
+    assert found.iterations < 10

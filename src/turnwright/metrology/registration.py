@@ -19,6 +19,7 @@ from turnwright.metrology.pose_search import COVER, axisymmetric, costs, level, 
 from turnwright.metrology.rigid import (
     FINEST,
     NAMES,
+    WHOLE,
     WIDTH,
     Fit,
     Loss,
@@ -698,13 +699,21 @@ def _decide(
                 before, after = costs(some, [best, there])
                 slack = chance(some, there.state - best.state, best.used, there.used) + ROUGHLY
                 if (
-                    there.used >= COVER * best.used
+                    there.used >= WHOLE * best.used
                     and (after - before) * best.used <= allowed + slack * before * best.used
                 ):
                     return kept, dict(zip(fixed, where.tolist(), strict=True)), directions
     # What the surface itself leaves open stays where the search ended: the start contradicts the heights.
-    open_ = wanted[: sum(cause == "surface" for _, _, cause in directions)]
-    return [k for k in task.free if k not in open_], {k: float(best.state[k]) for k in open_}, directions
+    fixed_there = _where_it_ended(some, best, wanted[: sum(cause == "surface" for _, _, cause in directions)])
+    return [k for k in task.free if k not in fixed_there], fixed_there, directions
+
+
+def _where_it_ended(some: Problem, best: Fit, numbers: list[int]) -> dict[int, float]:
+    """Return numbers where the search ended, the lateral ones so that the map lies within the edge of the part."""
+    state = best.state.copy()
+    if lateral := [k for k in numbers if k < 2]:
+        state[:2] = _within_edge(some, state, state[:2], lateral)
+    return {k: float(state[k]) for k in numbers}
 
 
 def _places(task: _Task, some: Problem, best: Fit, fixed: tuple[int, ...]) -> list[Floats]:

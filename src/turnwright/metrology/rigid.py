@@ -42,7 +42,9 @@ DAMPED = 1e-3
 EXACT = 1e-13
 """Change of the heights, rms, below which a step is rounding. [mm]."""
 
-MAX_STEPS = 60
+MAX_STEPS, MOST_IDLE = 60, 6
+"""Most steps, and most in a row that change chi-square by less than a hundredth."""
+
 WHOLE = 0.999
 """Points on the part, as a share of the most that lay there, from which those exchanged at the rim go for nothing."""
 
@@ -310,7 +312,7 @@ def _march(
     """Levenberg-Marquardt with the loss scaled once; undamped as long as that helps."""
     chosen = np.asarray(free, dtype=np.int64)
     here = _sums(problem, state, scale)
-    damping, taken, begun = 0.0, 0, here.cost / max(here.area, 1e-300)
+    damping, taken, idle, begun = 0.0, 0, 0, here.cost / max(here.area, 1e-300)
     most = max(here.used, seen * problem.points.shape[1])
     while taken < steps and here.used > 0 and chosen.size:
         taken += 1
@@ -330,7 +332,9 @@ def _march(
             if there.used < WHOLE * most:  # no pose gains by losing points: each costs as much as an outlier
                 price = max(begun, OUTLIER_PRICE * here.cost / max(here.area, 1e-300))
                 better &= there.cost - price * there.area <= here.cost - price * here.area
+        gain = 0.0
         if better and there is not None:
+            gain = (here.cost / here.area - there.cost / there.area) * here.used
             state, here, most = trial, there, max(most, there.used)
             damping = 0.0 if damping < 1e-6 else damping / 10
         else:
@@ -339,6 +343,9 @@ def _march(
             damping = max(10 * damping, 1e-6)
             if damping > 1e8:
                 break
+        idle = 0 if gain > SETTLED * here.cost / max(here.area, 1e-300) else idle + 1
+        if idle >= MOST_IDLE:  # the edge of the part stops it
+            break
         sure = np.sqrt(here.square / max(here.weight, 1e-300) / here.used)
         if damping < DAMPED and (moved <= close or changed <= max(EXACT, SETTLED * sure)):
             break
