@@ -8,7 +8,7 @@ import pytest
 import blind_parts as blind
 import turnwright as tw
 from tests.proof.proof_artefacts import maps_of
-from tests.proof.proof_loop import Sample, commander, outcome
+from tests.proof.proof_loop import Sample, commander, draw, outcome
 
 TOROID = {"family": "toroid", "radius_x": "15 mm", "radius_y": "25 mm"}
 
@@ -230,3 +230,15 @@ def test_a_part_whose_place_is_ambiguous_is_not_corrected(tmp_path):
     assert one.registration.ambiguous
     with pytest.raises(tw.CorrectionError, match=r"nearly as well|beyond the map"):
         tw.correct(part.job, tw.diagnose(one), one, out=tmp_path / "better")
+
+
+def test_a_draw_that_cuts_nothing_refuses_no_correction():
+    """Oracle: the part that is cut again. One of 200 draws ran off to a tool that does not reach the sphere."""
+    random = np.random.default_rng([2, 2])
+    for number in range(7):
+        part = draw(random, "drift", anew=number % 2 == 1)
+        heights, _ = (part.map(k, random) for k in range(2))
+    maps = [tw.measure(part.job, heights)]
+    one, why = outcome(part, maps, tw.diagnose(maps), 0.0, anew=False)
+    assert one.written, why
+    assert one.after < 1.3 * one.clean

@@ -436,12 +436,15 @@ def _drawn(estimate: Estimate, m: int, places: _Places, random: np.random.Genera
     root, weight = estimate.posterior.roots(m), look.rows.shape[0] / rows.shape[0]
     alike = sum(kind is not None and kind == estimate.kinds[m] for kind in estimate.kinds)
     pose = np.linalg.qr(rows[:, : look.poses])[0]
-    best, lacking = (own, shared), np.full(wanted.shape, np.inf)
+    best, lacking, uncut = (own, shared), np.full(wanted.shape, np.inf), np.full(len(own), wanted.shape[1])
     for _ in range(BACK + 1):
         lack = wanted - off(own @ split.own.T + shared @ split.shared.T)
+        missing = np.count_nonzero(~np.isfinite(lack), axis=1)
         lack = np.where(np.isfinite(lack), lack, wanted)
         lack -= (lack @ pose) @ pose.T
-        nearer = (lack**2).sum(axis=1) < (lacking**2).sum(axis=1)
+        # A tool that cuts nothing lacks all that is wanted, which may be less than what a draw lacks.
+        nearer = (missing <= uncut) & ((lack**2).sum(axis=1) < (lacking**2).sum(axis=1))
+        uncut = np.where(nearer, missing, uncut)
         best = np.where(nearer[:, None], own, best[0]), np.where(nearer[:, None], shared, best[1])
         lacking = np.where(nearer[:, None], lack, lacking)
         back = (lack / estimate.scale[m] * weight) @ columns @ root @ root.T
