@@ -73,6 +73,9 @@ FEEDS = 40
 ACROSS = 30
 """Cutoffs on the diameter, unless the job states one."""
 
+MOST_SPIKES = 0.25
+"""Share of the heights that are spikes at most."""
+
 FEW = 3_000
 """Points by which a part is told from another one."""
 
@@ -270,8 +273,10 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         found = despike(
             _error_at(heights, part, first.pose), rule="kong" if asked.spikes == "second difference" else "robust"
         )
-        spikes = found.count
-        heights = replace(heights, z=np.where(found.spikes, np.nan, heights.z))
+        # Where most of the heights stand out, it is not the heights that are wrong: the map is of another part.
+        if found.count <= MOST_SPIKES * np.count_nonzero(np.isfinite(heights.z)):
+            spikes = found.count
+            heights = replace(heights, z=np.where(found.spikes, np.nan, heights.z))
     if asked.trim:
         heights = trim_edge(heights, asked.trim)
     report("clean", 1, 1)
