@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, overload
 
 import numpy as np
 
@@ -282,7 +282,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
     report("clean", 1, 1)
     report("register all points", 0, 1)
     registration = register(
-        heights, part, loss=asked.loss or ("huber" if pieces else "linear"), start=first.pose, reach=0.0, clocking=0.0,
+        heights, part, loss=_loss_of(job), start=first.pose, reach=0.0, clocking=0.0,
         **common,
     )  # fmt: skip
     registration = replace(registration, candidates=first.candidates, start=first.start)
@@ -297,7 +297,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         start = _about_axis(registration, axis)
         kept = [name for name in free if name not in registration.held]
         registration = register(
-            heights, part, loss=asked.loss or ("huber" if pieces else "linear"), start=start, reach=0.0, clocking=0.0,
+            heights, part, loss=_loss_of(job), start=start, reach=0.0, clocking=0.0,
             **{**common, "free": kept},
         )  # fmt: skip
     report("register all points", 1, 1)
@@ -339,14 +339,18 @@ def _registered_by(job: Job) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _loss_of(job: Job) -> Literal["linear", "huber", "tukey"]:
+    """Return the loss by which all points of a map are registered: displaced lenslets must not pull."""
+    return job.measurement.loss or ("huber" if job.part.part.surface.in_pieces else "linear")
+
+
 def errors_at_candidates(measured: Measured) -> Iterator[tuple[Pose, HeightMap]]:
     """Yield the poses at which a map lies on its part as well or nearly so, and its errors there. Scattered. [mm]."""
     job = measured.job
     part = job.part.part
-    loss = job.measurement.loss or ("huber" if part.surface.in_pieces else "linear")
     for one in measured.registration.candidates:
         there = register(
-            measured.heights, part, loss=loss, start=one.pose, reach=0.0, clocking=0.0, **_registered_by(job)
+            measured.heights, part, loss=_loss_of(job), start=one.pose, reach=0.0, clocking=0.0, **_registered_by(job)
         )  # fmt: skip
         yield there.pose, _on_part(measured.heights, there)[1]
 
