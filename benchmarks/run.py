@@ -274,8 +274,8 @@ def bench_patch(table, scale):
 def bench_tiling(table, scale):
     """A map in tiles on disk against the same map in memory, at the pixel of 1e9 heights on this part."""
     job = Job.load(EXAMPLES / "li2018_sine_grid.toml")
-    servo, part, tool = job.servo(job.passes[-1]), job.part.aimed, job.tool.tool
-    motion = drive(place(servo.spiral(part, tool), part, tool), servo, job.machine.machine)
+    servo, part, tool = job.servo(job.passes[-1]), job.part.aimed, job.tool
+    motion = drive(place(servo.spiral(part, tool), part, tool), servo, job.machine)
     pixel = 0.00028
     x = 0.7 + pixel * np.arange(int(5000 * np.sqrt(scale)))
     span = float(x[0]), float(x[-1]) + pixel / 2

@@ -74,38 +74,39 @@ class Value:
         """Tell whether two instances state the same."""
         if self is other or type(self) is not type(other):
             return self is other or NotImplemented
-        return all(_same(mine, theirs) for mine, theirs in zip(_stated(self), _stated(other), strict=True))
+        return all(same(mine, theirs) for mine, theirs in zip(_stated(self), _stated(other), strict=True))
 
     def __hash__(self) -> int:
         """Return a number that equal instances share."""
-        return hash((type(self), *map(_key, _stated(self))))
+        return hash((type(self), *map(hashable, _stated(self))))
 
 
 def _stated(one: Any) -> list[Any]:
     if not dataclasses.is_dataclass(one):  # a surface of a user's own may be any class
         return [id(one)]
-    return [getattr(one, field.name) for field in dataclasses.fields(one) if field.init]
+    return [getattr(one, field.name) for field in dataclasses.fields(one) if field.init and field.compare]
 
 
-def _same(one: Any, other: Any) -> bool:
+def same(one: Any, other: Any) -> bool:
+    """Say whether two values are equal, arrays element by element, nan like nan."""
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         numeric = np.asarray(one).dtype.kind in "fc" and np.asarray(other).dtype.kind in "fc"
         return np.array_equal(one, other, equal_nan=numeric)
     if isinstance(one, tuple | list) and isinstance(other, tuple | list):
-        return len(one) == len(other) and all(map(_same, one, other))
+        return len(one) == len(other) and all(map(same, one, other))
     if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(_same(value, other[key]) for key, value in one.items())
+        return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
     return bool(one == other)
 
 
-def _key(one: Any) -> Any:
-    """Return something that can be hashed, the same of all that `_same` holds for equal."""
+def hashable(one: Any) -> Any:
+    """Return something that can be hashed, the same of all that `same` holds for equal."""
     if isinstance(one, np.ndarray):
         return one.shape, (np.nan_to_num(one) + 0.0).tobytes()  # which makes 0 of -0 too
     if isinstance(one, tuple | list):
-        return tuple(map(_key, one))
+        return tuple(map(hashable, one))
     if isinstance(one, Mapping):
-        return frozenset((key, _key(value)) for key, value in one.items())
+        return frozenset((key, hashable(value)) for key, value in one.items())
     return one
 
 

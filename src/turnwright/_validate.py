@@ -43,10 +43,12 @@ __all__ = [
 
 T = TypeVar("T")
 
-WHOLE = re.compile(r"(int|Ints|tuple\[int, \.\.\.\])( \| None)?")
+WHOLE = re.compile(r"(int|Count|Ints|Natural|tuple\[int, \.\.\.\])( \| None)?")
 """The types of fields that hold whole numbers."""
 
-PLAIN = re.compile(r"(int|float)( \| None)?")
+PLAIN = re.compile(
+    r"(int|float|Angle|Count|Feed|Length|Natural|Number|Radius|Size|Slope|Speed|Step|Thickness)( \| None)?"
+)
 """The types of fields that hold one number."""
 
 LONGEST = 64

@@ -21,7 +21,7 @@ Oracles: closed forms of sines and cusps, a sphere over a ball, a brute-force ov
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
@@ -81,6 +81,8 @@ class Instrument:
         Standard deviation of each height, independent of its neighbours. [mm]
     name, source
         What it is called, and where its numbers come from.
+    loaded_from
+        Name or file that `load` was given; empty for an instrument that was put together.
 
     Raises
     ------
@@ -101,12 +103,13 @@ class Instrument:
     noise: float = 0.0
     name: str = ""
     source: str = ""
+    loaded_from: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        for field in ("pixel", "wavelength", "resolution", "stylus_radius"):
-            if getattr(self, field) is not None:
-                positive(getattr(self, field), field, "mm")
+        for name in ("pixel", "wavelength", "resolution", "stylus_radius"):
+            if getattr(self, name) is not None:
+                positive(getattr(self, name), name, "mm")
         if (self.numerical_aperture is None) != (self.wavelength is None):
             raise InputError("an aperture needs its wavelength, and a wavelength its aperture: state both or none")
         if self.numerical_aperture is not None:
@@ -140,7 +143,7 @@ class Instrument:
         """
         presets = _presets()
         if str(name) in presets:
-            return _from_table(presets[str(name)], str(name))
+            return replace(_from_table(presets[str(name)], str(name)), loaded_from=str(name))
         path = Path(name)
         if path.suffix != ".toml":
             raise InputError(
@@ -151,7 +154,7 @@ class Instrument:
             data = path.read_bytes()
         except OSError as error:
             raise InputError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
-        return _from_table(read_toml(data, f"instrument file {str(path)!r}"), path.stem)
+        return replace(_from_table(read_toml(data, f"instrument file {str(path)!r}"), path.stem), loaded_from=str(name))
 
     @property
     def summary(self) -> str:
@@ -279,7 +282,7 @@ def _presets() -> dict[str, dict[str, Any]]:
 
 
 def _from_table(table: dict[str, Any], name: str) -> Instrument:
-    known = {field.name for field in fields(Instrument)}
+    known = {one.name for one in fields(Instrument)} - {"loaded_from"}
     wrong = [key for key in table if key not in known]
     if wrong:
         raise InputError(f"instrument {name!r} has the key {shown(wrong[0])}, the keys are {', '.join(sorted(known))}")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
+from turnwright._tables import Stated, read_by
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
-from turnwright.surface import Surface
+from turnwright.material import Material
+from turnwright.surface import Gridded, Surface
+from turnwright.units import Size, Text, Thickness
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
@@ -18,7 +21,7 @@ __all__ = ["Blank", "Part", "evenly"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Blank:
+class Blank(Stated):
     """What a part is cut from: a disc on the axis of the spindle.
 
     Its top follows the finished surface at the distance of the part's stock. Beyond the clear radius, where nothing is
@@ -36,7 +39,7 @@ class Blank:
         If the radius is not positive.
     """
 
-    radius: float
+    radius: Size
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -49,7 +52,7 @@ class Blank:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class Part(Stated):
     """A part to be cut.
 
     Parameters
@@ -61,11 +64,15 @@ class Part:
     stock
         Thickness of material above the finished surface before the first pass. [mm]
     material
-        What is cut, as the drawing names it.
+        What is cut, as the drawing names it: a known material in any spelling, or the ``.toml`` file of one. Chips and
+        ductile regime are judged by it.
     material_note
         Free text on the material: condition, supplier, lot. Nothing is derived from it.
     name
         What the shop calls the part.
+    correction
+        Heights that are added to the surface that the tool is sent to, as `correct` writes them, so that an error that
+        repeats does not come back; the part is judged by its design as before.
     blank
         What it is cut from; ``None`` where that is not known. Then material is taken to reach farther out than the tool
         ever does, so that no pass begins beside it.
@@ -79,11 +86,12 @@ class Part:
     """
 
     surface: Surface
-    radius: float
-    stock: float = 0.0
-    material: str = ""
-    material_note: str = ""
-    name: str = ""
+    radius: Size
+    stock: Thickness = 0.0
+    material: Annotated[str, read_by("material")] = ""
+    material_note: Text = ""
+    name: Text = ""
+    correction: Annotated[Gridded | None, read_by("correction")] = None
     blank: Blank | None = None
 
     def __post_init__(self) -> None:
@@ -97,6 +105,25 @@ class Part:
         if self.stock < 0:
             raise InputError(f"stock is {self.stock:g} mm, it cannot be below 0 mm: give the thickness to remove")
         self.surface.require_disc(self.radius, "the clear radius")
+
+    @property
+    def aimed(self) -> Part:
+        """The part that the tool is sent to: the design with its correction."""
+        return self if self.correction is None else replace(self, surface=self.surface + self.correction, correction=None)
+
+    @property
+    def substance(self) -> Material | None:
+        """What is known of the material; ``None`` where nothing is."""
+        if self.material.endswith(".toml"):
+            return Material.load(self.material)
+        named = Material.named(self.material)
+        return None if named is None else Material.load(named)
+
+    @property
+    def material_name(self) -> str:
+        """What the material is called: of one that a file describes, the name in the file."""
+        # A path would make the program another one wherever its job lies.
+        return self.substance.name if self.substance and self.material.endswith(".toml") else self.material
 
 
 def evenly(part: Part, count: int) -> tuple[Floats, Floats]:

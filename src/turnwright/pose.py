@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Floats
+from turnwright._tables import Stated
 from turnwright._validate import check_angle, check_numbers, finite_tuple
+from turnwright.units import Angle, Length
 
 __all__ = ["Pose"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pose:
+class Pose(Stated):
     r"""A rigid motion: a point p goes to ``shift + Rz(rotation) Rx(tilt[0]) Ry(tilt[1]) p``.
 
     The second tilt is about the y axis as the first tilt has left it, the order of lens-design programs, and the order
@@ -42,9 +44,9 @@ class Pose:
     [2.0, 0.0, 5.0]
     """
 
-    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rotation: float = 0.0
-    tilt: tuple[float, float] = (0.0, 0.0)
+    shift: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    rotation: Angle = 0.0
+    tilt: tuple[Angle, Angle] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         check_numbers(self)

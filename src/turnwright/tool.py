@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,10 +14,14 @@ from numpy.typing import ArrayLike
 from turnwright._arrays import Bools, Floats, Value, frozen, only_read
 from turnwright._kernels import edge as kernel
 from turnwright._kernels.edge import sweeps_at
+from turnwright._tables import Plausible, Stated, read_by, refuse
 from turnwright._validate import between, check_angle, check_numbers, finite_tuple, plausible_sizes, positive
-from turnwright.errors import InputError
+from turnwright.errors import InputError, UnitError
+from turnwright.units import Angle, Length, Size, Text, parse
 
 if TYPE_CHECKING:
+    from pydantic import GetJsonSchemaHandler
+    from pydantic_core import CoreSchema
     from scipy.interpolate import CubicSpline
 
 __all__ = ["LARGEST_ERROR", "EdgeProfile", "EdgeTable", "Tool", "WavinessTable"]
@@ -36,6 +40,14 @@ LARGEST_ERROR = 0.1
 PLAUSIBLE = MappingProxyType(dict.fromkeys(("offset x", "offset y", "offset z", "radius error", "waviness"), "mm"))
 """Deviations whose plausible size a tool may state, and their units."""
 
+PLAUSIBLE_TEXTS = MappingProxyType({
+    "offset x": "By how much the tip stands beside its place along X.",
+    "offset y": "By how much it stands above or below the centre.",
+    "offset z": "By how much it was touched off wrongly.",
+    "radius error": "Of the nose.",
+    "waviness": "Of the edge where it is used farthest from the tip.",
+})  # fmt: skip
+
 PIECES = 8192
 """Cubic pieces that the profile of a wavy edge has, or a few more."""
 
@@ -50,6 +62,8 @@ class WavinessTable(Value):
         Angles on the nose, ascending, 0 at the tip, positive toward +X. (n,) [rad]
     deviation
         Radial deviation there, positive outward. (n,) [mm]
+    file
+        That it was read from, if any.
 
     Raises
     ------
@@ -59,6 +73,7 @@ class WavinessTable(Value):
 
     sweep: Floats
     deviation: Floats
+    file: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -106,8 +121,41 @@ def _before(over: Bools) -> int:
     return max(int(np.argmax(over)) - 1, 0) if over.any() else over.size - 1
 
 
+class _Waviness(read_by):
+    """Coefficients of sweep, sweep^2, ... each in its own unit, or what the file of a certificate holds."""
+
+    __slots__ = ()
+
+    def read(self, value: Any, info: Any) -> Any:
+        """Return coefficients that a list states, or a certificate."""
+        if not isinstance(value, list | tuple):
+            return super().read(value, info)
+        problems: dict[tuple[str | int, ...], Exception | str] = {}
+        coefficients = []
+        for index, one in enumerate(value):
+            try:
+                coefficients.append(parse(one, f"mm/rad^{index + 1}"))
+            except UnitError as error:
+                problems[index,] = error
+        if problems:
+            raise refuse("waviness", problems, value)
+        return tuple(coefficients)
+
+    def show(self, waviness: tuple[float, ...] | WavinessTable) -> Any:
+        """Return coefficients as text, a certificate by the name of its file."""
+        if isinstance(waviness, WavinessTable):
+            return super().show(waviness)
+        return [f"{value!r} mm/rad^{index + 1}" for index, value in enumerate(waviness)]
+
+    def __get_pydantic_json_schema__(self, _core: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"type": "array", "items": {"type": "string"}}
+
+
+Waviness: TypeAlias = Annotated[tuple[float, ...] | WavinessTable, _Waviness("waviness")]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tool(Value):
+class Tool(Stated, Value):
     """A round-nosed diamond tool, with its deviations.
 
     The edge lies in the rake plane: an arc of ``nose_radius + radius_error`` plus waviness, inside the included angle,
@@ -156,16 +204,17 @@ class Tool(Value):
     array([ 0.   , 66.987])
     """
 
-    nose_radius: float
-    included: float | None = None
-    rake: float = 0.0
-    clearance: float | None = None
-    waviness: tuple[float, ...] | WavinessTable = ()
-    radius_error: float = 0.0
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    name: str = ""
-    edge_length: float | None = None
-    plausible: Mapping[str, float] = field(default_factory=dict)
+    file_keys = MappingProxyType({"waviness": "waviness_file"})
+    nose_radius: Size
+    included: Angle | None = None
+    rake: Angle = 0.0
+    clearance: Angle | None = None
+    waviness: Waviness = ()
+    radius_error: Length = 0.0
+    offset: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    name: Text = ""
+    edge_length: Size | None = None
+    plausible: Annotated[Mapping[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_numbers(self)

@@ -12,7 +12,7 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from turnwright.errors import UnitError, shown
 
@@ -20,7 +20,27 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic_core import CoreSchema
 
-__all__ = ["convert", "parse", "say_length", "unit", "write"]
+__all__ = [
+    "Angle",
+    "Count",
+    "Feed",
+    "Flag",
+    "Length",
+    "Natural",
+    "Number",
+    "Size",
+    "Slope",
+    "Speed",
+    "Step",
+    "Text",
+    "Thickness",
+    "convert",
+    "parse",
+    "plain",
+    "say_length",
+    "unit",
+    "write",
+]
 
 LEAST, MOST = 1e-30, 1e30
 """Of any size that is stated, in the units inside: beyond, it is a slip, and its powers leave the range of numbers."""
@@ -297,3 +317,46 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
         schema: dict[str, Any] = {"type": "string", "unit": self.units[0]}
         limits = {"above": self.above, "least": self.least}
         return schema | {name: value for name, value in limits.items() if value > -math.inf}
+
+
+class plain:  # noqa: N801 - reads as a word inside Annotated[int, plain(1, 10)]
+    """A pydantic field that takes a plain value of its own type alone: no number in quotes, no 1 for true.
+
+    >>> from typing import Annotated
+    >>> from pydantic import TypeAdapter
+    >>> TypeAdapter(Annotated[int, plain(least=1)]).validate_python(5)
+    5
+    """
+
+    __slots__ = ("least", "most")
+
+    def __init__(self, least: float | None = None, most: float | None = None) -> None:
+        self.least, self.most = least, most
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only job files need pydantic
+
+        limits: dict[str, Any] = {
+            name: limit for name, limit in (("ge", self.least), ("le", self.most)) if limit is not None
+        }
+        if source is float:
+            return core_schema.float_schema(strict=True, allow_inf_nan=False, **limits)
+        if source is int:
+            return core_schema.int_schema(strict=True, **limits)
+        return core_schema.bool_schema(strict=True) if source is bool else core_schema.str_schema(strict=True)
+
+
+Length: TypeAlias = Annotated[float, unit("mm")]
+Size: TypeAlias = Annotated[float, unit("mm", above=0.0)]
+Thickness: TypeAlias = Annotated[float, unit("mm", least=0.0)]
+Angle: TypeAlias = Annotated[float, unit("rad")]
+Step: TypeAlias = Annotated[float, unit("rad", above=0.0)]
+Slope: TypeAlias = Annotated[float, unit("rad", "1")]
+Feed: TypeAlias = Annotated[float, unit("mm/rev", above=0.0)]
+Speed: TypeAlias = Annotated[float, unit("rpm", above=0.0)]
+# A coefficient may be of any unit; its powers must still be numbers.
+Number: TypeAlias = Annotated[float, plain(-1e100, 1e100)]
+Count: TypeAlias = Annotated[int, plain(1, 10**9)]
+Natural: TypeAlias = Annotated[int, plain(0, 10**9)]
+Flag: TypeAlias = Annotated[bool, plain()]
+Text: TypeAlias = Annotated[str, plain()]

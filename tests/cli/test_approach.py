@@ -260,7 +260,7 @@ def test_a_job_with_a_blank_reads_back(tmp_path, name):
     job.dump(tmp_path / "job.toml")
     again = Job.load(tmp_path / "job.toml")
     assert again == job
-    assert again.part.part.blank == tw.Blank(radius=5.2)
+    assert again.part.blank == tw.Blank(radius=5.2)
     assert again.program.plunge_feed == 0.02
 
 
@@ -333,7 +333,7 @@ def test_a_fast_tool_by_position_keeps_the_feed_of_a_plunge(tmp_path, kind, insi
 
 def test_a_fast_tool_keeps_its_travel_in_a_plunge():
     job = Job.read(changed(("machine.name", "nanoform-fts-70")))
-    travel = job.machine.machine.axes["W"]
+    travel = job.machine.axes["W"]
     assert not _approach._beyond_travel(job, "finish", {"W": np.array([travel.low, travel.high])})
     sentence = _approach._beyond_travel(job, "finish", {"W": np.array([travel.low, travel.high + 1e-4])})
     assert sentence.startswith("pass finish: in the plunge W goes from -0.035 to 0.0351 mm, its travel is from -0.035")

@@ -35,9 +35,9 @@ def test_an_artefact_is_cut_as_the_part_will_be():
 def test_the_artefacts_use_the_nose_as_the_part_does():
     """Oracle: the sphere's rim has the slope asin(5 / 61.5) = 4.663 deg; both artefacts reach the next tenth."""
     job = Job.read(LENS)
-    flat, sphere = (artefact(job, kind).part.part for kind in ("tilted flat", "concave sphere"))
-    assert np.rad2deg(check_access(flat, job.tool.tool).sweep) == pytest.approx([-4.7, 4.7], abs=1e-3)
-    assert np.rad2deg(check_access(sphere, job.tool.tool).sweep[1]) == pytest.approx(4.7, abs=2e-3)
+    flat, sphere = (artefact(job, kind).part for kind in ("tilted flat", "concave sphere"))
+    assert np.rad2deg(check_access(flat, job.tool).sweep) == pytest.approx([-4.7, 4.7], abs=1e-3)
+    assert np.rad2deg(check_access(sphere, job.tool).sweep[1]) == pytest.approx(4.7, abs=2e-3)
 
 
 def test_what_nobody_states_is_found():
@@ -47,7 +47,7 @@ def test_what_nobody_states_is_found():
     del flat["simulation"]
     made = artefact(Job.read(flat), "tilted flat", radius=1.0)
     assert made.part.radius == 1.0
-    assert np.rad2deg(np.arctan(made.part.part.surface.slope[0])) == pytest.approx(3.0)
+    assert np.rad2deg(np.arctan(made.part.surface.slope[0])) == pytest.approx(3.0)
     # 500 blocks a second, 360 a turn
     assert made.strategy.spindle_speed == pytest.approx(60 * 500 / 360, abs=1e-2)
 

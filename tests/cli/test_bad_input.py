@@ -270,7 +270,7 @@ def test_a_byte_order_mark_is_no_mistake(place):
     job.write_bytes(b"\xef\xbb\xbf" + job.read_bytes())
     assert Job.load(job) == plain
     marked = turnwright.Machine.load(place / "marked.toml")
-    assert marked.spindle_rpm == plain.machine.machine.spindle_rpm
+    assert marked.spindle_rpm == plain.machine.spindle_rpm
 
 
 def test_units_of_no_terms_are_read_too(tmp_path):
@@ -418,7 +418,7 @@ def test_a_name_too_long_for_any_system_is_no_file(place, tmp_path, capsys):
 @pytest.mark.parametrize("door", ["check", "run"])
 def test_a_speed_beyond_the_spindle_is_refused(door, tmp_path, capsys):
     job = written(tmp_path, ("strategy.spindle_speed", "1e5 rpm"))
-    limit = Job.load(job).machine.machine.spindle_rpm
+    limit = Job.load(job).machine.spindle_rpm
     assert main([door, str(job), *(["--out", str(tmp_path / "out")] if door == "run" else [])]) == 2
     said = capsys.readouterr().err
     assert "is 100000 rpm" in said or "is 100000 rev/min" in said

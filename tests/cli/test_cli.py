@@ -52,7 +52,7 @@ def test_the_numbers_are_those_of_the_library(done):
 
     told = json.loads((done / "out" / "result.json").read_text(), parse_constant=refuse)
     job = Job.load(done / "job.toml")
-    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part, job.tool, job.machine
     servo = tw.SlowToolServo(feed=0.02, points_per_rev=120)
     motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)
     assert told["schema"] == 1
@@ -94,7 +94,7 @@ def test_a_backplot_of_the_program_predicts_the_same(done, tmp_path, capsys):
 
 def test_a_backplot_takes_a_table_of_axis_positions(done, tmp_path, capsys):
     job = Job.load(done / "job.toml")
-    motion = tw.read_nc(done / "out" / "part.nc", job.machine.machine)
+    motion = tw.read_nc(done / "out" / "part.nc", job.machine)
     columns = [np.rad2deg(motion.axes["C"]), motion.axes["X"], motion.axes["Z"]]
     table = tmp_path / "points.csv"
     np.savetxt(table, np.column_stack(columns), delimiter=",", header="C_deg,X_mm,Z_mm", comments="", fmt="%.9f")
@@ -107,7 +107,7 @@ def test_a_backplot_takes_a_table_of_axis_positions(done, tmp_path, capsys):
 
 def table_of(done, folder, rows):
     """The axis positions of some blocks of the program."""
-    motion = tw.read_nc(done / "out" / "part.nc", Job.load(done / "job.toml").machine.machine)
+    motion = tw.read_nc(done / "out" / "part.nc", Job.load(done / "job.toml").machine)
     columns = [np.rad2deg(motion.axes["C"]), motion.axes["X"], motion.axes["Z"]]
     table = folder / "points.csv"
     np.savetxt(table, np.column_stack(columns)[rows], delimiter=",", header="C_deg,X_mm,Z_mm", comments="", fmt="%.9f")
@@ -331,7 +331,7 @@ def test_block_delete_is_stated_for_a_backplot(done, tmp_path, capsys):
     text = (done / "out" / "part.nc").read_text()
     _, mark, rest = text.partition("( PASS: finish )\n")
     assert mark
-    machine = Job.load(done / "job.toml").machine.machine
+    machine = Job.load(done / "job.toml").machine
     program.write_text("(somebody's)\n" + rest.replace("G93\n", "G93\n/M8\n", 1))
     command = ["backplot", str(program), "--job", str(done / "job.toml")]
     assert main(command) == 2

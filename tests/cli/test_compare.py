@@ -51,7 +51,7 @@ def test_lead_in_and_overrun_of_the_job_are_kept(tmp_path):
     assert len(slow) == 2
     for one in slow:
         assert (one.servo.overrun, one.servo.lead_in) == (0.0025, 0.05)
-        spiral = one.servo.spiral(job.part.part, job.tool.tool)
+        spiral = one.servo.spiral(job.part, job.tool)
         assert (spiral.radius.min(), spiral.radius.max()) == pytest.approx((-0.0025, 0.55), abs=1e-9)
         assert found.stated(one)["overrun"] == "2.5 um"
 

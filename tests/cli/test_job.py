@@ -79,13 +79,13 @@ def test_each_family_is_built_as_its_class_builds_it(family):
     placed = {"shift": ["0.1 mm", "0 mm", "3 um"], "rotation": "30 deg"}
     job = Job.read(changed(("part.surface", {"family": family, **table, "placed": placed})))
     moved = direct.placed(shift=(0.1, 0, 0.003), rotation=TURN)
-    np.testing.assert_allclose(job.part.part.surface.sag(X, Y), moved.sag(X, Y), rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(job.part.surface.sag(X, Y), moved.sag(X, Y), rtol=1e-13, atol=1e-15)
     assert Job.read(tomllib.loads(job.to_toml())) == job
 
 
 def test_a_list_of_surfaces_is_their_sum():
     job = Job.read(changed(("part.surface", FAMILIES["sum"][0]["terms"])))
-    np.testing.assert_allclose(job.part.part.surface.sag(X, Y), FAMILIES["sum"][1].sag(X, Y), rtol=1e-14)
+    np.testing.assert_allclose(job.part.surface.sag(X, Y), FAMILIES["sum"][1].sag(X, Y), rtol=1e-14)
 
 
 def test_a_sag_table_is_read_in_its_units(tmp_path):
@@ -97,7 +97,7 @@ def test_a_sag_table_is_read_in_its_units(tmp_path):
     table = {"family": "gridded", "file": "sag.csv", "units": "um", "sag_units": "nm"}
     job = Job.load(written(tmp_path, ("part.surface", table)))
     # z = (x² + y²) um² read as nm: a quadratic, which a bicubic spline reproduces
-    np.testing.assert_allclose(job.part.part.surface.sag(X, Y), X**2 + Y**2, rtol=1e-12)
+    np.testing.assert_allclose(job.part.surface.sag(X, Y), X**2 + Y**2, rtol=1e-12)
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
@@ -133,7 +133,7 @@ def test_waviness_in_degrees_is_the_polynomial_in_degrees():
     job = Job.read(changed(("tool.waviness", ["2e-5 mm/deg", "1e-6 mm/deg^2", "-3e-8 mm/deg^3"])))
     sweep = np.linspace(-29, 29, 9)
     expected = 2e-5 * sweep + 1e-6 * sweep**2 - 3e-8 * sweep**3
-    np.testing.assert_allclose(job.tool.tool.deviation(np.deg2rad(sweep)), expected, rtol=1e-12, atol=1e-18)
+    np.testing.assert_allclose(job.tool.deviation(np.deg2rad(sweep)), expected, rtol=1e-12, atol=1e-18)
 
 
 def test_certificates_are_read_in_their_units(tmp_path):
@@ -141,9 +141,9 @@ def test_certificates_are_read_in_their_units(tmp_path):
     (tmp_path / "slide.csv").write_text("x [mm],error [nm]\n0,0\n10,-50\n")
     path = written(tmp_path, ("tool.waviness_file", "edge.csv"), ("actual.machine.straightness_file", "slide.csv"))
     job = Job.load(path)
-    np.testing.assert_allclose(job.tool.tool.deviation(np.deg2rad([-30, 0, 15])), [0, 9e-5, 0], atol=1e-18)
+    np.testing.assert_allclose(job.tool.deviation(np.deg2rad([-30, 0, 15])), [0, 9e-5, 0], atol=1e-18)
     np.testing.assert_allclose(job.actual_machine.z_error([0, 5, 10]), [0, -25e-6, -50e-6], atol=1e-18)
-    assert job.machine.machine.straightness is None
+    assert job.machine.straightness is None
 
 
 def test_a_run_leaves_the_cusps_of_its_tool(tmp_path):

@@ -189,7 +189,7 @@ def test_a_material_note_is_free_text_and_judges_nothing(tmp_path):
     file = job(tmp_path, material="")
     file.write_text(file.read_text().replace('material = ""', 'material_note = "what was on the shelf"'))
     result = tw.run(Job.load(file))
-    assert result.job.part.part.material_note == "what was on the shelf"
+    assert result.job.part.material_note == "what was on the shelf"
     assert result.passes[0].chips is None
     assert not result.chips
     assert "chips" not in result.timings

@@ -138,8 +138,8 @@ def test_correct_writes_a_job_that_runs(shop, corrected, second, tmp_path):
     """Oracle: what the corrected job leaves, cut by the tool as it is, judged by the design."""
     assert {"report.html", "correction.json", "job.toml", "predicted.npz"} <= files_of(corrected)
     better = Job.load(corrected / "job.toml")
-    assert better.tool.tool.offset[0] == pytest.approx(OFFSET, abs=5e-4)
-    assert better.part.part.surface == Job.load(shop / "job.toml").part.part.surface
+    assert better.tool.offset[0] == pytest.approx(OFFSET, abs=5e-4)
+    assert better.part.surface == Job.load(shop / "job.toml").part.surface
     out = tmp_path / "run"
     assert main(["run", str(corrected / "job.toml"), "--out", str(out)]) == 0
     whole = strict(out / "result.json")["predictions"][0]
@@ -193,7 +193,7 @@ def test_a_tool_that_moved_again_is_corrected_again(shop, corrected, tmp_path):
     out = tmp_path / "out"
     job = str(corrected / "job.toml")
     assert main(["correct", str(tmp_path / "moved.npz"), "--job", job, "--out", str(out)]) == 0
-    assert Job.load(out / "job.toml").tool.tool.offset[0] == pytest.approx(OFFSET + 0.0022, abs=5e-4)
+    assert Job.load(out / "job.toml").tool.offset[0] == pytest.approx(OFFSET + 0.0022, abs=5e-4)
 
 
 def test_a_part_may_be_said_to_be_cut_by_the_corrected_job(shop, corrected, tmp_path, capsys):
@@ -207,7 +207,7 @@ def test_a_part_may_be_said_to_be_cut_by_the_corrected_job(shop, corrected, tmp_
     assert 'cut_by = "this job"' in told_once(capsys)
     assert main([*common, str(job)]) == 0
     assert "cut_by" not in (out / "job.toml").read_text(encoding="utf-8")  # of the next part nothing is known
-    assert Job.load(out / "job.toml").tool.tool.offset[0] == pytest.approx(2 * OFFSET, abs=7e-4)
+    assert Job.load(out / "job.toml").tool.offset[0] == pytest.approx(2 * OFFSET, abs=7e-4)
     assert main([*common, str(corrected / "job.toml"), "--force", "--set", "cut_by=this job"]) == 0
 
 
@@ -221,8 +221,8 @@ def test_artefacts_correct_the_job_of_the_part(shop, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["correct", *maps, *jobs, "--of", str(shop / "job.toml"), "--out", str(out)]) == 0
     better = Job.load(out / "job.toml")
-    assert better.part.part.surface == Job.load(shop / "job.toml").part.part.surface
-    assert better.tool.tool.offset[0] == pytest.approx(OFFSET, abs=5e-4)
+    assert better.part.surface == Job.load(shop / "job.toml").part.surface
+    assert better.tool.offset[0] == pytest.approx(OFFSET, abs=5e-4)
     assert better.part.correction is None
     capsys.readouterr()
     assert main(["artefact", str(shop / "job.toml"), "--kind", "cube", "--out", str(tmp_path / "cube.toml")]) == 2
@@ -273,7 +273,7 @@ def test_a_correction_keeps_what_a_person_wrote(shop, tmp_path):
     assert lost == []
     assert any(line.startswith("offset = ") for line in new)
     moved = out.rename(tmp_path / "moved")  # files beside the job are named so that the folder can move
-    assert Job.load(moved / "job.toml").tool.tool.offset[0] == pytest.approx(OFFSET, abs=5e-4)
+    assert Job.load(moved / "job.toml").tool.offset[0] == pytest.approx(OFFSET, abs=5e-4)
     again = tmp_path / "again"
     command = ["correct", str(shop / "dish.x3p"), "--job", str(job), "--of", str(job), "--out", str(again)]
     assert main(command) == 0

@@ -24,7 +24,7 @@ def shown(job, cone=0.0, count=61, noise=5e-6):
     radius = job.part.radius
     axis = np.linspace(-radius, radius, count)
     x, y = np.meshgrid(axis, axis)
-    z = job.part.part.surface.sag(x, y) + 40e-6 * x * y / radius**2 + cone * np.hypot(x, y) / radius
+    z = job.part.surface.sag(x, y) + 40e-6 * x * y / radius**2 + cone * np.hypot(x, y) / radius
     z += noise * np.random.default_rng(3).normal(size=z.shape)
     return tw.HeightMap(x=axis, y=axis, z=np.where(np.hypot(x, y) < 0.975 * radius, z, np.nan), name="seen")
 

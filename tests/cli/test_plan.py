@@ -208,7 +208,7 @@ def test_the_fastest_offered_interpolation_is_taken(tmp_path, capsys, monkeypatc
     assert "the tolerance is" not in capsys.readouterr().err
     program = tmp_path / "out" / "part.nc"
     assert "PVT" in program.read_text()
-    again = tw.read_nc(program, planned.machine.machine)
+    again = tw.read_nc(program, planned.machine)
     # The plan knew how the program comes to speed and to rest.
     assert again.time.size == points[1]
     share = float(re.search(r"points ±(\S+) nm, decimals", said)[1])
@@ -219,7 +219,7 @@ def test_the_fastest_offered_interpolation_is_taken(tmp_path, capsys, monkeypatc
     )
     made = {one: CubicHermiteSpline(again.time, again.axes[one], again.velocity[one])(time) for one in "CXZ"}
     spiral = tw.path.Spiral(angle=made["C"], radius=made["X"])
-    exact = tw.place(spiral, planned.part.part, planned.tool.tool)
+    exact = tw.place(spiral, planned.part, planned.tool)
     off = np.abs(made["Z"] - exact.z).max() * 1e6
     assert 0.3 * share < off < 1.1 * share
     assert main(["backplot", str(program), "--job", str(tmp_path / "planned.toml")]) == 0
@@ -313,7 +313,7 @@ def test_a_speed_over_the_radius_lets_every_ring_use_its_share(corrected, steady
     again = Job.load(tmp_path / "planned.toml")
     assert again == chosen.job
     made = run(again, out=tmp_path)
-    motion = tw.read_nc(tmp_path / "part.nc", again.machine.machine)
+    motion = tw.read_nc(tmp_path / "part.nc", again.machine)
     feed, ends = again.strategy.feed, np.sort(motion.axes["X"][[0, -1]])
     seconds, _ = quad(
         lambda at: 60 / np.sqrt(np.interp(at, radius, rpm**2)) / feed, *ends,

@@ -31,7 +31,7 @@ def measured_map(folder, form):
     radius, angle = np.linspace(0, 1, 101), np.linspace(0, 2 * np.pi, 180, endpoint=False)
     x, y = radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]
     error = HEIGHT * 1e-6 * FORMS[form][0](radius, angle[:, None])
-    surface = Job.load(job).part.part.surface
+    surface = Job.load(job).part.surface
     return job, tw.HeightMap(radius=radius, angle=angle, z=surface.sag(x, y) + error)
 
 

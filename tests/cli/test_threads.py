@@ -16,7 +16,7 @@ GRIDS = {"whole_part": {"radii": 41, "angles": 40}, "patches": [PATCH]}
 def seen(job):
     """The small part with an error, noise and a spike, as an instrument shows it."""
     x, y = np.meshgrid(AXIS, AXIS)
-    z = job.part.part.surface.sag(x, y) + 3e-4 * np.hypot(x, y) ** 2 + 1e-4 * x**3
+    z = job.part.surface.sag(x, y) + 3e-4 * np.hypot(x, y) ** 2 + 1e-4 * x**3
     z += 5e-6 * np.random.default_rng(3).normal(size=z.shape)
     z[40, 40] += 1e-2
     return tw.HeightMap(x=AXIS, y=AXIS, z=np.where(np.hypot(x, y) < 0.97, z, np.nan))

@@ -46,13 +46,13 @@ def done(tmp_path_factory):
 def test_a_run_predicts_what_the_servos_make_of_its_program(done):
     job = tw.Job.load(done / "job.toml")
     told = json.loads((done / "out" / "result.json").read_text())["predictions"]
-    motion = tw.read_nc(done / "out" / "part.nc", job.machine.machine)
+    motion = tw.read_nc(done / "out" / "part.nc", job.machine)
     real = tw.track(motion)
     for one, axes in zip(told, (("radius", "angle"), ("x", "y")), strict=True):
         grid = {name: np.load(done / "out" / one["axes"][name]) for name in axes}
         make = tw.generate_polar if "radius" in grid else tw.generate
-        with_servos, without = (make(each, job.tool.tool, **grid) for each in (real, motion))
-        error = with_servos.minus(job.part.part.surface).z
+        with_servos, without = (make(each, job.tool, **grid) for each in (real, motion))
+        error = with_servos.minus(job.part.surface).z
         np.testing.assert_allclose(np.load(done / "out" / one["file"]), error, atol=1e-12)
         added = np.load(done / "out" / one["tracking"]["file"])
         np.testing.assert_allclose(added, with_servos.z - without.z, atol=1e-12)
@@ -131,7 +131,7 @@ def test_a_corrected_program_leaves_what_was_planned(done, tmp_path, capsys):
     )  # fmt: skip
     result = tw.run(job, out=tmp_path)
     before = json.loads((done / "out" / "result.json").read_text())["predictions"]
-    part, tool, machine = job.part.part, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part, job.tool, job.machine
     servo = tw.SlowToolServo(feed=0.02, points_per_rev=360, spindle_rpm=120)
     planned = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, machine)
     again = tw.read_nc(result.program.files[0], machine)

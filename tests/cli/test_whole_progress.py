@@ -113,5 +113,5 @@ def test_the_points_of_a_pass_are_foreseen(way, tmp_path):
     surface = {"family": "sine grid", "amplitude": ["1 um", "1 um"], "period": ["0.5 mm", "0.5 mm"]}
     strategy = {"kind": "slow tool servo", "feed": "20 um/rev", **way}
     job = Job.load(written(tmp_path, ("part.surface", surface), ("strategy", strategy)))
-    real = job.servo(job.passes[-1]).extent(job.part.aimed, job.tool.tool)[0]
+    real = job.servo(job.passes[-1]).extent(job.part.aimed, job.tool)[0]
     assert 0.5 < _points(job, job.passes[-1]) * 1e6 / real < 2

@@ -64,9 +64,9 @@ def test_a_table_of_any_kind_is_the_surface_that_it_holds(tmp_path, kind):
     table = {"family": "gridded", "file": name, **keys}
     job = Job.read(changed(("part.surface", table)), folder=tmp_path)
     x, y = np.random.default_rng(1).uniform(-1.2, 1.2, (2, 500))
-    np.testing.assert_allclose(job.part.part.surface.sag(x, y), DISH.sag(x, y), atol=2e-8)
+    np.testing.assert_allclose(job.part.surface.sag(x, y), DISH.sag(x, y), atol=2e-8)
     upside = Job.read(changed(("part.surface", {**table, "inverted": True})), folder=tmp_path)
-    np.testing.assert_allclose(upside.part.part.surface.sag(x, y), -DISH.sag(x, y), atol=2e-8)
+    np.testing.assert_allclose(upside.part.surface.sag(x, y), -DISH.sag(x, y), atol=2e-8)
 
 
 @pytest.mark.parametrize("kind", ["map.npz", "map.x3p", "map.dat"])
@@ -75,7 +75,7 @@ def test_an_instrument_s_file_is_a_surface_too(tmp_path, kind):
     job = Job.read(changed(("part.surface", {"family": "gridded", "file": kind, "placed": {"rotation": "90 deg"}})),
                    folder=tmp_path)  # fmt: skip
     x, y = np.random.default_rng(1).uniform(-1.2, 1.2, (2, 500))
-    surface = job.part.part.surface
+    surface = job.part.surface
     np.testing.assert_allclose(surface.sag(x, y), DISH.sag(x, y), atol=2e-8)
 
 
@@ -99,6 +99,6 @@ def test_a_table_is_read_anew_when_it_has_changed(tmp_path):
     file = tmp_path / "a.csv"
     job = changed(("part.surface", {"family": "gridded", "file": "a.csv", "units": "mm", "sag_units": "mm"}))
     file.write_text(points(between=","), encoding="utf-8")
-    first = Job.read(job, folder=tmp_path).part.part.surface.sag(1.0, 0.5)
+    first = Job.read(job, folder=tmp_path).part.surface.sag(1.0, 0.5)
     file.write_text(points(between=",", scale=-0.5), encoding="utf-8")
-    assert Job.read(job, folder=tmp_path).part.part.surface.sag(1.0, 0.5) == pytest.approx(-0.5 * first, rel=1e-9)
+    assert Job.read(job, folder=tmp_path).part.surface.sag(1.0, 0.5) == pytest.approx(-0.5 * first, rel=1e-9)

@@ -56,7 +56,7 @@ def motion_of(job, aim, tool, machine):
 def planned(per_rev):
     """The motion of the job as it stands, which every case cuts first."""
     job = recipe(per_rev)
-    return motion_of(job, job.part.part, job.tool.tool, job.machine.machine)
+    return motion_of(job, job.part, job.tool, job.machine)
 
 
 class Loop:
@@ -66,9 +66,9 @@ class Loop:
         self, *, tool=(), machine=(), form=None, late=0.0, pixels=250, per_rev=720, fiducial=False, **measurement
     ):
         self.job = recipe(per_rev, **measurement)
-        self.part = self.job.part.part
-        self.tool = replace(self.job.tool.tool, **dict(tool))
-        self.machine = replace(self.job.machine.machine, **dict(machine))
+        self.part = self.job.part
+        self.tool = replace(self.job.tool, **dict(tool))
+        self.machine = replace(self.job.machine, **dict(machine))
         self.form, self.late, self.pixels, self.fiducial = form, late, pixels, fiducial
         self.rng = np.random.default_rng(1)
         count = np.arange(CELLS) + 0.5
@@ -84,7 +84,7 @@ class Loop:
     def cut(self, job, x, y):
         """Return the heights that a job leaves. [mm]."""
         if self.last[0] is not job:
-            self.last = job, motion_of(job, job.part.aimed, job.tool.tool, job.machine.machine)
+            self.last = job, motion_of(job, job.part.aimed, job.tool, job.machine)
         motion = self.last[1]
         # Z that is late by an angle cuts the part turned by it.
         c, s = np.cos(self.late), np.sin(self.late)

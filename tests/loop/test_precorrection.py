@@ -30,10 +30,10 @@ class Cut:
 
     def __init__(self, example, strategy, *, radius=None):
         job = tw.Job.load(EXAMPLES / f"{example}.toml")
-        self.part, self.tool = job.part.part, job.tool.tool
+        self.part, self.tool = job.part, job.tool
         if radius is not None:
             self.part = replace(self.part, radius=radius)
-        self.machine = with_servos(job.machine.machine, SERVO)
+        self.machine = with_servos(job.machine, SERVO)
         self.grid = {
             "radius": np.linspace(0.05, 0.97 * self.part.radius, 400),
             "angle": np.linspace(0, 2 * np.pi, AZIMUTHS, endpoint=False),

@@ -363,7 +363,7 @@ def run(cases, seed, figures):
             try:
                 job = Job.read(case.table)
                 require_depths(job)
-                motions, stock, allowances = {}, job.part.part.stock, {}
+                motions, stock, allowances = {}, job.part.stock, {}
                 for cut in job.passes:
                     motion = plan_pass(job, cut).commanded
                     for name, _, left, lifted in repeated(cut, motion, stock):

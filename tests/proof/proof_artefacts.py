@@ -30,10 +30,10 @@ def maps_of(part, random):
     measured = []
     for kind in ("tilted flat", "concave sphere"):
         job = artefact(part.job, kind)
-        surface = job.part.part.surface
+        surface = job.part.surface
         design = blind.flat(surface.slope) if kind == "tilted flat" else blind.sphere(surface.radius)
         cut = Sample(
-            design=design, table={"family": "plane", "slope": [0.0, 0.0]}, radius=job.part.part.radius, nose=part.nose,
+            design=design, table={"family": "plane", "slope": [0.0, 0.0]}, radius=job.part.radius, nose=part.nose,
             feed=part.feed, noise=part.noise, errors=part.errors, phases=random.random(3),
         )  # fmt: skip
         heights = cut.map(0, random)

@@ -42,9 +42,9 @@ def main(parts=140, seed=4):
         for _ in range(parts):
             part = draw(random, group, anew=False)
             heights, job = part.map(0, random), part.job
-            machine = job.machine.machine
+            machine = job.machine
             machine = replace(machine, plausible={**machine.plausible, **stated})
-            found = tw.diagnose(heights, job.part.part, job.tool.tool, machine, feed=part.feed, waviness=(3, 4))
+            found = tw.diagnose(heights, job.part, job.tool, machine, feed=part.feed, waviness=(3, 4))
             for one in found:
                 if one.determined:
                     right = truth(part.errors[0], one.name)

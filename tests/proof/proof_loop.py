@@ -98,7 +98,7 @@ class Sample:
 
 def commander(job):
     """Return where the tip is sent by a job: with its tool and machine, at the part that it aims at."""
-    aim, tool, slope = job.part.aimed.surface, job.tool.tool, job.machine.machine.squareness
+    aim, tool, slope = job.part.aimed.surface, job.tool, job.machine.squareness
 
     def height(rho, theta):
         rho, theta = np.broadcast_arrays(rho, theta)

@@ -77,7 +77,7 @@ def random_job(rng: np.random.Generator, *, largest: float = 2.0) -> dict:
 def error_of(motion, job, radius, angle, sign):
     """Return ``sign`` times the error on a polar grid, -inf where nothing is cut."""
     made = tw.generate_polar(motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine)
-    return np.nan_to_num(sign * made.minus(job.part.part.surface).z, nan=-np.inf)
+    return np.nan_to_num(sign * made.minus(job.part.surface).z, nan=-np.inf)
 
 
 def refined(motion, job, radius, angle, sign):
@@ -125,7 +125,7 @@ def judged(table: dict, rng: np.random.Generator) -> dict[str, float]:
     prediction = result.predictions[0]
     times = result.timings
     seconds = {"map": times["simulate whole part"], "search": times["highest and lowest place"]}
-    part, feed, low, high = job.part.part, motion.feed, [], []
+    part, feed, low, high = job.part, motion.feed, [], []
     near = min(3 * feed, part.radius)
     core = abs(job.actual_tool.offset[1])
     grids = [

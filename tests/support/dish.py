@@ -21,8 +21,8 @@ DISH = (
 def seen(job, file, *, offset=OFFSET, **more):
     """Write what an instrument shows of a job that was cut by a tool beside its place, 5 nm of noise on it."""
     recipe = Job.load(job)
-    part, tool, servo = recipe.part.aimed, recipe.tool.tool, recipe.servo(recipe.passes[-1])
-    motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, recipe.machine.machine)
+    part, tool, servo = recipe.part.aimed, recipe.tool, recipe.servo(recipe.passes[-1])
+    motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, recipe.machine)
     axis = np.linspace(-2.1, 2.1, 151)
     x, y = np.meshgrid(axis, axis)
     inside = np.hypot(x, y) < 1.95

@@ -18,7 +18,7 @@ GLASS = Material.load("irg26")
 @pytest.fixture(scope="module")
 def lens():
     job = Job.load("examples/infrared_lens.toml")
-    return job.part.part, job.tool.tool, job.machine.machine
+    return job.part, job.tool, job.machine
 
 
 def planned(lens, feed, stock, **tool):

@@ -63,7 +63,7 @@ def numbers(pose):
 
 def test_troutman_731_random_poses_of_the_infrared_lens_come_back():
     """Troutman 2016, 7.3.1: 360 points, poses within 5 mm and 5 deg. All 500 were run; here 20 of them."""
-    part = Job.load(EXAMPLES / "infrared_lens.toml").part.part
+    part = Job.load(EXAMPLES / "infrared_lens.toml").part
     for seed in range(20):
         rng = np.random.default_rng(1000 + seed)
         true = random_pose(rng)

@@ -159,8 +159,8 @@ def test_the_thinned_program_leaves_what_the_whole_one_leaves(kind):
         head, rows = stored(plan, keep, reach)
         assert head["duration"] == duration
         for draw in DEVIATIONS:
-            real = draws_of.deviated(job.tool.tool, job.machine.machine, draw)
-            few = scene_motion(head, rows, job.machine.machine, {})
+            real = draws_of.deviated(job.tool, job.machine, draw)
+            few = scene_motion(head, rows, job.machine, {})
             few = drifted(few, *real.drift, drift_share(few.time, duration, 5.0))
             left = scene.generated(few, real.tool, real.machine, head["near"])
             whole = drifted(plan.motion, *real.drift, drift_share(plan.motion.time, duration, 5.0))
@@ -174,7 +174,7 @@ def test_the_thinned_program_leaves_what_the_whole_one_leaves(kind):
 def test_few_lines_tell_the_form_of_many():
     job = job_of("mirror")
     budget = ErrorBudget.typical()
-    real = draws_of.deviated(job.tool.tool, job.machine.machine, {"tool offset x": 0.003, "tool offset y": 0.002,
+    real = draws_of.deviated(job.tool, job.machine, {"tool offset x": 0.003, "tool offset y": 0.002,
         "waviness P6": 2e-5})  # fmt: skip
     reach = draws_of.reach_of(budget, job)
     plan = planned(job, reach)
@@ -187,7 +187,7 @@ def test_few_lines_tell_the_form_of_many():
     numbers = []
     for scene in (few, many):
         left = scene.generated(plan.motion, real.tool, real.machine, 0.1)
-        error = left.z - job.part.part.surface.sag(left.x.ravel(), left.y.ravel()).reshape(left.z.shape)
+        error = left.z - job.part.surface.sag(left.x.ravel(), left.y.ravel()).reshape(left.z.shape)
         form = draws_of.form_error(job, left, error)
         there = np.isfinite(form)
         rms = math.sqrt(np.average(form[there] ** 2, weights=np.broadcast_to(left.weight, form.shape)[there]))
@@ -197,11 +197,11 @@ def test_few_lines_tell_the_form_of_many():
 
 def left_by(job, plan, **offset):
     """The error at the lines of a job whose tool stands off, from its thinned program. [mm]"""
-    tool = replace(job.tool.tool, offset=(offset.get("x", 0.0), offset.get("y", 0.0), 0.0))
+    tool = replace(job.tool, offset=(offset.get("x", 0.0), offset.get("y", 0.0), 0.0))
     scene, reach = lines_of(job, plan.motion.feed), Reach(along=0.02, across=0.01, servos={})
     head, rows = stored(plan, kept(plan, scene, reach), reach)
-    left = scene.generated(scene_motion(head, rows, job.machine.machine, {}), tool, job.machine.machine, head["near"])
-    return left, left.z - job.part.part.surface.sag(left.x.ravel(), left.y.ravel()).reshape(left.z.shape), tool
+    left = scene.generated(scene_motion(head, rows, job.machine, {}), tool, job.machine, head["near"])
+    return left, left.z - job.part.surface.sag(left.x.ravel(), left.y.ravel()).reshape(left.z.shape), tool
 
 
 def test_lines_reach_the_tip_of_a_cone_on_the_axis():
@@ -227,7 +227,7 @@ def test_lines_reach_the_tip_of_a_cone_on_the_axis():
         # And the whole map of the whole program at many rings.
         rings = np.concatenate([np.linspace(0, 0.01, 81), np.linspace(0.02, rim, 400)])
         azimuth = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-        whole = tw.generate_polar(plan.motion, tool, radius=rings, angle=azimuth).minus(job.part.part.surface).z
+        whole = tw.generate_polar(plan.motion, tool, radius=rings, angle=azimuth).minus(job.part.surface).z
         assert np.ptp(error) == pytest.approx(np.ptp(whole), abs=2.5 / NM)
 
 
@@ -262,8 +262,8 @@ def test_nothing_leaps_while_a_core_grows():
     )  # fmt: skip
 
     def seen(core):
-        tool = replace(job.tool.tool, offset=(0.0, core / 4, 0.0))
-        left = scene.generated(close, tool, job.machine.machine, 0.1)
+        tool = replace(job.tool, offset=(0.0, core / 4, 0.0))
+        left = scene.generated(close, tool, job.machine, 0.1)
         there = np.isfinite(left.z)
         return np.broadcast_to(left.weight, there.shape)[there], np.hypot(left.x, left.y)[there] ** 2
 
@@ -289,7 +289,7 @@ def test_lines_end_at_the_core_of_a_tool_off_centre(kind):
         # Of a map of the whole program, the core left out, little is missed.
         rings = np.concatenate([np.geomspace(4 * abs(aside), 0.1, 40), np.linspace(0.11, 3.0 * (1 - 1e-4), 400)])
         azimuth = np.linspace(0, 2 * np.pi, 180, endpoint=False)
-        whole = tw.generate_polar(plan.motion, tool, radius=rings, angle=azimuth).minus(job.part.part.surface).z
+        whole = tw.generate_polar(plan.motion, tool, radius=rings, angle=azimuth).minus(job.part.surface).z
         assert np.ptp(error[there]) == pytest.approx(np.ptp(whole), rel=0.01 if kind == "fine mirror" else 0.1)
 
 
@@ -378,14 +378,14 @@ def test_servos_between_the_nodes_are_tracked_ones(tmp_path):
     scene = lines_of(job, plan.motion.feed)
     head, rows = stored(plan, kept(plan, scene, reach), reach)
     assert set(head["nodes"]) == {"X", "Z"}
-    machine = job.machine.machine
+    machine = job.machine
     faster = {"Z": 0.13, "X": -0.17}
     axes = dict(machine.axes)
     for letter, share in faster.items():
         response = axes[letter].response
         quick = replace(response, frequency_hz=response.frequency_hz * (1 + share))
         axes[letter] = replace(axes[letter], response=quick)
-    cut, tool = job.passes[-1], job.tool.tool
+    cut, tool = job.passes[-1], job.tool
     spiral = job.servo(cut).spiral(job.part.aimed, tool)
     motion = tw.drive(tw.place(spiral, job.part.aimed, tool), job.servo(cut), machine)
     whole = track(motion, replace(machine, axes=axes), chord=1e-7)
@@ -407,16 +407,16 @@ def test_the_short_way_to_a_corrected_part_is_the_long_one(tmp_path, number):
     real = bench.real(draw)
     found = bench.found(draw, [5, number])
     planned_only, _ = bench.judged(real)
-    short, _ = bench.judged(draws_of.residual(real, job.tool.tool, job.machine.machine, found))
+    short, _ = bench.judged(draws_of.residual(real, job.tool, job.machine, found))
     # The long way: a job file with what was found, planned, placed and driven anew, cut with the real tool.
     (tmp_path / "better").mkdir()
-    draws = found.on(job.part.part)
+    draws = found.on(job.part)
     if not prove(draws, np.zeros(draws.x.size)).ok:
         with pytest.raises(CorrectionError):
             correct(job, found, out=tmp_path / "better")
         return
     better = correct(job, found, out=tmp_path / "better").job
-    assert better.tool.tool.offset == found.likely_tool.offset
+    assert better.tool.offset == found.likely_tool.offset
     again = bench_of(better, budget, tmp_path / "two")
     long, _ = again.judged(real)
     assert short["form_pv_nm"] == pytest.approx(long["form_pv_nm"], rel=0.025, abs=1.0)  # to the rim

@@ -170,7 +170,7 @@ def test_a_part_that_nothing_else_places_is_put_about_its_axis(surface):
     x, y = cusps.points()
     inside = np.hypot(x - centre[0], y - centre[1]) < 1.85
     z = cusps.z - 50e-6 * (x * x - y * y) - 30e-6 * x * y * y
-    z = np.where(inside, z + recipe.part.part.surface.sag(x - centre[0], y - centre[1]), np.nan)
+    z = np.where(inside, z + recipe.part.surface.sag(x - centre[0], y - centre[1]), np.nan)
     measured = tw.measure(recipe, tw.HeightMap(x=cusps.x, y=cusps.y, z=z))
     assert measured.axis.source == "cusps"
     at = measured.registration.pose.apply(*centre, 0.0)

@@ -28,7 +28,7 @@ def test_the_cusp_on_the_axis_counts_as_closed_form_has_it():
     job = tw.Job.read(DISH | {"tolerances": {"form_pv": "40 nm"}})
     cusp = 0.01**2 / (8 * 0.5) * (1 - 0.5 / 20) ** -1 * 9 / 4 * 1e6
     exact = plan_pass(job, job.passes[-1]).commanded
-    assert find_extremes(exact, job.tool.tool, job.part.part).pv_nm == pytest.approx(cusp, rel=2e-4)
+    assert find_extremes(exact, job.tool, job.part).pv_nm == pytest.approx(cusp, rel=2e-4)
     _, result = finishing_motion(job)
     whole = result.predictions[0]
     assert whole.pv_nm == pytest.approx(cusp, abs=2 * result.rounding_limit_nm)
@@ -130,9 +130,9 @@ def test_a_study_without_errors_finds_the_cusps_of_a_dense_map(kind, tmp_path):
     found, _ = bench.judged(bench.real({}))
     motion, result = finishing_motion(job)
     count = 4000
-    radius = job.part.part.radius * np.sqrt((np.arange(count) + 0.5) / count)
+    radius = job.part.radius * np.sqrt((np.arange(count) + 0.5) / count)
     angle = np.linspace(0, 2 * np.pi, 96, endpoint=False) + 0.01
-    error = generate_polar(motion, job.tool.tool, radius=radius, angle=angle).minus(job.part.part.surface)
+    error = generate_polar(motion, job.tool, radius=radius, angle=angle).minus(job.part.surface)
     level = replace(error, z=error.z - error.z.mean())
     assert found["form_rms_nm"] == pytest.approx(np.sqrt(np.mean(level.z**2)) * 1e6, rel=0.01)
     assert found["form_pv_nm"] == pytest.approx(result.predictions[0].pv_nm, rel=0.01)

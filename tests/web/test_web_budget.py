@@ -78,9 +78,9 @@ def test_the_budget_of_a_run_is_that_of_the_comparison(made: tuple[Path, tw.job.
     assert found["cusp_away_nm"] == pytest.approx((NOSE - np.sqrt(NOSE**2 - FEED**2 / 4)) * 1e6, rel=0.02)
     job = result.job
     servo = job.servo(job.passes[-1])
-    spiral = servo.spiral(job.part.aimed, job.tool.tool)
-    motion = tw.drive(tw.place(spiral, job.part.aimed, job.tool.tool), servo, job.machine.machine)
-    told = shares(job.part.aimed, job.tool.tool, spiral, motion)
+    spiral = servo.spiral(job.part.aimed, job.tool)
+    motion = tw.drive(tw.place(spiral, job.part.aimed, job.tool), servo, job.machine)
+    told = shares(job.part.aimed, job.tool, spiral, motion)
     assert found["cusp_nm"] == pytest.approx(told.cusp_nm, rel=1e-9)
     assert found["pv_nm"] == pytest.approx(told.pv_nm, abs=2 * result.rounding_limit_nm)
     assert abs(found["chord_nm"] - told.chord_nm) <= 2 * result.rounding_limit_nm

@@ -766,7 +766,7 @@ def test_an_injected_offset_is_found_and_corrected(bench, folder, tmp_path):
     (tmp_path / "correction.npz").write_bytes(table)
     assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "part.nc").read_bytes() == program
-    assert tw.Job.load(tmp_path / "job.toml").tool.tool.offset[0] == pytest.approx(OFFSET, abs=doubt * 1e-3)
+    assert tw.Job.load(tmp_path / "job.toml").tool.offset[0] == pytest.approx(OFFSET, abs=doubt * 1e-3)
     page.get_by_role("button", name="Take the corrected job into the fields").click()
     page.locator("#pill.good").wait_for()
 
@@ -1145,8 +1145,8 @@ def both_schemes(one):
 def instrument(job, file):
     """Write what an instrument sees of a job whose tool stood beside its place."""
     recipe = tw.Job.load(job)
-    part, tool, servo = recipe.part.aimed, recipe.tool.tool, recipe.servo(recipe.passes[-1])
-    motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, recipe.machine.machine)
+    part, tool, servo = recipe.part.aimed, recipe.tool, recipe.servo(recipe.passes[-1])
+    motion = tw.drive(tw.place(servo.spiral(part, tool), part, tool), servo, recipe.machine)
     axis = np.linspace(-part.radius, part.radius, 301)
     x, y = np.meshgrid(axis, axis)
     inside = np.hypot(x, y) < 0.98 * part.radius

@@ -79,7 +79,7 @@ def test_a_message_that_is_cut_short_is_refused(cut: int) -> None:
 @pytest.mark.parametrize("name", ["infrared_lens", "hexagonal_array"])
 def test_a_surface_is_seen_as_its_own_functions_say(name: str) -> None:
     data = tomllib.loads((EXAMPLES / f"{name}.toml").read_text(encoding="utf-8"))
-    part = tw.Job.read(data).part.part
+    part = tw.Job.read(data).part
     axis = np.linspace(-part.radius, part.radius, 33)
     x, y = np.meshgrid(axis, axis)
     inside = (np.hypot(x, y) <= part.radius) & (np.hypot(x, y) > 0)
@@ -105,7 +105,7 @@ def test_the_curvature_of_a_sphere_is_that_of_its_circle() -> None:
 def test_the_least_clearance_margin_seen_is_that_of_the_access() -> None:
     data = tomllib.loads((EXAMPLES / "infrared_lens.toml").read_text(encoding="utf-8"))
     job = tw.Job.read(data)
-    finding = next(one for one in tw.check_access(job.part.part, job.tool.tool).findings if one.name == "clearance")
+    finding = next(one for one in tw.check_access(job.part, job.tool).findings if one.name == "clearance")
     header, _ = unpack(_seen.surface(data, "", "clearance margin", 257))
     assert finding.margin is not None
     assert finding.margin - 1e-12 <= header["low"] <= finding.margin + 1e-3
@@ -129,7 +129,7 @@ def test_the_chip_on_a_flat_is_the_round_chip() -> None:
 def test_the_chip_on_a_curve_is_that_found_along_a_path() -> None:
     # Oracle: the chip of a path that was placed, well away from entry and axis.
     job = tw.Job.read(BOWL)
-    part, tool = job.part.part, job.tool.tool
+    part, tool = job.part, job.tool
     motion = tw.job.Pipeline(job).motion
     found = tw.cutting.chip_map(motion, tool, part)
     away = np.hypot(found.x, found.y)
@@ -150,7 +150,7 @@ def test_the_chip_on_a_curve_is_that_found_along_a_path() -> None:
 )
 def test_a_glimpse_is_points_of_the_whole_spiral(servo: tw.strategy.Strategy) -> None:
     job = tw.Job.read(BOWL)
-    part, tool = job.part.part, replace(job.tool.tool, offset=(0.003, 0.0, 0.0))
+    part, tool = job.part, replace(job.tool, offset=(0.003, 0.0, 0.0))
     whole = servo.spiral(part, tool)
     some = servo.glimpse(part, tool, turns=12, per_turn=24)
     at = np.searchsorted(whole.angle * whole.sense, some.angle * some.sense)
@@ -174,7 +174,7 @@ def test_a_path_is_seen_in_true_contact() -> None:
     np.testing.assert_allclose(np.sin(arrays["sweep"]), radius / 8.5, atol=1e-6)
     assert arrays["clearance"].min() > -1e-12  # rounding
     assert header["feed"] == pytest.approx(0.02)
-    assert header["nose_radius"] == job.tool.tool.nose_radius
+    assert header["nose_radius"] == job.tool.nose_radius
     assert header["starts"][0] == 0
     assert header["starts"][-1] == radius.size
     # Between two pieces at least a turn is left out, within one none.
@@ -220,11 +220,11 @@ def test_a_fine_window_is_that_of_generate(made: tuple[Path, tw.job.Result], qua
     job = result.job
     again = tw.read_nc(out / result.program.files[0].name, result.machine)
     whole = tw.generate(again, job.actual_tool, x=x, y=y, machine=job.actual_machine)
-    inside = np.hypot(*np.meshgrid(x, y)) <= job.part.part.radius
+    inside = np.hypot(*np.meshgrid(x, y)) <= job.part.radius
     px, py = (one[inside] for one in np.meshgrid(x, y))
-    wanted = whole.z[inside] - job.part.part.surface.sag(px, py)
+    wanted = whole.z[inside] - job.part.surface.sag(px, py)
     if quantity == "height":
-        wanted = wanted + job.part.part.surface.sag(px, py)
+        wanted = wanted + job.part.surface.sag(px, py)
     np.testing.assert_array_equal(arrays["values"][inside], wanted.astype("<f4"))
     assert np.isnan(arrays["values"][~inside]).all()
     assert header["source"] == "generated"
@@ -315,7 +315,7 @@ def test_the_spectrum_finds_a_sine(made: tuple[Path, tw.job.Result], monkeypatch
     at = int(np.argmax(arrays["amplitude"]))
     assert arrays["frequency"][at] == pytest.approx(7.5, abs=0.5)
     assert arrays["amplitude"][at] == pytest.approx(2e-5, rel=0.1)
-    limit = opened.job.machine.machine.axes["Z"].amplitude(arrays["frequency"].astype(float))
+    limit = opened.job.machine.axes["Z"].amplitude(arrays["frequency"].astype(float))
     np.testing.assert_allclose(arrays["allowed"], limit, rtol=1e-5)
     assert header["axis"] == "Z"
     with pytest.raises(tw.InputError, match="it has C, X, Z"):

@@ -202,7 +202,7 @@ def backplot(
         steps = (read, *steps_of_prediction(recipe, tracking=track or None))
         with progress_of(door.stop, steps) as progress:
             motion = _read(program, recipe, cut, progress, block_delete=block_delete)
-            limits = check_limits(motion, recipe.machine.machine)
+            limits = check_limits(motion, recipe.machine)
             predictions = predict(recipe, motion, tracking=track or None, progress=progress)
         if folder is not None:
             import json  # noqa: PLC0415
@@ -230,7 +230,7 @@ def _read(program: Path, recipe: Job, cut: str | None, progress: StageProgress, 
     """Read a program by its dialect, or a table of axis positions."""
     from turnwright.post import read_fast_tool, read_nc, read_table  # noqa: PLC0415
 
-    machine = recipe.machine.machine
+    machine = recipe.machine
     if program.suffix.lower() == ".csv" and cut is not None:
         raise InputError(f"a table holds one pass without a name, --pass is {cut!r}: leave it out")
     if program.suffix.lower() != ".csv":

@@ -95,7 +95,7 @@ def artefact(
             progress=progress,
         )
     write_whole(out, edited(text, recipe, made, folder=job.absolute().parent, into=out.absolute().parent))
-    door.say(f"{made.part.part.name}: radius {made.part.radius:g} mm, {made.strategy.spindle_speed:.4g} rpm")
+    door.say(f"{made.part.name}: radius {made.part.radius:g} mm, {made.strategy.spindle_speed:.4g} rpm")
     door.say(f"job: {out}")
 
 
@@ -248,7 +248,7 @@ def _measured(
 def _say_measured(door: Door, measured: Sequence[Measured]) -> None:
     for one in measured:
         door.say(
-            f"{one.heights.name or one.job.part.part.name}: form error PV {one.form_pv_nm:.4g} nm, rms "
+            f"{one.heights.name or one.job.part.name}: form error PV {one.form_pv_nm:.4g} nm, rms "
             f"{one.form_rms_nm:.4g} nm; {one.spikes} spikes taken out"
         )
         if one.lenslets is not None:

@@ -52,7 +52,7 @@ def tile(
 
     recipe = Job.load(job)
     step = parse(pixel, "mm")
-    part, store = recipe.part.part, out / MAP
+    part, store = recipe.part, out / MAP
     # Whatever can be refused is refused before the part is planned, which may take minutes.
     _require_own(out)
     planned_layout(store, step, radius=part.radius, tile=size)
@@ -97,7 +97,7 @@ def _steps(job: Job, pixel: float) -> tuple[Step, ...]:
     """Return what a map of a job takes: the program is planned and read again, then come the tiles."""
     from turnwright.job import steps_of_run  # noqa: PLC0415 - costly
 
-    heights = math.pi * (job.part.part.radius / pixel) ** 2
+    heights = math.pi * (job.part.radius / pixel) ** 2
     stages = {"tiles": 2e-6, "roughness of the part": 2e-7, "spectrum": 5e-7}
     *before, report = steps_of_run(job)
     return (*before, *(Step(stage=stage, work=work * heights) for stage, work in stages.items()), report)

@@ -20,7 +20,7 @@ from turnwright.job.measurement import Measured, diagnose, measure, read_measure
 from turnwright.job.pass_plan import PassPlan, plan_pass
 from turnwright.job.pipeline import Pipeline
 from turnwright.job.planning import Plan, Trial, plan
-from turnwright.job.prescriptions import GriddedTable, Series
+from turnwright.job.named import HeightFile, MachineDeviations, context_of, with_keys
 from turnwright.job.result import Pass, Prediction, Preview, Result
 from turnwright.job.running import (
     finishing_motion,
@@ -30,26 +30,25 @@ from turnwright.job.running import (
     program_shares,
     run,
 )
-from turnwright.job.schema import InstrumentTable, Job, MachineTable, PartTable, ToolDeviations, faults
+from turnwright.job.schema import TAGS, Job, faults
 from turnwright.job.shape import PartShape, part_shape
-from turnwright.job.table import Table, sentences
+from turnwright.job.table import Table, keys_of, sentences
 from turnwright.job.text import as_tables, edited, written
 from turnwright.job.verdict import Verdict, judge, judge_form, missed, unjudged
 
 __all__ = [
+    "TAGS",
     "Artefact",
     "Candidate",
     "Comparison",
     "Correction",
     "Entry",
     "Finish",
-    "GriddedTable",
-    "InstrumentTable",
+    "HeightFile",
     "Job",
-    "MachineTable",
+    "MachineDeviations",
     "Measured",
     "PartShape",
-    "PartTable",
     "Pass",
     "PassPlan",
     "Pipeline",
@@ -57,15 +56,14 @@ __all__ = [
     "Prediction",
     "Preview",
     "Result",
-    "Series",
     "Shares",
     "Table",
-    "ToolDeviations",
     "Trial",
     "Verdict",
     "artefact",
     "as_tables",
     "compare",
+    "context_of",
     "correct",
     "diagnose",
     "edited",
@@ -75,6 +73,7 @@ __all__ = [
     "has_servos",
     "judge",
     "judge_form",
+    "keys_of",
     "measure",
     "missed",
     "part_shape",
@@ -97,6 +96,7 @@ __all__ = [
     "steps_of_preview",
     "steps_of_run",
     "unjudged",
+    "with_keys",
     "without_servos",
     "written",
 ]

@@ -54,7 +54,7 @@ FEWEST_POINTS = 36
 def steps_of_run(job: Job) -> tuple[Step, ...]:
     """Return the steps of `run`, and of its report."""
     steps = [Step(stage="access", work=ACCESS_S), Step(stage="depth of cut", work=DEPTH_S)]
-    stock = job.part.part.stock
+    stock = job.part.stock
     known = job.part.substance
     written = 0.0
     for cut in job.passes:
@@ -118,7 +118,7 @@ def steps_of_plan(job: Job) -> tuple[Step, ...]:
     points = _points(job, job.passes[-1])
     one = sum(step.work for step in _placed(job, points)) + (WRITE_S + READ_S + EXTREMES_S) * points
     work = PROOFS * (one + sum(step.work for step in steps_of_prediction(job, tracking=has_servos(job.actual_machine))))
-    controller = job.machine.machine.controller
+    controller = job.machine.controller
     others = () if job.machine.interpolation else controller.other_interpolations
     return tuple(Step(stage=stage_of(name), work=work) for name in (controller.interpolation, *others))
 
@@ -183,7 +183,7 @@ def _placed(job: Job, points: float) -> Iterator[Step]:
 
 def _points(job: Job, cut: PassTable) -> float:
     """Return about how many points a pass has: they are not placed yet. [million]."""
-    part, tool = job.part.aimed, job.tool.tool
+    part, tool = job.part.aimed, job.tool
     try:
         servo = job.servo(cut)
     except TurnwrightError:  # the run will say it

@@ -184,7 +184,7 @@ def _require_above(job: Job, name: str, plunge: Motion, start: float) -> None:
 
     ``start`` is how far below contact the pass begins, where it does. [mm]
     """
-    part, tool = job.part.aimed, job.tool.tool
+    part, tool = job.part.aimed, job.tool
     turned = np.abs(plunge.axes["C"] - plunge.axes["C"][-1])
     last = np.flatnonzero(turned <= TURN + 1e-9)
     last = last[:: -(-last.size // PROOF_POINTS)]
@@ -219,7 +219,7 @@ def _with_fast_tool(plunge: Motion, turned: Floats, fast: Mapping[str, Floats]) 
 def _beyond_travel(job: Job, name: str, fast: Mapping[str, Floats]) -> str:
     """Return a sentence if a fast tool would pass an end of its travel in a plunge."""
     for letter, values in fast.items():
-        axis = job.machine.machine.axes.get(letter, Axis())
+        axis = job.machine.axes.get(letter, Axis())
         low, high = (-math.inf if axis.low is None else axis.low), (math.inf if axis.high is None else axis.high)
         if values.min() < low or values.max() > high:
             return (
@@ -232,7 +232,7 @@ def _beyond_travel(job: Job, name: str, fast: Mapping[str, Floats]) -> str:
 
 def _entry(job: Job, name: str, motion: Motion, before: Motion | None) -> Entry:
     """Return how the tool enters one pass."""
-    part, tool = job.part.aimed, job.tool.tool
+    part, tool = job.part.aimed, job.tool
     turned, axes = entry_path(motion)
     x0, y0 = float(motion.axes["X"][0]), float(motion.axes["Y"][0]) if "Y" in motion.axes else 0.0
     x0 += float(motion.axes["U"][0]) if "U" in motion.axes else 0.0

@@ -68,7 +68,7 @@ def artefact(
     """
     if kind not in ("tilted flat", "concave sphere"):
         raise JobError(f'artefact is {kind!r}, it must be "tilted flat" or "concave sphere": name one of them')
-    part, tool = job.part.part, job.tool.tool
+    part, tool = job.part, job.tool
     sweep = check_access(part, tool, sense=job.strategy.sense).sweep
     if slope is None:
         slope = np.deg2rad(math.ceil(np.rad2deg(max(-sweep[0], sweep[1], LEAST)) * 10 - 1e-6) / 10)
@@ -110,7 +110,7 @@ def _speed(job: Job, progress: StageProgress | None) -> float:
     """Return the speed that the finishing pass of a part comes to. [rev/min]."""
     told = progress or (lambda _stage, _done, _total: None)
     told("speed of the part", 0, 1)
-    rpm = check_limits(plan_pass(job, job.passes[-1]).wanted, job.machine.machine).spindle_rpm
+    rpm = check_limits(plan_pass(job, job.passes[-1]).wanted, job.machine).spindle_rpm
     told("speed of the part", 1, 1)
     # Not a digit faster than the machine's limits let the part go.
     return math.floor(rpm * 1000) / 1000

@@ -160,7 +160,7 @@ def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
         Called with (stage, done, total).
     """
     report = progress or (lambda _stage, _done, _total: None)
-    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part.aimed, job.tool, job.machine
     own = job.servo(job.passes[-1])
     report("what the job asks for", 0, 1)
     feed, scallop, chord = _asked(own, part, tool, machine)
@@ -204,7 +204,7 @@ def _ways(
     job: Job, own: Strategy, feed: float, scallop: float, chord: float
 ) -> Iterator[tuple[str, Callable[[], Strategy]]]:
     """Yield every strategy by its name, to be set up when its turn comes."""
-    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part.aimed, job.tool, job.machine
     rpm, sense, inside_out = own.spindle_rpm, job.strategy.sense, job.strategy.inside_out
     linear = machine.controller.interpolation != "hermite"
     shared: dict[str, Any] = {"spindle_rpm": rpm, "sense": sense, "inside_out": inside_out}
@@ -256,7 +256,7 @@ def strategies_of(job: Job) -> list[str]:
 def _tried(name: str, way: Callable[[], Strategy], job: Job, report: StageProgress) -> Candidate:
     """Return what a strategy makes of a part, or why it does not."""
     start = time.perf_counter()
-    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part.aimed, job.tool, job.machine
     servo = None
 
     def third(number: int) -> Progress:

@@ -250,8 +250,8 @@ def _simulated(
         better = _better(job, found, plan, (), File(folder))
         new = motion_of(better)
         if not every:
-            x, y = evenly(job.part.part, SHOWN)
-            off = cut_by(new, real, x, y) - job.part.part.surface.sag(x, y)
+            x, y = evenly(job.part, SHOWN)
+            off = cut_by(new, real, x, y) - job.part.surface.sag(x, y)
             simulated = HeightMap(x=x, y=y, z=beyond_pose(job, x, y, off), name="simulated error")
             return _Maps(None, None, simulated)
         _check_simulated(job, better, plan)
@@ -277,7 +277,7 @@ def _simulated(
 
 def _check(job: Job, found: Diagnosis) -> None:
     """Raise unless the job cuts with the tool on the machine that were diagnosed, whatever their deviations."""
-    tool, machine = job.tool.tool, job.machine.machine
+    tool, machine = job.tool, job.machine
     if (tool.nose_radius, tool.included, tool.rake) != (found.tool.nose_radius, found.tool.included, found.tool.rake):
         raise InputError(
             f"the job cuts with a nose radius {tool.nose_radius:g} mm, the measured parts were cut with "
@@ -302,8 +302,8 @@ def _better(
     table.pop("actual", None)  # the correction is its prediction now
     if plan.sources:
         tool, machine = (found.likely_tool, found.likely_machine) if plan.likely else (found.tool, found.machine)
-        _put_tool(table["tool"], tool, job.tool.tool, out)
-        _put_machine(table["machine"], machine, job.machine.machine, out)
+        _put_tool(table["tool"], tool, job.tool, out)
+        _put_machine(table["machine"], machine, job.machine, out)
     if plan.smooth is not None and plan.smooth.cutoff is not None:
         file, new = out / "correction.npz", plan.smooth.table
         write_map(HeightMap(x=new.x, y=new.y, z=new.z, name="correction"), file)
@@ -412,7 +412,7 @@ def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
     worth_nm = job.measurement.worth * NM
     worth = any(one.verdict == "correct" and one.cause in PLANNED for one in found)
     if not any(own):
-        draws = found.on(job.part.part)
+        draws = found.on(job.part)
         proof = prove(draws, np.zeros(draws.x.size), worth_nm=worth_nm)
         yield _Plan(likely=True, sources=True, smooth=None, map=0, draws=draws, proof=proof)
         return
@@ -428,7 +428,7 @@ def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
         if not sources and not worth:
             return
         form = _smooth(job, _joined(job, [one for one, part in zip(maps, own, strict=True) if part]))
-        smooth = _together([one for one in (form, rest) if one is not None and one.cutoff is not None], job.part.added)
+        smooth = _together([one for one in (form, rest) if one is not None and one.cutoff is not None], job.part.correction)
         added = np.zeros(draws.x.size)
         if smooth is not None:
             x, y = draws.places[:, 0], draws.places[:, 1]  # what is added stays on the part, wherever the map was
@@ -519,7 +519,7 @@ def _check_linear(job: Job, draws: Draws) -> None:
     """Raise if some draws, simulated in full, are not what the linear model makes of them."""
     some, places = _cuspless(job, draws)
     motion = replace(motion_of(job), velocity=None)
-    tool, machine = job.tool.tool, job.machine.machine
+    tool, machine = job.tool, job.machine
     clean = _means(motion, tool, machine, places)
     for case in draws.cases:
         made = _means(_off(motion, case), case.tool, case.machine, places) - clean + case.rest[some]
@@ -539,7 +539,7 @@ def _check_simulated(job: Job, better: Job, plan: _Plan) -> None:
     """Raise if the corrected job does not change the part as it is meant to."""
     draws = plan.draws
     some, places = _cuspless(job, draws)
-    after, before = (_means(motion_of(one), one.tool.tool, one.machine.machine, places) for one in (better, job))
+    after, before = (_means(motion_of(one), one.tool, one.machine, places) for one in (better, job))
     now, then = (_added(one, draws.x[some], draws.y[some]) for one in (better, job))
     known = np.isfinite(after - before)
     rest = replace(draws, pose=draws.pose[some][known])
@@ -591,7 +591,7 @@ def _check_candidates(one: Measured, job: Job, change: Callable[[Floats, Floats]
 
 def _added(job: Job, x: Floats, y: Floats) -> Floats:
     """Return what a job adds to its design at some places, of their shape. [mm]."""
-    return np.zeros_like(x) if job.part.added is None else job.part.added.evaluate(x, y, 0)[0]
+    return np.zeros_like(x) if job.part.correction is None else job.part.correction.evaluate(x, y, 0)[0]
 
 
 def _off(motion: Motion, case: DrawnCut) -> Motion:
@@ -605,9 +605,9 @@ def _cuspless(job: Job, draws: Draws) -> tuple[NDArray[np.intp], tuple[Floats, F
 
     Nearer to the rim than a drawn tip is off, the first turn may come short of the part.
     """
-    planned = job.tool.tool.offset
+    planned = job.tool.offset
     off = max((math.dist(case.tool.offset[:2], planned[:2]) for case in draws.cases), default=0.0)
-    cut = np.flatnonzero(np.hypot(draws.x, draws.y) < job.part.part.radius - off - feed_of(job))
+    cut = np.flatnonzero(np.hypot(draws.x, draws.y) < job.part.radius - off - feed_of(job))
     some = cut[:: -(-draws.x.size // PLACES)]
     return some, across_feed(job, draws.x[some], draws.y[some], FINE)
 
@@ -684,10 +684,10 @@ def _smooth(job: Job, left: HeightMap) -> Smooth:
     def stated(name: str) -> float:
         return getattr(last, name, None) or getattr(strategy, name, None) or 0.0
 
-    tool = job.tool.tool
+    tool = job.tool
     half = np.pi / 2 if tool.included is None else tool.included / 2
     beyond = stated("lead_in") + stated("overrun") + tool.actual_radius * float(np.sin(half))
-    return form_compensation(job.part.part, left, cutoff=cutoff_of(job), beyond=beyond)
+    return form_compensation(job.part, left, cutoff=cutoff_of(job), beyond=beyond)
 
 
 def _put_tool(table: dict[str, Any], tool: Tool, planned: Tool, out: File) -> None:

@@ -87,12 +87,12 @@ def chips_of(
     job: Job, motion: Motion, before: Motion | None, allowance: float, tell: Progress
 ) -> tuple[PassChips, ChipMap] | str:
     """Return the chips of a pass, or why they are not found."""
-    material, part = job.part.substance, job.part.part
+    material, part = job.part.substance, job.part
     if before is None and not part.stock > 0:
         return "the chips of the first pass are not found, since the part states no stock: add part.stock"
     try:
         chips = chip_map(
-            motion, job.tool.tool, part, before=before, material=material, points=_spread(motion), progress=tell
+            motion, job.tool, part, before=before, material=material, points=_spread(motion), progress=tell
         )
     except InputError as error:
         return f"the chips are not found: {error}"
@@ -108,7 +108,7 @@ def chips_of(
     )
     if material is None or material.critical is None:
         return replace(told, sentence="ductile however thick the chip, as far as the material says"), chips
-    gate = ductile_gate(chips, material, job.tool.tool, allowance=allowance)
+    gate = ductile_gate(chips, material, job.tool, allowance=allowance)
     told = replace(
         told,
         critical=float(gate.critical[gate.worst]), margin=float(gate.margin[gate.worst]),
@@ -155,7 +155,7 @@ def _spread(motion: Motion) -> Ints:
 
 def foretold(job: Job, access: Access, cut: PassTable, feed: float, stock: float) -> str:
     """Return what the chips of a pass will be like before any path is placed; empty if nothing can be said."""
-    material, part = job.part.substance, job.part.part
+    material, part = job.part.substance, job.part
     if material is None or material.critical is None or not stock > 0:
         return ""
     radius, angle = np.meshgrid(part.radius * np.linspace(0.02, 1, 40), np.linspace(0, 2 * np.pi, 72, endpoint=False))
@@ -167,7 +167,7 @@ def foretold(job: Job, access: Access, cut: PassTable, feed: float, stock: float
     depth = (stock - cut.allowance) / cut.repeats(stock)
     try:
         return foretell(
-            job.tool.tool, material, feed=feed, depth=depth, bend=float(bend.min()), rakes=access.rake_range,
+            job.tool, material, feed=feed, depth=depth, bend=float(bend.min()), rakes=access.rake_range,
             allowance=cut.allowance,
         )  # fmt: skip
     except InputError as error:

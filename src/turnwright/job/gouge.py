@@ -69,7 +69,7 @@ def find_gouge(job: Job, whole: Prediction, motion: Motion, rounding_limit_nm: f
     """
     deviates = job.actual.tool.stated or job.actual.machine.stated or job.simulation.tracking
     by_time = job.program.fast_tool == "time"  # heights of its own between the points, which no chord bounds
-    if deviates or by_time or job.part.added is not None or job.strategy.along != "z":
+    if deviates or by_time or job.part.correction is not None or job.strategy.along != "z":
         return None
     flat = SLACK + rounding_limit_nm * 1e-6
     chord: float | None = job.strategy.chosen(job.passes[-1]).get("chord")
@@ -104,9 +104,9 @@ class _Chords:
     """How far straight lines between the points of a motion may be from the path."""
 
     def __init__(self, job: Job, motion: Motion) -> None:
-        tool, axes = job.tool.tool, motion.axes
+        tool, axes = job.tool, motion.axes
         c = axes["C"]
-        self.surface = job.part.part.surface
+        self.surface = job.part.surface
         self.x = axes["X"] + axes.get("U", 0.0)
         bends = [_bend(c, one) for one in (axes["Z"] + axes.get("W", 0.0), self.x, axes.get("Y", np.zeros(c.size)))]
         self.bend_z, self.bend_across = bends[0], bends[1] + bends[2]

@@ -18,7 +18,7 @@ from turnwright.heightmap import HeightMap
 from turnwright.job.advice import open_questions
 from turnwright.job.contributions import pv_nm_of
 from turnwright.job.predicted_finish import across_feed, feed_of, finished
-from turnwright.job.prescriptions import with_keys
+from turnwright.job.named import with_keys
 from turnwright.job.seen import SeenTexture, design_as_seen, texture_as_seen
 from turnwright.job.verdict import Verdict, judge_form
 from turnwright.metrology import (
@@ -253,7 +253,7 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
         If the map has no lengths and the job does not state its pixel size, or too little of it lies on the part.
     """
     report = progress or (lambda _stage, _done, _total: None)
-    asked, part = job.measurement, job.part.part
+    asked, part = job.measurement, job.part
     report("register", 0, 1)
     raw = _masked(heights, job)
     heights, start = _with_reference(_turned(raw, job), job)
@@ -325,10 +325,10 @@ def measure(job: Job, heights: HeightMap, *, progress: StageProgress | None = No
 
 def _registered_by(job: Job) -> dict[str, Any]:
     """Return what a job states of the registration of its maps, as `register` takes it."""
-    asked, part = job.measurement, job.part.part
+    asked, part = job.measurement, job.part
     # What a fiducial fixes is not fitted away beforehand.
     known = {name for one in asked.fixed for name in OF_POSE[one]}
-    terms: tuple[Surface, ...] = tuple(one.surface for one in asked.terms)
+    terms: tuple[Surface, ...] = asked.terms
     form_error = asked.form_error
     if not terms and has_lenslets(part.surface):
         # The form of the base is found along with the pose, else it turns and shifts the lenslets.
@@ -341,13 +341,13 @@ def _registered_by(job: Job) -> dict[str, Any]:
 
 def _loss_of(job: Job) -> Literal["linear", "huber", "tukey"]:
     """Return the loss by which all points of a map are registered: displaced lenslets must not pull."""
-    return job.measurement.loss or ("huber" if job.part.part.surface.in_pieces else "linear")
+    return job.measurement.loss or ("huber" if job.part.surface.in_pieces else "linear")
 
 
 def errors_at_candidates(measured: Measured) -> Iterator[tuple[Pose, HeightMap]]:
     """Yield the poses at which a map lies on its part as well or nearly so, and its errors there. Scattered. [mm]."""
     job = measured.job
-    part = job.part.part
+    part = job.part
     for one in measured.registration.candidates:
         there = register(
             measured.heights, part, loss=_loss_of(job), start=one.pose, reach=0.0, clocking=0.0, **_registered_by(job)
@@ -366,13 +366,13 @@ def _misplaced(measured: Measured, raw: HeightMap) -> str | None:
         return None  # the heights hold a departure from a sphere that is not known
     few = measured.error.thinned(FEW)
     x, y = few.points()
-    inside = np.isfinite(few.z) & (np.hypot(x, y) <= job.part.part.radius)
+    inside = np.isfinite(few.z) & (np.hypot(x, y) <= job.part.radius)
     x, y = x[inside], y[inside]
-    design = job.part.part.surface.sag(x, y)
+    design = job.part.surface.sag(x, y)
     own = [float(np.sqrt(np.mean(beyond_pose(job, x, y, design, sphere=one) ** 2))) * NM for one in (True, False)]
     shapes = ("best-fit sphere", "best-fit plane")
     better = None
-    name = measured.heights.name or job.part.part.name
+    name = measured.heights.name or job.part.name
     if zeros := _zeros(measured):
         return f"the heights of {name!r} do not look like this part: {zeros}"
     faintest = FAR * measured.registration.noise_nm
@@ -419,7 +419,7 @@ def _plausible_nm(job: Job, x: Floats, y: Floats) -> float:
     """Return what tool and machine plausibly make of a part, one standard deviation. [nm]."""
     free = [one for one in FREE if one not in job.measurement.fixed]
     return plausible_rms_nm(
-        job.part.part, job.tool.tool, job.machine.machine, x, y, free=free, sense=job.strategy.sense
+        job.part, job.tool, job.machine, x, y, free=free, sense=job.strategy.sense
     )
 
 
@@ -432,7 +432,7 @@ def _better_orientation(job: Job, raw: HeightMap) -> str | None:
         "inverted": (f"inverted = {str(not asked.inverted).lower()}", not asked.inverted),
         "rotation": (f'rotation = "{np.rad2deg(turned):.6g} deg"', turned),
     }
-    if axisymmetric(job.part.part.surface, job.part.radius):
+    if axisymmetric(job.part.surface, job.part.radius):
         changes = {"inverted": changes["inverted"]}
     thin = raw.thinned(FEW)
     off_nm = _fit_nm(job, thin)
@@ -457,7 +457,7 @@ def _fit_nm(job: Job, raw: HeightMap) -> float:
     known = {name for one in asked.fixed for name in OF_POSE[one]}
     free = tuple(name for name in asked.free if name not in known)
     found = register(
-        heights, job.part.part, loss="huber", start=start, free=free, reach=asked.reach,
+        heights, job.part, loss="huber", start=start, free=free, reach=asked.reach,
         clocking=asked.clocking if "rotation" in free else 0.0, form_error=asked.form_error,
     )  # fmt: skip
     squares = np.sort(found.error.z[np.isfinite(found.error.z)] ** 2)
@@ -466,7 +466,7 @@ def _fit_nm(job: Job, raw: HeightMap) -> float:
 
 def beyond_pose(job: Job, x: Floats, y: Floats, z: Floats, *, sphere: bool = False) -> Floats:
     """Return errors beyond a change of pose that the measurement leaves open, and beyond a sphere. (n,) [mm]."""
-    zx, zy = job.part.part.surface.gradient(x, y)
+    zx, zy = job.part.surface.gradient(x, y)
     one, asked = np.ones_like(x), job.measurement
     marks = {"z": one, "tilt_x": y, "tilt_y": x, "x": zx, "y": zy, "rotation": y * zx - x * zy}
     known = {name for fixed in asked.fixed for name in OF_POSE[fixed]}
@@ -591,9 +591,9 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
     means = [_gathered(one, first) for one in every]
     found = attribute(
         [one.heights for one in means],
-        [one.job.part.part for one in every],
-        first.tool.tool,
-        first.machine.machine,
+        [one.job.part for one in every],
+        first.tool,
+        first.machine,
         causes=asked.causes or DEFAULT,
         reference=asked.reference,
         free=[one for one in FREE if one not in asked.fixed],
@@ -611,7 +611,7 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
 
 def _planned_with(job: Job) -> tuple[Tool, Machine]:
     """Return tool and machine, whatever is held plausible of them."""
-    return replace(job.tool.tool, plausible={}), replace(job.machine.machine, plausible={})
+    return replace(job.tool, plausible={}), replace(job.machine, plausible={})
 
 
 def _stated(found: Diagnosis, every: Sequence[Measured], means: Sequence[_Means]) -> Diagnosis:
@@ -628,7 +628,7 @@ def _stated(found: Diagnosis, every: Sequence[Measured], means: Sequence[_Means]
 
 def cutoff_of(job: Job) -> float:
     """Return the shortest wavelength in which the part itself is corrected: well above its cusps. [mm]."""
-    diameter = 2 * job.part.part.radius
+    diameter = 2 * job.part.radius
     return job.measurement.cutoff or min(max(FEEDS * feed_of(job), diameter / ACROSS), diameter / 2)
 
 
@@ -651,7 +651,7 @@ def _gathered(measured: Measured, job: Job) -> _Means:
 
     They are without the cusps and the chords that the plan has: neither is a fault of tool or machine.
     """
-    part = measured.job.part.part
+    part = measured.job.part
     x, y = measured.error.points()
     error = measured.error.z
     inside = np.hypot(x, y) <= part.radius
@@ -738,9 +738,9 @@ def _with_reference(heights: HeightMap, job: Job) -> tuple[HeightMap, Pose | Non
     asked = job.measurement
     if asked.quantity == "height":
         return heights, asked.pose
-    reference = job.part.part.surface
+    reference = job.part.surface
     if asked.departure_from not in (None, "design"):
-        reference = asked.departure_from.surface  # type: ignore[union-attr] # a table, which the job has checked
+        reference = asked.departure_from
     x, y = heights.points()
     known = ~np.isnan(heights.z)
     pose = asked.pose

@@ -60,7 +60,7 @@ class PassPlan(NamedTuple):
 def plan_pass(job: Job, cut: PassTable, watch: Watch | None = None) -> PassPlan:
     """Plan a pass of a job with its tool, on its machine, at the part that it aims at."""
     watch = watch or Watch(None)
-    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part.aimed, job.tool, job.machine
     servo = job.servo(cut)
     with watch.stage("plan") as tell:
         spiral = servo.spiral(part, tool, progress=tell)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
-from pathlib import Path as File
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from turnwright.access import check_access
 from turnwright.errors import InputError
@@ -21,27 +20,19 @@ if TYPE_CHECKING:
     from turnwright.access import Access
     from turnwright.job.cutting import PassChips
     from turnwright.job.result import Prediction
-    from turnwright.job.schema import Job, PartTable, PassTable, ToolTable
+    from turnwright.job.schema import Job, PassTable
     from turnwright.motion import Limits
+    from turnwright.part import Part
     from turnwright.path import Motion, Path
+    from turnwright.tool import Tool
 
 __all__ = ["Pipeline"]
 
 
 @lru_cache(maxsize=8)
-def _access(part: PartTable, tool: ToolTable, sense: int, _files: tuple[tuple[int, int], ...]) -> Access:
-    """Return the access of a tool; cases that differ in feed and speed share it, while the files they name stay."""
-    return check_access(part.aimed, tool.tool, sense=sense)
-
-
-def _stamps(value: Any) -> Iterator[tuple[int, int]]:
-    """Yield when each file in the data of a job was changed, and its size."""
-    if isinstance(value, File):
-        known = value.stat()
-        yield known.st_mtime_ns, known.st_size
-    elif isinstance(value, dict | list | tuple):
-        for one in value.values() if isinstance(value, dict) else value:
-            yield from _stamps(one)
+def _access(part: Part, tool: Tool, sense: int) -> Access:
+    """Return the access of a tool; cases that differ in feed and speed share it."""
+    return check_access(part, tool, sense=sense)
 
 
 class Pipeline:
@@ -85,9 +76,7 @@ class Pipeline:
     @cached_property
     def access(self) -> Access:
         """Whether the tool reaches the part."""
-        part, tool = self.job.part, self.job.tool
-        files = tuple(_stamps((part.model_dump(), tool.model_dump())))
-        return _access(part, tool, self.job.strategy.sense, files)
+        return _access(self.job.part.aimed, self.job.tool, self.job.strategy.sense)
 
     @cached_property
     def _finishing(self) -> PassPlan:
@@ -110,7 +99,7 @@ class Pipeline:
 
     def _repetitions(self) -> Iterator[tuple[PassTable, float, tuple[str, float, float, Motion]]]:
         """Yield every pass with its feed and, for each repetition, its name, depth, what it leaves, and its motion."""
-        stock = self.job.part.part.stock
+        stock = self.job.part.stock
         for cut in self.job.passes:
             last = cut is self.job.passes[-1]
             feed, _, motion, _ = self._finishing if last else plan_pass(self.job, cut)
@@ -123,7 +112,7 @@ class Pipeline:
         """All passes in the order of cutting, with what they ask of the axes; their chips are in `chips`."""
         found = []
         for _, feed, (name, depth, left, motion) in self._repetitions():
-            limits = check_limits(motion, self.job.machine.machine)
+            limits = check_limits(motion, self.job.machine)
             found.append(
                 Pass(
                     name=name, allowance=left, depth=depth, feed=feed, spindle_rpm=limits.spindle_rpm,

@@ -180,7 +180,7 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     if "chord" not in type(job.strategy).model_fields:
         raise JobError(f"a plan sets a chord, which the {job.strategy.kind} does not have: choose another kind")
     report = progress or (lambda _stage, _done, _total: None)
-    controller = job.machine.machine.controller
+    controller = job.machine.controller
     own = controller.interpolation
     others = () if job.machine.interpolation else tuple(controller.other_interpolations)
     plans: list[Plan] = []
@@ -218,7 +218,7 @@ def _asking(job: Job, interpolation: str) -> Job:
 
 def _planned(job: Job, form: float, sq: float, report: StageProgress) -> Plan:
     """Return the quickest plan that keeps the tolerances [mm], with the interpolation that the job has."""
-    stage = stage_of(job.machine.machine.controller.interpolation)
+    stage = stage_of(job.machine.controller.interpolation)
 
     def tell(share: float) -> None:
         report(stage, round(share * FINE), FINE)
@@ -296,7 +296,7 @@ class _Search:
 
     def __init__(self, job: Job, across: float, roughest: float) -> None:
         self.job, self.across, self.roughest = job, across, roughest
-        self.part, self.tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
+        self.part, self.tool, machine = job.part.aimed, job.tool, job.machine
         self.answers, self.corrected = has_servos(machine), job.program.precorrect
         self.varies = machine.controller.variable_speed
         self.machine = machine
@@ -337,7 +337,7 @@ class _Search:
                 stated = _filled(self.job, self.across, points.ways, speed)
                 meant = drive(points.path, stated.servo(stated.passes[-1]), self.machine)
         if self.servos is not None and self.varies:
-            found = self.servos.varied(points.path, points.servo, self.job.machine.machine, rest, meant)
+            found = self.servos.varied(points.path, points.servo, self.job.machine, rest, meant)
             if found is not None and found[1].time[-1] < meant.time[-1]:
                 speed, meant = found
         motion = meant if self.servos is None else self.servos.commanded(meant)
@@ -449,7 +449,7 @@ def _filled(job: Job, across: float, ways: Mapping[str, str | int], speed: float
 
 def _across(job: Job, form: float, sq: float) -> tuple[float, float]:
     """Return the largest feed or scallop whose cusps keep their share of both tolerances, and their height [mm]."""
-    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part.aimed, job.tool, job.machine
     pv_limit, sq_limit = CUSP_SHARE * ROOM * form, SQ_SHARE * ROOM * sq
     scallop = _key(job)[0] == "scallop"
     across = min(pv_limit, sq_limit / CUSP_SQ)

@@ -32,7 +32,7 @@ def motion_of(job: Job) -> Motion:
 
 def cut_by(motion: Motion, real: Job, x: Floats, y: Floats) -> Floats:
     """Return the heights that a motion leaves with tool and machine of a job. (n,) [mm]."""
-    return generate_points(motion, real.tool.tool, x=x, y=y, machine=real.machine.machine)
+    return generate_points(motion, real.tool, x=x, y=y, machine=real.machine)
 
 
 def finished(job: Job, real: Job, x: Floats, y: Floats) -> Floats:
@@ -54,6 +54,6 @@ def across_feed(job: Job, x: Floats, y: Floats, places: int = ACROSS) -> tuple[F
     """Return places across a feed around some points, over which cusps have their mean. Each (n, places) [mm]."""
     radius, angle = np.hypot(x, y), np.arctan2(y, x)
     feed = feed_of(job)
-    inside = np.minimum(radius, job.part.part.radius - feed / 2)  # the surface may end at the rim
+    inside = np.minimum(radius, job.part.radius - feed / 2)  # the surface may end at the rim
     across = np.abs(inside[:, None] + feed * ((np.arange(places) + 0.5) / places - 0.5))
     return across * np.cos(angle)[:, None], across * np.sin(angle)[:, None]

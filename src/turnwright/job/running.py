@@ -108,7 +108,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             result = run(job, progress=progress, out=folder)
         return replace(result, program=replace(result.program, files=()))
     watch = Watch(progress)
-    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part.aimed, job.tool, job.machine
     with watch.stage("access") as tell:
         access = check_access(part, tool, sense=job.strategy.sense, progress=tell)
     warnings = _accepted_access(job, access) + list(odd_sizes(part, tool))
@@ -168,7 +168,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
             f"allow {limit:.3g} nm: do not cut with it before the cause is known"
         )
     return Result(
-        job=job, part=job.part.part, tool=tool, machine=machine,
+        job=job, part=job.part, tool=tool, machine=machine,
         actual_tool=job.actual_tool, actual_machine=job.actual_machine, access=access,
         passes=tuple(passes), path=pictured, motion=shown, turns=turns, least_clearance=least,
         program=program, predictions=predictions, rounding_nm=rounding, rounding_limit_nm=limit,
@@ -179,7 +179,7 @@ def run(job: Job, *, progress: StageProgress | None = None, out: str | PathLike[
 
 def depths_of(job: Job) -> dict[str, float]:
     """Return how much each pass takes off at a time, by its name. [mm]."""
-    depths, stock = {}, job.part.part.stock
+    depths, stock = {}, job.part.stock
     for cut in job.passes:
         depths[cut.name] = (stock - cut.allowance) / cut.repeats(stock)
         stock = cut.allowance
@@ -190,7 +190,7 @@ def judge_depths(job: Job, *, progress: Progress | None = None) -> tuple[AccessF
     """Return whether the chip of each pass stays on the edge."""
     plan = job.strategy
     return check_depths(
-        job.part.aimed, job.tool.tool, depths_of(job), inside_out=plan.inside_out, sense=plan.sense, progress=progress
+        job.part.aimed, job.tool, depths_of(job), inside_out=plan.inside_out, sense=plan.sense, progress=progress
     )  # fmt: skip
 
 
@@ -216,9 +216,9 @@ def _walls(job: Job, passes: list[Pass], entries: Mapping[str, Entry]) -> list[s
     if not plunging:
         return []
     found, part = [], job.part.aimed
-    limit, _ = largest_depth(part, job.tool.tool, side=1, sense=job.strategy.sense, nearest=part.radius)
+    limit, _ = largest_depth(part, job.tool, side=1, sense=job.strategy.sense, nearest=part.radius)
     for one in plunging:
-        wall = job.part.part.stock - one.allowance
+        wall = job.part.stock - one.allowance
         if wall > limit * (1 + 1e-9):
             found.append(
                 f"pass {one.name} plunges beside a wall of {say_length(wall)} that the passes leave outside, the edge "
@@ -252,7 +252,7 @@ def _judged_chips(
     if known is None:
         return None
     # A metal without stock is left alone: there is nothing to warn of but that its forces are not found.
-    if known.critical is None and (known.cutting is None or not job.part.part.stock > 0):
+    if known.critical is None and (known.cutting is None or not job.part.stock > 0):
         return None
     with watch.stage("chips") as tell:
         found = chips_of(job, motion, before, allowance, tell)
@@ -277,10 +277,10 @@ def written(
 ) -> ProgramFiles:
     """Write the program of all passes, with the table of a fast tool beside it if there is one."""
     entries = entries_of(job, motions) if entries is None else entries
-    part, machine, file = job.part.part, job.machine.machine, out / f"{job.program.name}.nc"
-    stated = ", ".join(one for one in (part.material, part.material_note) if one)
+    part, machine, file = job.part, job.machine, out / f"{job.program.name}.nc"
+    stated = ", ".join(one for one in (part.material_name, part.material_note) if one)
     notes = f"material {stated}" if stated else ""
-    header = ProgramHeader(design=part.name, tool=job.tool.tool.name, notes=notes)
+    header = ProgramHeader(design=part.name, tool=job.tool.name, notes=notes)
     shared: dict[str, Any] = {
         "header": header, "clearance": max(one.clearance for one in entries.values()), "progress": tell,
         "depth": {name: one.depth for name, one in entries.items()}, "plunge_feed": job.program.plunge_feed,
@@ -299,7 +299,7 @@ def written(
 
 def read_back(job: Job, file: File, name: str, tell: Progress | None = None) -> Motion:
     """Read the finishing pass, and the table of a fast tool if there is one."""
-    machine = job.machine.machine
+    machine = job.machine
     if job.program.fast_tool is not None:
         return read_fast_tool(file, machine, progress=tell)
     return read_nc(file, machine, name=name, progress=tell)
@@ -316,7 +316,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
         Called with (stage, done, total).
     """
     watch = Watch(progress)
-    part, tool, machine = job.part.aimed, job.tool.tool, job.machine.machine
+    part, tool, machine = job.part.aimed, job.tool, job.machine
     with watch.stage("access") as tell:
         access = check_access(part, tool, sense=job.strategy.sense, progress=tell)
     refused = tuple(
@@ -357,7 +357,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
             refused = tuple(one.sentence for one in judge_depths(job, progress=tell) if not one.ok)
     return Preview(
         access=access, points=points, shortest_s=shortest, refused=refused, chips=chips,
-        remarks=job.part.part.surface.remarks, warnings=odd_sizes(part, tool), shape=part_shape(job.part.part),
+        remarks=job.part.surface.remarks, warnings=odd_sizes(part, tool), shape=part_shape(job.part),
     )  # fmt: skip
 
 
@@ -400,7 +400,7 @@ def predict(
         If tracking is asked of a machine that does not state how any axis answers, or a place is not cut at all.
     """
     watch = watch or Watch(progress)
-    part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
+    part, tool, machine = job.part, job.actual_tool, job.actual_machine
     motion, real = _followed(job, motion, job.simulation.tracking if tracking is None else tracking, meant, watch)
     straight = machine.controller.interpolation == "linear"
     off = 0.0 if straight else max(off_curves(one) for one in (motion, real) if one is not None)
@@ -446,7 +446,7 @@ def predict(
 
 def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) -> Prediction:
     """Return the whole part with its highest and lowest place, and the finish where no patch shows it."""
-    tool, part, machine = job.actual_tool, job.part.part, job.actual_machine
+    tool, part, machine = job.actual_tool, job.part, job.actual_machine
     with watch.stage("highest and lowest place") as tell:
         form = find_extremes(motion, tool, part, machine=machine, known=whole.error, progress=tell)
     ring = None
@@ -458,7 +458,7 @@ def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) ->
 
 def _ring_sq_nm(job: Job, motion: Motion) -> float:
     """Return the Sq of the roughest ring of the whole part."""
-    part = job.part.part
+    part = job.part
     radius, angle = lines(part, motion.feed, motion.axes["C"])
     made = generate_polar(motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine)
     return finish_nm(made.minus(part.surface), motion.feed)
@@ -541,7 +541,7 @@ def program_shares(job: Job, file: File, name: str) -> Shares:
     name
         Of the finishing pass.
     """
-    part, tool, cut = job.part.aimed, job.tool.tool, job.passes[-1]
+    part, tool, cut = job.part.aimed, job.tool, job.passes[-1]
     again = read_back(job, file, name)
     spiral = job.servo(cut).spiral(part, tool)
     if not job.program.precorrect:
@@ -649,7 +649,7 @@ def _rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
     slopes, so what a motion leaves that is moved by as much counts where it is more. The heights of a fast tool count
     as they were read, with what straight lines between those of a stream leave out.
     """
-    part, tool, machine = job.part.part, job.actual_tool, job.actual_machine
+    part, tool, machine = job.part, job.actual_tool, job.actual_machine
     radius, angle = part.radius * (np.arange(96) + 0.5) / 96, clear_azimuths(36, motion.axes["C"])
     decimals = dialect_of(machine).decimals
     c, x, z = (0.5 * 10.0 ** -decimals[letter] for letter in "CXZ")
@@ -678,7 +678,7 @@ def _rounding(job: Job, motion: Motion, again: Motion) -> tuple[float, float]:
 
 def _assumed(job: Job, passes: list[Pass]) -> list[str]:
     """Say which binding limits nobody has published, and whether known servos are left out."""
-    sources, found = job.machine.machine.sources, []
+    sources, found = job.machine.sources, []
     if has_servos(job.actual_machine) and not job.simulation.tracking:
         found.append(
             f"{job.actual_machine.name} states how its axes answer, the prediction takes them to go where they are "
@@ -689,7 +689,7 @@ def _assumed(job: Job, passes: list[Pass]) -> list[str]:
         fact = {"block rate": "block_rate_hz", "spindle speed": "spindle_rpm"}.get(binding, f"axes.{letter}.{kind}")
         if sources.get(fact, "").startswith("assumed"):
             found.append(
-                f"the limit that binds, {binding}, is assumed for {job.machine.machine.name}, nobody states it: "
+                f"the limit that binds, {binding}, is assumed for {job.machine.name}, nobody states it: "
                 "check it on the machine"
             )
     return found

@@ -4,65 +4,35 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
 
 import numpy as np
 import tomli_w
 from annotated_types import Ge, Le
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    PlainSerializer,
-    PlainValidator,
-    Strict,
-    ValidationError,
-    ValidationInfo,
-    model_validator,
-)
+from pydantic import Field, PlainValidator, Strict, ValidationError, model_validator
 
-from turnwright import machine as lathe, tool as diamond
 from turnwright._io import read_toml, write_whole
-from turnwright._validate import key_of
+from turnwright._tables import read_by
 from turnwright.diagnosis import CAUSES
-from turnwright.errors import InputError, JobError, UnitError, shown
-from turnwright.files import read_map
-from turnwright.instrument import Instrument
-from turnwright.job.prescriptions import FAMILIES, AnySurface
+from turnwright.errors import InputError, JobError
+from turnwright.job.named import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, context_of
 from turnwright.job.strategies import KINDS, AnyStrategy, Choices
-from turnwright.job.table import (
-    Angle,
-    ExistingFile,
-    Length,
-    Size,
-    Slope,
-    Table,
-    Text,
-    Thickness,
-    existing,
-    faults as faults_of,
-    read_columns,
-    refuse,
-    sentences,
-)
-from turnwright.machine import Machine
-from turnwright.material import Material
+from turnwright.job.table import Table, faults as faults_of, sentences
 from turnwright.motion import require_variable
-from turnwright.part import Blank, Part
+from turnwright.part import Part
 from turnwright.pose import Pose
-from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, dialect_of
-from turnwright.surface import Gridded
-from turnwright.tool import Tool, WavinessTable
-from turnwright.units import parse, unit
+from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED
+from turnwright.surface import FAMILIES, Surface
+from turnwright.tool import Tool, Waviness, WavinessTable
+from turnwright.units import Angle, Flag, Length, Size, Text, Thickness, unit
 
 if TYPE_CHECKING:
     from os import PathLike
 
     from turnwright._arrays import Floats
+    from turnwright.machine import Machine
     from turnwright.strategy import Strategy
 
 __all__ = ["Job", "PassTable", "faults"]
@@ -80,123 +50,6 @@ MOST_VALUES = 100_000
 
 MOST_SAMPLES = 1e8
 """Heights in one map: beyond this a pixel is a slip of the unit."""
-
-
-def _correction(file: File) -> Gridded:
-    """Return a correction as `correct` writes it."""
-    heights = read_map(file)
-    if heights.x is None or heights.y is None or heights.scattered or np.isnan(heights.z).any():
-        raise JobError(
-            f"{file.name} is no whole grid of heights over x and y: name what turnwright correct has written"
-        )
-    return Gridded(x=heights.x, y=heights.y, z=heights.z)
-
-
-def _material(text: str, info: ValidationInfo) -> str:
-    """Return a known material's name as it is, the file of one as a whole path, looked for beside the job file."""
-    if not text.endswith(".toml"):
-        if text and Material.named(text) is None:
-            shown = text if len(text) <= 40 else f"{text[:40]}..."
-            raise JobError(
-                f"{shown!r} is not a known material: {Material.suggest(text)}; give the .toml file of one of your own, "
-                "or state a material that is not to be judged as material_note"
-            )
-        return text
-    return str(existing(File(text), info))
-
-
-class BlankTable(Table):
-    """What the part is cut from, a disc: see `turnwright.Blank`."""
-
-    radius: Size
-
-    @cached_property
-    def blank(self) -> Blank:
-        """The blank."""
-        return Blank(radius=self.radius)
-
-
-class PartTable(Table):
-    """What is asked for: see `turnwright.Part`.
-
-    Parameters
-    ----------
-    material
-        A known material in any spelling, or the ``.toml`` file of one: chips and ductile regime are judged by it.
-    correction
-        File of a table of heights that is added to the surface the tool is sent to, as `correct` writes it, so
-        that an error that repeats does not come back; the part is judged by its design as before.
-    """
-
-    surface: AnySurface
-    radius: Size
-    stock: Thickness = 0.0
-    material: Annotated[Text, AfterValidator(_material)] = ""
-    material_note: Text = ""
-    name: Text = ""
-    correction: ExistingFile | None = None
-    blank: BlankTable | None = None
-
-    @cached_property
-    def part(self) -> Part:
-        """The part as it was designed, by which everything is judged."""
-        # A path would make the program another one wherever its job lies.
-        material = self.substance.name if self.substance and self.material.endswith(".toml") else self.material
-        return Part(
-            surface=self.surface.surface,
-            radius=self.radius,
-            stock=self.stock,
-            material=material,
-            material_note=self.material_note,
-            name=self.name,
-            blank=self.blank.blank if self.blank else None,
-        )
-
-    @cached_property
-    def substance(self) -> Material | None:
-        """What is known of the material; ``None`` where the job names none."""
-        if self.material.endswith(".toml"):
-            return Material.load(self.material)
-        named = Material.named(self.material)
-        return None if named is None else Material.load(named)
-
-    @cached_property
-    def added(self) -> Gridded | None:
-        """What is added to the design so that an error that repeats does not come back, see `correct`."""
-        return None if self.correction is None else _correction(self.correction)
-
-    @cached_property
-    def aimed(self) -> Part:
-        """The part that the tool is sent to: the design with its correction."""
-        return self.part if self.added is None else replace(self.part, surface=self.part.surface + self.added)
-
-    @model_validator(mode="after")
-    def _can_exist(self) -> Self:
-        _ = self.aimed, self.substance
-        return self
-
-
-def _read_waviness(values: object) -> object:
-    """Read the coefficients of sweep, sweep^2, ... each in its own unit."""
-    if not isinstance(values, list | tuple):
-        return values
-    problems: dict[tuple[str | int, ...], Exception | str] = {}
-    coefficients = []
-    for index, value in enumerate(values):
-        try:
-            coefficients.append(parse(value, f"mm/rad^{index + 1}"))
-        except UnitError as error:
-            problems[index,] = error
-    if problems:
-        raise refuse("waviness", problems, values)
-    return tuple(coefficients)
-
-
-Waviness = Annotated[
-    tuple[float, ...],
-    BeforeValidator(_read_waviness),
-    PlainSerializer(lambda values: [f"{value!r} mm/rad^{index + 1}" for index, value in enumerate(values)]),
-]
 
 
 class ToolDeviations(Table):
@@ -218,193 +71,23 @@ class ToolDeviations(Table):
     """
 
     waviness: Waviness | None = None
-    waviness_file: ExistingFile | None = None
+    waviness_file: Annotated[WavinessTable | None, read_by("waviness")] = None
     radius_error: Length | None = None
     offset: tuple[Length, Length, Length] | None = None
     rake: Angle | None = None
 
-    @cached_property
+    @property
     def stated(self) -> dict[str, Any]:
         """The deviations that the job states, as `Tool` takes them."""
-        if self.waviness is not None and self.waviness_file is not None:
-            raise JobError("waviness and waviness_file are both given, only one can be right: remove one")
         stated = {name: getattr(self, name) for name in ("waviness", "radius_error", "offset", "rake")}
         if self.waviness_file is not None:
-            sweep, deviation = read_columns(self.waviness_file, {"sweep": "rad", "deviation": "mm"})
-            stated["waviness"] = WavinessTable(sweep=sweep, deviation=deviation)
+            stated["waviness"] = self.waviness_file
         return {name: value for name, value in stated.items() if value is not None}
 
     @model_validator(mode="after")
-    def _can_exist(self) -> Self:
-        _ = self.stated
-        return self
-
-
-class Sizes(Table):
-    """How large error sources plausibly are, each one standard deviation."""
-
-    names: ClassVar[Iterable[str]] = ()
-
-    @property
-    def stated(self) -> dict[str, float]:
-        """What is stated, by the name of the source."""
-        sizes = {name: getattr(self, key_of(name)) for name in self.names}
-        return {name: size for name, size in sizes.items() if size is not None}
-
-
-class ToolSizes(Sizes):
-    """How large deviations of the tool plausibly are, each one standard deviation.
-
-    Parameters
-    ----------
-    offset_x
-        By how much the tip stands beside its place along X. [mm]
-    offset_y
-        By how much it stands above or below the centre. [mm]
-    offset_z
-        By how much it was touched off wrongly. [mm]
-    radius_error
-        Of the nose. [mm]
-    waviness
-        Of the edge where it is used farthest from the tip. [mm]
-    """
-
-    names = diamond.PLAUSIBLE
-
-    offset_x: Size | None = None
-    offset_y: Size | None = None
-    offset_z: Size | None = None
-    radius_error: Size | None = None
-    waviness: Size | None = None
-
-
-class MachineSizes(Sizes):
-    """How large errors of the machine plausibly are, each one standard deviation.
-
-    Parameters
-    ----------
-    squareness
-        Of the X slide to the spindle. [rad]
-    straightness
-        Of the X slide. [mm]
-    servo_lag
-        Angle by which Z comes late. [rad]
-    drift_of_x, drift_of_z
-        Over the time of a cut; as large as the maps allow if left out. [mm]
-    """
-
-    names = lathe.PLAUSIBLE
-
-    squareness: Annotated[float, unit("rad", above=0.0)] | None = None
-    straightness: Size | None = None
-    servo_lag: Annotated[float, unit("rad", above=0.0)] | None = None
-    drift_of_x: Size | None = None
-    drift_of_z: Size | None = None
-
-
-class ToolTable(ToolDeviations):
-    """The diamond: see `turnwright.Tool`."""
-
-    nose_radius: Size
-    included: Angle | None = None
-    clearance: Angle | None = None
-    edge_length: Size | None = None
-    name: Text = ""
-    plausible: ToolSizes = ToolSizes()
-
-    @cached_property
-    def tool(self) -> Tool:
-        """The tool."""
-        return Tool(
-            nose_radius=self.nose_radius,
-            included=self.included,
-            clearance=self.clearance,
-            edge_length=self.edge_length,
-            name=self.name,
-            plausible=self.plausible.stated,
-            **self.stated,
-        )
-
-    @model_validator(mode="after")
-    def _can_exist(self) -> Self:
-        _ = self.tool
-        return self
-
-
-class MachineDeviations(Table):
-    """What the actual machine has otherwise than the one planned with.
-
-    Parameters
-    ----------
-    squareness
-        How far X and Z are off a right angle: the error of Z is this times X. [rad]
-    straightness_file
-        File with the columns x and error, each with its unit in the head: the error of Z over X.
-    """
-
-    squareness: Slope | None = None
-    straightness_file: ExistingFile | None = None
-
-    @cached_property
-    def stated(self) -> dict[str, Any]:
-        """The deviations that the job states, as `Machine` takes them."""
-        stated: dict[str, Any] = {} if self.squareness is None else {"squareness": self.squareness}
-        if self.straightness_file is not None:
-            stated["straightness"] = tuple(read_columns(self.straightness_file, {"x": "mm", "error": "mm"}))
-        return stated
-
-    @model_validator(mode="after")
-    def _can_exist(self) -> Self:
-        _ = self.stated
-        return self
-
-
-class MachineTable(MachineDeviations):
-    """The lathe, by the name of one that comes with Turnwright or by its own file: see `turnwright.Machine.load`.
-
-    Parameters
-    ----------
-    name
-        One of the lathes that come with Turnwright; or else give a file.
-    file
-        A machine file of one's own, in place of the name.
-    dialect
-        The language of the controller, where it is not the machine's usual one.
-    interpolation
-        What the controller makes of the points, where it offers more than one way; the machine's own if left
-        out.
-    plausible
-        How large the machine's errors plausibly are, where not as its file says.
-    """
-
-    name: Text | None = None
-    file: ExistingFile | None = None
-    dialect: Text | None = None
-    interpolation: Text | None = None
-    plausible: MachineSizes = MachineSizes()
-
-    @cached_property
-    def machine(self) -> Machine:
-        """The machine."""
-        if (self.name is None) == (self.file is None):
-            raise JobError("name and file of the machine are both given or both missing: give one of them")
-        loaded = Machine.load(self.file or self.name or "")
-        own = loaded.controller.interpolation
-        machine = loaded if self.interpolation is None else loaded.interpolating(self.interpolation)
-        stated = self.stated if self.dialect is None else {**self.stated, "dialect": self.dialect}
-        machine = replace(machine, plausible={**machine.plausible, **self.plausible.stated}, **stated)
-        dialect, asked = dialect_of(machine), machine.controller.interpolation
-        # What a controller makes of plain points unasked is its own; any other must be asked for in the program.
-        if asked not in (own, dialect.interpolation):
-            raise JobError(
-                f"interpolation is {asked!r}, a program in the dialect {dialect.name} asks for "
-                f"{dialect.interpolation}: choose that, or {own}, which {machine.name} takes unasked"
-            )
-        return machine
-
-    @model_validator(mode="after")
-    def _is_known(self) -> Self:
-        _ = self.machine
+    def _has_one_edge(self) -> Self:
+        if self.waviness is not None and self.waviness_file is not None:
+            raise JobError("waviness and waviness_file are both given, only one can be right: remove one")
         return self
 
 
@@ -516,7 +199,7 @@ class SimulationTable(Table):
         Small places at a fine pixel, of which the roughness is told.
     """
 
-    tracking: Annotated[bool, Strict()] = False
+    tracking: Flag = False
     whole_part: WholePart = WholePart()
     patches: tuple[Patch, ...] = ()
 
@@ -534,58 +217,6 @@ class RoughnessTable(Table):
     """What is removed before the roughness of a patch is computed: see `turnwright.roughness`."""
 
     form: Annotated[int | str, PlainValidator(_form)] = "plane"
-
-
-class InstrumentTable(Table):
-    """The instrument through which a prediction is seen: see `turnwright.Instrument`.
-
-    Parameters
-    ----------
-    name
-        One of the instruments that come with Turnwright; what else is stated here replaces its own.
-    file
-        A ``.toml`` file of an instrument of one's own, in place of the name.
-    """
-
-    name: Text | None = None
-    file: ExistingFile | None = None
-    pixel: Size | None = None
-    numerical_aperture: float | None = None
-    wavelength: Size | None = None
-    resolution: Size | None = None
-    filling: float | None = None
-    stylus_radius: Size | None = None
-    noise: Thickness | None = None
-
-    @cached_property
-    def instrument(self) -> Instrument:
-        """The instrument."""
-        if self.name is not None and self.file is not None:
-            raise JobError("name and file of the instrument are both given: give one of them")
-        if self.name is not None and self.name not in Instrument.known():
-            raise JobError(
-                f"the instrument is {shown(self.name)}, the known ones are {', '.join(Instrument.known())}: choose "
-                "one, name a .toml file, or state its pixel and resolution"
-            )
-        source = self.file or self.name
-        own = Instrument() if source is None else Instrument.load(source)
-        values = {key: getattr(self, key) for key in type(self).model_fields if key not in ("name", "file")}
-        stated = {key: value for key, value in values.items() if value is not None}
-        if not stated and source is None:
-            raise JobError("the instrument states nothing: give its name, a file, or what it resolves, such as pixel")
-        return replace(own, **stated)
-
-    @model_validator(mode="after")
-    def _can_exist(self) -> Self:
-        _ = self.instrument
-        return self
-
-
-def _instrument(value: object) -> object:
-    """Return the table that the name or the file of an instrument stands for."""
-    if isinstance(value, str):
-        return {"file" if value.endswith(".toml") else "name": value}
-    return value
 
 
 class MeasurementTable(Table):
@@ -667,9 +298,9 @@ class MeasurementTable(Table):
     units: Literal["m", "mm", "um", "in"] | None = None
     sag_units: Literal["m", "mm", "um", "nm", "in"] | None = None
     quantity: Literal["height", "departure", "departure, along the normal"] = "height"
-    departure_from: Literal["design"] | AnySurface | None = None
-    mirrored: Annotated[bool, Strict()] = False
-    inverted: Annotated[bool, Strict()] = False
+    departure_from: Literal["design"] | Surface | None = None
+    mirrored: Flag = False
+    inverted: Flag = False
     spikes: Literal["robust", "second difference", "none"] = "robust"
     trim: Thickness = 0.0
     shift: tuple[Length, Length, Length] | None = None
@@ -679,11 +310,11 @@ class MeasurementTable(Table):
     free: tuple[Literal["x", "y", "z", "rotation", "tilt_x", "tilt_y"], ...] = (
         "x", "y", "z", "rotation", "tilt_x", "tilt_y",
     )  # fmt: skip
-    terms: tuple[AnySurface, ...] = ()
+    terms: tuple[Surface, ...] = ()
     form_error: Thickness = 1e-3
     weak: Literal["fit", "hold", "raise"] = "fit"
     mask: ExistingFile | None = None
-    instrument: Annotated[InstrumentTable, BeforeValidator(_instrument)] | None = None
+    instrument: AnyInstrument | None = None
     loss: Literal["linear", "huber", "tukey"] | None = None
     noise: Size | None = None
     reference: Literal["true form", "best-fit sphere", "best-fit sphere, along its normal"] = "true form"
@@ -693,7 +324,7 @@ class MeasurementTable(Table):
     worth: Thickness = 1e-6
     cutoff: Size | None = None
     correct: tuple[Text, ...] | None = None
-    repeats: Annotated[bool, Strict()] = True
+    repeats: Flag = True
     corrected: tuple[Text, ...] = ()
     cut_by: Literal["this job"] | None = None
 
@@ -774,7 +405,7 @@ class ProgramTable(Table):
     max_lines: Annotated[int, Strict(), Ge(100)] | None = None
     fast_tool: Literal["position", "time"] | None = None
     fast_tool_rate: Annotated[float, unit("Hz", above=0.0)] | None = None
-    precorrect: Annotated[bool, Strict()] = False
+    precorrect: Flag = False
     plunge_feed: Annotated[float, unit("mm/s", above=0.0)] = PLUNGE_FEED
 
     @model_validator(mode="after")
@@ -795,6 +426,10 @@ def _all_different(what: str, names: list[str]) -> None:
             raise JobError(
                 f"{what} has the name {name!r} {alike.count(plain)} times as a file name, the limit is 1: rename one"
             )
+
+
+TAGS = {**FAMILIES, **KINDS}
+"""Tables by the key that chooses them, which pydantic puts into the place of an error."""
 
 
 class Job(Table):
@@ -833,9 +468,9 @@ class Job(Table):
     0.008
     """
 
-    part: PartTable
-    tool: ToolTable
-    machine: MachineTable
+    part: Part
+    tool: Tool
+    machine: AnyMachine
     strategy: AnyStrategy
     passes: tuple[PassTable, ...] = (PassTable(name="finish"),)
     simulation: SimulationTable = SimulationTable()
@@ -939,20 +574,18 @@ class Job(Table):
     def servo(self, cut: PassTable) -> Strategy:
         """Return the strategy of one pass."""
         if self.strategy.profile(cut) is not None:
-            require_variable(self.machine.machine)
-        return self.strategy.servo(cut, self.tool.tool, self.machine.machine)
+            require_variable(self.machine)
+        return self.strategy.servo(cut, self.tool, self.machine)
 
     @property
     def actual_tool(self) -> Tool:
         """The tool to simulate with."""
-        stated = self.actual.tool.stated
-        return replace(self.tool.tool, **stated) if stated else self.tool.tool
+        return replace(self.tool, **self.actual.tool.stated)
 
     @property
     def actual_machine(self) -> Machine:
         """The machine to simulate with."""
-        stated = self.actual.machine.stated
-        return replace(self.machine.machine, **stated) if stated else self.machine.machine
+        return self.actual.machine.deviating(self.machine)
 
     @classmethod
     def read(cls, data: object, *, folder: str | PathLike[str] = ".") -> Job:
@@ -966,9 +599,9 @@ class Job(Table):
             Where the files that it names are looked for.
         """
         try:
-            return cls.model_validate(data, context={"folder": folder})
+            return cls.model_validate(data, context=context_of(folder))
         except ValidationError as error:
-            raise JobError("\n".join(sentences(error, cls, {**FAMILIES, **KINDS}))) from error
+            raise JobError("\n".join(sentences(error, cls, TAGS))) from error
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Job:
@@ -1007,4 +640,4 @@ def faults(error: ValidationError) -> list[tuple[str, str]]:
     error
         What pydantic found, as ``Job.model_validate`` raises it.
     """
-    return list(dict.fromkeys(faults_of(error, Job, {**FAMILIES, **KINDS})))
+    return list(dict.fromkeys(faults_of(error, Job, TAGS)))

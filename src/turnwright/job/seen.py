@@ -221,7 +221,7 @@ def _grid(x: Floats, y: Floats, limit: float, reach: float) -> _Grid | None:
 def _inspected(job: Job, u: Floats, v: Floats) -> Floats:
     """Return what an instrument without errors would show of the design: its height, or its departure. [mm]."""
     asked = job.measurement
-    surfaces = [job.part.part.surface]
+    surfaces = [job.part.surface]
     if asked.quantity != "height":
         reference = asked.departure_from
         surfaces.append(surfaces[0] if reference is None or reference == "design" else reference.surface)

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeA
 
 import numpy as np
 from annotated_types import MinLen
-from pydantic import Field, Strict, model_validator
+from pydantic import Field, model_validator
 
 from turnwright.errors import JobError
-from turnwright.job.prescriptions import AnySurface
-from turnwright.job.table import Count, Feed, Size, Speed, Table, Thickness
+from turnwright.job.table import Table
 from turnwright.motion import SpeedProfile
 from turnwright.strategy import (
     AdaptiveToolServo,
@@ -20,7 +19,8 @@ from turnwright.strategy import (
     QuasiEllipticalToolServo,
     SlowToolServo,
 )
-from turnwright.units import unit
+from turnwright.surface import Surface
+from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness, unit
 
 if TYPE_CHECKING:
     from turnwright.machine import Machine
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 __all__ = ["KINDS", "AnyStrategy", "Choices"]
 
-Step: TypeAlias = Annotated[float, unit("rad", above=0.0)]
 Speeds: TypeAlias = Annotated[tuple[tuple[Thickness, Speed], ...], MinLen(2)]
 """Spindle speeds, each with the radius at which it is reached, see `SpeedProfile`."""
 
@@ -118,7 +117,7 @@ class StrategyTable(Table):
 
     kind: str
     sense: Literal[1, -1] = 1
-    inside_out: Annotated[bool, Strict()] = False
+    inside_out: Flag = False
     along: Literal["z", "normal"] = "z"
     spindle_speed: Speed | None = None
     spindle_speeds: Speeds | None = None
@@ -227,7 +226,7 @@ class HybridTable(SlowTable):
     """
 
     kind: Literal["hybrid tool servo"]  # type: ignore[assignment] # each kind has a name of its own
-    base: AnySurface | None = None
+    base: Surface | None = None
     blocks_per_rev: Count | None = None
 
     placed_along = ("z",)
@@ -241,7 +240,7 @@ class HybridTable(SlowTable):
         """Return the strategy of one pass."""
         plan = self.slow(cut)
         if self.base is not None:
-            return HybridToolServo(plan=plan, base=self.base.surface, tool=tool, blocks_per_rev=self.blocks_per_rev)
+            return HybridToolServo(plan=plan, base=self.base, tool=tool, blocks_per_rev=self.blocks_per_rev)
         fast = machine.axes.get("W")
         if fast is None:
             raise JobError(
@@ -260,7 +259,7 @@ class AdaptiveTable(StrategyTable):
     kind: Literal["adaptive tool servo"]
     scallop: Size
     chord: Size
-    off_path: Annotated[bool, Strict()] = True
+    off_path: Flag = True
     x_motion: Literal["servo", "split", "steady"] = "servo"
 
     @property

@@ -4,40 +4,60 @@ from __future__ import annotations
 
 import csv
 import difflib
-import os
 import re
+from dataclasses import is_dataclass
 from itertools import islice
-from pathlib import Path as File
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Union, get_args, get_origin
 
 import numpy as np
-from annotated_types import Ge, Le
-from pydantic import AfterValidator, AllowInfNan, BaseModel, ConfigDict, Strict, ValidationError, ValidationInfo
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import core_schema
 
+from turnwright._arrays import hashable, same
+from turnwright._tables import Plausible, Stated, read_by, types_of
 from turnwright.errors import JobError, UnitError, shortened, shown
-from turnwright.units import parse, unit
+from turnwright.pose import Pose
+from turnwright.surface import Family
+from turnwright.units import parse, plain, unit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from turnwright._arrays import Floats
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
 
-Length: TypeAlias = Annotated[float, unit("mm")]
-Size: TypeAlias = Annotated[float, unit("mm", above=0.0)]
-Thickness: TypeAlias = Annotated[float, unit("mm", least=0.0)]
-Angle: TypeAlias = Annotated[float, unit("rad")]
-Feed: TypeAlias = Annotated[float, unit("mm/rev", above=0.0)]
-Speed: TypeAlias = Annotated[float, unit("rpm", above=0.0)]
-Slope: TypeAlias = Annotated[float, unit("rad", "1")]
-# A coefficient may be of any unit; its powers must still be numbers.
-Number: TypeAlias = Annotated[float, Strict(), AllowInfNan(False), Ge(-1e100), Le(1e100)]
-Count: TypeAlias = Annotated[int, Strict(), Ge(1), Le(10**9)]
-Text: TypeAlias = Annotated[str, Strict()]
+    from pathlib import Path
+
+    from turnwright._arrays import Floats
 
 MOST_FAULTS = 30
 """Of what is wrong with a job, this many sentences are written: whoever reads them begins with the first."""
+
+
+class ByName:
+    """The annotation of a value that a job states by a name or a file, with what differs from it.
+
+    Parameters
+    ----------
+    table
+        What a job says; its ``build`` makes the value and its ``table_of`` the table again.
+    """
+
+    __slots__ = ("table",)
+
+    def __init__(self, table: type[Any]) -> None:
+        self.table = table
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def read(value: Any, check: Callable[[Any], Any]) -> Any:
+            return value if isinstance(value, source) else check(value).build()
+
+        return core_schema.no_info_wrap_validator_function(
+            read,
+            handler.generate_schema(self.table),
+            serialization=core_schema.plain_serializer_function_ser_schema(self.table.table_of),
+        )
 
 
 class Table(BaseModel):
@@ -47,37 +67,15 @@ class Table(BaseModel):
 
     def __eq__(self, other: object) -> bool:
         """Tell whether two tables say the same, whatever has been built from them."""
-        return isinstance(other, Table) and type(self) is type(other) and self.model_dump() == other.model_dump()
+        return type(self) is type(other) and all(
+            same(getattr(self, name), getattr(other, name)) for name in type(self).model_fields
+        )
 
     def __hash__(self) -> int:
-        return hash(self.model_dump_json())
+        return hash((type(self), *(hashable(getattr(self, name)) for name in type(self).model_fields)))
 
 
-def existing(file: File, info: ValidationInfo) -> File:
-    """Return the file as a whole path, looked for beside the job file."""
-    found = File((info.context or {}).get("folder", ".")) / file
-    if not os.path.isfile(found):  # noqa: PTH113 - false of a name that no system takes, too
-        if os.path.exists(found):  # noqa: PTH110 - likewise
-            raise JobError(f"{str(file)!r} is no plain file, but a folder or a device: name a file")
-        raise JobError(f"the file {str(file)!r} does not exist beside the job file: correct the name or put it there")
-    return found.resolve()
-
-
-ExistingFile: TypeAlias = Annotated[File, AfterValidator(existing)]
-
-
-def refuse(title: str, problems: Mapping[tuple[str | int, ...], Exception | str], data: object) -> ValidationError:
-    """Return a validation error of several sentences, each at its own place below the table being read."""
-    return ValidationError.from_exception_data(
-        title,
-        [
-            InitErrorDetails(type=PydanticCustomError("sentence", "{text}", {"text": str(text)}), loc=place, input=data)
-            for place, text in problems.items()
-        ],
-    )
-
-
-def read_columns(file: File, columns: Mapping[str, str]) -> Iterator[Floats]:
+def read_columns(file: Path, columns: Mapping[str, str]) -> Iterator[Floats]:
     """Read a CSV table whose first row names the columns with their units, such as ``sweep [deg],deviation [um]``.
 
     Parameters
@@ -135,56 +133,83 @@ _KINDS = {
     "dict_type": "a table",
     "model_type": "a table",
     "model_attributes_type": "a table",
+    "dataclass_type": "a table",
+    "list_type": "a list such as [..., ...]",
 }
 
 
-def _children(annotation: object) -> Iterator[type[Table]]:
-    """Yield the tables that a field may hold."""
-    if isinstance(annotation, type) and issubclass(annotation, Table):
-        yield annotation
+def keys_of(annotation: Any) -> Mapping[str, Any] | None:
+    """Return the keys of the table that a value of a type is read from, with their types; ``None`` if from none."""
+    for one in get_args(annotation)[1:] if get_origin(annotation) is Annotated else ():
+        if isinstance(one, Plausible):
+            return one.keys
+        if isinstance(one, ByName):
+            return keys_of(one.table)
+    bare = get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
+    if isinstance(bare, type) and issubclass(bare, Table):
+        return {name: Annotated[(one.annotation, *one.metadata)] if one.metadata else one.annotation for name, one in bare.model_fields.items()}  # type: ignore[return-value]
+    if isinstance(bare, type) and issubclass(bare, Stated) and is_dataclass(bare):
+        more = dict.fromkeys(bare.file_keys.values(), str)
+        if issubclass(bare, Family):
+            more |= {"family": str, "placed": Pose} | ({"units": str} if bare.series or bare.formula_units else {})
+        return {**types_of(bare), **more}
+    return None
+
+
+def _tables_in(annotation: Any) -> Iterator[Mapping[str, Any]]:
+    """Yield the keys of the tables that a field may hold."""
+    keys = keys_of(annotation)
+    if keys is not None:
+        yield keys
+        return
     for inner in get_args(annotation):
-        yield from _children(inner)
+        yield from _tables_in(inner)
 
 
 class _Place(NamedTuple):
-    """Where something is wrong: the dotted path, the table it belongs to, the field of several kinds and the kind."""
+    """Where something is wrong: the dotted path, the keys of its table, the field of several kinds and the kind."""
 
     path: str
-    owner: type[Table]
+    keys: Mapping[str, Any]
     choice: str = ""  # the path of a field that may be of several kinds, none of which the value is
     kind: str = ""  # which of them this is about
 
 
-def _place(root: type[Table], loc: tuple[str | int, ...], tags: Mapping[str, type[Table]]) -> _Place:
+def _place(root: Any, loc: tuple[str | int, ...], tags: Mapping[str, Any]) -> _Place:
     """Return the place of a field, counting from 1 in lists."""
-    path, model, owner, several = "", root, root, False
+    path, several = "", False
     choice = kind = ""
+    keys = owner = keys_of(root) or {}
     for step in loc:
         if isinstance(step, int):
             path += f"[{step + 1}]"
-        elif step in tags and step not in model.model_fields:
-            model = tags[step]
+        elif step in tags and step not in keys:
+            keys = keys_of(tags[step]) or {}
         elif several:
             choice, kind = path, step  # pydantic's own name of the kind, which is no key of the job
         else:
             path += f".{step}" if path else step
-            owner = model
-            field = model.model_fields.get(step)
-            model = next(_children(field.annotation), model) if field else model
-            several = field is not None and _of_several_kinds(field.annotation)
+            owner = keys
+            field = keys.get(step)
+            keys = next(_tables_in(field), keys) if field is not None else keys
+            several = field is not None and _of_several_kinds(field)
             continue
         several = False
     return _Place(path, owner, choice, kind)
 
 
-def _of_several_kinds(annotation: object) -> bool:
+def _of_several_kinds(annotation: Any) -> bool:
     """Whether a field may be of more than one kind, besides not being there."""
+    if get_origin(annotation) is Annotated:
+        return _of_several_kinds(get_args(annotation)[0]) and not any(
+            isinstance(one, unit | plain | read_by) for one in get_args(annotation)[1:]
+        )
     if get_origin(annotation) not in (Union, UnionType):
         return False
     return sum(one is not NoneType for one in get_args(annotation)) > 1
 
 
-def sentences(error: ValidationError, root: type[Table], tags: Mapping[str, type[Table]]) -> list[str]:
+def sentences(error: ValidationError, root: Any, tags: Mapping[str, Any]) -> list[str]:
     """Return one sentence for each thing that is wrong: the field, the value, what it must be, the remedy.
 
     Parameters
@@ -199,7 +224,7 @@ def sentences(error: ValidationError, root: type[Table], tags: Mapping[str, type
     return list(dict.fromkeys(sentence for _, sentence in faults(error, root, tags)))
 
 
-def faults(error: ValidationError, root: type[Table], tags: Mapping[str, type[Table]]) -> Iterator[tuple[str, str]]:
+def faults(error: ValidationError, root: Any, tags: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the place of each thing that is wrong, such as ``passes[1].feed``, and its sentence. See `sentences`."""
     choices: dict[str, dict[str, list[_Fault]]] = {}
     found: list[_Fault | str] = []
@@ -242,10 +267,10 @@ _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
 }
 
 
-def _sentence(path: str, owner: type[Table], problem: Mapping[str, Any]) -> str:
+def _sentence(path: str, keys: Mapping[str, Any], problem: Mapping[str, Any]) -> str:
     kind, value, context = problem["type"], problem["input"], problem.get("ctx", {})
-    if kind == "extra_forbidden":
-        return f"{path} is not a key of a job: {_suggest(path.rpartition('.')[2], owner.model_fields)}"
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f"{path} is not a key of a job: {_suggest(path.rpartition('.')[2], keys)}"
     if kind in _SAID:
         return f"{path} {_SAID[kind](value, context)}"
     if kind in _KINDS:
@@ -263,8 +288,8 @@ class _Fault(NamedTuple):
     @property
     def said(self) -> tuple[str, str]:
         """Its place and its sentence."""
-        path, owner, *_ = self.place
-        return shortened(path), shortened(_sentence(path, owner, self.problem))
+        path, keys, *_ = self.place
+        return shortened(path), shortened(_sentence(path, keys, self.problem))
 
     @property
     def distance(self) -> int:

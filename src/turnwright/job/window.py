@@ -88,8 +88,8 @@ def can_be_parted(job: Job) -> bool:
     """
     plan, cut = job.strategy, job.passes[-1]
     chord = getattr(plan, "chord", None) if cut.chord is None else cut.chord
-    machines = (job.machine.machine, job.actual_machine)
-    upright = all(not one.rake and not one.offset[1] for one in (job.tool.tool, job.actual_tool))
+    machines = (job.machine, job.actual_machine)
+    upright = all(not one.rake and not one.offset[1] for one in (job.tool, job.actual_tool))
     return bool(
         plan.kind in ("slow tool servo", "fast tool servo")
         and plan.along == "z"
@@ -111,7 +111,7 @@ def predict_parted(job: Job, name: str) -> Prediction | None:
     name
         Of a patch, or "whole part": that needs only the points at the azimuths that are looked at.
     """
-    part, tool = job.part.aimed, job.tool.tool
+    part, tool = job.part.aimed, job.tool
     servo = job.servo(job.passes[-1])
     spiral = servo.spiral(part, tool)
     edge = _edge(job, spiral)
@@ -140,8 +140,8 @@ def predict_parted(job: Job, name: str) -> Prediction | None:
 def _motion(job: Job, servo: Strategy, spiral: Spiral, keep: Ints) -> Motion:
     """Return the motion of some of the points, at any speed: it goes straight between them, however fast."""
     some = Spiral(angle=spiral.angle[keep], radius=spiral.radius[keep])
-    path = place(some, job.part.aimed, job.tool.tool)
-    return drive(path, _Steady(servo), job.machine.machine)
+    path = place(some, job.part.aimed, job.tool)
+    return drive(path, _Steady(servo), job.machine)
 
 
 class _Steady(NamedTuple):
@@ -163,7 +163,7 @@ class _Steady(NamedTuple):
 
 
 def _edge(job: Job, spiral: Spiral) -> _Edge:
-    part, planned, actual = job.part.aimed, job.tool.tool, job.actual_tool
+    part, planned, actual = job.part.aimed, job.tool, job.actual_tool
     sweep = np.linspace(-WALL, WALL, STEPS)
     u, _, e = actual.edge(sweep)
     low, high = planned.arc
@@ -179,7 +179,7 @@ def _edge(job: Job, spiral: Spiral) -> _Edge:
         z, zx, zy = (np.nan_to_num(one, posinf=0.0, neginf=0.0) for one in surface.evaluate(x, y, 1))
     slope = math.nan if surface.in_pieces else STEEPER * float(np.hypot(zx, zy).max())  # nan is passed over
     along = np.linspace(float(spiral.radius[0]), float(spiral.radius[-1]), STEPS)
-    error = job.actual_machine.z_error(along) - job.machine.machine.z_error(along)
+    error = job.actual_machine.z_error(along) - job.machine.z_error(along)
     return _Edge(
         u=u, e=e - float(base_e[lowest]), lowest=float(base_u[lowest]), slope=slope, rise=STEEPER * float(np.ptp(z)),
         drop=max(0.0, -float(error.min())),

@@ -2,13 +2,14 @@
 
 from turnwright.machine.axes import FAST, ROTARY, Axis
 from turnwright.machine.controller import INTERPOLATIONS, Controller, Convention
-from turnwright.machine.lathe import PLAUSIBLE, Machine
+from turnwright.machine.lathe import PLAUSIBLE, PLAUSIBLE_TEXTS, Machine
 from turnwright.machine.responses import FrequencyResponse, RationalResponse, Response, SecondOrder, TransferFunction
 
 __all__ = [
     "FAST",
     "INTERPOLATIONS",
     "PLAUSIBLE",
+    "PLAUSIBLE_TEXTS",
     "ROTARY",
     "Axis",
     "Controller",

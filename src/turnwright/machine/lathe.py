@@ -33,6 +33,14 @@ PLAUSIBLE = MappingProxyType(
 )
 """Errors whose plausible size a machine may state, and their units."""
 
+PLAUSIBLE_TEXTS = MappingProxyType({
+    "squareness": "Of the X slide to the spindle.",
+    "straightness": "Of the X slide.",
+    "servo lag": "Angle by which Z comes late.",
+    "drift of X": "Over the time of a cut; as large as the maps allow if left out.",
+    "drift of Z": "Over the time of a cut; as large as the maps allow if left out.",
+})  # fmt: skip
+
 STEEPEST = 0.1
 """A squareness beyond this is a slip of the unit, not an error of a machine. [rad]"""
 
@@ -68,6 +76,8 @@ class Machine(Value):
         of a cut [mm], else as large as the maps allow.
     sources
         Where each fact comes from, by field ("axes.X.speed"); anything assumed says so.
+    loaded_from
+        Name or file that `load` was given; empty for a machine that was put together.
 
     Raises
     ------
@@ -94,6 +104,7 @@ class Machine(Value):
     straightness: tuple[Floats, Floats] | None = None
     plausible: Mapping[str, float] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
+    loaded_from: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -139,7 +150,7 @@ class Machine(Value):
         """
         table = _read(name, ())
         try:
-            return _from_table(table)
+            return replace(_from_table(table), loaded_from=str(name))
         except InputError as error:
             raise InputError(f"machine file {str(name)!r}: {error}") from error
 
@@ -237,7 +248,7 @@ def _over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
 
 def _from_table(table: Mapping[str, Any]) -> Machine:
     """Build a machine from its tables."""
-    _check_keys(table, {item.name for item in fields(Machine)}, "the file")
+    _check_keys(table, {item.name for item in fields(Machine)} - {"loaded_from"}, "the file")
     for needed in ("name", "axes", "spindle_rpm", "block_rate_hz"):
         if needed not in table:
             raise InputError(f"{needed} is missing: add it")

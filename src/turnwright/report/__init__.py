@@ -328,7 +328,7 @@ def write_backplot(
     from turnwright.report import figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
     path, program = page_file(path), File(program)
-    part, machine = job.part.part, job.machine.machine
+    part, machine = job.part, job.machine
     verdicts = judge(job, predictions)
     numbers = _numbers(predictions, [limits], verdicts)
     failed = _failed(verdicts)
@@ -346,7 +346,7 @@ def write_backplot(
         verdict=verdict,
         numbers=numbers,
         warnings=[*limits.findings, *(sentence for one in predictions for sentence in one.remarks)],
-        facts=_facts(part, job.tool.tool, job.actual_tool, machine, job.actual_machine),
+        facts=_facts(part, job.tool, job.actual_tool, machine, job.actual_machine),
         part=[draw.sag_map(part), draw.view(part)],
         access=[],
         access_map=None,
@@ -519,7 +519,7 @@ def _facts(part: Part, tool: Tool, actual: Tool, machine: Machine, real: Machine
     sheet = [_Row("Name", part.name or "–"), _Row("Surface", type(part.surface).__name__)]
     sheet += [_Row("Clear radius", f"{part.radius:.6g} mm"), _Row("Stock", _length(part.stock))]
     sheet += [_Row("Blank", f"disc, radius {part.blank.radius:.6g} mm" if part.blank else "not stated")]
-    sheet += [_Row("Material", part.material or "not stated")]
+    sheet += [_Row("Material", part.material_name or "not stated")]
     sheet += [_Row(name, _as_printed(value)) for name, value in part_shape(part).facts.items()]
     sheet += [_Row("Worked out", remark) for remark in part.surface.remarks]
     if part.material_note:

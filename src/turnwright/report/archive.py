@@ -201,7 +201,7 @@ def archive_measured(measured: Measured, folder: str | PathLike[str]) -> None:
     write_map(measured.error, folder / "error.npz")
     if measured.lenslets is not None:
         write_whole(folder / "lenslets.csv", measured.lenslets.csv())
-    _write_json(folder / "measured.json", {"part": measured.job.part.part.name, **_measured_numbers(measured)})
+    _write_json(folder / "measured.json", {"part": measured.job.part.name, **_measured_numbers(measured)})
 
 
 def _measured_numbers(measured: Measured) -> dict[str, object]:

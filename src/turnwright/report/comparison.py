@@ -81,12 +81,12 @@ def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
     path = page_file(path)
     done = [one for one in found.candidates if not one.refused]
     letters = sorted({letter for one in done if one.limits for letter in one.limits.travel if letter != "C"})
-    part = found.job.part.part
+    part = found.job.part
     page = _Page(
         title=part.name or "Part",
         kind="Strategies compared",
         asked=f"Every strategy is planned for cusps of {found.scallop * NM:.3g} nm away from the axis and the valleys "
-        f"that no nose reaches, and for chords of {found.chord * NM:.3g} nm, on {found.job.machine.machine.name}.",
+        f"that no nose reaches, and for chords of {found.chord * NM:.3g} nm, on {found.job.machine.name}.",
         columns=COLUMNS,
         rows=[cells(one) for one in done],
         axes=[

@@ -108,7 +108,7 @@ def write_measured(measured: Measured, path: str | PathLike[str]) -> File:
     path = page_file(path)
     rough = measured.roughness
     sheet = _Sheet(
-        title=measured.job.part.part.name or "Part",
+        title=measured.job.part.name or "Part",
         kind="Measured",
         **_judged(measured),
         numbers=[
@@ -144,7 +144,7 @@ def write_diagnosis(measured: Sequence[Measured], found: Diagnosis, path: str | 
     path = page_file(path)
     worth = [one for one in found if one.verdict == "correct"]
     sheet = _Sheet(
-        title=" and ".join(dict.fromkeys(one.job.part.part.name or "part" for one in measured)),
+        title=" and ".join(dict.fromkeys(one.job.part.name or "part" for one in measured)),
         kind="Diagnosis",
         grade="warn" if worth else "good",
         word=f"{len(worth)} to correct" if worth else "Nothing to correct",
@@ -185,7 +185,7 @@ def write_correction(
 
     path = page_file(path)
     told = better.numbers_nm
-    radius = better.job.part.part.radius
+    radius = better.job.part.radius
     names = {"measured": "as measured", "predicted": "predicted after the correction", "simulated": "simulated alone"}
     before = {"measured": better.measured, "predicted": better.predicted, "simulated": better.simulated}
     what = [
@@ -196,7 +196,7 @@ def write_correction(
         else "The part is aimed at as it was: nothing that repeats is left of it.",
     ]
     sheet = _Sheet(
-        title=better.job.part.part.name or "Part",
+        title=better.job.part.name or "Part",
         kind="Correction",
         grade="good",
         word="Corrected job",
@@ -253,7 +253,7 @@ def _form(measured: Measured) -> list[_Section]:
     """Return the pictures of the error, and its terms."""
     from turnwright.report import figures as draw  # noqa: PLC0415
 
-    radius = measured.job.part.part.radius
+    radius = measured.job.part.radius
     pictures = [("over the part", draw.places_map(measured.error, radius, like=measured.registration.error))]
     pictures.append(("around the axis", draw.over_radius(measured.error, radius)))
     sections = [_Section(title="Cut minus design", pictures=pictures)]
@@ -399,12 +399,12 @@ def _handbook(sample: Measured, found: Diagnosis) -> list[str]:
     from turnwright.metrology import best_fit  # noqa: PLC0415
     from turnwright.surface import Sphere  # noqa: PLC0415
 
-    surface, exact = sample.job.part.part.surface, [one.value for one in found if one.name == "offset x"]
+    surface, exact = sample.job.part.surface, [one.value for one in found if one.name == "offset x"]
     if not isinstance(surface, Sphere) or not exact:
         return []
     pv_nm = best_fit(sample.placed, "sphere").pv_nm
-    ruled = handbook_offset(pv_nm / NM, surface.radius, 2 * sample.job.part.part.radius)
-    name = sample.job.part.part.name or "the part"
+    ruled = handbook_offset(pv_nm / NM, surface.radius, 2 * sample.job.part.radius)
+    name = sample.job.part.name or "the part"
     said = (
         f"The rule of the handbook, 8 R/A PV, reads an offset of {ruled * 1e3:.3g} µm from the {pv_nm:.4g} nm that the "
         f"best sphere leaves of {name}; the exact contact says {exact[0] * 1e3:+.4g} µm, so the rule is off by "
@@ -417,7 +417,7 @@ def _centre(sample: Measured) -> list[str]:
     """Return what the core at the centre says of the tool's height, where the map shows one."""
     from turnwright.diagnosis import centre_defect  # noqa: PLC0415
 
-    part = sample.job.part.part
+    part = sample.job.part
     try:
         core = centre_defect(sample.placed, part, within=CORE * part.radius, sense=sample.job.strategy.sense)
     except InputError:  # too few points there
@@ -452,12 +452,12 @@ def _marks(measured: Sequence[Measured], found: Diagnosis) -> _Section:
     called = sorted(found, key=lambda one: -one.rms_nm)[:MARKS]
     called = [one for one in called if one.rms_nm > 0]
     pictures = [
-        (f"{one.name}, {sample.job.part.part.name or 'part'}", draw.places_map(marks[one.name], sample.job.part.radius))
+        (f"{one.name}, {sample.job.part.name or 'part'}", draw.places_map(marks[one.name], sample.job.part.radius))
         for sample, marks in zip(measured, found.signatures, strict=True)
         for one in called
     ]
     pictures += [
-        (f"left unexplained, {sample.job.part.part.name or 'part'}", draw.places_map(left, sample.job.part.radius))
+        (f"left unexplained, {sample.job.part.name or 'part'}", draw.places_map(left, sample.job.part.radius))
         for sample, left in zip(measured, found.residuals, strict=True)
     ]
     return _Section(title="What each cause leaves", pictures=pictures)

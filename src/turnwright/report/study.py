@@ -62,7 +62,7 @@ def write_study(found: Study, path: str | PathLike[str]) -> File:
     numbers = [one.name for one in found.measures if one.values.dtype.kind in "fi"]
     best = found.best(numbers[0], BEST) if numbers else []
     page = _Page(
-        title=found.job.part.part.name or "Part",
+        title=found.job.part.name or "Part",
         kind="Study",
         asked=_asked(found),
         pictures=_pictures(found, numbers),

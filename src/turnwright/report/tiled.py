@@ -56,7 +56,7 @@ def write_tiled(job: Job, made: TiledMap, rough: Roughness, spectrum: Spectrum, 
     from turnwright.report import figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
     path = page_file(path)
-    part = job.part.part
+    part = job.part
     left, right, low, high = made.extent
     side = ZOOMS * max(made.pixel) / 2
     middle = min(part.radius / 2, right - side)

@@ -50,7 +50,7 @@ def write_tolerance(found: ToleranceStudy, path: str | PathLike[str]) -> File:
     kind, best = list(found.outcomes.items())[-1]
     grade, word = _grade(best.probability.value)
     page = _Sheet(
-        title=found.job.part.part.name or "Part",
+        title=found.job.part.name or "Part",
         kind="Tolerances",
         grade=grade,
         word=word,

@@ -159,7 +159,7 @@ def reach_of(budget: ErrorBudget, job: Job) -> Reach:
     Along the radius by the offset, by the slope of the edge's own waves, by the drift and by the share of the nose that
     is wrong; twice that for what a corrected job finds wrongly.
     """
-    tool = job.tool.tool
+    tool = job.tool
     far = max(abs(end) for end in tool.arc)
     waves = 0.0
     for name, spread in budget.errors.items():
@@ -244,10 +244,10 @@ class _Cut:
 
     def made(self, view: _View, real: Real) -> tuple[Left, Floats]:
         """Return what is left at the places of a scene, and how far that is off the design, released. [mm]."""
-        motion = scene_motion(view.head, view.rows, self.job.machine.machine, real.faster)
+        motion = scene_motion(view.head, view.rows, self.job.machine, real.faster)
         motion = drifted(motion, *real.drift, view.share)
         left = view.scene.generated(motion, real.tool, real.machine, view.head["near"])
-        surface, radius = self.job.part.part.surface, self.job.part.part.radius
+        surface, radius = self.job.part.surface, self.job.part.radius
         shape, x, y = left.z.shape, left.x.ravel(), left.y.ravel()
         needed = 1 if any(real.tilt) else 0
         f, *slopes = surface.evaluate(np.ascontiguousarray(x), np.ascontiguousarray(y), needed)
@@ -327,7 +327,7 @@ class Bench:
             if not kind:
                 continue
             left, error = cut.made(cut.views[0], self.real(draw, kind))
-            design = cut.job.part.part
+            design = cut.job.part
             x, y = left.x.ravel(), left.y.ravel()
             seen = error.ravel() + rng.normal(0.0, 1.0, x.size) * self.budget.noise
             head = f"{kind}: instrument Z"
@@ -337,7 +337,7 @@ class Bench:
             maps.append(HeightMap(x=x, y=y, z=seen + design.surface.sag(x, y), name=kind))
             parts.append(design)
         return diagnose(
-            maps, parts, job.tool.tool, job.machine.machine,
+            maps, parts, job.tool, job.machine,
             causes=asked.causes or DEFAULT, free=[one for one in FREE if one not in asked.fixed],
             waviness=asked.waviness, sense=job.strategy.sense, feed=next(iter(self.cuts.values())).feed,
             worth_nm=asked.worth * NM,
@@ -354,7 +354,7 @@ def form_error(job: Job, left: Left, error: Floats) -> Floats:
     fixed = {"piston": ("z",), "tilt": ("tilt_x", "tilt_y"), "decentre": ("x", "y"), "clocking": ("rotation",)}
     held = {name for one in asked.fixed for name in fixed[one]}
     x, y = (np.ascontiguousarray(one.ravel()) for one in (left.x, left.y))
-    f, fx, fy = job.part.part.surface.evaluate(x, y, 1)
+    f, fx, fy = job.part.surface.evaluate(x, y, 1)
     marks = {
         "z": np.ones(x.size),
         "tilt_x": y + f * fy,
@@ -404,9 +404,9 @@ def carry_out(data: Mapping[str, Any], shared: Mapping[str, Any], store: Store |
         job = bench.cuts[""].job
         found = bench.found(draw, data["seed"])
         # Where `turnwright.correct` would write nothing the part is cut as it was planned.
-        draws = found.on(job.part.part)
+        draws = found.on(job.part)
         certain = prove(draws, np.zeros(draws.x.size), worth_nm=job.measurement.worth * NM).ok
-        left = residual(real, job.tool.tool, job.machine.machine, found) if certain else real
+        left = residual(real, job.tool, job.machine, found) if certain else real
         better, form = bench.judged(left)
         row |= {f"corrected {name}": value for name, value in better.items()}
         row["corrected map"] = store.put_array("form", form)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections import abc
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -13,7 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 from pydantic import TypeAdapter, ValidationError
 
 from turnwright.errors import InputError, UnitError
-from turnwright.job import Series, Table, sentences
+from turnwright._tables import types_of
+from turnwright.job import HeightFile, Table, keys_of, sentences
+from turnwright.surface import Placed, Sum, Surface
 from turnwright.units import parse, unit
 
 if TYPE_CHECKING:
@@ -156,17 +159,16 @@ def field_of(job: Job, name: str) -> Field:
     among = 0
     for number, step in enumerate(steps):
         before = _joined(steps[:number])
-        if _table(value, annotation) is not None and step.startswith("[") and hasattr(value, "terms"):
+        if isinstance(value, Sum) and step.startswith("["):
             place.append("terms")  # a sum may be written as a list
-            value, annotation = value.terms, type(value).model_fields["terms"].annotation
+            value, annotation = value.terms, types_of(Sum)["terms"]
         table = _table(value, annotation)
         if table is not None:
-            if step not in table.model_fields:
-                raise InputError(_unknown(name, before, step, list(table.model_fields)))
-            units = _unit_of_entry(table, step, steps[number + 1 :])
-            at = table.model_fields[step]
-            annotation = Annotated.__class_getitem__((at.annotation, *at.metadata)) if at.metadata else at.annotation  # type: ignore[attr-defined]
-            value = None if value is None else getattr(value, step)
+            if step not in table:
+                raise InputError(_unknown(name, before, step, list(table)))
+            units = _unit_of_entry(value, step, steps[number + 1 :])
+            annotation = table[step]
+            value = _held(value, step)
             place.append(step)
         elif _is_mapping(annotation):
             value = None if value is None else _entry(value, step)
@@ -199,15 +201,16 @@ def _leaf(name: str, place: tuple[str | int, ...], annotation: Any, units: tuple
     return Field(name=name, place=place, units=(), kind=kind, annotation=annotation)  # type: ignore[arg-type] # one of them
 
 
-def _unit_of_entry(table: type[Table], step: str, rest: list[str]) -> tuple[str, ...] | None:
+def _unit_of_entry(value: Any, step: str, rest: list[str]) -> tuple[str, ...] | None:
     """Return the unit of a coefficient, which its place in a series says and no type does."""
     if len(rest) != 1:
         return None
     if step == "waviness" and rest[0].startswith("["):
         return (f"mm/rad^{rest[0][1:-1]}",)
-    if issubclass(table, Series) and step in table.series:
-        key = str(int(rest[0][1:-1]) - 1) if rest[0].startswith("[") else rest[0]
-        power = table._power(step, key)  # noqa: SLF001 - as the tables of its own package ask it
+    value = value.surface if isinstance(value, Placed) else value
+    if isinstance(value, Surface) and step in value.series:
+        series = value.series[step]
+        power = series.power(series.key(rest[0]) if series.key else int(rest[0][1:-1]) - 1)
         return (f"mm^{power}" if power > 0 else f"1/mm^{-power}" if power < 0 else "1",)
     return None
 
@@ -234,19 +237,28 @@ def _bare(annotation: Any) -> Any:
     return annotation
 
 
-def _table(value: Any, annotation: Any) -> type[Table] | None:
-    """Return the table that a field holds, or would hold."""
-    if value is not None:
-        return type(value) if isinstance(value, Table) else None
-    for one in _alternatives(annotation):
-        bare = _bare(one)
-        if isinstance(bare, type) and issubclass(bare, Table):
-            return bare
-    return None
+def _table(value: Any, annotation: Any) -> Mapping[str, Any] | None:
+    """Return the keys of the table that a field holds, or would hold, with their types."""
+    if isinstance(value, Placed):
+        return _table(value.surface, annotation)
+    if isinstance(value, Surface):
+        return keys_of(HeightFile if isinstance(value.stated, HeightFile) else type(value))
+    if value is not None and (keys := keys_of(type(value))) is not None:
+        return keys
+    return next((keys for one in _alternatives(annotation) if (keys := keys_of(one)) is not None), None)
+
+
+def _held(value: Any, step: str) -> Any:
+    """Return what a table holds at a key; ``None`` where it holds nothing, or the key is one of a file alone."""
+    if isinstance(value, Placed):
+        if step == "placed":
+            return value.pose
+        return _held(value.surface, step)
+    return getattr(getattr(value, "source", None) or value, step, None)
 
 
 def _is_mapping(annotation: Any) -> bool:
-    return any(get_origin(_bare(one)) is dict for one in _alternatives(annotation))
+    return any(get_origin(_bare(one)) in (dict, Mapping, abc.Mapping) for one in _alternatives(annotation))
 
 
 def _element(annotation: Any, index: int) -> Any:
@@ -277,7 +289,7 @@ def _index(name: str, before: str, step: str, value: Any, annotation: Any) -> in
     names = [str(getattr(one, "name", "")) for one in value or ()]
     if step in names:
         return names.index(step)
-    tables = any(isinstance(one, Table) for one in value or ())
+    tables = any(_table(one, None) is not None for one in value or ())
     index = int(step[1:-1]) - 1 if step.startswith("[") else -1
     if index < 0 or _element(annotation, index) is None or (tables and index >= len(names)):
         known = [one for one in names if one] or [f"[1] to [{max(_length(value, annotation), 1)}]"]
@@ -309,7 +321,7 @@ def _inside(value: Any, annotation: Any) -> str:
 def _some(value: Any, annotation: Any) -> str:
     table = _table(value, annotation)
     if table is not None:
-        return next(iter(table.model_fields))
+        return next(iter(table))
     if _is_mapping(annotation):
         return str(next(iter(value))) if value else "2"
     return str(getattr(value[0], "name", "[1]")) if value else "[1]"

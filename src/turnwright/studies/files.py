@@ -25,23 +25,10 @@ __all__ = ["at_hand", "fetched", "files_of", "kept_files", "moved"]
 def files_of(job: Job) -> dict[str, str]:
     """Return the files that a job names, and those that these name, by whole path with the digest of the content."""
     found: set[str] = set()
-    for path in _paths(job.model_dump()):
-        _add(path, found)
-    if job.part.material.endswith(".toml"):
-        _add(Path(job.part.material), found)
+    for text in _texts(job.model_dump(mode="json")):
+        if Path(text).is_absolute() and os.path.isfile(text):  # noqa: PTH113 - false of a name that no system takes, too
+            _add(Path(text), found)
     return {path: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in sorted(found)}
-
-
-def _paths(value: Any) -> Iterator[Path]:
-    """Yield the files in the data of a job."""
-    if isinstance(value, Path):
-        yield value
-    elif isinstance(value, Mapping):
-        for one in value.values():
-            yield from _paths(one)
-    elif isinstance(value, list | tuple):
-        for one in value:
-            yield from _paths(one)
 
 
 def _add(file: Path, found: set[str]) -> None:

@@ -163,11 +163,11 @@ def measure_of(job: Job, asked: str | Own) -> Measure:
             raise InputError(f"{asked}: the job has no patch {where!r}, it predicts {', '.join((WHOLE, *patches))}")
         return Measure(name=asked.strip(), unit=ROUGHNESS[name], stage="place")
     if name in AXES:
-        axes = job.machine.machine.axes
+        axes = job.machine.axes
         if where not in axes:
             what = f"has no axis {where!r}" if at else "has several"
             raise InputError(
-                f"{asked}: {name} is that of an axis, {job.machine.machine.name} {what}: ask for "
+                f"{asked}: {name} is that of an axis, {job.machine.name} {what}: ask for "
                 f"{' or '.join(f'{name}@{letter}' for letter in sorted(axes))}"
             )
         return Measure(name=asked.strip(), unit=AXES[name][where in ROTARY], stage="drive")

@@ -234,7 +234,7 @@ def lines_of(job: Job, feed: float, *, even: bool = False) -> Scene:
     even
         Whether every place stands for the same area, as for a map of an instrument, which sees neither.
     """
-    part = job.part.part
+    part = job.part
     asked = PER_FEATURE * part.radius / part.surface.feature_size
     radii = int(np.clip(math.ceil(asked), FEWEST_RADII, MOST_RADII))
     angles = 2 * int(np.clip(math.ceil(TURN * asked / 2), FEWEST_ANGLES // 2, MOST_ANGLES // 2))
@@ -337,7 +337,7 @@ class Planned:
 def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned:
     """Return the finishing pass of a job, planned once for all cases."""
     told = progress or (lambda _done, _total: None)
-    tool, machine = job.tool.tool, job.machine.machine
+    tool, machine = job.tool, job.machine
     told(0, 2)
     plan = plan_pass(job, job.passes[-1])
     path, commanded, meant = plan.path, plan.commanded, plan.wanted
@@ -376,7 +376,7 @@ def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned
 
 def _fits(job: Job) -> bool:
     """Say whether the nose reaches everywhere."""
-    access = check_access(job.part.aimed, job.tool.tool, sense=job.strategy.sense)
+    access = check_access(job.part.aimed, job.tool, sense=job.strategy.sense)
     return all(one.ok for one in access.findings if one.name in {"nose radius", "valley", "step"})
 
 

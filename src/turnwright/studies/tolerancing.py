@@ -319,11 +319,11 @@ def tolerance(
 
 def _check_axes(job: Job, budget: ErrorBudget) -> None:
     """Raise unless the machine has the axes whose servos a budget is about; the usual ones may always be named."""
-    axes = job.machine.machine.axes
+    axes = job.machine.axes
     for name in budget.errors:
         if name.startswith("servo ") and name[-1] not in {*axes, *USUAL}:
             raise InputError(
-                f"{name}: {job.machine.machine.name} has no axis {name[-1]}, it has {', '.join(sorted(axes))}: name "
+                f"{name}: {job.machine.name} has no axis {name[-1]}, it has {', '.join(sorted(axes))}: name "
                 "one of them, or leave it out"
             )
 

@@ -1,6 +1,6 @@
 """Prescriptions: one family per file, each a `Surface`."""
 
-from turnwright.surface.base import Surface
+from turnwright.surface.base import FAMILIES, Family, Series, Surface
 from turnwright.surface.compound import Placed, Sum
 from turnwright.surface.conic import Conic, EvenAsphere, Plane, Sphere
 from turnwright.surface.disc import disc_sum
@@ -16,11 +16,13 @@ from turnwright.surface.toroid import Biconic, Toroid
 from turnwright.surface.zernike import FIRST, Indexing, Zernike, zernike_order
 
 __all__ = [
+    "FAMILIES",
     "FIRST",
     "Biconic",
     "Conic",
     "EvenAsphere",
     "Expression",
+    "Family",
     "Forbes",
     "Gridded",
     "Indexing",
@@ -30,6 +32,7 @@ __all__ = [
     "Plane",
     "RadialPolynomial",
     "Scattered",
+    "Series",
     "SineGrid",
     "Sphere",
     "Sum",

@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+import re
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from turnwright._validate import finite, whole as whole_number
-from turnwright.errors import InputError
+from turnwright.errors import InputError, JobError
 from turnwright.surface.base import Surface
-from turnwright.units import LEAST, MOST
+from turnwright.units import LEAST, MOST, unit
 
 if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
+
     from turnwright._arrays import Bools, Floats
 
 __all__ = [
     "MAX_DEGREE",
+    "Coefficients",
     "OnConic",
+    "Radius",
     "Terms",
     "changing_length",
     "curvature",
+    "index_of",
+    "indices_of",
     "read_terms",
     "summed",
     "whole",
@@ -31,11 +39,57 @@ __all__ = [
 
 K = TypeVar("K")
 
-Terms: TypeAlias = Mapping[K, float] | Iterable[tuple[K, float]]
+
+class Coefficients:
+    """The annotation of coefficients, which `Surface.series` says how to read."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only job files need pydantic
+
+        return core_schema.any_schema()
+
+
+Terms: TypeAlias = Annotated[Mapping[K, float] | Iterable[tuple[K, float]], Coefficients]
 """Coefficients by what they multiply; stored as sorted pairs, so that a prescription can be compared and pickled."""
 
 MAX_DEGREE = 100
 """Largest degree of a polynomial: far beyond any prescription, and a slip such as 10000 does not fill the memory."""
+
+
+class _Radius(unit):
+    """A vertex radius: a length, or the word "flat" for one without end."""
+
+    __slots__ = ()
+
+    def read(self, text: object) -> float:
+        """Return the radius. [mm]."""
+        return float("inf") if text == "flat" else super().read(text)
+
+    def show(self, value: float | None) -> str | None:
+        """Return text that `read` takes back to the same number."""
+        return "flat" if value == float("inf") else super().show(value)
+
+
+Radius: TypeAlias = Annotated[float, _Radius("mm")]
+
+_DIGITS = "[0-9]{1,9}"
+"""An index of more digits is none that any series has."""
+
+
+def index_of(key: str) -> int:
+    """Return the whole number that the key of a job file is."""
+    if re.fullmatch(_DIGITS, key) is None:
+        raise JobError(f"the key {key!r} is not a whole number: name each coefficient by its number")
+    return int(key)
+
+
+def indices_of(key: str) -> tuple[int, int]:
+    """Return the two whole numbers that the key of a job file is, such as "2,0"."""
+    match = re.fullmatch(rf"\s*({_DIGITS})\s*,\s*(-?{_DIGITS})\s*", key)
+    if match is None:
+        raise JobError(f"the key {key!r} is not two whole numbers: name each coefficient like '2,0'")
+    return int(match.group(1)), int(match.group(2))
 
 
 def whole(key: object, what: str) -> int:

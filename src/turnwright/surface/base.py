@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, Value
+from turnwright._tables import Stated
 from turnwright._validate import IN_RAD, check_angle
 from turnwright.errors import DomainError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+    from pydantic_core import CoreSchema
+
     from turnwright.surface.compound import Placed, Sum
 
-__all__ = ["COSTLIEST", "Surface"]
+__all__ = ["COSTLIEST", "FAMILIES", "Family", "Series", "Surface"]
+
+FAMILIES: dict[str, type[Any]] = {}
+"""What a job file can name as a ``family``: each class that states one, as soon as its module is imported."""
 
 COSTLIEST = 4500
 """Additions that a surface may cost at a point; a microsecond takes about 400 of them, with their derivatives."""
@@ -24,15 +35,78 @@ PLAIN_COST = 20
 """Additions that a surface in closed form costs at a point."""
 
 
-class Surface(Value, ABC):
+@dataclass(frozen=True, slots=True)
+class Series:
+    """How a job file names the coefficients of a formula, and in which unit each is.
+
+    Parameters
+    ----------
+    power
+        The power of length that a coefficient has, by its key.
+    key
+        Reads the text of a key; ``None`` for a list, whose keys count from 0.
+    """
+
+    power: Callable[[Any], int]
+    key: Callable[[str], Any] | None = None
+
+    def written(self, terms: Iterable[Any]) -> Any:
+        """Return coefficients as a table of a job file."""
+        if self.key is None:
+            return list(terms)
+        return {",".join(map(str, key)) if isinstance(key, list | tuple) else str(key): value for key, value in terms}
+
+
+class Family(Stated):
+    """What a job file can name as the ``family`` of a surface: a surface, or the file of its heights.
+
+    ``series`` says which fields are coefficients of a formula, ``formula_units`` in which unit a formula is that a job
+    file must confirm, ``needed`` which keys it must state though their fields have defaults.
+    """
+
+    __slots__ = ()
+    family: ClassVar[str] = ""
+    series: ClassVar[Mapping[str, Series]] = {}
+    formula_units: ClassVar[str] = ""
+    needed: ClassVar[Collection[str]] = ()
+
+    def __init_subclass__(cls, **settings: Any) -> None:
+        super().__init_subclass__(**settings)
+        if "family" in vars(cls):
+            FAMILIES[cls.family] = cls
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from turnwright.surface.stated import schema_of  # noqa: PLC0415 - only job files need pydantic
+
+        return schema_of(cls, source, handler)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        from turnwright.surface.stated import json_schema_of  # noqa: PLC0415 - only job files need pydantic
+
+        found = handler(core)
+        if cls.family:
+            place = handler.resolve_ref_schema(found)
+            place.update(json_schema_of(cls, place, handler))
+        return found
+
+
+class Surface(Family, Value, ABC):
     """A finished surface z = f(x, y), material below it.
 
     A new family implements `evaluate`, and where they are not the default: `inside` and `domain` (where it is
     defined), `poles` (where samples may miss that it is not), `piece` (where it has kinks or steps) and `feature_size`
-    (how fine its structure is).
+    (how fine its structure is). A job file can state a family that has a name in ``family``: its fields carry their
+    units, ``series`` says which of them are coefficients of a formula, ``formula_units`` in which unit a formula is that a job
+    file must then confirm, and `from_table` writes out short forms.
     """
 
     __slots__ = ()
+    @property
+    def stated(self) -> Any:
+        """What a job file states in place of it: a file for heights that were read from one."""
+        return self
 
     @abstractmethod
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:

@@ -45,6 +45,7 @@ class Sum(Surface):
         If there is no term, or one that is not a surface.
     """
 
+    family = "sum"
     terms: tuple[Surface, ...]
 
     def __post_init__(self) -> None:

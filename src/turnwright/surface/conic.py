@@ -13,14 +13,17 @@ from turnwright.errors import InputError
 from turnwright.surface.analytic import (
     MAX_DEGREE,
     OnConic,
+    Radius,
     Terms,
     changing_length,
     curvature,
+    index_of,
     read_terms,
     summed,
     whole,
 )
-from turnwright.surface.base import Surface
+from turnwright.surface.base import Series, Surface
+from turnwright.units import Number
 
 __all__ = ["Conic", "EvenAsphere", "Plane", "Sphere"]
 
@@ -40,7 +43,8 @@ class Plane(Surface):
         If the slope is not two finite numbers.
     """
 
-    slope: tuple[float, float] = (0.0, 0.0)
+    family = "plane"
+    slope: tuple[Number, Number] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -74,7 +78,8 @@ class Sphere(OnConic):
     2.0
     """
 
-    radius: float
+    family = "sphere"
+    radius: Radius
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius",))
@@ -107,8 +112,9 @@ class Conic(OnConic):
         If the radius is 0 or nan, or the conic constant is not finite.
     """
 
-    radius: float
-    conic: float
+    family = "conic"
+    radius: Radius
+    conic: Number
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius",))
@@ -161,8 +167,10 @@ class EvenAsphere(OnConic):
     1.0
     """
 
-    radius: float
-    conic: float
+    family = "even asphere"
+    series = {"terms": Series(power=lambda power: 1 - power, key=index_of)}
+    radius: Radius
+    conic: Number
     terms: Terms[int] = ()
     _coefficients: Floats = field(init=False, repr=False, compare=False)
 

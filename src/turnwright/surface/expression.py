@@ -7,7 +7,7 @@ from __future__ import annotations
 import ast
 import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
 
@@ -17,6 +17,7 @@ from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import DomainError, InputError
 from turnwright.surface.base import COSTLIEST, Surface
+from turnwright.units import Number, Size, Text
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -155,10 +156,12 @@ class Expression(Surface):
     [0.0, -0.0016]
     """
 
-    formula: str
+    family = "expression"
+    formula_units = "mm"
+    formula: Text
     _: KW_ONLY
-    constants: Mapping[str, float] = field(default_factory=dict)
-    feature_size: float = None  # type: ignore[assignment] # None asks for the estimate; a float ever after
+    constants: Mapping[str, Number] = field(default_factory=dict)
+    feature_size: Size = None  # type: ignore[assignment] # None asks for the estimate; a float ever after
     _steps: tuple[Step, ...] = field(init=False, repr=False, compare=False)
     _axis: _Axis | None = field(init=False, repr=False, compare=False)
 
@@ -176,6 +179,11 @@ class Expression(Surface):
         else:
             size = positive(self.feature_size, "feature_size of an expression", "mm")
         object.__setattr__(self, "feature_size", size)
+
+    @property
+    def unstated(self) -> Collection[str]:
+        """The feature size, where it is an estimate."""
+        return ("feature_size",) if isinstance(self.feature_size, _Estimate) else ()
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives, nan outside the domain. See `Surface.evaluate`."""

@@ -13,6 +13,9 @@ from turnwright._kernels import polynomials, quadrics
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.surface.analytic import (
+    Radius,
+    index_of,
+    indices_of,
     MAX_DEGREE,
     OnConic,
     Terms,
@@ -22,7 +25,9 @@ from turnwright.surface.analytic import (
     whole,
     whole_pair,
 )
+from turnwright.surface.base import Series
 from turnwright.surface.disc import DiscSum, disc_sum
+from turnwright.units import Number, Size
 
 __all__ = ["Forbes", "ForbesKind"]
 
@@ -136,9 +141,11 @@ class Forbes(OnConic):
     6.25e-05
     """
 
-    radius: float
-    conic: float
-    norm_radius: float
+    family = "forbes"
+    series = {"terms": Series(power=lambda _: 1, key=lambda key: indices_of(key) if "," in key else index_of(key))}
+    radius: Radius
+    conic: Number
+    norm_radius: Size
     kind: ForbesKind
     terms: Terms[int] | Terms[tuple[int, int]]
     _sum: DiscSum = field(init=False, repr=False, compare=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +48,8 @@ class Gridded(Surface):
         Ascending columns (nx,) and rows (ny,); their steps need not be equal. [mm]
     z
         Heights, nan where there is none. (ny, nx) [mm]
+    source
+        How a job file names the heights, where they were read from a file.
 
     Attributes
     ----------
@@ -75,6 +78,7 @@ class Gridded(Surface):
     x: Floats
     y: Floats
     z: Floats
+    source: Any = field(default=None, compare=False, repr=False)
     fit_error: float = field(init=False)
     _nodes: Floats = field(init=False, repr=False)
     _whole: Bools | None = field(init=False, repr=False)
@@ -121,6 +125,16 @@ class Gridded(Surface):
         x, y = np.meshgrid(*middles)
         (here,) = self.evaluate(x, y, 0)
         object.__setattr__(self, "fit_error", float(np.abs(here - finer)[whole].max()))
+
+    @property
+    def stated(self) -> Any:
+        """How a job file names the heights. See `Surface.stated`."""
+        return self.source
+
+    @property
+    def file(self) -> str:
+        """The file that the heights were read from; empty if none."""
+        return "" if self.source is None else str(self.source.file)
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives; beyond the grid the border cells run on. See `Surface.evaluate`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -12,11 +12,15 @@ from turnwright._kernels.cells import nearest
 from turnwright._validate import check_numbers, finite_tuple, positive, whole
 from turnwright.errors import InputError
 from turnwright.surface.base import Surface
+from turnwright.surface.conic import Plane
+from turnwright.units import Count, Length, Natural, Size, write
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from numpy.typing import ArrayLike, NDArray
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
     from scipy.spatial import cKDTree
 
 __all__ = ["LensArray"]
@@ -35,6 +39,51 @@ class _Bins(NamedTuple):
     candidates: NDArray[np.int64]
 
 
+_LAYOUTS = {
+    "square": ("pitch", "rows", "columns", "within", "offset"),
+    "hexagonal": ("pitch", "rings", "within", "offset"),
+    "listed": ("centres",),
+}
+"""What says where the lenses of each layout stand; the first one must."""
+
+
+class _Centres:
+    """The annotation of centres: pairs of lengths in a job file."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only job files need pydantic
+
+        def written(centres: Floats | None) -> Any:
+            return None if centres is None else [[write(float(at), "mm") for at in one] for one in centres]
+
+        pairs = handler.generate_schema(tuple[tuple[Length, Length], ...])
+        return core_schema.no_info_after_validator_function(
+            lambda centres: np.array(centres, dtype=np.float64).reshape(-1, 2), pairs,
+            serialization=core_schema.plain_serializer_function_ser_schema(written),
+        )  # fmt: skip
+
+
+class _Surround:
+    """The annotation of a surround: any surface in a job file, and a height as a plane there."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only job files need pydantic
+
+        from turnwright.surface.stated import table_of  # noqa: PLC0415 - likewise
+
+        def written(around: Surface | float | None) -> Any:
+            if around is None:
+                return None
+            return table_of(around if isinstance(around, Surface) else Plane().placed(shift=(0.0, 0.0, around)))
+
+        found = handler.generate_schema(Surface)
+        return core_schema.nullable_schema(
+            found, serialization=core_schema.plain_serializer_function_ser_schema(written)
+        )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LensArray(Surface):
     """Equal lenslets, each standing on its own centre.
@@ -48,10 +97,24 @@ class LensArray(Surface):
 
     Parameters
     ----------
-    centres
-        (n, 2) [mm]
     lenslet
         The surface of one lenslet, about its own origin.
+    centres
+        Of listed lenslets, one by one; those of a layout are worked out. (n, 2) [mm]
+    layout
+        How the lenslets stand.
+    pitch
+        Distance between neighbours. [mm]
+    rows
+        Of a square array.
+    columns
+        Of a square array.
+    rings
+        Around the lenslet in the middle of a hexagonal array.
+    within
+        Only lenslets that lie whole within this radius. [mm]
+    offset
+        Where the middle of the array stands; on the axis if left out. [mm]
     aperture
         Radius of every lenslet, or ``None`` where lenslets fill their cells. [mm]
     surround
@@ -78,10 +141,19 @@ class LensArray(Surface):
     (37, 2)
     """
 
-    centres: Floats
+    family = "lens array"
+    needed = ("layout",)
     lenslet: Surface
-    aperture: float | None = None
-    surround: Surface | float | None = None
+    centres: Annotated[Floats | None, _Centres] = None  # type: ignore[assignment] # None asks for those of a layout
+    layout: Literal["square", "hexagonal", "listed"] = "listed"
+    pitch: Size | None = None
+    rows: Count | None = None
+    columns: Count | None = None
+    rings: Natural | None = None
+    within: Size | None = None
+    offset: tuple[Length, Length] | None = None
+    aperture: Size | None = None
+    surround: Annotated[Surface | float | None, _Surround] = None
     _spacing: float = field(init=False, repr=False)
     _tree: cKDTree = field(init=False, repr=False)
     _bins: _Bins = field(init=False, repr=False)
@@ -90,7 +162,7 @@ class LensArray(Surface):
         check_numbers(self)
         from scipy.spatial import cKDTree  # noqa: PLC0415 - scipy is costly to import
 
-        centres = frozen(self.centres, "centres of a lens array", ndim=2)
+        centres = self._laid_out()
         if centres.shape[1] != 2 or not 1 <= centres.shape[0] <= MOST_LENSES:
             raise InputError(
                 f"centres of a lens array have the shape {centres.shape}, it must be (n, 2) with n from 1 to "
@@ -141,7 +213,7 @@ class LensArray(Surface):
         rows: int | None = None,
         columns: int | None = None,
         within: float | None = None,
-        offset: tuple[float, float] = (0.0, 0.0),
+        offset: tuple[float, float] | None = None,
         aperture: float | None = None,
         surround: Surface | float | None = None,
     ) -> Self:
@@ -166,25 +238,10 @@ class LensArray(Surface):
         InputError
             Unless it is either rows and columns, or within; if no lens fits.
         """
-        positive(pitch, "pitch of a lens array", "mm")
-        at = finite_tuple(offset, "offset of a lens array", 2)
-        if within is not None and rows is None and columns is None:
-            centres = _whole((pitch, 0), (0, pitch), at, within, aperture)
-        elif within is None and rows is not None and columns is not None:
-            rows, columns = whole(rows, "rows of a lens array", 1), whole(columns, "columns of a lens array", 1)
-            if rows * columns > MOST_LENSES:
-                raise InputError(
-                    f"a lens array has {rows} rows of {columns}, the limits are 1 of each and {MOST_LENSES} lenses: "
-                    "correct the counts"
-                )
-            across, along = np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2
-            centres = _lattice(across, along, (pitch, 0), (0, pitch), at)
-        else:
-            raise InputError(
-                f"a square array has rows {rows}, columns {columns} and within {within}, it takes rows and columns, or "
-                "within alone: leave out the others"
-            )
-        return cls(centres=centres, lenslet=lenslet, aperture=aperture, surround=surround)
+        return cls(
+            layout="square", pitch=pitch, rows=rows, columns=columns, within=within, offset=offset, lenslet=lenslet,
+            aperture=aperture, surround=surround,
+        )  # fmt: skip
 
     @classmethod
     def hexagonal(
@@ -194,7 +251,7 @@ class LensArray(Surface):
         lenslet: Surface,
         rings: int | None = None,
         within: float | None = None,
-        offset: tuple[float, float] = (0.0, 0.0),
+        offset: tuple[float, float] | None = None,
         aperture: float | None = None,
         surround: Surface | float | None = None,
     ) -> Self:
@@ -214,21 +271,49 @@ class LensArray(Surface):
         InputError
             Unless it is either rings or within; if no lens fits.
         """
-        positive(pitch, "pitch of a lens array", "mm")
-        at = finite_tuple(offset, "offset of a lens array", 2)
-        if (rings is None) == (within is None):
+        return cls(
+            layout="hexagonal", pitch=pitch, rings=rings, within=within, offset=offset, lenslet=lenslet,
+            aperture=aperture, surround=surround,
+        )  # fmt: skip
+
+    def _laid_out(self) -> Floats:
+        """Return the centres that are listed, or that the layout has. (n, 2)."""
+        used = _LAYOUTS[self.layout]
+        for name in ("pitch", "rows", "columns", "rings", "within", "offset"):
+            if getattr(self, name) is not None and name not in used:
+                raise InputError(
+                    f"{name} does not go with the layout {self.layout!r}, which takes {', '.join(used)}: remove it"
+                )
+        if getattr(self, used[0]) is None:
+            raise InputError(f"the layout {self.layout!r} needs {used[0]}, which is missing: add it")
+        if self.layout == "listed":
+            return frozen(self.centres, "centres of a lens array", ndim=2)
+        pitch = positive(self.pitch or 0.0, "pitch of a lens array", "mm")
+        at = finite_tuple(self.offset or (0.0, 0.0), "offset of a lens array", 2)
+        found = (_square if self.layout == "square" else _hexagonal)(self, pitch, at)
+        if self.centres is not None and not np.array_equal(self.centres, found):
             raise InputError(
-                f"a hexagonal array has rings {rings} and within {within}, it takes one of them: leave out the other"
+                f"centres are not those of the layout {self.layout!r}, only one of them can hold: list them with the "
+                'layout "listed", or leave them out'
             )
-        slanted = ((pitch, 0), (pitch / 2, pitch * np.sqrt(0.75)))
-        if within is not None:
-            centres = _whole(*slanted, at, within, aperture)
-        else:
-            rings = whole(rings, "rings of a lens array", 0, 500)
-            i = np.arange(-rings, rings + 1)
-            first, second = (part.ravel() for part in np.meshgrid(i, i))
-            centres = _lattice(i, i, *slanted, at)[np.abs(first + second) <= rings]
-        return cls(centres=centres, lenslet=lenslet, aperture=aperture, surround=surround)
+        return frozen(found, "centres of a lens array", ndim=2)
+
+    @classmethod
+    def from_table(cls, table: dict[str, Any]) -> dict[str, Any]:
+        """Return the table with its layout, which a job file must state, and a surround that is a height as a plane."""
+        if isinstance(table.get("surround"), str):
+            height = {"family": "plane", "placed": {"shift": ["0 mm", "0 mm", table["surround"]]}}
+            table = {**table, "surround": height}
+        return table
+
+    def to_table(self, table: dict[str, Any]) -> dict[str, Any]:
+        """Return the fields with the layout, which a job file must state."""
+        return {"layout": self.layout, **table}
+
+    @property
+    def unstated(self) -> Collection[str]:
+        """The centres, where the layout says them."""
+        return () if self.layout == "listed" else ("centres",)
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives, on a border those of one side. See `Surface.evaluate`."""
@@ -308,6 +393,42 @@ class LensArray(Surface):
         if self.aperture is not None:
             index[u * u + v * v > self.aperture**2] = self.centres.shape[0]
         return index, u, v
+
+
+def _square(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
+    """Return the centres of a square lattice. (n, 2)."""
+    rows, columns, within = array.rows, array.columns, array.within
+    if within is not None and rows is None and columns is None:
+        return _whole((pitch, 0), (0, pitch), at, within, array.aperture)
+    if within is not None or rows is None or columns is None:
+        raise InputError(
+            f"a square array has rows {rows}, columns {columns} and within {within}, it takes rows and columns, or "
+            "within alone: leave out the others"
+        )
+    rows, columns = whole(rows, "rows of a lens array", 1), whole(columns, "columns of a lens array", 1)
+    if rows * columns > MOST_LENSES:
+        raise InputError(
+            f"a lens array has {rows} rows of {columns}, the limits are 1 of each and {MOST_LENSES} lenses: "
+            "correct the counts"
+        )
+    across, along = np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2
+    return _lattice(across, along, (pitch, 0), (0, pitch), at)
+
+
+def _hexagonal(array: LensArray, pitch: float, at: tuple[float, ...]) -> Floats:
+    """Return the centres of a hexagonal lattice with rows along x. (n, 2)."""
+    rings, within = array.rings, array.within
+    if (rings is None) == (within is None):
+        raise InputError(
+            f"a hexagonal array has rings {rings} and within {within}, it takes one of them: leave out the other"
+        )
+    slanted = ((pitch, 0), (pitch / 2, pitch * np.sqrt(0.75)))
+    if within is not None:
+        return _whole(*slanted, at, within, array.aperture)
+    rings = whole(rings, "rings of a lens array", 0, 500)
+    i = np.arange(-rings, rings + 1)
+    first, second = (part.ravel() for part in np.meshgrid(i, i))
+    return np.asarray(_lattice(i, i, *slanted, at)[np.abs(first + second) <= rings])
 
 
 def _bin(centres: Floats, tree: cKDTree) -> _Bins:

@@ -13,6 +13,7 @@ from turnwright.errors import DomainError, InputError
 from turnwright.pose import Pose
 from turnwright.surface.base import Surface
 from turnwright.surface.compound import Placed
+from turnwright.units import Angle, Thickness
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -59,9 +60,10 @@ class OffAxis(Surface):
     30.964
     """
 
+    family = "off-axis"
     parent: Surface
-    distance: float
-    azimuth: float = 0.0
+    distance: Thickness
+    azimuth: Angle = 0.0
     _moved: Placed = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

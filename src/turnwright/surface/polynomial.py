@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from turnwright._kernels import polynomials
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 from turnwright.surface.analytic import (
+    Coefficients,
+    indices_of,
     MAX_DEGREE,
     Terms,
     changing_length,
@@ -18,7 +21,8 @@ from turnwright.surface.analytic import (
     summed,
     whole_pair,
 )
-from turnwright.surface.base import Surface
+from turnwright.surface.base import Series, Surface
+from turnwright.units import Number
 
 __all__ = ["RadialPolynomial", "XYPolynomial"]
 
@@ -54,6 +58,8 @@ class XYPolynomial(Surface):
     [0.02, 0.0, -0.02]
     """
 
+    family = "xy polynomial"
+    series = {"terms": Series(power=lambda powers: 1 - sum(powers), key=indices_of)}
     terms: Terms[tuple[int, int]]
     _table: Floats = field(init=False, repr=False, compare=False)
     _sizes: Ints = field(init=False, repr=False, compare=False)
@@ -119,9 +125,11 @@ class RadialPolynomial(Surface):
     [0.01492, 0.0]
     """
 
-    radial: tuple[float, ...] = ()
-    slope: tuple[float, ...] = ()
-    tilt: float = 0.0
+    family = "radial polynomial"
+    series = {"radial": Series(power=lambda place: -1 - 2 * place), "slope": Series(power=lambda place: -2 - 2 * place)}
+    radial: Annotated[tuple[float, ...], Coefficients] = ()
+    slope: Annotated[tuple[float, ...], Coefficients] = ()
+    tilt: Number = 0.0
     _even: Floats = field(init=False, repr=False, compare=False)
     _slopes: Floats = field(init=False, repr=False, compare=False)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -50,6 +50,8 @@ class Scattered(Surface):
     ----------
     x, y, z
         The points. Each (n,) [mm]
+    source
+        How a job file names the heights, where they were read from a file.
 
     Attributes
     ----------
@@ -72,6 +74,7 @@ class Scattered(Surface):
     x: Floats
     y: Floats
     z: Floats
+    source: Any = field(default=None, compare=False, repr=False)
     fit_error: float = field(init=False)
     _grid: Gridded = field(init=False, repr=False)
     _hull: Floats = field(init=False, repr=False)
@@ -137,6 +140,16 @@ class Scattered(Surface):
                 predicted = _through(places[known], self.z[known])(places[asked])
                 worst = max(worst, float(np.abs(predicted - self.z[asked]).max()))
         return worst
+
+    @property
+    def stated(self) -> Any:
+        """How a job file names the heights. See `Surface.stated`."""
+        return self.source
+
+    @property
+    def file(self) -> str:
+        """The file that the heights were read from; empty if none."""
+        return "" if self.source is None else str(self.source.file)
 
     def evaluate(self, x: Floats, y: Floats, order: int) -> tuple[Floats, ...]:
         """Return the height and its derivatives. See `Surface.evaluate`."""

@@ -10,6 +10,7 @@ from turnwright._arrays import Floats
 from turnwright._kernels.sines import wave
 from turnwright._validate import check_angle, check_numbers, finite_tuple, positive
 from turnwright.surface.base import Surface
+from turnwright.units import Angle, Length, Size
 
 __all__ = ["SineGrid"]
 
@@ -43,9 +44,10 @@ class SineGrid(Surface):
     0.004
     """
 
-    amplitude: tuple[float, float]
-    period: tuple[float, float]
-    phase: tuple[float, float] = (0.0, 0.0)
+    family = "sine grid"
+    amplitude: tuple[Length, Length]
+    period: tuple[Size, Size]
+    phase: tuple[Angle, Angle] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         check_numbers(self)

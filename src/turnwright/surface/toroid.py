@@ -9,8 +9,9 @@ import numpy as np
 
 from turnwright._kernels import quadrics
 from turnwright._validate import check_numbers
-from turnwright.surface.analytic import curvature, summed
+from turnwright.surface.analytic import Radius, curvature, summed
 from turnwright.surface.base import Surface
+from turnwright.units import Number
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats
@@ -48,8 +49,9 @@ class Toroid(Surface):
     2.0
     """
 
-    radius_x: float
-    radius_y: float
+    family = "toroid"
+    radius_x: Radius
+    radius_y: Radius
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius_x", "radius_y"))
@@ -101,10 +103,11 @@ class Biconic(Surface):
         If a radius is 0 or nan, or a conic constant is not finite.
     """
 
-    radius_x: float
-    radius_y: float
-    conic_x: float
-    conic_y: float
+    family = "biconic"
+    radius_x: Radius
+    radius_y: Radius
+    conic_x: Number
+    conic_y: Number
 
     def __post_init__(self) -> None:
         check_numbers(self, inf=("radius_x", "radius_y"))

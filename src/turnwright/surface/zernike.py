@@ -12,9 +12,10 @@ from turnwright._arrays import Floats
 from turnwright._kernels import polynomials
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
-from turnwright.surface.analytic import MAX_DEGREE, Terms, read_terms, summed, whole
-from turnwright.surface.base import Surface
+from turnwright.surface.analytic import MAX_DEGREE, Terms, index_of, read_terms, summed, whole
+from turnwright.surface.base import Series, Surface
 from turnwright.surface.disc import DiscSum, disc_sum
+from turnwright.units import Flag, Size
 
 __all__ = ["Indexing", "Zernike", "zernike_order"]
 
@@ -103,10 +104,12 @@ class Zernike(Surface):
     (0.001, -0.001)
     """
 
+    family = "zernike"
+    series = {"terms": Series(power=lambda _: 1, key=index_of)}
     terms: Terms[int]
-    radius: float
+    radius: Size
     indexing: Indexing
-    normalised: bool | None = None
+    normalised: Flag | None = None
     _sum: DiscSum = field(init=False, repr=False, compare=False)
     _degree: int = field(init=False, repr=False, compare=False)
 

@@ -29,7 +29,7 @@ def budget(folder: str) -> dict[str, Any]:
     told = program_shares(job, file, name)
     found = {one.name: _number(getattr(told, one.name)) for one in fields(Shares) if one.name != "error"}
     found["rounding_nm"] = numbers_of(folder)["rounding_nm"]
-    found["servos"] = any(one.response is not None or one.dead_time for one in job.machine.machine.axes.values())
+    found["servos"] = any(one.response is not None or one.dead_time for one in job.machine.axes.values())
     with suppress(OSError):  # a full disk: it is found again
         write_whole(kept, json.dumps(found))
     return found

@@ -16,20 +16,21 @@ from pydantic import ValidationError
 from turnwright._io import read_toml
 from turnwright.errors import InputError, TurnwrightError, shortened
 from turnwright.instrument import Instrument
+from turnwright._tables import adapter, types_of
 from turnwright.job import (
-    GriddedTable,
+    HeightFile,
     Job,
-    MachineTable,
-    PartTable,
-    Table,
-    ToolDeviations,
+    MachineDeviations,
     as_tables,
+    context_of,
     faults,
     sentences,
     written,
 )
 from turnwright.machine import Machine
 from turnwright.material import Material
+from turnwright.part import Part
+from turnwright.tool import Tool
 from turnwright.web.limits import MOST_POINTS
 from turnwright.web.references import located, require_flat
 
@@ -92,7 +93,7 @@ def read(data: dict[str, Any], folder: str) -> tuple[Job | None, list[dict[str, 
     if problems:
         return None, problems
     try:
-        return Job.model_validate(real, context={"folder": folder}), []
+        return Job.model_validate(real, context=context_of(folder)), []
     except ValidationError as error:
         return None, [
             {"field": field, "sentence": _with_names(sentence, references)} for field, sentence in faults(error)
@@ -131,7 +132,7 @@ def look_into(file: str, kind: str) -> None:
         try:
             _read_as(path, kind, more)
         except ValidationError as error:
-            found.append("; ".join(sentences(error, PartTable if kind == "correction" else READERS[kind][0], {})))
+            found.append("; ".join(sentences(error, READERS[kind], {})))
         except TurnwrightError as error:
             found.append(str(error))
         else:
@@ -150,12 +151,14 @@ def _read_as(path: Path, kind: str, more: Mapping[str, str]) -> None:
         Material.load(path)
     elif kind == "instrument":
         Instrument.load(path)
-    elif kind == "correction":
-        _ = PartTable.model_validate({**SMALL["part"], "correction": str(path)}).added
     else:
-        table, stated = READERS[kind]
-        name = f"{kind}_file" if kind in ("waviness", "straightness") else "file"
-        table.model_validate({**stated, **more, name: str(path)})
+        stated = {
+            "correction": str(path),
+            "waviness": str(path),
+            "heights": {"family": "gridded", "file": str(path), **more},
+            "straightness": {"straightness_file": str(path)},
+        }[kind]
+        adapter(READERS[kind]).validate_python(stated, context=context_of("."))
 
 
 UNITS: tuple[dict[str, str], ...] = (
@@ -163,12 +166,13 @@ UNITS: tuple[dict[str, str], ...] = (
 )  # fmt: skip
 """What a job may have to state of a table of heights: what the file states itself it must not."""
 
-READERS: dict[str, tuple[type[Table], dict[str, str]]] = {
-    "heights": (GriddedTable, {"family": "gridded"}),
-    "waviness": (ToolDeviations, {}),
-    "straightness": (MachineTable, {"name": "generic"}),
+READERS: dict[str, Any] = {
+    "correction": types_of(Part)["correction"],
+    "heights": HeightFile,
+    "straightness": MachineDeviations,
+    "waviness": types_of(Tool)["waviness"],
 }
-"""Tables of a job that read a kind of file, and what else they need."""
+"""What of a job is read from a kind of file."""
 
 
 def _require_whole(machine: dict[str, Any]) -> None:
@@ -272,7 +276,7 @@ def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
     except TurnwrightError as error:
         found["errors"] = [{"field": "strategy", "sentence": str(error)}]
         with suppress(TurnwrightError):
-            found["access"] = plain(check_access(job.part.aimed, job.tool.tool, sense=job.strategy.sense))
+            found["access"] = plain(check_access(job.part.aimed, job.tool, sense=job.strategy.sense))
         return found
     found["access"] = plain(plan.access)
     found["preview"] = plain(

@@ -110,7 +110,7 @@ def _ready(folder: str) -> _Opened:
         return _opened[folder]
     job, file, name = finishing_pass(folder, "no window is finer than its maps: look at those")
     motion = predicted_motion(job, file, name)
-    radius = job.part.part.radius
+    radius = job.part.radius
     ready = Prepared.of(motion, job.actual_tool, job.actual_machine, distances=(0.0, radius), most_rings=10_000)
     points = motion.time.size
     while _opened and (
@@ -231,7 +231,7 @@ def chips(folder: str, pixels: int) -> bytes:
     from scipy.spatial import cKDTree  # noqa: PLC0415
 
     finish = numbers_of(folder)["passes"][-1]
-    radius = Job.load(File(folder) / "job.toml").part.part.radius
+    radius = Job.load(File(folder) / "job.toml").part.radius
     try:
         with h5py.File(File(folder) / "run.h5", "r") as archive:
             group = archive.get(f"chips/{finish['name']}")
@@ -312,11 +312,11 @@ def _nearest(axis: Floats, wanted: Floats) -> Any:
 def generated(folder: str, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
     """Return the error that the program leaves in a window, and the design there, nan beyond the clear radius."""
     opened = _ready(folder)
-    radius = opened.job.part.part.radius
+    radius = opened.job.part.radius
     x, y = np.meshgrid(columns, rows)
     inside = np.hypot(x, y) <= radius
     design = np.full(inside.shape, np.nan)
-    design[inside] = opened.job.part.part.surface.sag(x[inside], y[inside])
+    design[inside] = opened.job.part.surface.sag(x[inside], y[inside])
     if not inside.any():
         return design, design
     away = np.hypot(x[inside], y[inside])
@@ -346,9 +346,9 @@ def _filled(ready: Prepared, columns: Floats, rows: Floats, inside: Any) -> Floa
 def _design(job: Job, columns: Floats, rows: Floats) -> Floats:
     """Return the design over a grid, nan beyond the clear radius."""
     x, y = np.meshgrid(columns, rows)
-    inside = np.hypot(x, y) <= job.part.part.radius
+    inside = np.hypot(x, y) <= job.part.radius
     z = np.full(inside.shape, np.nan)
-    z[inside] = job.part.part.surface.sag(x[inside], y[inside])
+    z[inside] = job.part.surface.sag(x[inside], y[inside])
     return z
 
 
@@ -356,7 +356,7 @@ def profile(folder: str, ends: tuple[float, float, float, float], count: int) ->
     """Return the error along a straight line, generated at each of its places."""
     x0, y0, x1, y1 = ends
     opened = _ready(folder)
-    part = opened.job.part.part
+    part = opened.job.part
     share = np.linspace(0, 1, count)
     x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
     inside = np.hypot(x, y) <= part.radius
@@ -383,7 +383,7 @@ def motion(folder: str, points: int) -> bytes:
     held against; each span shows the largest, so that no peak is lost however few spans there are.
     """
     opened = _ready(folder)
-    moved, machine = opened.motion, opened.job.machine.machine
+    moved, machine = opened.motion, opened.job.machine
     time = moved.time - moved.time[0]
     borders = np.unique(np.linspace(0, time.size - 1, min(points, time.size) + 1).astype(np.int64))[:-1]
     arrays: dict[str, Floats] = {"time": time[borders], "radius": np.asarray(moved.axes["X"][borders])}
@@ -424,7 +424,7 @@ def spectrum(folder: str, letter: str) -> bytes:
     moved = opened.motion
     if letter not in moved.axes:
         raise InputError(f"the motion has no axis {letter[:8]!r}, it has {', '.join(moved.axes)}: name one of them")
-    axis = opened.job.machine.machine.axes.get(letter)
+    axis = opened.job.machine.axes.get(letter)
     turned = np.abs(moved.axes["C"] - moved.axes["C"][0]) / TURN
     position = np.asarray(moved.axes[letter])
     span = min(2.0, float(turned[-1]))

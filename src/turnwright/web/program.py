@@ -150,7 +150,7 @@ class _Index:
                 f"the run has no program that can be shown ({type(error).__name__}): run it again"
             ) from error
         self.files = _files(out)
-        self.machine = Job.load(out / "job.toml").machine.machine
+        self.machine = Job.load(out / "job.toml").machine
 
     def read(self, first: int, count: int) -> list[str]:
         """Return lines by number."""

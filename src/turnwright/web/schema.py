@@ -11,8 +11,9 @@ from collections.abc import Callable
 from typing import Any
 
 import turnwright
+from turnwright._tables import Stated
 from turnwright.instrument import Instrument
-from turnwright.job import InstrumentTable, Job, MachineTable, PartTable, Series, Table
+from turnwright.job import Job, Table
 from turnwright.material import Material
 from turnwright.units import write
 from turnwright.web.jobs import machines
@@ -33,17 +34,24 @@ SMALLER = {
 }
 """The same of fields that are far below a millimetre or a degree."""
 
-FILE_FIELDS: dict[type[Table], str] = {
-    MachineTable: "machine.file",
-    InstrumentTable: "measurement.instrument.file",
-}
+FILE_FIELDS = {"MachineTable": "machine.file", "InstrumentTable": "measurement.instrument.file"}
 """Fields of tables whose key ``file`` names no heights."""
 
-KNOWN_NAMES: dict[type[Table], Callable[[], list[str]]] = {
-    MachineTable: machines,
-    InstrumentTable: lambda: list(Instrument.known()),
+KNOWN_NAMES: dict[str, Callable[[], list[str]]] = {
+    "MachineTable": machines,
+    "InstrumentTable": lambda: list(Instrument.known()),
 }
 """Names that the key ``name`` of a table can have."""
+
+TEXTS = {
+    "family": "Which kind of surface it is.",
+    "placed": "Where it is put in the part frame; about the axis if left out.",
+    "units": "Which unit of length the formula is written in, so that its coefficients can be plain numbers; without it "
+    "each of them is text with its own unit.",
+    "waviness_file": "File with the columns sweep and deviation, each with its unit in the head, in place of the "
+    "coefficients.",
+}
+"""What is said of the keys of a file that are no fields of their class."""
 
 SAME = {"spindle_speed": "spindle_rpm"}
 """Fields of a table by the name of the parameter that they become."""
@@ -57,47 +65,46 @@ def job_schema() -> dict[str, Any]:
     and its ``endings``.
     """
     schema = Job.model_json_schema()
-    tables = {table.__name__: table for table in _below(Table)}
+    tables = {table.__name__: table for table in [*_below(Table), *_below(Stated)]}
     for name, definition in [*schema["$defs"].items(), ("Job", schema)]:
-        _explain(tables[name], definition)
+        if "properties" in definition:
+            _explain(tables.get(name), definition)
     return schema
 
 
-def _below(table: type[Table]) -> list[type[Table]]:
+def _below(table: type[Any]) -> list[type[Any]]:
     return [one for child in table.__subclasses__() for one in (child, *_below(child))]
 
 
-def _explain(table: type[Table], definition: dict[str, Any]) -> None:
+def _explain(table: type[Any] | None, definition: dict[str, Any]) -> None:
     """Add texts and units to one table."""
-    texts = texts_of(table)
+    texts = {} if table is None else texts_of(table)
+    own = definition["title"] if table is None else table.__name__
     definition["description"] = _clean(inspect.getdoc(table) or "").split("\n\n")[0].replace("\n", " ")
-    for name, given in definition.get("properties", {}).items():
+    for name, given in definition["properties"].items():
         field = dict(_without_null(given))
         given.clear()
         given.update(field)
         given["title"] = name.replace("_", " ")
-        given["description"] = texts.get(name, "")
+        given["description"] = given.get("description") or texts.get(name) or TEXTS.get(name, "")
         _units(given, name)
+        if given.get("default", 0) is None:
+            del given["default"]
+        for key, inner in given.get("properties", {}).items():
+            inner["title"] = key.replace("_", " ")
+            _units(inner, key)
         if "$ref" in given or isinstance(given.get("default"), dict):
             given.pop("default", None)  # a table says the defaults of its own fields
-        if name in FILE_KEYS:
-            given["format"] = "reference"
-        if name in FILE_KEYS or (table, name) == (PartTable, "material"):
-            given["holds"] = kind_of(FILE_FIELDS.get(table, ""), name)
-            given["endings"] = list(FILE_ENDINGS[given["holds"]])
-    properties = definition.get("properties", {})
-    if issubclass(table, Series):
-        properties["units"] = {**properties["units"], "type": "string", "enum": ["mm", "um", "nm", "m", "in"]}
-        properties["units"].pop("const", None)
-        for name in table.series:
-            inner = properties[name]
-            inner["items" if inner["type"] == "array" else "additionalProperties"] = {"type": ["number", "string"]}
-    if table in KNOWN_NAMES:
-        properties["name"]["enum"] = KNOWN_NAMES[table]()
-    if table is PartTable:
-        properties["material"]["examples"] = list(Material.known())
-    if "waviness" in properties and table.__name__ != "MeasurementTable":
-        properties["waviness"]["items"] = {"type": "string"}
+        kind = given.pop("reads", kind_of(FILE_FIELDS.get(own, ""), name) if name in FILE_KEYS else "")
+        if kind:
+            given["holds"] = kind
+            given["endings"] = list(FILE_ENDINGS[kind])
+            if kind == "material":
+                given["examples"] = list(Material.known())
+            else:
+                given["format"] = "reference"
+    if own in KNOWN_NAMES:
+        definition["properties"]["name"]["enum"] = KNOWN_NAMES[own]()
 
 
 def _without_null(field: dict[str, Any]) -> dict[str, Any]:
@@ -128,18 +135,16 @@ def _units(field: dict[str, Any], name: str) -> None:
         field["default"] = [write(float(one), item["unit"]) if "unit" in item else one for one, item in pairs]
 
 
-def texts_of(table: type[Table]) -> dict[str, str]:
+def texts_of(table: type[Any]) -> dict[str, str]:
     """Return the explanation of each field of a table.
 
     Parameters
     ----------
     table
-        One of those of a job file.
+        A class that a job file states.
     """
     texts: dict[str, str] = {}
     for owner in reversed(inspect.getmro(table)):
-        if not (isinstance(owner, type) and issubclass(owner, Table)):
-            continue
         doc = owner.__doc__ or ""
         for name in re.findall(r"`turnwright\.([A-Za-z]+)`", doc):
             texts |= _parameters(getattr(turnwright, name, None))
@@ -147,7 +152,7 @@ def texts_of(table: type[Table]) -> dict[str, str]:
     for field, parameter in SAME.items():
         if parameter in texts:
             texts.setdefault(field, texts[parameter])
-    return {name: text for name, text in texts.items() if name in table.model_fields}
+    return texts
 
 
 def _parameters(owner: object) -> dict[str, str]:

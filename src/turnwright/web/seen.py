@@ -69,7 +69,7 @@ def surface(data: dict[str, Any], folder: str, quantity: str, pixels: int) -> by
     place on the rim, so that whoever joins the points gets the rim right.
     """
     job = require(data, folder)
-    part = job.part.part
+    part = job.part
     axis = np.linspace(-part.radius, part.radius, pixels)
     x, y = (one.ravel() for one in np.meshgrid(axis, axis))
     away = np.hypot(x, y)
@@ -99,7 +99,7 @@ def surface(data: dict[str, Any], folder: str, quantity: str, pixels: int) -> by
 
 def _coloured(job: Job, part: Part, quantity: str, x: Floats, y: Floats, z: Floats) -> _Colours:
     """Return the values that colour a part."""
-    tool, sense = job.tool.tool, job.strategy.sense
+    tool, sense = job.tool, job.strategy.sense
     if quantity == "height":
         return _Colours(z, "mm", "height of the surface")
     if quantity == "slope":
@@ -131,12 +131,12 @@ def _chips(job: Job, part: Part, x: Floats, y: Floats) -> _Colours:
             "chips have no thickness: add part.stock"
         )
     feed = _feed(job)
-    bend = reach_at(part, job.tool.tool, x=x, y=y, sense=job.strategy.sense).curvature
+    bend = reach_at(part, job.tool, x=x, y=y, sense=job.strategy.sense).curvature
     note = (
         f"expected before any path is known, at {feed * 1e3:.3g} um/rev and a depth of {depth * 1e3:.3g} um: a run "
         "finds the chips along the path"
     )
-    return _Colours(expected_thickest(job.tool.tool, feed=feed, depth=depth, bend=bend), "mm", "thickest chip", note)
+    return _Colours(expected_thickest(job.tool, feed=feed, depth=depth, bend=bend), "mm", "thickest chip", note)
 
 
 def _stated_feed(servo: Strategy) -> float | None:
@@ -147,13 +147,13 @@ def _stated_feed(servo: Strategy) -> float | None:
 def _feed(job: Job) -> float:
     """Return how far the finishing pass advances per turn; on the whole, where that varies. [mm/rev]."""
     servo = job.servo(job.passes[-1])
-    return _stated_feed(servo) or servo.glimpse(job.part.aimed, job.tool.tool, turns=MOST_TURNS, per_turn=8).feed
+    return _stated_feed(servo) or servo.glimpse(job.part.aimed, job.tool, turns=MOST_TURNS, per_turn=8).feed
 
 
 def path(data: dict[str, Any], folder: str, points: int) -> bytes:
     """Return single turns of the finishing path, evenly apart, every place in true contact."""
     job = require(data, folder)
-    part, tool = job.part.aimed, job.tool.tool
+    part, tool = job.part.aimed, job.tool
     servo = job.servo(job.passes[-1])
     per_turn = int(np.clip(points // MOST_TURNS, 36, 180))
     spiral = servo.glimpse(part, tool, turns=max(points // per_turn, 1), per_turn=per_turn)
@@ -195,7 +195,7 @@ def section(
 ) -> bytes:
     """Return the part and the edge in the plane of the edge, to scale, and close by with the cusps beside it."""
     job = require(data, folder)
-    part, tool, sense = job.part.aimed, job.tool.tool, job.strategy.sense
+    part, tool, sense = job.part.aimed, job.tool, job.strategy.sense
     feed = feed or _feed(job)
     # The tip at this radius, and where the passes beside it stand at the same azimuth.
     ranks = np.arange(-PASSES, PASSES + 1)

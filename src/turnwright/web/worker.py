@@ -177,7 +177,7 @@ def _cut(job: Job, out: Path, tell: _Teller) -> Ended:
     report.archive_run(result, out)
     report.write_report(result, out)
     tell(INDEX.stage, 0, 1)
-    index(out, job.machine.machine)
+    index(out, job.machine)
     minutes = sum(one.limits.cycle_time_s for one in result.passes) / 60
     points = sum(one.points for one in result.passes)
     missing = sum(one.kept is False for one in result.verdicts)

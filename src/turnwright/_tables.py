@@ -1,0 +1,237 @@
+"""Dataclasses as the tables of a TOML file: which fields they have, how pydantic reads one, how one is written."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable, Collection, Mapping
+from functools import cache
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_type_hints
+
+from turnwright._arrays import same
+from turnwright._validate import key_of
+from turnwright.errors import InputError
+from turnwright.units import unit, write
+
+if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter
+    from pydantic_core import CoreSchema, ValidationError
+
+__all__ = ["Plausible", "Stated", "adapter", "named", "read_by", "refuse", "types_of", "written"]
+
+
+class Stated:
+    """A dataclass that a file can state: its fields carry their units, and unknown keys are refused."""
+
+    __slots__ = ()
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "arbitrary_types_allowed": True}
+    file_keys: ClassVar[Mapping[str, str]] = {}
+    """Keys that name the file of a field, by the field, where its own key is for values."""
+
+    @classmethod
+    def from_table(cls, table: dict[str, Any]) -> dict[str, Any]:
+        """Return the table of a file with its short forms written out, keys as the fields are called."""
+        return table
+
+    def to_table(self, table: dict[str, Any]) -> dict[str, Any]:
+        """Return the fields that are not as by default as a file states them."""
+        return table
+
+    @property
+    def unstated(self) -> Collection[str]:
+        """Fields that follow from the others, so that no file states them."""
+        return ()
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        import pydantic_core as core  # noqa: PLC0415 - only files need pydantic
+        from pydantic_core import core_schema  # noqa: PLC0415
+
+        def read(value: Any, build: Callable[[Any], Any]) -> Any:
+            if not isinstance(value, Mapping):
+                return build(value)
+            table = cls.from_table(dict(value))
+            named = {name: key for name, key in cls.file_keys.items() if table.get(key) is not None}
+            for name, key in named.items():
+                if table.get(name) is not None:
+                    raise InputError(f"{name} and {key} are both given, only one can be right: remove one")
+                table[name] = table.pop(key)
+            try:
+                return build(table)
+            except core.ValidationError as error:
+                raise _at_keys(error, named) from error
+
+        return core_schema.no_info_wrap_validator_function(
+            read,
+            handler(source),
+            ref=f"{cls.__module__}.{cls.__qualname__}:{id(cls)}",
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda value, info: written(value, whole=not info.exclude_unset), info_arg=True
+            ),
+        )
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        found = handler(core)
+        place = handler.resolve_ref_schema(found)
+        place["properties"] |= {key: {"type": "string", "reads": name} for name, key in cls.file_keys.items()}
+        return found
+
+
+def refuse(title: str, problems: Mapping[tuple[str | int, ...], Exception | str], data: object) -> ValidationError:
+    """Return a validation error of several sentences, each at its own place below the table being read."""
+    from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError  # noqa: PLC0415 - only files need it
+
+    return ValidationError.from_exception_data(
+        title,
+        [
+            InitErrorDetails(type=PydanticCustomError("sentence", "{text}", {"text": str(text)}), loc=place, input=data)
+            for place, text in problems.items()
+        ],
+    )
+
+
+def _at_keys(error: ValidationError, named: Mapping[str, str]) -> ValidationError:
+    """Return an error whose places are the keys of a file, where these are not those of the fields."""
+    from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError  # noqa: PLC0415 - only files need it
+
+    found = []
+    for one in error.errors(include_url=False):
+        first, *rest = one["loc"] or ("",)
+        kind: Any = one["type"]
+        if kind == "sentence":
+            kind = PydanticCustomError("sentence", "{text}", one["ctx"])
+        place = (named.get(str(first), first), *rest) if one["loc"] else ()
+        found.append(InitErrorDetails(type=kind, loc=place, input=one["input"], ctx=one.get("ctx", {})))
+    return ValidationError.from_exception_data(error.title, found) if named else error
+
+
+class read_by:  # noqa: N801 - reads as a word inside Annotated[Gridded | None, read_by("correction")]
+    """A field that a job states by the name of a file, or by another name, which the job's own reader looks up.
+
+    Without such a reader text stays text. A value that was read from a file has its path in ``file``.
+    """
+
+    __slots__ = ("kind",)
+
+    def __init__(self, kind: str) -> None:
+        """Take the name of the reader, which stands with the folder of the job in pydantic's context."""
+        self.kind = kind
+
+    def read(self, value: Any, info: Any) -> Any:
+        """Return what the reader makes of text, and any other value as it is."""
+        context = info.context or {}
+        reader = context.get("readers", {}).get(self.kind)
+        return value if reader is None or not isinstance(value, str) else reader(value, context["folder"])
+
+    def show(self, value: Any) -> Any:
+        """Return the name that `read` takes back to the same value."""
+        return named(value)
+
+    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+        return core_schema.with_info_plain_validator_function(
+            self.read, serialization=core_schema.plain_serializer_function_ser_schema(self.show)
+        )
+
+    def __get_pydantic_json_schema__(self, _core: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"type": "string", "reads": self.kind}
+
+
+class Plausible:
+    """Sizes of error sources, each one standard deviation: by the name of the source, in a file by its key.
+
+    Parameters
+    ----------
+    units
+        Of each source.
+    texts
+        What a form says of it.
+    """
+
+    __slots__ = ("texts", "units")
+
+    def __init__(self, units: Mapping[str, str], texts: Mapping[str, str]) -> None:
+        self.units, self.texts = units, texts
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """The types of the sizes by their keys in a file."""
+        return {key_of(name): Annotated[float, unit(one, above=0.0)] for name, one in self.units.items()}
+
+    def __get_pydantic_core_schema__(self, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+        fields = {
+            key: core_schema.typed_dict_field(handler.generate_schema(kind), required=False)
+            for key, kind in self.keys.items()
+        }
+        names = {key_of(name): name for name in self.units}
+        table = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
+        return core_schema.no_info_after_validator_function(
+            lambda sizes: {names[key]: size for key, size in sizes.items()}, table,
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda sizes: {key_of(name): write(size, self.units[name]) for name, size in sizes.items()}
+            ),
+        )  # fmt: skip
+
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        found = dict(handler(core))
+        for name, text in self.texts.items():
+            found["properties"][key_of(name)]["description"] = text
+        return found
+
+
+def named(value: Any) -> str | None:
+    """Return the name by which a job states a value that was read from a file.
+
+    Raises
+    ------
+    InputError
+        If it was read from none.
+    """
+    if value is None or isinstance(value, str):
+        return value
+    if not (file := getattr(value, "file", "")):
+        raise InputError(f"a job file names the file of a {type(value).__name__}, and this was read from none: write it")
+    return str(file)
+
+
+@cache
+def adapter(annotation: Any) -> TypeAdapter[Any]:
+    """Return how pydantic reads and writes a type."""
+    from pydantic import TypeAdapter  # noqa: PLC0415 - only files need pydantic
+
+    return TypeAdapter(annotation)
+
+
+@cache
+def types_of(cls: type[Any]) -> Mapping[str, Any]:
+    """Return the types of the fields of a dataclass that a caller states, with their units, by name."""
+    types: dict[str, Any] = {}
+    own = {field.name: field for field in dataclasses.fields(cls) if field.init}
+    for base in reversed(cls.__mro__):
+        names = [name for name in vars(base).get("__annotations__", {}) if name in own]
+        stated = SimpleNamespace(__annotations__={name: own[name].type for name in names})
+        types |= get_type_hints(stated, vars(sys.modules[base.__module__]), include_extras=True)
+    return {name: types[name] for name in own}
+
+
+def written(value: Any, *, whole: bool = False) -> dict[str, Any]:
+    """Return a dataclass as a table, quantities as text: the fields that are not as by default, or the whole of it."""
+    table = {}
+    for field in dataclasses.fields(value):
+        if not field.init or field.name in value.unstated:
+            continue
+        held = getattr(value, field.name)
+        factory = field.default_factory
+        default = field.default if factory is dataclasses.MISSING else factory()
+        if held is not None and (whole or not same(held, default)):
+            key = value.file_keys.get(field.name, "") if getattr(held, "file", "") else ""
+            kind = adapter(types_of(type(value))[field.name])
+            table[key or field.name] = (
+                named(held) if key else kind.dump_python(held, mode="json", exclude_unset=not whole)
+            )
+    return dict(value.to_table(table))

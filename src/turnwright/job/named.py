@@ -1,0 +1,327 @@
+"""What a job states by a name or by a file in place of the values: heights, certificates, machines, instruments."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+
+import numpy as np
+from pydantic import BeforeValidator, model_validator
+
+from turnwright._arrays import same
+from turnwright._tables import Plausible
+from turnwright._validate import key_of
+from turnwright.errors import InputError, JobError, MapError, shown
+from turnwright.files import read_map
+from turnwright.instrument import Instrument
+from turnwright.job.table import ByName, Table, read_columns
+from turnwright.machine import PLAUSIBLE, PLAUSIBLE_TEXTS, Machine
+from turnwright.material import Material
+from turnwright.post import dialect_of
+from turnwright.surface import Family, Gridded, Scattered
+from turnwright.tool import WavinessTable
+from turnwright.units import Flag, Size, Slope, Text, Thickness, write
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from os import PathLike
+
+    from pydantic import ValidationInfo
+
+__all__ = ["AnyInstrument", "AnyMachine", "ExistingFile", "HeightFile", "MachineDeviations", "context_of", "with_keys"]
+
+
+def existing(text: str, folder: str | PathLike[str]) -> File:
+    """Return a file as a whole path, looked for beside the job file."""
+    file = File(folder) / text
+    if not os.path.isfile(file):  # noqa: PTH113 - false of a name that no system takes, too
+        if os.path.exists(file):  # noqa: PTH110 - likewise
+            raise JobError(f"{text!r} is no plain file, but a folder or a device: name a file")
+        raise JobError(f"the file {text!r} does not exist beside the job file: correct the name or put it there")
+    return file.resolve()
+
+
+def _existing(text: object, info: ValidationInfo) -> object:
+    return existing(str(text), (info.context or {}).get("folder", ".")) if isinstance(text, str | File) else text
+
+
+ExistingFile: TypeAlias = Annotated[File, BeforeValidator(_existing)]
+
+
+def context_of(folder: str | PathLike[str]) -> dict[str, Any]:
+    """Return what pydantic is given along with a job: where its files lie, and how they are read."""
+    return {"folder": folder, "readers": READERS}
+
+
+def _correction(text: str, folder: str) -> Gridded:
+    """Return a correction as `correct` writes it."""
+    file = existing(text, folder)
+    heights = read_map(file)
+    if heights.x is None or heights.y is None or heights.scattered or np.isnan(heights.z).any():
+        raise JobError(
+            f"{file.name} is no whole grid of heights over x and y: name what turnwright correct has written"
+        )
+    return Gridded(x=heights.x, y=heights.y, z=heights.z, source=HeightFile(file=file))
+
+
+def _material(text: str, folder: str) -> str:
+    """Return a known material's name as it is, the file of one as a whole path."""
+    if not text.endswith(".toml"):
+        if text and Material.named(text) is None:
+            raise JobError(
+                f"{shown(text)} is not a known material: {Material.suggest(text)}; give the .toml file of one of your "
+                "own, or state a material that is not to be judged as material_note"
+            )
+        return text
+    file = str(existing(text, folder))
+    Material.load(file)
+    return file
+
+
+def _waviness(text: str, folder: str) -> WavinessTable:
+    """Return the certificate of an edge: columns sweep and deviation, each with its unit in the head."""
+    file = existing(text, folder)
+    sweep, deviation = read_columns(file, {"sweep": "rad", "deviation": "mm"})
+    return WavinessTable(sweep=sweep, deviation=deviation, file=str(file))
+
+
+READERS: dict[str, Callable[[str, str], Any]] = {
+    "correction": _correction,
+    "material": _material,
+    "waviness": _waviness,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeightFile(Family):
+    """Heights from a file of any kind that `turnwright.read_map` reads. See `turnwright.Gridded`.
+
+    Parameters
+    ----------
+    file
+        Table or list of heights, or a map of an instrument: text, CSV, Zemax grid sag and others.
+    units
+        Of x and y, where the file does not state it.
+    sag_units
+        Of the heights, where the file does not state it.
+    pixel_size
+        Of a file that counts pixels: one size, or one along x and one along y. [mm]
+    inverted
+        Whether the heights of the file grow into the material.
+    """
+
+    family = "gridded"
+    file: ExistingFile
+    units: Literal["m", "mm", "um", "in"] | None = None
+    sag_units: Literal["m", "mm", "um", "nm", "in"] | None = None
+    pixel_size: Size | tuple[Size, Size] | None = None
+    inverted: Flag = False
+
+    @property
+    def heights(self) -> Gridded | Scattered:
+        """The surface through the heights, which are read anew when the file has changed."""
+        stamp = self.file.stat()
+        return _tabulated(self, (stamp.st_mtime_ns, stamp.st_size))
+
+
+def with_keys(told: str, where: str) -> str:
+    """Return a message on a missing unit with the keys of a job that state it, and where they stand."""
+    told = re.sub("unit='mm', or as a column '([xy]) ", rf"units = 'mm' in {where}, or as a column '\1 ", told)
+    return told.replace("unit='mm', or", f"sag_units = 'mm' in {where}, or")
+
+
+@lru_cache(maxsize=4)
+def _tabulated(stated: HeightFile, _stamp: tuple[int, int]) -> Gridded | Scattered:
+    """Return the surface through the heights of a file."""
+    file = stated.file
+    try:
+        found = read_map(
+            file, unit=stated.sag_units, lateral_unit=stated.units or "", pixel_size=stated.pixel_size
+        )
+    except MapError as error:
+        raise JobError(with_keys(str(error).replace(str(file), file.name), "the job")) from error
+    if not found.calibrated:
+        raise JobError(f"{file.name} counts pixels and does not say how large they are: state pixel_size")
+    z = -found.z if stated.inverted else found.z
+    if found.x is None or found.y is None:
+        raise JobError(f"{file.name} holds a polar grid: write its heights over x and y, or as a list of points")
+    if found.scattered:
+        known = np.isfinite(z)
+        return Scattered(x=found.x[known], y=found.y[known], z=z[known], source=stated)
+    return Gridded(x=found.x, y=found.y, z=z, source=stated)
+
+
+class MachineDeviations(Table):
+    """What the actual machine has otherwise than the one planned with.
+
+    Parameters
+    ----------
+    squareness
+        How far X and Z are off a right angle: the error of Z is this times X. [rad]
+    straightness_file
+        File with the columns x and error, each with its unit in the head: the error of Z over X.
+    """
+
+    squareness: Slope | None = None
+    straightness_file: ExistingFile | None = None
+
+    @cached_property
+    def stated(self) -> dict[str, Any]:
+        """The deviations that are stated, as `Machine` takes them."""
+        stated: dict[str, Any] = {} if self.squareness is None else {"squareness": self.squareness}
+        if self.straightness_file is not None:
+            stated["straightness"] = tuple(read_columns(self.straightness_file, {"x": "mm", "error": "mm"}))
+        return stated
+
+    def deviating(self, machine: Machine) -> Machine:
+        """Return the machine with what is stated otherwise."""
+        file = self.straightness_file
+        sources = {**machine.sources, "straightness": str(file)} if file else machine.sources
+        return replace(machine, sources=sources, **self.stated)
+
+    @model_validator(mode="after")
+    def _can_exist(self) -> MachineDeviations:
+        _ = self.stated
+        return self
+
+
+class MachineTable(MachineDeviations):
+    """The lathe, by the name of one that comes with Turnwright or by its own file. See `turnwright.Machine`.
+
+    Parameters
+    ----------
+    name
+        One of the lathes that come with Turnwright; or else give a file.
+    file
+        A machine file of one's own, in place of the name.
+    dialect
+        The language of the controller, where it is not the machine's usual one.
+    interpolation
+        What the controller makes of the points, where it offers more than one way; the machine's own if left
+        out.
+    plausible
+        How large the machine's errors plausibly are, where not as its file says.
+    """
+
+    name: Text | None = None
+    file: ExistingFile | None = None
+    dialect: Text | None = None
+    interpolation: Text | None = None
+    plausible: Annotated[dict[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS)] = {}
+
+    def build(self) -> Machine:
+        """Return the machine."""
+        if (self.name is None) == (self.file is None):
+            raise JobError("name and file of the machine are both given or both missing: give one of them")
+        loaded = Machine.load(self.file or self.name or "")
+        own = loaded.controller.interpolation
+        machine = loaded if self.interpolation is None else loaded.interpolating(self.interpolation)
+        stated = {} if self.dialect is None else {"dialect": self.dialect}
+        machine = replace(machine, plausible={**machine.plausible, **self.plausible}, **stated)
+        machine = self.deviating(machine)
+        dialect, asked = dialect_of(machine), machine.controller.interpolation
+        # What a controller makes of plain points unasked is its own; any other must be asked for in the program.
+        if asked not in (own, dialect.interpolation):
+            raise JobError(
+                f"interpolation is {asked!r}, a program in the dialect {dialect.name} asks for "
+                f"{dialect.interpolation}: choose that, or {own}, which {machine.name} takes unasked"
+            )
+        return machine
+
+    @classmethod
+    def table_of(cls, machine: Machine) -> dict[str, Any]:
+        """Return how a job names a machine: what it was loaded from, and what differs from that.
+
+        Raises
+        ------
+        InputError
+            If it was loaded from nothing, or differs in what a job does not state.
+        """
+        if not machine.loaded_from:
+            raise InputError(f"a job names the file of a machine, and {machine.name!r} has none: write a machine file")
+        key = "file" if machine.loaded_from.endswith(".toml") else "name"
+        table: dict[str, Any] = {key: machine.loaded_from}
+        own = Machine.load(machine.loaded_from)
+        if machine.controller.interpolation != own.controller.interpolation:
+            table["interpolation"] = machine.controller.interpolation
+            own = own.interpolating(machine.controller.interpolation)
+        if machine.dialect != own.dialect:
+            table["dialect"] = machine.dialect
+        if machine.squareness != own.squareness:
+            table["squareness"] = write(machine.squareness, "rad")
+        if not same(machine.straightness, own.straightness):
+            table["straightness_file"] = machine.sources.get("straightness", "")
+        sizes = {name: size for name, size in machine.plausible.items() if own.plausible.get(name) != size}
+        if sizes:
+            table["plausible"] = {key_of(name): write(size, PLAUSIBLE[name]) for name, size in sizes.items()}
+        stated = {name: getattr(machine, name) for name in ("dialect", "squareness", "straightness", "plausible", "sources")}
+        if replace(own, **stated) != machine:
+            raise InputError(f"a job does not state what {machine.name!r} has otherwise than its file: write it there")
+        return table
+
+
+class InstrumentTable(Table):
+    """The instrument through which a prediction is seen. See `turnwright.Instrument`.
+
+    Parameters
+    ----------
+    name
+        One of the instruments that come with Turnwright; what else is stated here replaces its own.
+    file
+        A ``.toml`` file of an instrument of one's own, in place of the name.
+    """
+
+    name: Text | None = None
+    file: ExistingFile | None = None
+    pixel: Size | None = None
+    numerical_aperture: float | None = None
+    wavelength: Size | None = None
+    resolution: Size | None = None
+    filling: float | None = None
+    stylus_radius: Size | None = None
+    noise: Thickness | None = None
+
+    def build(self) -> Instrument:
+        """Return the instrument."""
+        if self.name is not None and self.file is not None:
+            raise JobError("name and file of the instrument are both given: give one of them")
+        if self.name is not None and self.name not in Instrument.known():
+            raise JobError(
+                f"the instrument is {shown(self.name)}, the known ones are {', '.join(Instrument.known())}: choose "
+                "one, name a .toml file, or state its pixel and resolution"
+            )
+        source = self.file or self.name
+        own = Instrument() if source is None else Instrument.load(source)
+        values = {key: getattr(self, key) for key in type(self).model_fields if key not in ("name", "file")}
+        stated = {key: value for key, value in values.items() if value is not None}
+        if not stated and source is None:
+            raise JobError("the instrument states nothing: give its name, a file, or what it resolves, such as pixel")
+        return replace(own, **stated)
+
+    @classmethod
+    def table_of(cls, instrument: Instrument) -> dict[str, Any]:
+        """Return how a job states an instrument: what it was loaded from, and what differs from that."""
+        source = instrument.loaded_from
+        own = Instrument.load(source) if source else Instrument()
+        table: dict[str, Any] = {"file" if source.endswith(".toml") else "name": source} if source else {}
+        for one in fields(Instrument):
+            value = getattr(instrument, one.name)
+            if one.name in cls.model_fields and one.name != "name" and value != getattr(own, one.name):
+                length = one.name not in ("numerical_aperture", "filling")
+                table[one.name] = write(value, "mm") if length else value
+        return table
+
+
+def _instrument(value: object) -> object:
+    """Return the table that the name or the file of an instrument stands for."""
+    if isinstance(value, str):
+        return {"file" if value.endswith(".toml") else "name": value}
+    return value
+
+
+AnyMachine: TypeAlias = Annotated[Machine, ByName(MachineTable)]
+AnyInstrument: TypeAlias = Annotated[Instrument, ByName(InstrumentTable), BeforeValidator(_instrument)]

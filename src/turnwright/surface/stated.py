@@ -1,0 +1,226 @@
+"""Surfaces as a job file states them: a table with its ``family``, or a list of such tables, which are added."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import ValidationError
+from pydantic_core import InitErrorDetails, core_schema
+from typing_extensions import TypeAliasType, TypedDict
+
+from turnwright._tables import Stated, adapter, refuse, written
+from turnwright.errors import InputError, JobError, UnitError
+from turnwright.pose import Pose
+from turnwright.surface.base import FAMILIES, Surface
+from turnwright.surface.compound import Placed
+from turnwright.units import parse
+
+if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+    from pydantic_core import CoreSchema
+
+__all__ = ["json_schema_of", "schema_of", "table_of"]
+
+HIGHEST = 99
+"""A coefficient of a higher power of 1/mm belongs to no series."""
+
+UNITS = ("mm", "um", "nm", "m", "in")
+"""Units that the formula of a series may be written in."""
+
+
+class _Where(TypedDict):
+    placed: Pose
+
+
+def schema_of(cls: type[Any], source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    """Return how pydantic reads and writes a family, or for `Surface` itself whichever family a table names."""
+    if cls is Surface:
+        return handler.generate_schema(_AnySurface)
+
+    def read(value: Any, build: Callable[[Any], Any], info: Any) -> Any:
+        if not isinstance(value, Mapping):
+            return build(value)
+        table = {name: one for name, one in value.items() if name not in ("family", "placed")}
+        placement = None
+        if value.get("placed") is not None:
+            placement = adapter(_Where).validate_python({"placed": value["placed"]}, context=info.context)["placed"]
+        if cls.formula_units:
+            _check_units(cls, table)
+        missing = [InitErrorDetails(type="missing", loc=(key,), input=table) for key in cls.needed if key not in table]
+        if missing:
+            raise ValidationError.from_exception_data(cls.__name__, missing)
+        surface = build(cls.from_table(_with_coefficients(cls, table)))
+        surface = getattr(surface, "heights", surface)  # of a family whose heights are in a file
+        if placement is None:
+            return surface
+        return surface.placed(shift=placement.shift, rotation=placement.rotation, tilt=placement.tilt)
+
+    return core_schema.with_info_wrap_validator_function(
+        read,
+        handler(source),
+        ref=f"{cls.__module__}.{cls.__qualname__}:{id(cls)}",
+        serialization=core_schema.plain_serializer_function_ser_schema(
+            lambda surface, info: table_of(surface, whole=not info.exclude_unset), info_arg=True
+        ),
+    )
+
+
+def json_schema_of(cls: type[Any], found: dict[str, Any], handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    """Return the JSON schema of a family with the keys that every family has."""
+    own = dict(found["properties"])
+    for name, series in cls.series.items():
+        entry = {"type": ["number", "string"]}
+        kind = {"type": "array", "items": entry} if series.key is None else {
+            "type": "object", "additionalProperties": entry,
+        }  # fmt: skip
+        own[name] = {**own[name], **kind}
+    if cls.series:
+        own["units"] = {"type": "string", "enum": list(UNITS)}
+    required = ["family", *found.get("required", ()), *cls.needed]
+    if cls.formula_units:
+        own["units"] = {"type": "string", "const": cls.formula_units}
+        required.append("units")
+    return {
+        **found,
+        "properties": {
+            "family": {"type": "string", "const": cls.family},
+            **own,
+            "placed": handler(adapter(Pose).core_schema),
+        },
+        "required": required,
+    }
+
+
+class _Family:
+    """The annotation by which a table is read as the family that it names."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        tagged = core_schema.tagged_union_schema(
+            {name: handler.generate_schema(family) for name, family in FAMILIES.items()}, discriminator="family"
+        )
+
+        def read(value: Any, build: Callable[[Any], Any]) -> Any:
+            if isinstance(value, Surface):
+                return value
+            return build({"family": "sum", "terms": value} if isinstance(value, list | tuple) else value)
+
+        return core_schema.no_info_wrap_validator_function(
+            read,
+            tagged,
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda surface, info: table_of(surface, whole=not info.exclude_unset), info_arg=True
+            ),
+        )
+
+
+_AnySurface = TypeAliasType("_AnySurface", Annotated[Any, _Family])
+
+
+def table_of(surface: Surface, *, whole: bool = False) -> dict[str, Any]:
+    """Return the table by which a job file states a surface, with what is as by default if the whole is wanted.
+
+    Raises
+    ------
+    InputError
+        If it is of no family that a job file knows, or its heights are in no file.
+    """
+    if isinstance(surface, Placed):
+        table = table_of(surface.surface, whole=whole)
+        if "placed" in table:
+            table = {"family": "sum", "terms": [table]}
+        return {**table, "placed": written(surface.pose, whole=whole)}
+    stated = surface.stated
+    if (family := getattr(stated, "family", "")) not in FAMILIES:
+        raise InputError(
+            f"a job file has no family for a {type(surface).__name__}, it knows {', '.join(FAMILIES)}: write its "
+            "heights to a file and name that"
+        )
+    table = written(stated, whole=whole)
+    for name, series in stated.series.items():
+        if name in table:
+            table |= {"units": "mm", name: series.written(table[name])}
+    if stated.formula_units:
+        table["units"] = stated.formula_units
+    return {"family": family, **table}
+
+
+def _check_units(cls: type[Any], table: dict[str, Any]) -> None:
+    """Take the units of a formula out of a table, which must state them."""
+    given = table.pop("units", None)
+    if given == cls.formula_units:
+        return
+    wrong = (
+        InitErrorDetails(type="missing", loc=("units",), input=table)
+        if given is None
+        else InitErrorDetails(
+            type="literal_error", loc=("units",), input=given, ctx={"expected": repr(cls.formula_units)}
+        )
+    )
+    raise ValidationError.from_exception_data(cls.__name__, [wrong])
+
+
+def _with_coefficients(cls: type[Any], table: dict[str, Any]) -> dict[str, Any]:
+    """Return a table with its coefficients in mm to their power, which may be plain numbers of the stated ``units``."""
+    if not cls.series:
+        return table
+    units = table.pop("units", None)
+    if units is not None:
+        try:
+            parse(f"1 {units}", "mm")
+        except UnitError as error:
+            raise refuse(cls.__name__, {("units",): error}, units) from error
+    problems: dict[tuple[str | int, ...], Exception | str] = {}
+    for name, series in cls.series.items():
+        given = table.get(name)
+        if given is None:
+            continue
+        if not isinstance(given, Mapping if series.key else list | tuple):
+            raise ValidationError.from_exception_data(
+                cls.__name__,
+                [InitErrorDetails(type="dict_type" if series.key else "list_type", loc=(name,), input=given)],
+            )
+        entries = list(given.items() if isinstance(given, Mapping) else enumerate(given))
+        problems |= {(name, key): error for key, error in _repeated(key for key, _ in entries).items()}
+        values: dict[Any, float] = {}
+        for key, value in entries:
+            try:
+                place = key if series.key is None else series.key(str(key))
+                values[place] = _coefficient(value, units, series.power(place))
+            except (UnitError, JobError) as error:
+                problems[name, key] = error
+        table[name] = values if series.key else tuple(values.values())
+    if problems:
+        raise refuse(cls.__name__, problems, table)
+    return table
+
+
+def _coefficient(value: object, units: str | None, power: int) -> float:
+    """Return a coefficient in mm^power."""
+    if abs(power) > HIGHEST:
+        raise JobError(f"its unit is mm^{power}, the limit is mm^-{HIGHEST}, a degree of {HIGHEST + 1}: leave it out")
+    if units is not None and isinstance(value, int | float) and not isinstance(value, bool):
+        return parse(f"{value!r} {_power_of(units, power)}", _power_of("mm", power))
+    if not isinstance(value, str):
+        raise UnitError(f"{value!r} has no unit: write it as text with a unit, or state the units of the formula once")
+    return parse(value, _power_of("mm", power))
+
+
+def _power_of(units: str, power: int) -> str:
+    """Return a power of a unit as a person writes it."""
+    if power == 0:
+        return "1"
+    raised = units if abs(power) == 1 else f"{units}^{abs(power)}"
+    return raised if power > 0 else f"1/{raised}"
+
+
+def _repeated(keys: Iterable[object]) -> dict[Any, JobError]:
+    """Return what is wrong with keys that say the same as one before them."""
+    seen: dict[tuple[str, ...], object] = {}
+    return {
+        key: JobError(f"the key {key!r} means the same as {first!r}: remove one")
+        for key in keys
+        if (first := seen.setdefault(tuple(re.findall("-?[0-9]{1,9}", str(key))), key)) != key
+    }
