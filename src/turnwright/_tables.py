@@ -195,21 +195,31 @@ def named(value: Any) -> str | None:
     if value is None or isinstance(value, str):
         return value
     if not (file := getattr(value, "file", "")):
-        raise InputError(f"a job file names the file of a {type(value).__name__}, and this was read from none: write it")
+        raise InputError(
+            f"a job file names the file of a {type(value).__name__}, and this was read from none: write it"
+        )
     return str(file)
 
 
-@cache
 def adapter(annotation: Any) -> TypeAdapter[Any]:
     """Return how pydantic reads and writes a type."""
+    return _adapter(annotation)
+
+
+@cache
+def _adapter(annotation: Any) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter  # noqa: PLC0415 - only files need pydantic
 
     return TypeAdapter(annotation)
 
 
-@cache
-def types_of(cls: type[Any]) -> Mapping[str, Any]:
+def types_of(cls: Any) -> Mapping[str, Any]:
     """Return the types of the fields of a dataclass that a caller states, with their units, by name."""
+    return _types(cls)
+
+
+@cache
+def _types(cls: Any) -> Mapping[str, Any]:
     types: dict[str, Any] = {}
     own = {field.name: field for field in dataclasses.fields(cls) if field.init}
     for base in reversed(cls.__mro__):

@@ -109,7 +109,9 @@ class Part(Stated):
     @property
     def aimed(self) -> Part:
         """The part that the tool is sent to: the design with its correction."""
-        return self if self.correction is None else replace(self, surface=self.surface + self.correction, correction=None)
+        return (
+            self if self.correction is None else replace(self, surface=self.surface + self.correction, correction=None)
+        )
 
     @property
     def substance(self) -> Material | None:

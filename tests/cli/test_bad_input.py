@@ -279,7 +279,7 @@ def test_units_of_no_terms_are_read_too(tmp_path):
     job = Job.read(changed(("part.surface", [{"family": "plane"}, none])))
     (tmp_path / "again.toml").write_text(job.to_toml())
     assert Job.load(tmp_path / "again.toml") == job
-    assert job.part.surface.terms[1].units == "mm"
+    assert job.part.surface.terms[1].terms == ()
 
 
 def test_a_taken_folder_is_not_touched(place, capsys):

@@ -135,8 +135,8 @@ def test_a_drift_that_comes_anew_is_not_corrected(tmp_path):
 def test_what_does_not_repeat_can_be_left_out(tmp_path):
     """With ``repeats = false`` the drift of a single map is left alone."""
     part = sample(drift(200e-6), drift(200e-6))
-    measurement = part.job.measurement.model_copy(update={"repeats": False})
-    job = part.job.model_copy(update={"measurement": measurement})
+    measurement = replace(part.job.measurement, repeats=False)
+    job = replace(part.job, measurement=measurement)
     maps = [tw.measure(job, part.map(0, np.random.default_rng(1)))]
     with pytest.raises(tw.CorrectionError):
         tw.correct(job, tw.diagnose(maps), maps, out=tmp_path / "better")
@@ -146,7 +146,7 @@ def test_what_does_not_repeat_can_be_left_out(tmp_path):
 def test_a_certain_offset_is_corrected_either_way(asked, tmp_path):
     """By the tool alone, or by the form alone. What is simulated is what the tool that was found leaves."""
     part = freeform(blind.Errors(offset=(5e-3, 3e-3, 0.0)))
-    job = part.job.model_copy(update={"measurement": part.job.measurement.model_copy(update=asked)})
+    job = replace(part.job, measurement=replace(part.job.measurement, **asked))
     one = tw.measure(job, part.map(0, np.random.default_rng(1)))
     better = tw.correct(job, tw.diagnose(one), one, out=tmp_path / "better")
     assert bool(better.sources) == ("repeats" in asked)

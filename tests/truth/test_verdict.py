@@ -124,7 +124,7 @@ def test_a_plan_with_servos_is_run_with_servos(tmp_path):
 @pytest.mark.parametrize("kind", ["mirror", "flat"])
 def test_a_study_without_errors_finds_the_cusps_of_a_dense_map(kind, tmp_path):
     job = job_of(kind)
-    job = tw.Job.read({**job.model_dump(mode="json", exclude_unset=True, exclude_none=True), "simulation": {}})
+    job = tw.Job.read({**job.table(), "simulation": {}})
     shared = laid_out(job, ErrorBudget.typical(), Store.open(tmp_path / "store"), correction=False)
     bench = Bench.of(shared, Store.open(tmp_path / "store"))
     found, _ = bench.judged(bench.real({}))

@@ -24,9 +24,7 @@ def patch(name, x, y):
 
 
 def job(surface):
-    data = Job.load(HERE.parents[2] / "examples" / "li2018_sine_grid.toml").model_dump(
-        mode="json", exclude_unset=True, exclude_none=True
-    )
+    data = Job.load(HERE.parents[2] / "examples" / "li2018_sine_grid.toml").table()
     # 1200 points a turn leave chords of 0.03 nm on the grid, which is a quarter of the lowest Sq here.
     data["strategy"]["points_per_rev"] = 3600
     data["roughness"] = {"form": "mean"}

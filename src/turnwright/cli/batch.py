@@ -108,7 +108,7 @@ def _run_case(data: Mapping[str, Any], shared: Mapping[str, Any], _store: Store 
     from turnwright.studies import case_key  # noqa: PLC0415
 
     job = Job.load(data["job"])
-    key = case_key({"job": job.model_dump(mode="json")})
+    key = case_key({"job": job.table(whole=True)})
     out = Path(shared["out"]) / data["name"]
     with suppress(OSError, ValueError, KeyError, TypeError):  # TypeError: JSON, but of something else
         done = json.loads((out / DONE).read_text(encoding="utf-8"))

@@ -214,7 +214,7 @@ def _job(file: Path, keys: Sequence[str]) -> Job:
     job = Job.load(file)
     if not keys:
         return job
-    table = tomllib.loads(job.to_toml())
+    table = job.table()
     for one in keys:
         key, equals, value = (part.strip() for part in one.partition("="))
         if not (key and equals and value):

@@ -56,7 +56,7 @@ def tile(
     # Whatever can be refused is refused before the part is planned, which may take minutes.
     _require_own(out)
     planned_layout(store, step, radius=part.radius, tile=size)
-    key = case_key({"job": recipe.model_dump(mode="json"), "pixel": step, "tile": size})
+    key = case_key({"job": recipe.table(whole=True), "pixel": step, "tile": size})
     _require_same(out, key)
     with ExitStack() as stack:
         progress = stack.enter_context(progress_of(door.stop, _steps(recipe, step)))

@@ -17,10 +17,10 @@ from turnwright.job.contributions import Shares, has_servos, shares, without_ser
 from turnwright.job.correction import Correction, correct
 from turnwright.job.finish_terms import Finish, finish
 from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
+from turnwright.job.named import HeightFile, MachineDeviations, context_of, with_keys
 from turnwright.job.pass_plan import PassPlan, plan_pass
 from turnwright.job.pipeline import Pipeline
 from turnwright.job.planning import Plan, Trial, plan
-from turnwright.job.named import HeightFile, MachineDeviations, context_of, with_keys
 from turnwright.job.result import Pass, Prediction, Preview, Result
 from turnwright.job.running import (
     finishing_motion,

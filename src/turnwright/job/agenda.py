@@ -119,8 +119,8 @@ def steps_of_plan(job: Job) -> tuple[Step, ...]:
     one = sum(step.work for step in _placed(job, points)) + (WRITE_S + READ_S + EXTREMES_S) * points
     work = PROOFS * (one + sum(step.work for step in steps_of_prediction(job, tracking=has_servos(job.actual_machine))))
     controller = job.machine.controller
-    others = () if job.machine.interpolation else controller.other_interpolations
-    return tuple(Step(stage=stage_of(name), work=work) for name in (controller.interpolation, *others))
+    tried = (controller.interpolation, *controller.other_interpolations)
+    return tuple(Step(stage=stage_of(name), work=work) for name in tried)
 
 
 def steps_of_comparison(job: Job) -> tuple[Step, ...]:

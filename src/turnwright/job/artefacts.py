@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-import tomllib
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
 from turnwright.access import check_access
 from turnwright.errors import JobError
 from turnwright.job.pass_plan import plan_pass
-from turnwright.job.schema import Job
+from turnwright.job.schema import SimulationTable, Tolerances
+from turnwright.job.strategies import HybridTable
 from turnwright.motion import check_limits
-from turnwright.units import write
+from turnwright.surface import Plane, Sphere, Surface
 
 if TYPE_CHECKING:
+    from turnwright.job.schema import Job
     from turnwright.progress import StageProgress
 
 __all__ = ["Artefact", "artefact"]
@@ -79,7 +81,7 @@ def artefact(
         )
     radius = part.radius if radius is None else radius
     if kind == "tilted flat":
-        surface: dict[str, Any] = {"family": "plane", "slope": [math.tan(slope), 0.0]}
+        surface: Surface = Plane(slope=(math.tan(slope), 0.0))
         name = f"flat tilted by {np.rad2deg(slope):.4g} deg"
     else:
         curve = float(f"{radius / math.sin(slope):.4g}")
@@ -88,22 +90,15 @@ def artefact(
                 f"a sphere of {radius:g} mm with {np.rad2deg(slope):.4g} deg at its rim has a radius of {curve:.4g} "
                 f"mm, the nose has {tool.actual_radius:g} mm: state a larger radius or less slope"
             )
-        surface = {"family": "sphere", "radius": write(curve, "mm")}
+        surface = Sphere(radius=curve)
         name = f"concave sphere R {curve:.4g} mm"
-    table = tomllib.loads(job.to_toml())
-    table["part"] = {
-        "name": f"{name}, artefact",
-        "radius": write(radius, "mm"),
-        "surface": surface,
-        **{key: table["part"][key] for key in ("stock", "material", "material_note") if key in table["part"]},
-    }
-    for key in ("simulation", "tolerances"):
-        table.pop(key, None)
-    strategy = table["strategy"]
-    strategy.pop("base", None)  # the share of the slide belongs to the part
-    if not {"spindle_speed", "spindle_speeds"} & strategy.keys():
-        strategy["spindle_speed"] = write(_speed(job, progress), "rpm")
-    return Job.read(table)
+    strategy = job.strategy
+    if isinstance(strategy, HybridTable):
+        strategy = replace(strategy, base=None)  # the share of the slide belongs to the part
+    if strategy.spindle_speed is None and strategy.spindle_speeds is None:
+        strategy = replace(strategy, spindle_speed=_speed(job, progress))
+    flat = replace(part, surface=surface, radius=radius, name=f"{name}, artefact", correction=None, blank=None)
+    return replace(job, part=flat, strategy=strategy, simulation=SimulationTable(), tolerances=Tolerances())
 
 
 def _speed(job: Job, progress: StageProgress | None) -> float:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from turnwright._tables import types_of, written
 from turnwright.errors import Stopped, TurnwrightError
 from turnwright.job.contributions import Shares, shares
 from turnwright.job.strategies import KINDS
@@ -127,19 +128,17 @@ class Comparison:
         """
         servo, own = candidate.servo, self.job.strategy
         if candidate.name == AS_IT_STANDS:
-            return own.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+            return written(own)
         if servo is None:
             return {}
         kind = KIND_OF[type(servo)]
         table = KINDS[kind]
         values = {name: getattr(own, name) for name in ("spindle_speed", "spindle_speeds", "sense", "inside_out")}
         for one in (getattr(servo, "plan", servo), servo):
-            values |= {name: getattr(one, name) for name in table.model_fields if hasattr(one, name)}
+            values |= {name: getattr(one, name) for name in types_of(table) if hasattr(one, name)}
         # The slide under a fast tool follows what the limits of that tool leave to it, as the job file finds by itself.
         values.pop("base", None)
-        return table.model_construct(**{**values, "kind": kind}).model_dump(
-            mode="json", exclude_none=True, exclude_defaults=True
-        )
+        return written(table(**{**values, "kind": kind}))
 
 
 def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +21,14 @@ from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
 from turnwright.job.measurement import Measured, beyond_pose, cutoff_of, errors_at_candidates, same_part
+from turnwright.job.named import HeightFile, as_loaded
 from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
-from turnwright.job.schema import Job
+from turnwright.job.schema import Actual, Job
 from turnwright.job.text import edited
 from turnwright.job.verdict import Verdict, judge_form
 from turnwright.metrology import Smooth, form_compensation, sum_tables
 from turnwright.part import evenly
 from turnwright.tool import WavinessTable
-from turnwright.units import write
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -294,21 +293,21 @@ def _better(
     job: Job, found: Diagnosis, plan: _Plan, ledger: Sequence[tuple[Measured, str]], out: File
 ) -> Job:  # fmt: skip
     """Return the corrected job; the files that it names are written."""
-    table = tomllib.loads(job.to_toml())
     kept = [line for line in job.measurement.corrected if not any(one.fingerprint in line for one, _ in ledger)]
-    if ledger:
-        table.setdefault("measurement", {})["corrected"] = [*kept, *(line for _, line in ledger)]
-    table.get("measurement", {}).pop("cut_by", None)  # the next part is another one
-    table.pop("actual", None)  # the correction is its prediction now
+    corrected = (*kept, *(line for _, line in ledger)) if ledger else job.measurement.corrected
+    # The next part is another one, and the correction is its prediction now.
+    better = replace(job, measurement=replace(job.measurement, corrected=corrected, cut_by=None), actual=Actual())
     if plan.sources:
         tool, machine = (found.likely_tool, found.likely_machine) if plan.likely else (found.tool, found.machine)
-        _put_tool(table["tool"], tool, job.tool, out)
-        _put_machine(table["machine"], machine, job.machine, out)
+        better = replace(
+            better, tool=_named_tool(tool, job.tool, out), machine=_named_machine(machine, job.machine, out)
+        )
     if plan.smooth is not None and plan.smooth.cutoff is not None:
         file, new = out / "correction.npz", plan.smooth.table
         write_map(HeightMap(x=new.x, y=new.y, z=new.z, name="correction"), file)
-        table["part"]["correction"] = str(file)
-    return Job.read(table, folder=out)
+        correction = replace(new, source=HeightFile(file=file))
+        better = replace(better, part=replace(better.part, correction=correction))
+    return better
 
 
 def _check_new(job: Job, every: Sequence[Measured], own: Sequence[bool]) -> None:
@@ -331,13 +330,13 @@ def _check_effect(one: Measured) -> None:
     former, in another size or without the latter.
     """
     job = one.job
-    table = tomllib.loads(job.to_toml())
-    for name in ("offset", "radius_error", "waviness", "waviness_file"):
-        table["tool"].pop(name, None)
-    for name in ("squareness", "straightness_file"):
-        table["machine"].pop(name, None)
-    table["part"].pop("correction", None)
-    plain = Job.read(table)
+    own = as_loaded(job.machine)
+    plain = replace(
+        job,
+        tool=replace(job.tool, offset=(0.0, 0.0, 0.0), radius_error=0.0, waviness=()),
+        machine=replace(job.machine, squareness=own.squareness, straightness=own.straightness),
+        part=replace(job.part, correction=None),
+    )
     x, y = one.error.points()
     some = slice(None, None, -(-x.size // EFFECT))
     x, y, error = x[some], y[some], one.error.z[some]
@@ -428,7 +427,9 @@ def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
         if not sources and not worth:
             return
         form = _smooth(job, _joined(job, [one for one, part in zip(maps, own, strict=True) if part]))
-        smooth = _together([one for one in (form, rest) if one is not None and one.cutoff is not None], job.part.correction)
+        smooth = _together(
+            [one for one in (form, rest) if one is not None and one.cutoff is not None], job.part.correction
+        )
         added = np.zeros(draws.x.size)
         if smooth is not None:
             x, y = draws.places[:, 0], draws.places[:, 1]  # what is added stays on the part, wherever the map was
@@ -690,24 +691,22 @@ def _smooth(job: Job, left: HeightMap) -> Smooth:
     return form_compensation(job.part, left, cutoff=cutoff_of(job), beyond=beyond)
 
 
-def _put_tool(table: dict[str, Any], tool: Tool, planned: Tool, out: File) -> None:
-    """State the tool as it was found."""
-    if (tool.radius_error, tool.offset) != (planned.radius_error, planned.offset):
-        table["radius_error"] = write(tool.radius_error, "mm")
-        table["offset"] = [write(one, "mm") for one in tool.offset]
-    if isinstance(tool.waviness, WavinessTable) and tool.waviness is not planned.waviness:
-        table.pop("waviness", None)
-        table["waviness_file"] = str(
-            _columns(out / "waviness.csv", "sweep [rad],deviation [mm]", tool.waviness.sweep, tool.waviness.deviation)
-        )
+def _named_tool(tool: Tool, planned: Tool, out: File) -> Tool:
+    """Return the planned tool as it was found; the file of its certificate is written."""
+    found = replace(planned, radius_error=tool.radius_error, offset=tool.offset)
+    if not isinstance(tool.waviness, WavinessTable) or tool.waviness is planned.waviness:
+        return found
+    columns = _columns(out / "waviness.csv", "sweep [rad],deviation [mm]", tool.waviness.sweep, tool.waviness.deviation)
+    return replace(found, waviness=replace(tool.waviness, file=str(columns)))
 
 
-def _put_machine(table: dict[str, Any], machine: Machine, planned: Machine, out: File) -> None:
-    """State the machine as it was found."""
-    if machine.squareness != planned.squareness:
-        table["squareness"] = write(machine.squareness, "rad")
-    if machine.straightness is not None and machine.straightness is not planned.straightness:
-        table["straightness_file"] = str(_columns(out / "straightness.csv", "x [mm],error [mm]", *machine.straightness))
+def _named_machine(machine: Machine, planned: Machine, out: File) -> Machine:
+    """Return the planned machine as it was found; the file of its straightness is written."""
+    found = replace(planned, squareness=machine.squareness)
+    if machine.straightness is None or machine.straightness is planned.straightness:
+        return found
+    file = _columns(out / "straightness.csv", "x [mm],error [mm]", *machine.straightness)
+    return replace(found, straightness=machine.straightness, sources={**planned.sources, "straightness": str(file)})
 
 
 def _columns(file: File, head: str, one: Floats, other: Floats) -> File:

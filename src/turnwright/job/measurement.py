@@ -17,8 +17,8 @@ from turnwright.files import read_map
 from turnwright.heightmap import HeightMap
 from turnwright.job.advice import open_questions
 from turnwright.job.contributions import pv_nm_of
-from turnwright.job.predicted_finish import across_feed, feed_of, finished
 from turnwright.job.named import with_keys
+from turnwright.job.predicted_finish import across_feed, feed_of, finished
 from turnwright.job.seen import SeenTexture, design_as_seen, texture_as_seen
 from turnwright.job.verdict import Verdict, judge_form
 from turnwright.metrology import (
@@ -42,6 +42,7 @@ from turnwright.metrology import (
     turning_centre,
 )
 from turnwright.pose import Pose
+from turnwright.surface import Surface
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
     from turnwright.machine import Machine
     from turnwright.part import Part
     from turnwright.progress import StageProgress
-    from turnwright.surface import Surface
     from turnwright.tool import Tool
 
 __all__ = ["Measured", "beyond_pose", "cutoff_of", "diagnose", "measure", "read_measurement", "same_part"]
@@ -188,10 +188,9 @@ class Measured:
     @property
     def as_seen(self) -> tuple[str, ...]:
         """What the job's instrument makes of the part, in sentences; none if the job states no instrument."""
-        table = self.job.measurement.instrument
-        if table is None:
+        seen = self.job.measurement.instrument
+        if seen is None:
             return ()
-        seen = table.instrument
         stated = f"seen through {seen.name or 'the stated instrument'} ({seen.summary})"
         if self.seen_design_nm is None:
             return (f"{stated}: it cannot be applied to the design on these places, which need an even grid",)
@@ -418,9 +417,7 @@ def _zeros(measured: Measured) -> str | None:
 def _plausible_nm(job: Job, x: Floats, y: Floats) -> float:
     """Return what tool and machine plausibly make of a part, one standard deviation. [nm]."""
     free = [one for one in FREE if one not in job.measurement.fixed]
-    return plausible_rms_nm(
-        job.part, job.tool, job.machine, x, y, free=free, sense=job.strategy.sense
-    )
+    return plausible_rms_nm(job.part, job.tool, job.machine, x, y, free=free, sense=job.strategy.sense)
 
 
 def _better_orientation(job: Job, raw: HeightMap) -> str | None:
@@ -439,9 +436,9 @@ def _better_orientation(job: Job, raw: HeightMap) -> str | None:
     for count in range(1, len(changes) + 1):
         found = []
         for keys in combinations(changes, count):
-            table = asked.model_copy(update={key: changes[key][1] for key in keys})
+            table = replace(asked, **{key: changes[key][1] for key in keys})
             with suppress(InputError):
-                found.append((_fit_nm(job.model_copy(update={"measurement": table}), thin), keys))
+                found.append((_fit_nm(replace(job, measurement=table), thin), keys))
         best = min((fits for fits, _ in found), default=np.inf)
         if best * BETTER <= off_nm:
             # A part that is its own mirror image fits as well turned as mirrored.
@@ -634,7 +631,7 @@ def cutoff_of(job: Job) -> float:
 
 def same_part(one: Job, other: Job) -> bool:
     """Say whether two jobs cut the same design in the same way, whatever they take into account."""
-    design, other_design = (job.part.model_copy(update={"correction": None}) for job in (one, other))
+    design, other_design = (replace(job.part, correction=None) for job in (one, other))
     return design == other_design and one.strategy == other.strategy and one.passes[-1:] == other.passes[-1:]
 
 
@@ -738,9 +735,8 @@ def _with_reference(heights: HeightMap, job: Job) -> tuple[HeightMap, Pose | Non
     asked = job.measurement
     if asked.quantity == "height":
         return heights, asked.pose
-    reference = job.part.surface
-    if asked.departure_from not in (None, "design"):
-        reference = asked.departure_from
+    stated = asked.departure_from
+    reference = stated if isinstance(stated, Surface) else job.part.surface
     x, y = heights.points()
     known = ~np.isnan(heights.z)
     pose = asked.pose

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator
 
 from turnwright._arrays import same
-from turnwright._tables import Plausible
-from turnwright._validate import key_of
+from turnwright._tables import Plausible, types_of
+from turnwright._validate import check_numbers, key_of
 from turnwright.errors import InputError, JobError, MapError, shown
 from turnwright.files import read_map
 from turnwright.instrument import Instrument
@@ -32,7 +33,10 @@ if TYPE_CHECKING:
 
     from pydantic import ValidationInfo
 
-__all__ = ["AnyInstrument", "AnyMachine", "ExistingFile", "HeightFile", "MachineDeviations", "context_of", "with_keys"]
+__all__ = [
+    "AnyInstrument", "AnyMachine", "ExistingFile", "HeightFile", "MachineDeviations", "as_loaded", "asking",
+    "context_of", "with_keys",
+]  # fmt: skip
 
 
 def existing(text: str, folder: str | PathLike[str]) -> File:
@@ -139,9 +143,7 @@ def _tabulated(stated: HeightFile, _stamp: tuple[int, int]) -> Gridded | Scatter
     """Return the surface through the heights of a file."""
     file = stated.file
     try:
-        found = read_map(
-            file, unit=stated.sag_units, lateral_unit=stated.units or "", pixel_size=stated.pixel_size
-        )
+        found = read_map(file, unit=stated.sag_units, lateral_unit=stated.units or "", pixel_size=stated.pixel_size)
     except MapError as error:
         raise JobError(with_keys(str(error).replace(str(file), file.name), "the job")) from error
     if not found.calibrated:
@@ -155,6 +157,7 @@ def _tabulated(stated: HeightFile, _stamp: tuple[int, int]) -> Gridded | Scatter
     return Gridded(x=found.x, y=found.y, z=z, source=stated)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MachineDeviations(Table):
     """What the actual machine has otherwise than the one planned with.
 
@@ -169,7 +172,7 @@ class MachineDeviations(Table):
     squareness: Slope | None = None
     straightness_file: ExistingFile | None = None
 
-    @cached_property
+    @property
     def stated(self) -> dict[str, Any]:
         """The deviations that are stated, as `Machine` takes them."""
         stated: dict[str, Any] = {} if self.squareness is None else {"squareness": self.squareness}
@@ -183,12 +186,12 @@ class MachineDeviations(Table):
         sources = {**machine.sources, "straightness": str(file)} if file else machine.sources
         return replace(machine, sources=sources, **self.stated)
 
-    @model_validator(mode="after")
-    def _can_exist(self) -> MachineDeviations:
+    def __post_init__(self) -> None:
+        check_numbers(self)
         _ = self.stated
-        return self
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MachineTable(MachineDeviations):
     """The lathe, by the name of one that comes with Turnwright or by its own file. See `turnwright.Machine`.
 
@@ -211,7 +214,7 @@ class MachineTable(MachineDeviations):
     file: ExistingFile | None = None
     dialect: Text | None = None
     interpolation: Text | None = None
-    plausible: Annotated[dict[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS)] = {}
+    plausible: Annotated[Mapping[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS)] = field(default_factory=dict)
 
     def build(self) -> Machine:
         """Return the machine."""
@@ -219,9 +222,10 @@ class MachineTable(MachineDeviations):
             raise JobError("name and file of the machine are both given or both missing: give one of them")
         loaded = Machine.load(self.file or self.name or "")
         own = loaded.controller.interpolation
-        machine = loaded if self.interpolation is None else loaded.interpolating(self.interpolation)
-        stated = {} if self.dialect is None else {"dialect": self.dialect}
-        machine = replace(machine, plausible={**machine.plausible, **self.plausible}, **stated)
+        machine = loaded if self.interpolation is None else asking(loaded, self.interpolation)
+        machine = replace(
+            machine, plausible={**machine.plausible, **self.plausible}, dialect=self.dialect or machine.dialect
+        )
         machine = self.deviating(machine)
         dialect, asked = dialect_of(machine), machine.controller.interpolation
         # What a controller makes of plain points unasked is its own; any other must be asked for in the program.
@@ -246,9 +250,9 @@ class MachineTable(MachineDeviations):
         key = "file" if machine.loaded_from.endswith(".toml") else "name"
         table: dict[str, Any] = {key: machine.loaded_from}
         own = Machine.load(machine.loaded_from)
-        if machine.controller.interpolation != own.controller.interpolation:
+        if machine.controller != own.controller:
             table["interpolation"] = machine.controller.interpolation
-            own = own.interpolating(machine.controller.interpolation)
+            own = asking(own, machine.controller.interpolation)
         if machine.dialect != own.dialect:
             table["dialect"] = machine.dialect
         if machine.squareness != own.squareness:
@@ -258,12 +262,20 @@ class MachineTable(MachineDeviations):
         sizes = {name: size for name, size in machine.plausible.items() if own.plausible.get(name) != size}
         if sizes:
             table["plausible"] = {key_of(name): write(size, PLAUSIBLE[name]) for name, size in sizes.items()}
-        stated = {name: getattr(machine, name) for name in ("dialect", "squareness", "straightness", "plausible", "sources")}
-        if replace(own, **stated) != machine:
+        stated = replace(
+            own,
+            dialect=machine.dialect,
+            squareness=machine.squareness,
+            straightness=machine.straightness,
+            plausible=machine.plausible,
+            sources=machine.sources,
+        )
+        if stated != machine:
             raise InputError(f"a job does not state what {machine.name!r} has otherwise than its file: write it there")
         return table
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InstrumentTable(Table):
     """The instrument through which a prediction is seen. See `turnwright.Instrument`.
 
@@ -296,7 +308,7 @@ class InstrumentTable(Table):
             )
         source = self.file or self.name
         own = Instrument() if source is None else Instrument.load(source)
-        values = {key: getattr(self, key) for key in type(self).model_fields if key not in ("name", "file")}
+        values = {key: getattr(self, key) for key in types_of(type(self)) if key not in ("name", "file")}
         stated = {key: value for key, value in values.items() if value is not None}
         if not stated and source is None:
             raise JobError("the instrument states nothing: give its name, a file, or what it resolves, such as pixel")
@@ -310,10 +322,21 @@ class InstrumentTable(Table):
         table: dict[str, Any] = {"file" if source.endswith(".toml") else "name": source} if source else {}
         for one in fields(Instrument):
             value = getattr(instrument, one.name)
-            if one.name in cls.model_fields and one.name != "name" and value != getattr(own, one.name):
+            if one.name in types_of(cls) and one.name != "name" and value != getattr(own, one.name):
                 length = one.name not in ("numerical_aperture", "filling")
                 table[one.name] = write(value, "mm") if length else value
         return table
+
+
+def as_loaded(machine: Machine) -> Machine:
+    """Return a machine as its file states it; one that was put together as it is."""
+    return Machine.load(machine.loaded_from) if machine.loaded_from else machine
+
+
+def asking(machine: Machine, interpolation: str) -> Machine:
+    """Return a machine whose controller is asked for an interpolation, and offers no other then."""
+    found = machine.interpolating(interpolation)
+    return replace(found, controller=replace(found.controller, other_interpolations={}))
 
 
 def _instrument(value: object) -> object:

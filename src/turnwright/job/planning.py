@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from turnwright._tables import types_of
 from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
 from turnwright.generation import generate_polar
 from turnwright.job.contributions import (
@@ -23,8 +23,8 @@ from turnwright.job.contributions import (
     without_servos,
 )
 from turnwright.job.interpolated import interpolated
+from turnwright.job.named import asking
 from turnwright.job.running import predict, read_back, written
-from turnwright.job.schema import Job
 from turnwright.job.speed import NEAR, ROUNDS, Servos, at_speed, few_lines, guess, largest, plain
 from turnwright.job.strategies import Choices
 from turnwright.job.verdict import Verdict, judge, missed
@@ -35,6 +35,7 @@ from turnwright.units import write
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from turnwright.job.schema import Job
     from turnwright.path import Motion, Path, Spiral
     from turnwright.progress import StageProgress
     from turnwright.strategy import Strategy
@@ -80,7 +81,7 @@ SPLITS = (0.9, 0.6, 0.4, 0.25, 0.15)
 MOST_POINTS = 10_000_000
 """Points of a plan that is searched for; beyond this no search of minutes holds it in memory."""
 
-WIDEST = "15 deg"
+WIDEST = math.radians(15)
 """Largest step of points at even distances, which near the axis say nothing of the angle."""
 
 AGAIN = 0.15
@@ -177,12 +178,12 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     form, sq = job.tolerances.form_pv, job.tolerances.sq
     if form is None or sq is None:
         raise JobError("the job states no tolerances.form_pv or no tolerances.sq: a plan needs both, add them")
-    if "chord" not in type(job.strategy).model_fields:
+    if not hasattr(job.strategy, "chord"):
         raise JobError(f"a plan sets a chord, which the {job.strategy.kind} does not have: choose another kind")
     report = progress or (lambda _stage, _done, _total: None)
     controller = job.machine.controller
     own = controller.interpolation
-    others = () if job.machine.interpolation else tuple(controller.other_interpolations)
+    others = tuple(controller.other_interpolations)
     plans: list[Plan] = []
     tried: list[Trial] = []
     why: TurnwrightError | None = None
@@ -211,9 +212,7 @@ def stage_of(interpolation: str) -> str:
 
 def _asking(job: Job, interpolation: str) -> Job:
     """Return the job with its controller asked for another interpolation."""
-    table = tomllib.loads(job.to_toml())
-    table["machine"]["interpolation"] = interpolation
-    return Job.read(table)
+    return replace(job, machine=asking(job.machine, interpolation))
 
 
 def _planned(job: Job, form: float, sq: float, report: StageProgress) -> Plan:
@@ -304,7 +303,7 @@ class _Search:
             self.machine = replace(machine, controller=replace(machine.controller, variable_speed=False))
         self.servos: Servos | None = None
         # Cubics bend with the path, so that steps may be as long where it does; by chord they are longest where not.
-        self.evenly = machine.controller.interpolation == "hermite" and "arc_length" in type(job.strategy).model_fields
+        self.evenly = machine.controller.interpolation == "hermite" and hasattr(job.strategy, "arc_length")
         self.evenly &= not job.strategy.moves_fast_tool
         self.spacings: list[tuple[float, float]] = []  # (chord or arc length, what the points really add) [mm]
 
@@ -400,9 +399,7 @@ class _Search:
 
     def _placed(self, spacing: float) -> _Points:
         """Return points at a chord, or at an arc length [mm], at the highest speed within the limits."""
-        ways = (
-            {"arc_length": write(spacing, "mm"), "max_step": WIDEST} if self.evenly else {"chord": write(spacing, "mm")}
-        )
+        ways = {"arc_length": spacing, "max_step": WIDEST} if self.evenly else {"chord": spacing}
         filled = _filled(self.job, self.across, ways)
         servo = filled.servo(filled.passes[-1])
         spiral = servo.spiral(self.part, self.tool)
@@ -415,7 +412,7 @@ class _Search:
 class _Points:
     """Points by what sets them, placed, and in motion at the highest speed within the limits."""
 
-    ways: dict[str, str]
+    ways: dict[str, float]
     filled: Job
     servo: Strategy
     spiral: Spiral
@@ -425,26 +422,28 @@ class _Points:
 
 def _key(job: Job) -> tuple[str, str]:
     """Return what sets the height of the cusps, and its unit."""
-    return ("scallop", "mm") if "scallop" in type(job.strategy).model_fields else ("feed", "mm/rev")
+    return ("scallop", "mm") if hasattr(job.strategy, "scallop") else ("feed", "mm/rev")
 
 
-def _filled(job: Job, across: float, ways: Mapping[str, str | int], speed: float | SpeedProfile | None = None) -> Job:
+def _filled(job: Job, across: float, ways: Mapping[str, float], speed: float | SpeedProfile | None = None) -> Job:
     """Return the job with what was chosen, and nothing that it said itself of feed, points and speed."""
-    table = tomllib.loads(job.to_toml())
-    for one in (table["strategy"], table.get("passes", [{}])[-1]):
-        for name in Choices.model_fields.keys() - {"lead_in"}:
-            one.pop(name, None)
-    key, unit = _key(job)
-    chosen: dict[str, Any] = {key: write(across, unit), **ways}
+    shared, last = types_of(type(job.strategy)), job.passes[-1]
+    freed: dict[str, Any] = dict.fromkeys(types_of(Choices).keys() - {"lead_in"})
+    key, _ = _key(job)
+    chosen: dict[str, Any] = {**{name: None for name in freed if name in shared}, key: across, **ways}
     if isinstance(speed, SpeedProfile):
-        both = zip(speed.radius.tolist(), speed.spindle_rpm.tolist(), strict=True)
-        chosen["spindle_speeds"] = [[write(radius, "mm"), write(rpm, "rpm")] for radius, rpm in both]
+        chosen["spindle_speeds"] = tuple(zip(speed.radius.tolist(), speed.spindle_rpm.tolist(), strict=True))
     elif speed is not None:
-        chosen["spindle_speed"] = write(speed, "rpm")
-    table["strategy"] |= chosen
+        chosen["spindle_speed"] = speed
+    simulation = job.simulation
     if has_servos(job.actual_machine):  # they count in the proof, so they do in a run
-        table["simulation"] = table.get("simulation", {}) | {"tracking": True}
-    return Job.read(table)
+        simulation = replace(simulation, tracking=True)
+    return replace(
+        job,
+        strategy=replace(job.strategy, **chosen),
+        passes=(*job.passes[:-1], replace(last, **freed)),
+        simulation=simulation,
+    )
 
 
 def _across(job: Job, form: float, sq: float) -> tuple[float, float]:
@@ -456,7 +455,7 @@ def _across(job: Job, form: float, sq: float) -> tuple[float, float]:
     if not scallop:
         across = math.sqrt(8 * tool.actual_radius * across)
     for _ in range(ROUNDS):
-        filled = _filled(job, across, {"chord": write(pv_limit, "mm")} if scallop else {"points_per_rev": FEWEST})
+        filled = _filled(job, across, {"chord": pv_limit} if scallop else {"points_per_rev": FEWEST})
         spiral = filled.servo(filled.passes[-1]).spiral(part, tool)
         error, pv_nm = exact_cusps(spiral, part, tool, machine)
         pv, finish = pv_nm / NM, finish_nm(error, spiral.feed) / NM

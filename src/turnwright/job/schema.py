@@ -4,27 +4,29 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, cast
 
 import numpy as np
 import tomli_w
 from annotated_types import Ge, Le
-from pydantic import Field, PlainValidator, Strict, ValidationError, model_validator
+from pydantic import Field, PlainValidator, Strict, ValidationError
 
 from turnwright._io import read_toml, write_whole
-from turnwright._tables import read_by
+from turnwright._tables import Stated, adapter, read_by, types_of, written
+from turnwright._validate import check_numbers
 from turnwright.diagnosis import CAUSES
 from turnwright.errors import InputError, JobError
 from turnwright.job.named import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, context_of
 from turnwright.job.strategies import KINDS, AnyStrategy, Choices
-from turnwright.job.table import Table, faults as faults_of, sentences
+from turnwright.job.table import Table, faults as faults_of, sentences, suggestion
 from turnwright.motion import require_variable
 from turnwright.part import Part
 from turnwright.pose import Pose
 from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED
-from turnwright.surface import FAMILIES, Surface
+from turnwright.surface import FAMILIES, Placed, Surface
 from turnwright.tool import Tool, Waviness, WavinessTable
 from turnwright.units import Angle, Flag, Length, Size, Text, Thickness, unit
 
@@ -52,6 +54,7 @@ MOST_SAMPLES = 1e8
 """Heights in one map: beyond this a pixel is a slip of the unit."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ToolDeviations(Table):
     """What the actual tool has otherwise than the one planned with.
 
@@ -84,13 +87,13 @@ class ToolDeviations(Table):
             stated["waviness"] = self.waviness_file
         return {name: value for name, value in stated.items() if value is not None}
 
-    @model_validator(mode="after")
-    def _has_one_edge(self) -> Self:
+    def __post_init__(self) -> None:
+        check_numbers(self)
         if self.waviness is not None and self.waviness_file is not None:
             raise JobError("waviness and waviness_file are both given, only one can be right: remove one")
-        return self
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PassTable(Choices):
     """One pass: what it states otherwise than the strategy, and how much it leaves and takes off.
 
@@ -119,6 +122,7 @@ class PassTable(Choices):
         return [self.name] if times == 1 else [f"{self.name} {number}" for number in range(1, times + 1)]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Patch(Table):
     """A rectangle on the part to be predicted.
 
@@ -152,17 +156,17 @@ class Patch(Table):
             axes.append(np.asarray(middle + (np.arange(count) - (count - 1) / 2) * self.pixel, dtype=np.float64))
         return axes[0], axes[1]
 
-    @model_validator(mode="after")
-    def _can_exist(self) -> Self:
+    def __post_init__(self) -> None:
+        check_numbers(self)
         points = math.prod(size / self.pixel + 1 for size in self.size)
         if points > MOST_SAMPLES:
             raise JobError(
                 f"{self.name!r} has {points:.3g} points, the limit is {MOST_SAMPLES:.0e}: take a larger pixel"
             )
         _ = self.axes
-        return self
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WholePart(Table):
     """The polar grid over the whole part.
 
@@ -177,15 +181,15 @@ class WholePart(Table):
     radii: Annotated[int, Strict(), Ge(2)] = 400
     angles: Annotated[int, Strict(), Ge(3)] = 360
 
-    @model_validator(mode="after")
-    def _can_exist(self) -> Self:
+    def __post_init__(self) -> None:
+        check_numbers(self)
         if self.radii * self.angles > MOST_SAMPLES:
             raise JobError(
                 f"radii times angles is {self.radii * self.angles}, the limit is {MOST_SAMPLES:.0e}: take fewer"
             )
-        return self
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulationTable(Table):
     """What to predict, and whether the axes move as the machine's servos let them.
 
@@ -213,12 +217,14 @@ def _form(value: object) -> int | str:
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RoughnessTable(Table):
     """What is removed before the roughness of a patch is computed: see `turnwright.roughness`."""
 
     form: Annotated[int | str, PlainValidator(_form)] = "plane"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasurementTable(Table):
     """What is known of the instrument that measures the part, and what its map may be off by: see `turnwright.measure`.
 
@@ -335,8 +341,8 @@ class MeasurementTable(Table):
             return None
         return Pose(shift=self.shift or (0.0, 0.0, 0.0), rotation=self.rotation or 0.0)
 
-    @model_validator(mode="after")
-    def _is_known(self) -> Self:
+    def __post_init__(self) -> None:
+        check_numbers(self)
         for key in ("causes", "correct"):
             for cause in getattr(self, key) or ():
                 if cause not in CAUSES:
@@ -349,9 +355,9 @@ class MeasurementTable(Table):
             )
         if not self.free or (self.causes is not None and not self.causes):
             raise JobError("free and causes name nothing where they are empty: name at least 1, or leave them out")
-        return self
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tolerances(Table):
     """What the part must keep; what it does not keep becomes a warning.
 
@@ -367,6 +373,7 @@ class Tolerances(Table):
     sq: Size | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Actual(Table):
     """What to simulate with where it differs from what is planned with.
 
@@ -379,9 +386,10 @@ class Actual(Table):
     """
 
     tool: ToolDeviations = ToolDeviations()
-    machine: MachineDeviations = MachineDeviations()
+    machine: MachineDeviations = MachineDeviations()  # noqa: RUF009 - frozen
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ProgramTable(Table):
     """How the program is written.
 
@@ -408,14 +416,13 @@ class ProgramTable(Table):
     precorrect: Flag = False
     plunge_feed: Annotated[float, unit("mm/s", above=0.0)] = PLUNGE_FEED
 
-    @model_validator(mode="after")
-    def _plunge_is_slow(self) -> Self:
+    def __post_init__(self) -> None:
+        check_numbers(self)
         if self.plunge_feed > FASTEST_PLUNGE:
             raise JobError(
                 f"plunge_feed is {self.plunge_feed * 60:g} mm/min, the limit is {FASTEST_PLUNGE * 60:g} mm/min: check "
                 "its unit"
             )
-        return self
 
 
 def _all_different(what: str, names: list[str]) -> None:
@@ -432,6 +439,7 @@ TAGS = {**FAMILIES, **KINDS}
 """Tables by the key that chooses them, which pydantic puts into the place of an error."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Job(Table):
     """A job: everything that a run needs, as data. A wrong one cannot exist.
 
@@ -481,11 +489,10 @@ class Job(Table):
     program: ProgramTable = ProgramTable()
     accept: tuple[Accepted, ...] = ()
 
-    @model_validator(mode="before")
     @classmethod
-    def _is_no_table_of_numbers(cls, data: object) -> object:
+    def from_table(cls, table: dict[str, Any]) -> dict[str, Any]:
         """Refuse what is too long to be a job, before each of its values is judged."""
-        count, waiting = 0, [data]
+        count, waiting = 0, [cast("object", table)]
         while waiting:
             one = waiting.pop()
             if isinstance(one, dict | list | tuple):
@@ -496,10 +503,15 @@ class Job(Table):
                         "files of their own, which it names"
                     )
                 waiting.extend(one.values() if isinstance(one, dict) else one)
-        return data
+        return table
 
-    @model_validator(mode="after")
-    def _passes_fit(self) -> Self:
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        self._check_passes()
+        self._check_servos()
+
+    def _check_passes(self) -> None:
+        """Raise unless the passes follow each other, and all that the job names is on the part."""
         if not self.passes:
             raise JobError("passes is empty, it needs at least 1: add one, or leave it out for a finishing pass alone")
         allowance, names = self.part.stock, []
@@ -538,10 +550,9 @@ class Job(Table):
                     f"{self.part.radius:g} mm: move or shrink it"
                 )
         _ = self.actual_tool, self.actual_machine
-        return self
 
-    @model_validator(mode="after")
-    def _servos_are_known(self) -> Self:
+    def _check_servos(self) -> None:
+        """Raise unless it is known how the axes follow, where that counts."""
         if self.simulation.tracking:
             from turnwright.job.contributions import require_servos  # noqa: PLC0415 - the stages, which data does not need
 
@@ -554,7 +565,6 @@ class Job(Table):
                 "program.precorrect is true and simulation.tracking is false, so the prediction would take the "
                 "corrections for errors: set both"
             )
-        return self
 
     def _check_fast_tool(self) -> None:
         """Raise unless the job says how the table of a fast tool is written, if it has one."""
@@ -599,9 +609,10 @@ class Job(Table):
             Where the files that it names are looked for.
         """
         try:
-            return cls.model_validate(data, context=context_of(folder))
+            found: Job = adapter(cls).validate_python(data, context=context_of(folder))
         except ValidationError as error:
             raise JobError("\n".join(sentences(error, cls, TAGS))) from error
+        return found
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Job:
@@ -623,13 +634,58 @@ class Job(Table):
             raise JobError(str(error)) from error
         return cls.read(table, folder=path.parent)
 
+    def replace(self, name: str, value: Any) -> Job:
+        """Return the job with one field changed, all its checks made anew.
+
+        Parameters
+        ----------
+        name
+            Of the field as the job file writes it, such as ``strategy.feed``, ``passes.finish.feed`` or
+            ``simulation.patches[1].pixel``; entries of a list by their name, or counted from 1.
+        value
+            As the field holds it: lengths in mm, angles in rad.
+
+        Raises
+        ------
+        JobError
+            If there is no such field, or the job cannot be with this value.
+        """
+        found: Job = _replaced(self, _STEP.findall(name), value, name)
+        return found
+
+    def table(self, *, whole: bool = False) -> dict[str, Any]:
+        """Return the job as a TOML file states it: what is not as by default, or the whole of it."""
+        return written(self, whole=whole)
+
     def to_toml(self) -> str:
         """Return the job as a file that `load` reads back to an equal job; files it names get their whole path."""
-        return tomli_w.dumps(self.model_dump(mode="json", exclude_unset=True, exclude_none=True))
+        return tomli_w.dumps(self.table())
 
     def dump(self, path: str | PathLike[str]) -> None:
         """Write the job as a file, which appears when it is whole. See `to_toml`."""
         write_whole(File(path), self.to_toml())
+
+
+_STEP = re.compile(r"\[[0-9]{1,9}\]|[^.\[\]]+")
+
+
+def _replaced(held: Any, steps: list[str], value: Any, name: str) -> Any:
+    """Return a value with one inside it replaced, by the steps that lead there."""
+    if not steps:
+        return value
+    step, *rest = steps
+    if isinstance(held, tuple):
+        index = int(step[1:-1]) - 1 if step.startswith("[") else [getattr(one, "name", "") for one in held].index(step)
+        return (*held[:index], _replaced(held[index], rest, value, name), *held[index + 1 :])
+    if isinstance(held, Mapping):
+        return {**held, step: _replaced(held.get(step), rest, value, name)}
+    owner: Any = held.surface if isinstance(held, Placed) and step not in types_of(type(held)) else held
+    known = types_of(type(owner)) if isinstance(owner, Stated) else {}
+    if step not in known:
+        raise JobError(f"{name} is not a field of this job: {suggestion(step, known)}")
+    new = _replaced(getattr(owner, step), rest, value, name)
+    made = replace(owner, **{**dict.fromkeys(owner.unstated), step: new})
+    return made if owner is held else replace(held, surface=made)
 
 
 def faults(error: ValidationError) -> list[tuple[str, str]]:
@@ -638,6 +694,6 @@ def faults(error: ValidationError) -> list[tuple[str, str]]:
     Parameters
     ----------
     error
-        What pydantic found, as ``Job.model_validate`` raises it.
+        What pydantic found, as reading a `Job` raises it.
     """
     return list(dict.fromkeys(faults_of(error, Job, TAGS)))

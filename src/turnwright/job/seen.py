@@ -12,6 +12,7 @@ from turnwright._arrays import is_even
 from turnwright.heightmap import HeightMap
 from turnwright.job.predicted_finish import feed_of, finished
 from turnwright.metrology import filter_map
+from turnwright.surface import Surface
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
@@ -102,10 +103,10 @@ def design_as_seen(job: Job, heights: HeightMap, pose: Pose) -> Floats | None:
         0 where the design has no height; ``None`` if the job states no instrument, or the map is no even grid or needs
         too many points between its own.
     """
-    table = job.measurement.instrument
-    if table is None or heights.x is None or heights.y is None or heights.scattered or min(heights.z.shape) < 2:
+    stated = job.measurement.instrument
+    if stated is None or heights.x is None or heights.y is None or heights.scattered or min(heights.z.shape) < 2:
         return None
-    instrument = replace(table.instrument, resolution=None, numerical_aperture=None, wavelength=None)
+    instrument = replace(stated, resolution=None, numerical_aperture=None, wavelength=None)
     if instrument.pixel is None and instrument.stylus_radius is None:
         return np.zeros(heights.z.shape)
     grid = _grid(heights.x, heights.y, _step_limit(instrument), _reach(instrument))
@@ -134,10 +135,9 @@ def texture_as_seen(job: Job, error: HeightMap, pose: Pose) -> SeenTexture | Non
     SeenTexture or None
         ``None`` if the job states no instrument or no feed, or the window holds too few heights.
     """
-    feed, table = feed_of(job), job.measurement.instrument
-    if table is None or not feed or error.x is None or error.y is None or error.scattered:
+    feed, instrument = feed_of(job), job.measurement.instrument
+    if instrument is None or not feed or error.x is None or error.y is None or error.scattered:
         return None
-    instrument = table.instrument
     limit = min(_step_limit(instrument), feed / FEED_STEPS)
     steps = [float(np.diff(axis).mean()) for axis in (error.y, error.x)]
     # The window has the shape of the map; of its pixels so many as their finer steps allow.
@@ -224,7 +224,7 @@ def _inspected(job: Job, u: Floats, v: Floats) -> Floats:
     surfaces = [job.part.surface]
     if asked.quantity != "height":
         reference = asked.departure_from
-        surfaces.append(surfaces[0] if reference is None or reference == "design" else reference.surface)
+        surfaces.append(reference if isinstance(reference, Surface) else surfaces[0])
     on = np.ones(u.shape, dtype=np.bool_)
     for surface in surfaces:
         inside = surface.inside(u, v)

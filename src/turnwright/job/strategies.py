@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from annotated_types import MinLen
-from pydantic import Field, model_validator
+from pydantic import Field
 
+from turnwright._tables import types_of
+from turnwright._validate import check_numbers
 from turnwright.errors import JobError
 from turnwright.job.table import Table
 from turnwright.motion import SpeedProfile
@@ -55,6 +58,7 @@ def _profile(table: Choices | StrategyTable) -> SpeedProfile | None:
     return SpeedProfile(radius=radius, spindle_rpm=speed)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Choices(Table):
     """What a pass may state otherwise than the strategy.
 
@@ -90,12 +94,12 @@ class Choices(Table):
     lead_in: Thickness | None = None
     scallop: Size | None = None
 
-    @model_validator(mode="after")
-    def _has_one_speed(self) -> Self:
+    def __post_init__(self) -> None:
+        check_numbers(self)
         _one_speed(self)
-        return self
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StrategyTable(Table):
     """A way of cutting.
 
@@ -144,10 +148,9 @@ class StrategyTable(Table):
             What it is cut with.
         """
 
-    @model_validator(mode="after")
-    def _has_one_speed(self) -> Self:
+    def __post_init__(self) -> None:
+        check_numbers(self)
         _one_speed(self)
-        return self
 
     def profile(self, cut: Choices) -> SpeedProfile | None:
         """Return the spindle speed over the radius, where a pass or else the strategy states one."""
@@ -156,13 +159,13 @@ class StrategyTable(Table):
 
     def chosen(self, cut: Choices) -> dict[str, Any]:
         """Return the shared keys as a strategy takes them, after the pass has had its say."""
-        mine = type(self).model_fields
-        stated = {name for name in Choices.model_fields if getattr(cut, name) is not None}
+        mine = types_of(type(self))
+        stated = {name for name in types_of(Choices) if getattr(cut, name) is not None}
         if foreign := sorted(stated - set(mine)):
             raise JobError(f"it states {', '.join(foreign)}, which the {self.kind} does not have: leave it out")
         own = bool(stated & set(self.ways))
         values: dict[str, Any] = {"sense": self.sense, "inside_out": self.inside_out}
-        for name in Choices.model_fields:
+        for name in types_of(Choices):
             if name in mine and name != "spindle_speeds":  # which is for the motion, see `profile`
                 value = getattr(cut, name)
                 shared = None if own and name in self.ways else getattr(self, name)
@@ -170,6 +173,7 @@ class StrategyTable(Table):
         return values
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SlowTable(StrategyTable):
     """See `turnwright.SlowToolServo`."""
 
@@ -194,6 +198,7 @@ class SlowTable(StrategyTable):
         return SlowToolServo(overrun=self.overrun, **self.chosen(cut))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FastTable(SlowTable):
     """See `turnwright.FastToolServo`: the spiral is that of a slow tool servo."""
 
@@ -211,6 +216,7 @@ class FastTable(SlowTable):
         return FastToolServo(plan=self.slow(cut))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HybridTable(SlowTable):
     """See `turnwright.HybridToolServo`: the spiral is that of a slow tool servo.
 
@@ -250,6 +256,7 @@ class HybridTable(SlowTable):
         return HybridToolServo(plan=plan, fast=fast, blocks_per_rev=self.blocks_per_rev)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AdaptiveTable(StrategyTable):
     """See `turnwright.AdaptiveToolServo`: it plans for the interpolation that the machine file states.
 
@@ -279,6 +286,7 @@ class AdaptiveTable(StrategyTable):
         return FastToolServo(plan=servo) if self.x_motion == "split" else servo
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EllipticalTable(StrategyTable):
     """See `turnwright.QuasiEllipticalToolServo`."""
 

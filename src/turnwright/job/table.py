@@ -11,23 +11,21 @@ from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Union, get_args, get_origin
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import core_schema
 
-from turnwright._arrays import hashable, same
-from turnwright._tables import Plausible, Stated, read_by, types_of
+from turnwright._arrays import Value
+from turnwright._tables import Plausible, Stated, types_of
 from turnwright.errors import JobError, UnitError, shortened, shown
 from turnwright.pose import Pose
 from turnwright.surface import Family
-from turnwright.units import parse, plain, unit
+from turnwright.units import parse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from pydantic import GetCoreSchemaHandler
-    from pydantic_core import CoreSchema
-
     from pathlib import Path
+
+    from pydantic import GetCoreSchemaHandler, ValidationError
+    from pydantic_core import CoreSchema
 
     from turnwright._arrays import Floats
 
@@ -60,19 +58,10 @@ class ByName:
         )
 
 
-class Table(BaseModel):
-    """A table of a job file: only the keys it knows, and nothing changes once it is read."""
+class Table(Stated, Value):
+    """A table of a job file that is no thing of its own."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
-
-    def __eq__(self, other: object) -> bool:
-        """Tell whether two tables say the same, whatever has been built from them."""
-        return type(self) is type(other) and all(
-            same(getattr(self, name), getattr(other, name)) for name in type(self).model_fields
-        )
-
-    def __hash__(self) -> int:
-        return hash((type(self), *(hashable(getattr(self, name)) for name in type(self).model_fields)))
+    __slots__ = ()
 
 
 def read_columns(file: Path, columns: Mapping[str, str]) -> Iterator[Floats]:
@@ -146,8 +135,6 @@ def keys_of(annotation: Any) -> Mapping[str, Any] | None:
         if isinstance(one, ByName):
             return keys_of(one.table)
     bare = get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
-    if isinstance(bare, type) and issubclass(bare, Table):
-        return {name: Annotated[(one.annotation, *one.metadata)] if one.metadata else one.annotation for name, one in bare.model_fields.items()}  # type: ignore[return-value]
     if isinstance(bare, type) and issubclass(bare, Stated) and is_dataclass(bare):
         more = dict.fromkeys(bare.file_keys.values(), str)
         if issubclass(bare, Family):
@@ -202,7 +189,7 @@ def _of_several_kinds(annotation: Any) -> bool:
     """Whether a field may be of more than one kind, besides not being there."""
     if get_origin(annotation) is Annotated:
         return _of_several_kinds(get_args(annotation)[0]) and not any(
-            isinstance(one, unit | plain | read_by) for one in get_args(annotation)[1:]
+            hasattr(one, "__get_pydantic_core_schema__") for one in get_args(annotation)[1:]
         )
     if get_origin(annotation) not in (Union, UnionType):
         return False
@@ -248,7 +235,7 @@ _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
     "literal_error": lambda value, context: f"is {shown(value)}, it must be {context['expected']}: choose one of them",
     "union_tag_invalid": lambda _, context: (
         f"has the {context['discriminator'].strip(chr(39))} {context['tag']!r}, which is not known: "
-        f"{_suggest(context['tag'], re.findall(chr(39) + '(.*?)' + chr(39), context['expected_tags']))}"
+        f"{suggestion(context['tag'], re.findall(chr(39) + '(.*?)' + chr(39), context['expected_tags']))}"
     ),
     "union_tag_not_found": lambda _, context: (
         f"lacks the key {context['discriminator'].strip(chr(39))}, which says what it is: add it"
@@ -270,7 +257,7 @@ _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
 def _sentence(path: str, keys: Mapping[str, Any], problem: Mapping[str, Any]) -> str:
     kind, value, context = problem["type"], problem["input"], problem.get("ctx", {})
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
-        return f"{path} is not a key of a job: {_suggest(path.rpartition('.')[2], keys)}"
+        return f"{path} is not a key of a job: {suggestion(path.rpartition('.')[2], keys)}"
     if kind in _SAID:
         return f"{path} {_SAID[kind](value, context)}"
     if kind in _KINDS:
@@ -317,7 +304,7 @@ def _nearest(path: str, kinds: Mapping[str, Sequence[_Fault]]) -> Iterator[tuple
     yield shortened(path), f"{path} is {value}, it must be {' or '.join(allowed)}: write it so"
 
 
-def _suggest(key: str, known: Iterable[str]) -> str:
+def suggestion(key: str, known: Iterable[str]) -> str:
     """Say which key was probably meant, else which there are."""
     close = difflib.get_close_matches(key.lower(), known := list(known), n=1)
     return f"did you mean {close[0]!r}?" if close else f"the known ones are {', '.join(known)}, use one of them"

@@ -92,7 +92,7 @@ def edited(before: str, old: Job, new: Job, *, folder: Path, into: Path) -> str:
     into = into.resolve()
     if folder.resolve() != into:
         table = _with_whole_paths(table, folder)
-    was, now = (_beside(tomllib.loads(one.to_toml()), into) for one in (old, new))
+    was, now = (_beside(one.table(), into) for one in (old, new))
     for quantities in (_in_its_unit, _as_it_is) if table else ():
         text = written(_carried(table, was, now, quantities), before)
         with suppress(TurnwrightError, tomllib.TOMLDecodeError):

@@ -238,9 +238,9 @@ def _judged(measured: Measured) -> dict[str, str]:
 def _through_instrument(measured: Measured) -> list[_Section]:
     """Return what the instrument makes of design and cusps, if the job states one."""
     text = [f"{one[0].upper()}{one[1:]}." for one in measured.as_seen]
-    table = measured.job.measurement.instrument
-    if table is not None and table.instrument.source:
-        text.append(f"Source: {table.instrument.source}.")
+    seen = measured.job.measurement.instrument
+    if seen is not None and seen.source:
+        text.append(f"Source: {seen.source}.")
     return [_Section(title="Through the instrument", text=text)] if text else []
 
 

@@ -415,7 +415,7 @@ def _listed(job: Job, design: Sequence[Mapping[str, Any]]) -> tuple[tuple[Varied
 
 def stated(job: Job, varied: Varied) -> Token | None:
     """Return the job's own value of a field, in the unit in which it is varied; ``None`` where it states none."""
-    data: Any = job.model_dump(mode="json")
+    data: Any = job.table(whole=True)
     for step in varied.field.place:
         if isinstance(data, dict):
             data = next((one for key, one in data.items() if str(key) == str(step)), None)

@@ -176,13 +176,9 @@ def reach_of(budget: ErrorBudget, job: Job) -> Reach:
 
 def artefact_job(job: Job, kind: str) -> Job:
     """Return the job of an artefact, whose servos count as they do for the part."""
-    table = tomllib.loads(job.to_toml())
-    corrected = table.get("program", {}).pop("precorrect", False)
-    made = tomllib.loads(artefact(Job.read(table), kind).to_toml())  # type: ignore[arg-type] # a budget knows no other
-    made["simulation"] = {"tracking": job.simulation.tracking}
-    if corrected:
-        made.setdefault("program", {})["precorrect"] = True
-    return Job.read(made)
+    free = replace(job, program=replace(job.program, precorrect=False))
+    made = artefact(free, kind)  # type: ignore[arg-type] # a budget knows no other
+    return replace(made, simulation=replace(made.simulation, tracking=job.simulation.tracking), program=job.program)
 
 
 def laid_out(

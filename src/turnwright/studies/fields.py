@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
 from pydantic import TypeAdapter, ValidationError
 
-from turnwright.errors import InputError, UnitError
 from turnwright._tables import types_of
+from turnwright.errors import InputError, UnitError
 from turnwright.job import HeightFile, Table, keys_of, sentences
 from turnwright.surface import Placed, Sum, Surface
 from turnwright.units import parse, unit
@@ -127,7 +127,7 @@ class Data(NamedTuple):
 
 def data_of(job: Job) -> Data:
     """Return the data of a job."""
-    return Data(job.model_dump(mode="json", exclude_unset=True, exclude_none=True), job.model_dump(mode="json"))
+    return Data(job.table(), job.table(whole=True))
 
 
 def field_of(job: Job, name: str) -> Field:

@@ -25,7 +25,7 @@ __all__ = ["at_hand", "fetched", "files_of", "kept_files", "moved"]
 def files_of(job: Job) -> dict[str, str]:
     """Return the files that a job names, and those that these name, by whole path with the digest of the content."""
     found: set[str] = set()
-    for text in _texts(job.model_dump(mode="json")):
+    for text in _texts(job.table()):
         if Path(text).is_absolute() and os.path.isfile(text):  # noqa: PTH113 - false of a name that no system takes, too
             _add(Path(text), found)
     return {path: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in sorted(found)}

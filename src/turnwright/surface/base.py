@@ -98,11 +98,11 @@ class Surface(Family, Value, ABC):
     A new family implements `evaluate`, and where they are not the default: `inside` and `domain` (where it is
     defined), `poles` (where samples may miss that it is not), `piece` (where it has kinks or steps) and `feature_size`
     (how fine its structure is). A job file can state a family that has a name in ``family``: its fields carry their
-    units, ``series`` says which of them are coefficients of a formula, ``formula_units`` in which unit a formula is that a job
-    file must then confirm, and `from_table` writes out short forms.
+    units, see `Family`.
     """
 
     __slots__ = ()
+
     @property
     def stated(self) -> Any:
         """What a job file states in place of it: a file for heights that were read from one."""

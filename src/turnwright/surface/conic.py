@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
@@ -168,7 +169,7 @@ class EvenAsphere(OnConic):
     """
 
     family = "even asphere"
-    series = {"terms": Series(power=lambda power: 1 - power, key=index_of)}
+    series = MappingProxyType({"terms": Series(power=lambda power: 1 - power, key=index_of)})
     radius: Radius
     conic: Number
     terms: Terms[int] = ()

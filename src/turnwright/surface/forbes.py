@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -13,13 +14,13 @@ from turnwright._kernels import polynomials, quadrics
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.surface.analytic import (
-    Radius,
-    index_of,
-    indices_of,
     MAX_DEGREE,
     OnConic,
+    Radius,
     Terms,
     curvature,
+    index_of,
+    indices_of,
     read_terms,
     summed,
     whole,
@@ -142,7 +143,9 @@ class Forbes(OnConic):
     """
 
     family = "forbes"
-    series = {"terms": Series(power=lambda _: 1, key=lambda key: indices_of(key) if "," in key else index_of(key))}
+    series = MappingProxyType(
+        {"terms": Series(power=lambda _: 1, key=lambda key: indices_of(key) if "," in key else index_of(key))}
+    )
     radius: Radius
     conic: Number
     norm_radius: Size

@@ -144,7 +144,7 @@ class LensArray(Surface):
     family = "lens array"
     needed = ("layout",)
     lenslet: Surface
-    centres: Annotated[Floats | None, _Centres] = None  # type: ignore[assignment] # None asks for those of a layout
+    centres: Annotated[Floats, _Centres] = None  # type: ignore[assignment] # None asks for those of a layout
     layout: Literal["square", "hexagonal", "listed"] = "listed"
     pitch: Size | None = None
     rows: Count | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
@@ -12,11 +13,11 @@ from turnwright._kernels import polynomials
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 from turnwright.surface.analytic import (
-    Coefficients,
-    indices_of,
     MAX_DEGREE,
+    Coefficients,
     Terms,
     changing_length,
+    indices_of,
     read_terms,
     summed,
     whole_pair,
@@ -59,7 +60,7 @@ class XYPolynomial(Surface):
     """
 
     family = "xy polynomial"
-    series = {"terms": Series(power=lambda powers: 1 - sum(powers), key=indices_of)}
+    series = MappingProxyType({"terms": Series(power=lambda powers: 1 - sum(powers), key=indices_of)})
     terms: Terms[tuple[int, int]]
     _table: Floats = field(init=False, repr=False, compare=False)
     _sizes: Ints = field(init=False, repr=False, compare=False)
@@ -126,7 +127,9 @@ class RadialPolynomial(Surface):
     """
 
     family = "radial polynomial"
-    series = {"radial": Series(power=lambda place: -1 - 2 * place), "slope": Series(power=lambda place: -2 - 2 * place)}
+    series = MappingProxyType(
+        {"radial": Series(power=lambda place: -1 - 2 * place), "slope": Series(power=lambda place: -2 - 2 * place)}
+    )
     radial: Annotated[tuple[float, ...], Coefficients] = ()
     slope: Annotated[tuple[float, ...], Coefficients] = ()
     tilt: Number = 0.0

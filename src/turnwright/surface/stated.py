@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from pydantic_core import InitErrorDetails, core_schema
 from typing_extensions import TypeAliasType, TypedDict
 
-from turnwright._tables import Stated, adapter, refuse, written
+from turnwright._tables import adapter, refuse, written
 from turnwright.errors import InputError, JobError, UnitError
 from turnwright.pose import Pose
 from turnwright.surface.base import FAMILIES, Surface
@@ -218,9 +218,9 @@ def _power_of(units: str, power: int) -> str:
 
 def _repeated(keys: Iterable[object]) -> dict[Any, JobError]:
     """Return what is wrong with keys that say the same as one before them."""
-    seen: dict[tuple[str, ...], object] = {}
+    seen: dict[tuple[int, ...], object] = {}
     return {
         key: JobError(f"the key {key!r} means the same as {first!r}: remove one")
         for key in keys
-        if (first := seen.setdefault(tuple(re.findall("-?[0-9]{1,9}", str(key))), key)) != key
+        if (first := seen.setdefault(tuple(map(int, re.findall("-?[0-9]{1,9}", str(key)))), key)) != key
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import isqrt, sqrt
+from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -105,7 +106,7 @@ class Zernike(Surface):
     """
 
     family = "zernike"
-    series = {"terms": Series(power=lambda _: 1, key=index_of)}
+    series = MappingProxyType({"terms": Series(power=lambda _: 1, key=index_of)})
     terms: Terms[int]
     radius: Size
     indexing: Indexing

@@ -14,9 +14,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from turnwright._io import read_toml
+from turnwright._tables import adapter, types_of
 from turnwright.errors import InputError, TurnwrightError, shortened
 from turnwright.instrument import Instrument
-from turnwright._tables import adapter, types_of
 from turnwright.job import (
     HeightFile,
     Job,
@@ -93,7 +93,7 @@ def read(data: dict[str, Any], folder: str) -> tuple[Job | None, list[dict[str, 
     if problems:
         return None, problems
     try:
-        return Job.model_validate(real, context=context_of(folder)), []
+        return adapter(Job).validate_python(real, context=context_of(folder)), []
     except ValidationError as error:
         return None, [
             {"field": field, "sentence": _with_names(sentence, references)} for field, sentence in faults(error)

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from typing import Any
 
 import turnwright
-from turnwright._tables import Stated
+from turnwright._tables import Stated, adapter
 from turnwright.instrument import Instrument
-from turnwright.job import Job, Table
+from turnwright.job import Job
 from turnwright.material import Material
 from turnwright.units import write
 from turnwright.web.jobs import machines
@@ -46,8 +46,8 @@ KNOWN_NAMES: dict[str, Callable[[], list[str]]] = {
 TEXTS = {
     "family": "Which kind of surface it is.",
     "placed": "Where it is put in the part frame; about the axis if left out.",
-    "units": "Which unit of length the formula is written in, so that its coefficients can be plain numbers; without it "
-    "each of them is text with its own unit.",
+    "units": "Which unit of length the formula is written in, so that its coefficients can be plain numbers; without "
+    "it each of them is text with its own unit.",
     "waviness_file": "File with the columns sweep and deviation, each with its unit in the head, in place of the "
     "coefficients.",
 }
@@ -64,8 +64,8 @@ def job_schema() -> dict[str, Any]:
     unit that a person writes; quantities are text such as "8 um/rev". One that names a file says what that ``holds``
     and its ``endings``.
     """
-    schema = Job.model_json_schema()
-    tables = {table.__name__: table for table in [*_below(Table), *_below(Stated)]}
+    schema = adapter(Job).json_schema()
+    tables = {table.__name__: table for table in _below(Stated)}
     for name, definition in [*schema["$defs"].items(), ("Job", schema)]:
         if "properties" in definition:
             _explain(tables.get(name), definition)
