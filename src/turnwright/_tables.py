@@ -9,7 +9,9 @@ from functools import cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_type_hints
 
-from turnwright._arrays import same
+import numpy as np
+
+from turnwright._arrays import Floats, same
 from turnwright._validate import key_of
 from turnwright.errors import InputError
 from turnwright.units import unit, write
@@ -18,7 +20,10 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter
     from pydantic_core import CoreSchema, ValidationError
 
-__all__ = ["Plausible", "Stated", "adapter", "named", "read_by", "refuse", "types_of", "written"]
+__all__ = [
+    "ByName", "Columns", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat", "named", "read_by", "refuse",
+    "types_of", "written",
+]  # fmt: skip
 
 
 class Stated:
@@ -28,6 +33,17 @@ class Stated:
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "arbitrary_types_allowed": True}
     file_keys: ClassVar[Mapping[str, str]] = {}
     """Keys that name the file of a field, by the field, where its own key is for values."""
+
+    aliases: ClassVar[Mapping[str, str]] = {}
+    """Keys of fields in a file, by the field, where they are not called alike."""
+    hidden: ClassVar[Collection[str]] = ()
+    """Fields that no file states."""
+
+    @classmethod
+    def table_keys(cls) -> Mapping[str, Any]:
+        """Return the keys that a file can state, with their types."""
+        own = {cls.aliases.get(name, name): kind for name, kind in types_of(cls).items() if name not in cls.hidden}
+        return own | dict.fromkeys(cls.file_keys.values(), str)
 
     @classmethod
     def from_table(cls, table: dict[str, Any]) -> dict[str, Any]:
@@ -51,12 +67,16 @@ class Stated:
         def read(value: Any, build: Callable[[Any], Any]) -> Any:
             if not isinstance(value, Mapping):
                 return build(value)
+            if unknown := [key for key in value if key in cls.hidden]:
+                wrong = [core.InitErrorDetails(type="extra_forbidden", loc=(key,), input=value) for key in unknown]
+                raise core.ValidationError.from_exception_data(cls.__name__, wrong)
             table = cls.from_table(dict(value))
             named = {name: key for name, key in cls.file_keys.items() if table.get(key) is not None}
             for name, key in named.items():
                 if table.get(name) is not None:
                     raise InputError(f"{name} and {key} are both given, only one can be right: remove one")
-                table[name] = table.pop(key)
+            named |= cls.aliases
+            table |= {name: table.pop(key) for name, key in named.items() if key in table}
             try:
                 return build(table)
             except core.ValidationError as error:
@@ -77,6 +97,39 @@ class Stated:
         place = handler.resolve_ref_schema(found)
         place["properties"] |= {key: {"type": "string", "reads": name} for name, key in cls.file_keys.items()}
         return found
+
+
+class ByName:
+    """The annotation of a value that a job states by a name or a file, with what differs from it.
+
+    Parameters
+    ----------
+    table
+        What a job says; its ``build`` makes the value and its ``table_of`` the table again.
+    """
+
+    __slots__ = ("table",)
+
+    def __init__(self, table: type[Any]) -> None:
+        self.table = table
+
+    @property
+    def keys(self) -> Mapping[str, Any]:
+        """The keys of the table, with their types."""
+        found: Mapping[str, Any] = self.table.table_keys()
+        return found
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+        def read(value: Any, check: Callable[[Any], Any]) -> Any:
+            return value if isinstance(value, source) else check(value).build()
+
+        return core_schema.no_info_wrap_validator_function(
+            read,
+            handler.generate_schema(self.table),
+            serialization=core_schema.plain_serializer_function_ser_schema(self.table.table_of),
+        )
 
 
 def refuse(title: str, problems: Mapping[tuple[str | int, ...], Exception | str], data: object) -> ValidationError:
@@ -138,6 +191,66 @@ class read_by:  # noqa: N801 - reads as a word inside Annotated[Gridded | None, 
 
     def __get_pydantic_json_schema__(self, _core: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {"type": "string", "reads": self.kind}
+
+
+class Numbers:
+    """The annotation of an array that a file states as a list of plain numbers."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+        return core_schema.list_schema(core_schema.float_schema(strict=True))
+
+
+class Columns:
+    """The annotation of arrays of one length that a file states as lists by their keys, each with its factor."""
+
+    __slots__ = ("factors",)
+
+    def __init__(self, **factors: float) -> None:
+        self.factors = factors
+
+    @property
+    def keys(self) -> Mapping[str, Any]:
+        """The keys of the table, with their types."""
+        return dict.fromkeys(self.factors, Annotated[Any, Numbers])
+
+    def __get_pydantic_core_schema__(self, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+        fields = {
+            key: core_schema.typed_dict_field(handler.generate_schema(kind), required=False)
+            for key, kind in self.keys.items()
+        }
+
+        def arrays(lists: Mapping[str, Any]) -> tuple[Floats, ...]:
+            return tuple(np.array(lists.get(key, ()), dtype=np.float64) * one for key, one in self.factors.items())
+
+        return core_schema.no_info_after_validator_function(
+            arrays, core_schema.typed_dict_schema(fields, extra_behavior="forbid")
+        )
+
+
+class Sources:
+    """The annotation of texts by the dotted names of the facts that they belong to, which a file states as tables."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+        texts = core_schema.dict_schema(core_schema.str_schema(), core_schema.str_schema(strict=True))
+        return core_schema.no_info_before_validator_function(flat, texts)
+
+
+def flat(table: Any, prefix: str = "") -> Any:
+    """Return a nested table with dotted keys."""
+    if not isinstance(table, Mapping):
+        return table
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        found |= flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return found
 
 
 class Plausible:
@@ -233,7 +346,7 @@ def written(value: Any, *, whole: bool = False) -> dict[str, Any]:
     """Return a dataclass as a table, quantities as text: the fields that are not as by default, or the whole of it."""
     table = {}
     for field in dataclasses.fields(value):
-        if not field.init or field.name in value.unstated:
+        if not field.init or field.name in value.unstated or field.name in value.hidden:
             continue
         held = getattr(value, field.name)
         factory = field.default_factory
@@ -241,7 +354,7 @@ def written(value: Any, *, whole: bool = False) -> dict[str, Any]:
         if held is not None and (whole or not same(held, default)):
             key = value.file_keys.get(field.name, "") if getattr(held, "file", "") else ""
             kind = adapter(types_of(type(value))[field.name])
-            table[key or field.name] = (
+            table[key or value.aliases.get(field.name, field.name)] = (
                 named(held) if key else kind.dump_python(held, mode="json", exclude_unset=not whole)
             )
     return dict(value.to_table(table))

@@ -32,7 +32,7 @@ from turnwright.job.running import (
 )
 from turnwright.job.schema import TAGS, Job, faults
 from turnwright.job.shape import PartShape, part_shape
-from turnwright.job.table import Table, keys_of, sentences
+from turnwright.job.table import Table
 from turnwright.job.text import as_tables, edited, written
 from turnwright.job.verdict import Verdict, judge, judge_form, missed, unjudged
 
@@ -73,7 +73,6 @@ __all__ = [
     "has_servos",
     "judge",
     "judge_form",
-    "keys_of",
     "measure",
     "missed",
     "part_shape",
@@ -85,7 +84,6 @@ __all__ = [
     "program_shares",
     "read_measurement",
     "run",
-    "sentences",
     "shares",
     "steps_of_comparison",
     "steps_of_correction",

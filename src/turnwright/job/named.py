@@ -14,12 +14,12 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from turnwright._arrays import same
-from turnwright._tables import Plausible, types_of
+from turnwright._tables import ByName, Plausible, types_of
 from turnwright._validate import check_numbers, key_of
 from turnwright.errors import InputError, JobError, MapError, shown
 from turnwright.files import read_map
 from turnwright.instrument import Instrument
-from turnwright.job.table import ByName, Table, read_columns
+from turnwright.job.table import Table, read_columns
 from turnwright.machine import PLAUSIBLE, PLAUSIBLE_TEXTS, Machine
 from turnwright.material import Material
 from turnwright.post import dialect_of

@@ -14,6 +14,7 @@ import tomli_w
 from annotated_types import Ge, Le
 from pydantic import Field, PlainValidator, Strict, ValidationError
 
+from turnwright._faults import faults as faults_of, sentences, suggestion
 from turnwright._io import read_toml, write_whole
 from turnwright._tables import Stated, adapter, read_by, types_of, written
 from turnwright._validate import check_numbers
@@ -21,7 +22,7 @@ from turnwright.diagnosis import CAUSES
 from turnwright.errors import InputError, JobError
 from turnwright.job.named import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, context_of
 from turnwright.job.strategies import KINDS, AnyStrategy, Choices
-from turnwright.job.table import Table, faults as faults_of, sentences, suggestion
+from turnwright.job.table import Table
 from turnwright.motion import require_variable
 from turnwright.part import Part
 from turnwright.pose import Pose

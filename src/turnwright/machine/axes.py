@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from turnwright._arrays import Floats
+from turnwright._tables import Stated, refuse
 from turnwright._validate import between, check_numbers, positive
-from turnwright.errors import InputError
-from turnwright.machine.responses import Response
+from turnwright.errors import InputError, UnitError
+from turnwright.machine.responses import AnyResponse, Frequency, Response
+from turnwright.units import parse, unit
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
 
-__all__ = ["ROTARY", "Axis"]
+__all__ = ["ROTARY", "Axes", "Axis"]
 
 ROTARY = frozenset("ABC")
 """Letters of the axes that turn; all others slide."""
@@ -24,12 +29,20 @@ ROTARY = frozenset("ABC")
 FAST = MappingProxyType({"U": "X", "W": "Z"})
 """Letters of the axes of a fast tool, and of the slides that they add to."""
 
+_UNITS = {
+    "speed": ("mm/s", "rad/s"),
+    "acceleration": ("mm/s^2", "rad/s^2"),
+    "jerk": ("mm/s^3", "rad/s^3"),
+    **dict.fromkeys(("low", "high", "bandwidth_residual"), ("mm", "rad")),
+}
+"""Units of the limits that a sliding axis has, and a turning one."""
+
 LATEST = 1.0
 """A dead time beyond this is a slip of the unit. [s]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Axis:
+class Axis(Stated):
     """Limits of one axis; ``None`` is a limit that nobody states.
 
     Parameters
@@ -54,15 +67,16 @@ class Axis:
         If a limit is not positive, the travel ends before it begins, or the dead time is not a short one.
     """
 
-    speed: float | None = None
-    acceleration: float | None = None
-    jerk: float | None = None
-    low: float | None = None
-    high: float | None = None
-    bandwidth_hz: float | None = None
-    bandwidth_residual: float | None = None
-    response: Response | None = None
-    dead_time: float | None = None
+    aliases = MappingProxyType({"bandwidth_hz": "bandwidth"})
+    speed: Annotated[float, unit(*_UNITS["speed"])] | None = None
+    acceleration: Annotated[float, unit(*_UNITS["acceleration"])] | None = None
+    jerk: Annotated[float, unit(*_UNITS["jerk"])] | None = None
+    low: Annotated[float, unit(*_UNITS["low"])] | None = None
+    high: Annotated[float, unit(*_UNITS["high"])] | None = None
+    bandwidth_hz: Frequency | None = None
+    bandwidth_residual: Annotated[float, unit(*_UNITS["bandwidth_residual"])] | None = None
+    response: Annotated[Response, AnyResponse] | None = None
+    dead_time: Annotated[float, unit("s")] | None = None
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -99,3 +113,32 @@ class Axis:
                 if limit is not None:
                     most = np.minimum(most, limit / (2 * np.pi * frequency) ** power)
         return np.where(frequency > (np.inf if self.bandwidth_hz is None else self.bandwidth_hz), 0.0, most)
+
+
+class Axes:
+    """The annotation of axes by their letters: sliding ones count in mm, turning ones in rad."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+        table = core_schema.dict_schema(core_schema.str_schema(strict=True), handler.generate_schema(Axis))
+        return core_schema.no_info_before_validator_function(_check_axes, table)
+
+
+def _check_axes(axes: Any) -> Any:
+    """Raise unless every axis of a table has a letter, and quantities of its own kind."""
+    problems: dict[tuple[str | int, ...], Exception | str] = {}
+    for letter, limits in axes.items() if isinstance(axes, Mapping) else ():
+        if len(letter) != 1 or not letter.isupper():
+            problems[letter,] = "it is not an axis: name it with one capital letter"
+            continue
+        for key, value in limits.items() if isinstance(limits, Mapping) else ():
+            kinds = [one for one in _UNITS.get(key, ()) if ("rad" in one) == (letter in ROTARY)]
+            try:
+                _ = [parse(value, one) for one in kinds]
+            except UnitError as error:
+                problems[letter, key] = error
+    if problems:
+        raise refuse("axes", problems, axes)
+    return axes

@@ -5,23 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import Annotated, TypeAlias
 
 from turnwright._arrays import Value
+from turnwright._tables import Stated
 from turnwright._validate import check_angle, check_numbers, whole as whole_number
 from turnwright.errors import InputError
-
-if TYPE_CHECKING:
-    pass
+from turnwright.units import Angle, Flag, Text, plain
 
 __all__ = ["INTERPOLATIONS", "Controller", "Convention"]
+
+Sign: TypeAlias = Annotated[int, plain()]
 
 INTERPOLATIONS = ("linear", "hermite", "quadratic spline", "cubic spline")
 """What a controller makes of the points, in the order of the kernel's numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Controller(Value):
+class Controller(Stated, Value):
     """What a controller makes of the points of a program.
 
     Parameters
@@ -41,10 +42,10 @@ class Controller(Value):
         If there is no such interpolation, or it looks ahead by less than one block.
     """
 
-    interpolation: str = "linear"
-    look_ahead: int | None = None
-    variable_speed: bool = False
-    other_interpolations: Mapping[str, str] = field(default_factory=dict)
+    interpolation: Text = "linear"
+    look_ahead: Annotated[int, plain()] | None = None
+    variable_speed: Flag = False
+    other_interpolations: Mapping[str, Text] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -69,7 +70,7 @@ class Controller(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Convention:
+class Convention(Stated):
     """How the controller counts, against Turnwright's own axes.
 
     Parameters
@@ -89,10 +90,10 @@ class Convention:
         If a sign is neither +1 nor -1, or the clocking is not finite.
     """
 
-    x_side: int = 1
-    c_sense: int = 1
-    z_sign: int = 1
-    clocking: float = 0.0
+    x_side: Sign = 1
+    c_sense: Sign = 1
+    z_sign: Sign = 1
+    clocking: Angle = 0.0
 
     def __post_init__(self) -> None:
         check_numbers(self)

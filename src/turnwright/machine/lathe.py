@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from turnwright import units
 from turnwright._arrays import Floats, Value, frozen
+from turnwright._faults import read_table
 from turnwright._io import read_toml
-from turnwright._validate import check_angle, check_numbers, key_of, plausible_sizes, positive
-from turnwright.errors import InputError
-from turnwright.machine.axes import ROTARY, Axis
+from turnwright._tables import Columns, Plausible, Sources, Stated, flat
+from turnwright._validate import check_angle, check_numbers, plausible_sizes, positive
+from turnwright.errors import InputError, shown
+from turnwright.machine.axes import Axes, Axis
 from turnwright.machine.controller import Controller, Convention
-from turnwright.machine.responses import FrequencyResponse, Response, SecondOrder, TransferFunction
+from turnwright.units import Angle, Number, Text
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -46,7 +47,7 @@ STEEPEST = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Machine(Value):
+class Machine(Stated, Value):
     """A lathe with a C axis.
 
     Parameters
@@ -93,17 +94,18 @@ class Machine(Value):
     'assumed'
     """
 
-    name: str
-    axes: Mapping[str, Axis]
-    spindle_rpm: float
-    block_rate_hz: float
-    dialect: str = "generic"
+    hidden = ("loaded_from",)
+    name: Text
+    axes: Annotated[Mapping[str, Axis], Axes]
+    spindle_rpm: Number
+    block_rate_hz: Number
+    dialect: Text = "generic"
     convention: Convention = Convention()  # noqa: RUF009 - frozen
     controller: Controller = Controller()  # noqa: RUF009 - frozen
-    squareness: float = 0.0
-    straightness: tuple[Floats, Floats] | None = None
-    plausible: Mapping[str, float] = field(default_factory=dict)
-    sources: Mapping[str, str] = field(default_factory=dict)
+    squareness: Angle = 0.0
+    straightness: Annotated[tuple[Floats, Floats], Columns(x_mm=1.0, error_nm=1e-6)] | None = None
+    plausible: Annotated[Mapping[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS)] = field(default_factory=dict)
+    sources: Annotated[Mapping[str, str], Sources] = field(default_factory=dict)
     loaded_from: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -148,11 +150,13 @@ class Machine(Value):
         InputError
             If there is no such machine, or its file is wrong; the message names the key.
         """
-        table = _read(name, ())
-        try:
-            return replace(_from_table(table), loaded_from=str(name))
-        except InputError as error:
-            raise InputError(f"machine file {str(name)!r}: {error}") from error
+        table, what = _read(name, ()), f"machine file {str(name)!r}"
+        found: Machine = read_table(cls, table, what)
+        facts = flat({key: value for key, value in table.items() if key != "sources"})
+        for key in found.sources:
+            if key not in facts:
+                raise InputError(f"{what}: sources has {key!r}, which the file does not state: correct or drop it")
+        return replace(found, loaded_from=str(name))
 
     def interpolating(self, interpolation: str) -> Machine:
         """Return the machine with its controller asked for one of the interpolations that it offers.
@@ -218,16 +222,16 @@ def _read(name: str | Path, above: tuple[str | Path, ...]) -> dict[str, Any]:
                 "name one of these, or give the path of a .toml file"
             ) from error
     table = read_toml(data, f"machine file {str(name)!r}")
-    try:
-        for axis in _table(table, "axes").values() if "axes" in table else ():
-            response = axis.get("response") if isinstance(axis, dict) else None
-            if isinstance(response, dict) and "file" in response:
-                response["file"] = str(beside / _text(response, "file"))
-        base = _text(table, "base") if "base" in table else None
-    except InputError as error:
-        raise InputError(f"machine file {str(name)!r}: {error}") from error
+    axes = table.get("axes")
+    for axis in axes.values() if isinstance(axes, dict) else ():
+        response = axis.get("response") if isinstance(axis, dict) else None
+        if isinstance(response, dict) and isinstance(response.get("file"), str):
+            response["file"] = str(beside / response["file"])
+    base = table.get("base")
     if base is None:
         return table
+    if not isinstance(base, str) or not base:
+        raise InputError(f"machine file {str(name)!r}: base is {shown(base)}, it must be a name or a file: correct it")
     if len(above) == MOST_BASES:
         raise InputError(
             f"machine file {str(name)!r}: more than {MOST_BASES} files build on each other, or in a ring: let one of "
@@ -244,136 +248,3 @@ def _over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
         below = base.get(key)
         both[key] = _over(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
     return both
-
-
-def _from_table(table: Mapping[str, Any]) -> Machine:
-    """Build a machine from its tables."""
-    _check_keys(table, {item.name for item in fields(Machine)} - {"loaded_from"}, "the file")
-    for needed in ("name", "axes", "spindle_rpm", "block_rate_hz"):
-        if needed not in table:
-            raise InputError(f"{needed} is missing: add it")
-    given: dict[str, Any] = {"name": _text(table, "name"), "dialect": _text(table, "dialect", "generic")}
-    for key in ("spindle_rpm", "block_rate_hz"):
-        if isinstance(table[key], bool) or not isinstance(table[key], int | float):
-            raise InputError(f"{key} is {table[key]!r}, its unit is in its name: give a plain number")
-        given[key] = table[key]
-    given["axes"] = {letter: _axis(letter, limits) for letter, limits in _table(table, "axes").items()}
-    if "convention" in table:
-        given["convention"] = _convention(_table(table, "convention"))
-    if "controller" in table:
-        controller = _table(table, "controller")
-        _check_keys(controller, {item.name for item in fields(Controller)}, "controller")
-        given["controller"] = Controller(**controller)
-    if "squareness" in table:
-        given["squareness"] = _quantity(table["squareness"], "rad", "squareness")
-    if "straightness" in table:
-        straightness = _table(table, "straightness")
-        _check_keys(straightness, {"x_mm", "error_nm"}, "straightness")
-        x, error = (frozen(straightness.get(key, []), f"straightness.{key}") for key in ("x_mm", "error_nm"))
-        given["straightness"] = (x, error * 1e-6)
-    if "plausible" in table:
-        given["plausible"] = _plausible(_table(table, "plausible"))
-    sources = _flat(_table(table, "sources")) if "sources" in table else {}
-    facts = _flat({key: value for key, value in table.items() if key != "sources"})
-    _check_keys(sources, set(facts), "sources")
-    return Machine(**given, sources=sources)
-
-
-def _convention(table: dict[str, Any]) -> Convention:
-    _check_keys(table, {item.name for item in fields(Convention)}, "convention")
-    if "clocking" in table:
-        table = {**table, "clocking": _quantity(table["clocking"], "rad", "convention.clocking")}
-    return Convention(**table)
-
-
-def _plausible(table: Mapping[str, Any]) -> dict[str, float]:
-    """Return plausible sizes of errors by their names."""
-    name_of = {key_of(name): name for name in PLAUSIBLE}
-    _check_keys(table, set(name_of), "plausible")
-    return {name_of[key]: _quantity(size, PLAUSIBLE[name_of[key]], f"plausible.{key}") for key, size in table.items()}
-
-
-def _response(table: Mapping[str, Any]) -> Response:
-    """Build a response from its table: a file of measured values, polynomials, or a second order."""
-    if "file" in table:
-        _check_keys(table, {"file"}, "response")
-        return FrequencyResponse.load(_text(table, "file"))
-    if "numerator" in table or "denominator" in table:
-        _check_keys(table, {"numerator", "denominator"}, "response")
-        both = {key: frozen(table.get(key, []), f"response.{key}") for key in ("numerator", "denominator")}
-        return TransferFunction(**both)
-    _check_keys(table, {"frequency", "damping", "velocity_feedforward", "acceleration_feedforward"}, "response")
-    for needed in ("frequency", "damping"):
-        if needed not in table:
-            raise InputError(f"response.{needed} is missing: add it, or give a file, or numerator and denominator")
-    plain = {key: value for key, value in table.items() if key != "frequency"}
-    for key, value in plain.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"response.{key} is {value!r}, it has no unit: give a plain number")
-    return SecondOrder(frequency_hz=_quantity(table["frequency"], "Hz", "response.frequency"), **plain)
-
-
-def _axis(letter: str, limits: object) -> Axis:
-    """Build an axis from its table; sliding axes count in mm, turning ones in rad."""
-    if len(letter) != 1 or not letter.isupper():
-        raise InputError(f"axes.{letter} is not an axis: name it with one capital letter")
-    if not isinstance(limits, dict):
-        raise InputError(f"axes.{letter} is {limits!r}, it must be a table of limits: write [axes.{letter}]")
-    length = "rad" if letter in ROTARY else "mm"
-    own = {
-        "speed": f"{length}/s",
-        "acceleration": f"{length}/s^2",
-        "jerk": f"{length}/s^3",
-        "low": length,
-        "high": length,
-        "bandwidth_residual": length,
-        "dead_time": "s",
-    }
-    _check_keys(limits, {*own, "bandwidth", "response"}, f"axes.{letter}")
-    try:
-        plain = {key: _quantity(value, own[key], key) for key, value in limits.items() if key in own}
-        band = _quantity(limits["bandwidth"], "Hz", "bandwidth") if "bandwidth" in limits else None
-        response = _response(_table(limits, "response")) if "response" in limits else None
-        return Axis(**plain, bandwidth_hz=band, response=response)
-    except InputError as error:
-        raise InputError(f"axes.{letter}: {error}") from error
-
-
-def _quantity(value: object, unit: str, where: str) -> float:
-    try:
-        return units.parse(value, unit)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
-
-
-def _text(table: Mapping[str, Any], key: str, default: str = "") -> str:
-    value = table.get(key, default)
-    if not isinstance(value, str) or not value:
-        raise InputError(f"{key} is {value!r}, it must be a text: put it in quotes")
-    return value
-
-
-def _table(table: Mapping[str, Any], key: str) -> dict[str, Any]:
-    value = table[key]
-    if not isinstance(value, dict):
-        raise InputError(f"{key} is {value!r}, it must be a table: write [{key}]")
-    return value
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return a nested table with dotted keys."""
-    flat: dict[str, Any] = {}
-    for key, value in table.items():
-        if isinstance(value, dict):
-            flat.update(_flat(value, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat
-
-
-def _check_keys(table: Mapping[str, Any], known: set[str], where: str) -> None:
-    for key in table:
-        if key not in known:
-            raise InputError(
-                f"{key!r} in {where} is not known, the keys are {', '.join(sorted(known))}: correct or drop it"
-            )

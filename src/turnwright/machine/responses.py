@@ -7,24 +7,30 @@ stands still stands where it was sent.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from turnwright._arrays import Value, frozen
+from turnwright._arrays import Floats, Value, frozen
+from turnwright._tables import Numbers, Stated, adapter
 from turnwright._validate import between, check_numbers, positive
 from turnwright.errors import InputError
+from turnwright.units import Number, unit
 
 if TYPE_CHECKING:
     from os import PathLike
 
     from numpy.typing import ArrayLike, NDArray
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
 
-    from turnwright._arrays import Floats
-
-__all__ = ["FrequencyResponse", "RationalResponse", "Response", "SecondOrder", "TransferFunction"]
+__all__ = [
+    "AnyResponse", "Frequency", "FrequencyResponse", "RationalResponse", "Response", "SecondOrder", "TransferFunction",
+]  # fmt: skip
 
 STATIC = 1e-6
 """How far the gain of an axis at rest may be from 1."""
@@ -34,6 +40,9 @@ MOST_POLES = 20
 
 LARGEST_FILE = 16 << 20
 """Bytes of the largest file that is a frequency response."""
+
+
+Frequency: TypeAlias = Annotated[float, unit("Hz")]
 
 
 @runtime_checkable
@@ -57,7 +66,7 @@ class RationalResponse(Response, Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SecondOrder:
+class SecondOrder(Stated):
     r"""A servo axis as a mass on a damped spring, with feed-forward.
 
     .. math:: H(s) = \frac{a s^2 + 2 v \zeta \omega s + \omega^2}{s^2 + 2 \zeta \omega s + \omega^2}
@@ -83,10 +92,11 @@ class SecondOrder:
     array([1.0001, 1.1898])
     """
 
-    frequency_hz: float
-    damping: float
-    velocity_feedforward: float = 0.0
-    acceleration_feedforward: float = 0.0
+    aliases = MappingProxyType({"frequency_hz": "frequency"})
+    frequency_hz: Frequency
+    damping: Number
+    velocity_feedforward: Number = 0.0
+    acceleration_feedforward: Number = 0.0
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -118,7 +128,7 @@ class SecondOrder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TransferFunction(Value):
+class TransferFunction(Stated, Value):
     """A stable ratio of polynomials in s.
 
     Parameters
@@ -137,8 +147,8 @@ class TransferFunction(Value):
     0.707107
     """
 
-    numerator: Floats
-    denominator: Floats
+    numerator: Annotated[Floats, Numbers]
+    denominator: Annotated[Floats, Numbers]
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -285,6 +295,24 @@ class FrequencyResponse(Value):
     def slower(self, factor: float) -> FrequencyResponse:
         """Return the response of an axis whose every time is longer by a factor."""
         return FrequencyResponse(frequency_hz=self.frequency_hz / factor, magnitude=self.magnitude, phase=self.phase)
+
+
+class AnyResponse:
+    """The annotation of a response: a file of measured values, polynomials, or a second order."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+        return core_schema.no_info_plain_validator_function(_read_response)
+
+
+def _read_response(table: Any) -> Any:
+    """Return the response that a table states."""
+    if isinstance(table, Mapping) and table.keys() == {"file"}:
+        return FrequencyResponse.load(table["file"])
+    polynomials = isinstance(table, Mapping) and table.keys() & {"numerator", "denominator"}
+    return adapter(TransferFunction if polynomials else SecondOrder).validate_python(table)
 
 
 def _ratio(polynomials: tuple[Floats, Floats], frequency_hz: ArrayLike) -> NDArray[np.complex128]:

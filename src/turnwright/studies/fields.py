@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
 from pydantic import TypeAdapter, ValidationError
 
+from turnwright._faults import keys_of, sentences
 from turnwright._tables import types_of
 from turnwright.errors import InputError, UnitError
-from turnwright.job import HeightFile, Table, keys_of, sentences
+from turnwright.job import HeightFile, Table
 from turnwright.surface import Placed, Sum, Surface
 from turnwright.units import parse, unit
 

@@ -14,6 +14,7 @@ from turnwright._arrays import Bools, Floats, Ints, Value
 from turnwright._tables import Stated
 from turnwright._validate import IN_RAD, check_angle
 from turnwright.errors import DomainError
+from turnwright.pose import Pose
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -69,6 +70,12 @@ class Family(Stated):
     series: ClassVar[Mapping[str, Series]] = {}
     formula_units: ClassVar[str] = ""
     needed: ClassVar[Collection[str]] = ()
+
+    @classmethod
+    def table_keys(cls) -> Mapping[str, Any]:
+        """Return the keys that a file can state, with their types."""
+        units = {"units": str} if cls.series or cls.formula_units else {}
+        return {"family": str, "placed": Pose, **units, **super().table_keys()}
 
     def __init_subclass__(cls, **settings: Any) -> None:
         super().__init_subclass__(**settings)

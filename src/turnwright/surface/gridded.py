@@ -75,6 +75,7 @@ class Gridded(Surface):
     True
     """
 
+    hidden = ("source",)
     x: Floats
     y: Floats
     z: Floats

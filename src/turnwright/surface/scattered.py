@@ -71,6 +71,7 @@ class Scattered(Surface):
     [Wendland2005]_ ch. 8: polyharmonic splines.
     """
 
+    hidden = ("source",)
     x: Floats
     y: Floats
     z: Floats

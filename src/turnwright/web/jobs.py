@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from turnwright._faults import sentences
 from turnwright._io import read_toml
 from turnwright._tables import adapter, types_of
 from turnwright.errors import InputError, TurnwrightError, shortened
@@ -24,7 +25,6 @@ from turnwright.job import (
     as_tables,
     context_of,
     faults,
-    sentences,
     written,
 )
 from turnwright.machine import Machine
