@@ -34,7 +34,7 @@ class Stated:
     file_keys: ClassVar[Mapping[str, str]] = {}
     """Keys that name the file of a field, by the field, where its own key is for values."""
 
-    aliases: ClassVar[Mapping[str, str]] = {}
+    key_names: ClassVar[Mapping[str, str]] = {}
     """Keys of fields in a file, by the field, where they are not called alike."""
     hidden: ClassVar[Collection[str]] = ()
     """Fields that no file states."""
@@ -42,7 +42,7 @@ class Stated:
     @classmethod
     def table_keys(cls) -> Mapping[str, Any]:
         """Return the keys that a file can state, with their types."""
-        own = {cls.aliases.get(name, name): kind for name, kind in types_of(cls).items() if name not in cls.hidden}
+        own = {cls.key_names.get(name, name): kind for name, kind in types_of(cls).items() if name not in cls.hidden}
         return own | dict.fromkeys(cls.file_keys.values(), str)
 
     @classmethod
@@ -75,7 +75,7 @@ class Stated:
             for name, key in named.items():
                 if table.get(name) is not None:
                     raise InputError(f"{name} and {key} are both given, only one can be right: remove one")
-            named |= cls.aliases
+            named |= cls.key_names
             table |= {name: table.pop(key) for name, key in named.items() if key in table}
             try:
                 return build(table)
@@ -354,7 +354,7 @@ def written(value: Any, *, whole: bool = False) -> dict[str, Any]:
         if held is not None and (whole or not same(held, default)):
             key = value.file_keys.get(field.name, "") if getattr(held, "file", "") else ""
             kind = adapter(types_of(type(value))[field.name])
-            table[key or value.aliases.get(field.name, field.name)] = (
+            table[key or value.key_names.get(field.name, field.name)] = (
                 named(held) if key else kind.dump_python(held, mode="json", exclude_unset=not whole)
             )
     return dict(value.to_table(table))

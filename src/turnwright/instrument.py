@@ -21,7 +21,7 @@ Oracles: closed forms of sines and cusps, a sphere over a ball, a brute-force ov
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
@@ -29,20 +29,19 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 import numpy as np
 
 from turnwright._arrays import Bools, Floats, is_even
+from turnwright._faults import read_table
 from turnwright._io import read_toml
+from turnwright._tables import Stated
 from turnwright._validate import between, check_numbers, positive, whole
 from turnwright.errors import InputError, shown
 from turnwright.heightmap import HeightMap
 from turnwright.profile import Profile
-from turnwright.units import parse
+from turnwright.units import Length, Number, Text
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 __all__ = ["Instrument"]
-
-UNITS = {"pixel": "mm", "resolution": "mm", "wavelength": "mm", "stylus_radius": "mm", "noise": "mm"}
-"""Fields that are quantities in a file."""
 
 FINE = 2
 """Steps of a surface in the finest length of an instrument, at least."""
@@ -60,7 +59,7 @@ Seen = TypeVar("Seen", HeightMap, Profile)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Instrument:
+class Instrument(Stated):
     """An instrument that measures surfaces: what it resolves, and how much it adds.
 
     What is not stated does nothing: an instrument of a pixel alone only averages over it.
@@ -94,15 +93,16 @@ class Instrument:
     [1.0, 0.868, 0.0]
     """
 
-    pixel: float | None = None
-    numerical_aperture: float | None = None
-    wavelength: float | None = None
-    resolution: float | None = None
-    filling: float = 1.0
-    stylus_radius: float | None = None
-    noise: float = 0.0
-    name: str = ""
-    source: str = ""
+    hidden = ("loaded_from",)
+    pixel: Length | None = None
+    numerical_aperture: Number | None = None
+    wavelength: Length | None = None
+    resolution: Length | None = None
+    filling: Number = 1.0
+    stylus_radius: Length | None = None
+    noise: Length = 0.0
+    name: Text = ""
+    source: Text = ""
     loaded_from: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -143,7 +143,7 @@ class Instrument:
         """
         presets = _presets()
         if str(name) in presets:
-            return replace(_from_table(presets[str(name)], str(name)), loaded_from=str(name))
+            return _read(presets[str(name)], str(name), str(name))
         path = Path(name)
         if path.suffix != ".toml":
             raise InputError(
@@ -154,7 +154,7 @@ class Instrument:
             data = path.read_bytes()
         except OSError as error:
             raise InputError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
-        return replace(_from_table(read_toml(data, f"instrument file {str(path)!r}"), path.stem), loaded_from=str(name))
+        return _read(read_toml(data, f"instrument file {str(path)!r}"), path.stem, str(name))
 
     @property
     def summary(self) -> str:
@@ -281,18 +281,9 @@ def _presets() -> dict[str, dict[str, Any]]:
     return read_toml((resources.files("turnwright") / "instruments.toml").read_bytes(), "instruments.toml")
 
 
-def _from_table(table: dict[str, Any], name: str) -> Instrument:
-    known = {one.name for one in fields(Instrument)} - {"loaded_from"}
-    wrong = [key for key in table if key not in known]
-    if wrong:
-        raise InputError(f"instrument {name!r} has the key {shown(wrong[0])}, the keys are {', '.join(sorted(known))}")
-    values: dict[str, Any] = {"name": name}
-    for key, value in table.items():
-        try:
-            values[key] = parse(value, UNITS[key]) if key in UNITS else value
-        except InputError as error:
-            raise InputError(f"instrument {name!r}, {key}: {error}") from error
-    return Instrument(**values)
+def _read(table: dict[str, Any], name: str, loaded_from: str) -> Instrument:
+    found: Instrument = read_table(Instrument, {"name": name, **table}, f"instrument {name!r}")
+    return replace(found, loaded_from=loaded_from)
 
 
 def _overlap(distance: Floats, filling: float) -> Floats:

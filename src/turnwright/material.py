@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,15 +11,17 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from turnwright import units
 from turnwright._arrays import Floats, Value, frozen
+from turnwright._faults import read_table
 from turnwright._io import read_toml
+from turnwright._tables import Columns, Sources, Stated
 from turnwright._validate import between, check_angle, check_numbers, positive, whole as whole_number
 from turnwright.errors import InputError
+from turnwright.units import Angle, Flag, Length, Number, Text, plain
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -41,7 +44,7 @@ def _bare(name: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lobes:
+class Lobes(Stated):
     """How a crystal's property varies around the part: 1 + amplitude cos(count (angle - maximum)).
 
     Parameters
@@ -59,9 +62,9 @@ class Lobes:
         If the count is no whole number from 1 to 24, or the amplitude is not below 1.
     """
 
-    count: int
-    amplitude: float
-    maximum: float = 0.0
+    count: Annotated[int, plain()]
+    amplitude: Number
+    maximum: Angle = 0.0
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -77,6 +80,9 @@ class Lobes:
 
 Curve = tuple[Floats, Floats]
 """Ascending positions and the factors there, straight in between and held beyond. ((n,), (n,))"""
+
+
+_BY_RAKE = Columns(at_deg=math.pi / 180, factor=1.0)
 
 
 def _curve(curve: tuple[ArrayLike, ArrayLike], name: str) -> Curve:
@@ -113,7 +119,7 @@ def _around(rake: Curve | None, lobes: Lobes | None, at_rake: ArrayLike, at_angl
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CuttingCoefficient(Value):
+class CuttingCoefficient(Stated, Value):
     r"""Force on the edge per area of the uncut chip.
 
     .. math:: K(t, \gamma, \psi) = K_0 \, (t / t_0)^{-m} \, f_t(t) \, f_\gamma(\gamma) \, f_\psi(\psi)
@@ -149,14 +155,15 @@ class CuttingCoefficient(Value):
     [2000.0, 1000.0]
     """
 
-    value: float
-    uncertainty: float | None = None
-    exponent: float = 0.0
-    reference_thickness: float | None = None
-    thickness: Curve | None = None
-    rake: Curve | None = None
+    key_names = MappingProxyType({"value": "n_per_mm2", "uncertainty": "uncertainty_n_per_mm2"})
+    value: Number
+    uncertainty: Number | None = None
+    exponent: Number = 0.0
+    reference_thickness: Length | None = None
+    thickness: Annotated[Curve, Columns(at_nm=1e-6, factor=1.0)] | None = None
+    rake: Annotated[Curve, _BY_RAKE] | None = None
     lobes: Lobes | None = None
-    stated: tuple[float, float] | None = None
+    stated: tuple[Length, Length] | None = None
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -207,7 +214,7 @@ class CuttingCoefficient(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CriticalThickness(Value):
+class CriticalThickness(Stated, Value):
     """Thickness of the uncut chip beyond which the material fractures.
 
     Parameters
@@ -227,9 +234,9 @@ class CriticalThickness(Value):
         If the value is not positive, the uncertainty is below zero, or a table is wrong.
     """
 
-    value: float
-    uncertainty: float | None = None
-    rake: Curve | None = None
+    value: Length
+    uncertainty: Length | None = None
+    rake: Annotated[Curve, _BY_RAKE] | None = None
     lobes: Lobes | None = None
 
     def __post_init__(self) -> None:
@@ -256,7 +263,7 @@ class CriticalThickness(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Material(Value):
+class Material(Stated, Value):
     """What is cut: the force it takes, and the chip it bears.
 
     Parameters
@@ -298,16 +305,16 @@ class Material(Value):
     'Troutman 2016, orthogonal cutting of IRG 26 in the ductile regime: 1489 +- 62 N/mm2'
     """
 
-    name: str
-    aliases: tuple[str, ...] = ()
+    name: Text
+    aliases: tuple[Text, ...] = ()
     cutting: CuttingCoefficient | None = None
     thrust: CuttingCoefficient | None = None
     critical: CriticalThickness | None = None
-    brittle_plateau: bool = False
-    brittle_force: tuple[float, float] = (1.0, 1.0)
-    fracture_ratio: float | None = None
-    sources: Mapping[str, str] = field(default_factory=dict)
-    notes: str = ""
+    brittle_plateau: Flag = False
+    brittle_force: tuple[Number, Number] = (1.0, 1.0)
+    fracture_ratio: Number | None = None
+    sources: Annotated[Mapping[str, str], Sources] = field(default_factory=dict)
+    notes: Text = ""
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -383,10 +390,8 @@ class Material(Value):
                     f"{cls.suggest(str(name))}; name one of them, or give the path of a .toml file"
                 ) from error
         table = read_toml(data, f"material file {str(name)!r}")
-        try:
-            return _from_table(table)
-        except InputError as error:
-            raise InputError(f"material file {str(name)!r}: {error}") from error
+        found: Material = read_table(cls, table, f"material file {str(name)!r}")
+        return found
 
     def caution(self, thickness: float) -> str:
         """Return what to know before relying on forces at a chip thickness [mm]; empty where the source covers it.
@@ -469,144 +474,3 @@ def _span(low: float, high: float) -> str:
     """Return two lengths in words, each in the unit that suits it."""
     words = [f"{x:g} mm" if x >= 1 else f"{x * 1e3:.4g} um" if x >= 1e-3 else f"{x * 1e6:.4g} nm" for x in (low, high)]
     return f"{words[0]} to {words[1]}"
-
-
-def _number(table: Mapping[str, Any], key: str, where: str) -> float:
-    value = table[key]
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{where}.{key} is {value!r}, its unit is in its name: give a plain number")
-    return float(value)
-
-
-def _quantity(table: Mapping[str, Any], key: str, unit: str, where: str) -> float:
-    try:
-        return units.parse(table[key], unit)
-    except InputError as error:
-        raise InputError(f"{where}.{key}: {error}") from error
-
-
-def _table(table: Mapping[str, Any], key: str) -> dict[str, Any]:
-    value = table[key]
-    if not isinstance(value, dict):
-        raise InputError(f"{key} is {value!r}, it must be a table: write [{key}]")
-    return value
-
-
-def _check_keys(table: Mapping[str, Any], known: set[str], where: str) -> None:
-    for key in table:
-        if key not in known:
-            raise InputError(
-                f"{key!r} in {where} is not known, the keys are {', '.join(sorted(known))}: correct or drop it"
-            )
-
-
-def _dependence(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return what both kinds of properties share: rake and lobes."""
-    given: dict[str, Any] = {}
-    if "rake" in table:
-        rake = _table(table, "rake")
-        _check_keys(rake, {"at_deg", "factor"}, f"{where}.rake")
-        at = frozen(rake.get("at_deg", []), f"{where}.rake.at_deg")
-        given["rake"] = (np.deg2rad(at), rake.get("factor", []))
-        if at.size and np.abs(given["rake"][0]).max() > STEEPEST:
-            raise InputError(f"{where}.rake.at_deg reaches {np.abs(at).max():g} deg, the limit is 80 deg: correct it")
-    if "lobes" in table:
-        lobes = _table(table, "lobes")
-        _check_keys(lobes, {"count", "amplitude", "maximum"}, f"{where}.lobes")
-        for key in ("count", "amplitude"):
-            if key not in lobes:
-                raise InputError(f"{where}.lobes.{key} is missing: add it")
-        maximum = _quantity(lobes, "maximum", "rad", f"{where}.lobes") if "maximum" in lobes else 0.0
-        amplitude = _number(lobes, "amplitude", f"{where}.lobes")
-        given["lobes"] = Lobes(count=lobes["count"], amplitude=amplitude, maximum=maximum)
-    return given
-
-
-def _coefficient(table: Mapping[str, Any], where: str) -> CuttingCoefficient:
-    known = {"n_per_mm2", "uncertainty_n_per_mm2", "exponent", "reference_thickness", "thickness", "rake", "lobes"}
-    _check_keys(table, known | {"stated"}, where)
-    if "n_per_mm2" not in table:
-        raise InputError(f"{where}.n_per_mm2 is missing: add the coefficient")
-    given = _dependence(table, where)
-    given["value"] = _number(table, "n_per_mm2", where)
-    if "uncertainty_n_per_mm2" in table:
-        given["uncertainty"] = _number(table, "uncertainty_n_per_mm2", where)
-    if "exponent" in table:
-        given["exponent"] = _number(table, "exponent", where)
-    if "reference_thickness" in table:
-        given["reference_thickness"] = _quantity(table, "reference_thickness", "mm", where)
-    if "thickness" in table:
-        chip = _table(table, "thickness")
-        _check_keys(chip, {"at_nm", "factor"}, f"{where}.thickness")
-        at = frozen(chip.get("at_nm", []), f"{where}.thickness.at_nm")
-        given["thickness"] = (at * 1e-6, chip.get("factor", []))
-    if "stated" in table:
-        ends = table["stated"]
-        if not isinstance(ends, list) or len(ends) != 2:
-            raise InputError(f"{where}.stated is {ends!r}, it needs 2 lengths: give it as ['100 um', '1 mm']")
-        given["stated"] = tuple(_quantity({"stated": end}, "stated", "mm", where) for end in ends)
-    return CuttingCoefficient(**given)
-
-
-def _critical(table: Mapping[str, Any], where: str) -> CriticalThickness:
-    _check_keys(table, {"value", "uncertainty", "rake", "lobes"}, where)
-    if "value" not in table:
-        raise InputError(f"{where}.value is missing: add the thickness, such as '600 nm'")
-    given = _dependence(table, where)
-    for key in ("value", "uncertainty"):
-        if key in table:
-            given[key] = _quantity(table, key, "mm", where)
-    return CriticalThickness(**given)
-
-
-def _from_table(table: Mapping[str, Any]) -> Material:
-    """Build a material from its tables."""
-    plain = {"name", "aliases", "brittle_plateau", "brittle_force", "fracture_ratio", "notes"}
-    _check_keys(table, {*plain, "cutting", "thrust", "critical", "sources"}, "the file")
-    given: dict[str, Any] = {}
-    for key in ("name", "notes"):
-        value = table.get(key, "")
-        if not isinstance(value, str):
-            raise InputError(f"{key} is {value!r}, it must be a text: put it in quotes")
-        given[key] = value
-    aliases = table.get("aliases", [])
-    if not isinstance(aliases, list) or not all(isinstance(one, str) for one in aliases):
-        raise InputError('aliases are no texts: give them as ["Ge", "germanium"]')
-    given["aliases"] = tuple(aliases)
-    given.update(_beyond(table))
-    if "fracture_ratio" in table:
-        given["fracture_ratio"] = _number(table, "fracture_ratio", "the file")
-    for key in ("cutting", "thrust"):
-        if key in table:
-            given[key] = _coefficient(_table(table, key), key)
-    if "critical" in table:
-        given["critical"] = _critical(_table(table, "critical"), "critical")
-    sources = _flat(_table(table, "sources")) if "sources" in table else {}
-    return Material(**given, sources=sources)
-
-
-def _beyond(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what becomes of the forces beyond the critical thickness."""
-    plateau = table.get("brittle_plateau", False)
-    if not isinstance(plateau, bool):
-        raise InputError(f"brittle_plateau is {plateau!r}, it must be true or false: change it")
-    given: dict[str, Any] = {"brittle_plateau": plateau}
-    if "brittle_force" in table:
-        force = table["brittle_force"]
-        if not isinstance(force, list) or len(force) != 2:
-            raise InputError("brittle_force needs 2 shares, of cutting force and thrust: give it as [0.6, 0.6]")
-        given["brittle_force"] = tuple(_number({"brittle_force": one}, "brittle_force", "the file") for one in force)
-    return given
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """Return a nested table of texts with dotted keys."""
-    flat: dict[str, str] = {}
-    for key, value in table.items():
-        if isinstance(value, dict):
-            flat.update(_flat(value, f"{prefix}{key}."))
-        elif isinstance(value, str):
-            flat[f"{prefix}{key}"] = value
-        else:
-            raise InputError(f"sources.{prefix}{key} is {value!r}, it must be a text: put it in quotes")
-    return flat

@@ -161,7 +161,7 @@ def test_wrong_instruments_are_refused_by_name(tmp_path):
     with pytest.raises(InputError, match="no instrument 'zygo'"):
         Instrument.load("zygo")
     (tmp_path / "wrong.toml").write_text("pixel = 2\n")
-    with pytest.raises(InputError, match=r"'wrong', pixel: .*no unit"):
+    with pytest.raises(InputError, match=r"'wrong': pixel: .*no unit"):
         Instrument.load(tmp_path / "wrong.toml")
     with pytest.raises(InputError, match=r"steps of 1 um, the limit for this instrument is 0\.475 um"):
         Instrument.load("zygo-nexview-10x").see(profile(np.zeros(100), step=1e-3))

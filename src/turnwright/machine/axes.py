@@ -67,7 +67,7 @@ class Axis(Stated):
         If a limit is not positive, the travel ends before it begins, or the dead time is not a short one.
     """
 
-    aliases = MappingProxyType({"bandwidth_hz": "bandwidth"})
+    key_names = MappingProxyType({"bandwidth_hz": "bandwidth"})
     speed: Annotated[float, unit(*_UNITS["speed"])] | None = None
     acceleration: Annotated[float, unit(*_UNITS["acceleration"])] | None = None
     jerk: Annotated[float, unit(*_UNITS["jerk"])] | None = None

@@ -92,7 +92,7 @@ class SecondOrder(Stated):
     array([1.0001, 1.1898])
     """
 
-    aliases = MappingProxyType({"frequency_hz": "frequency"})
+    key_names = MappingProxyType({"frequency_hz": "frequency"})
     frequency_hz: Frequency
     damping: Number
     velocity_feedforward: Number = 0.0

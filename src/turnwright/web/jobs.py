@@ -158,7 +158,9 @@ def _read_as(path: Path, kind: str, more: Mapping[str, str]) -> None:
             "heights": {"family": "gridded", "file": str(path), **more},
             "straightness": {"straightness_file": str(path)},
         }[kind]
-        adapter(READERS[kind]).validate_python(stated, context=context_of("."))
+        found = adapter(READERS[kind]).validate_python(stated, context=context_of("."))
+        if kind == "straightness":
+            found.deviating(Machine.load("generic"))
 
 
 UNITS: tuple[dict[str, str], ...] = (
