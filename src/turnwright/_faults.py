@@ -166,6 +166,8 @@ def _sentence(path: str, keys: Mapping[str, Any], problem: Mapping[str, Any]) ->
         return f"{path} is not a known key: {suggestion(path.rpartition('.')[2], keys)}"
     if kind in _SAID:
         return f"{path} {_SAID[kind](value, context)}"
+    if kind == "float_type" and isinstance(value, int) and not isinstance(value, bool):
+        return f"{path} is beyond the range of numbers, about 1e308: give a smaller value"
     if kind in _KINDS:
         return f"{path} is {shown(value)}, it must be {_KINDS[kind]}: write it so"
     text = str(context.get("error") or context.get("text") or problem["msg"])

@@ -107,11 +107,16 @@ class Part(Stated):
         self.surface.require_disc(self.radius, "the clear radius")
 
     @property
+    def design(self) -> Part:
+        """The part as it was designed, by which everything is judged."""
+        return self if self.correction is None else replace(self, correction=None)
+
+    @property
     def aimed(self) -> Part:
         """The part that the tool is sent to: the design with its correction."""
-        return (
-            self if self.correction is None else replace(self, surface=self.surface + self.correction, correction=None)
-        )
+        if self.correction is None:
+            return self
+        return replace(self, surface=self.surface + self.correction, correction=None)
 
     @property
     def substance(self) -> Material | None:

@@ -133,7 +133,7 @@ WRONG = {
     "a certificate that is no text": ([("tool.waviness_file", "utf16.csv")], r"utf16\.csv is not a CSV table in UTF-8 .*: save it as plain text"),
     "a certificate of one endless cell": ([("tool.waviness_file", "cell.csv")], r"cell\.csv is not a CSV table in UTF-8 .*: save it"),
     "a machine sign that is no sign": ([("machine", {"file": "sign.toml"})], r"x_side is -1\.0, it must be a whole number"),
-    "a machine sign that is a yes": ([("machine", {"file": "yes.toml"})], r"x_side is True, it must be a number"),
+    "a machine sign that is a yes": ([("machine", {"file": "yes.toml"})], r"x_side is True, it must be a whole number"),
     "a machine faster than numbers": ([("machine", {"file": "fast.toml"})], r"spindle_rpm is beyond the range of numbers"),
     "a machine that is no TOML": ([("machine", {"file": "broken.toml"})], r"broken\.toml' is not TOML, .*: correct that place"),
     "a machine too deep to read": ([("machine", {"file": "deep.toml"})], r"deep\.toml' holds lists or tables within each other too deep"),

@@ -90,7 +90,7 @@ def test_a_two_axis_fast_tool_leaves_what_the_slides_would(tmp_path):
             [("strategy.kind", "hybrid tool servo"), ("program", {"fast_tool": "position"})],
             "choose a machine with a fast",
         ),
-        ([("strategy.kind", "adaptive tool servo")], "feed is not a key"),
+        ([("strategy.kind", "adaptive tool servo")], "strategy.feed is not a known key"),
         ([("strategy", {**ADAPTIVE, "along": "normal"})], 'the adaptive tool servo plans for "z"'),
         ([("strategy", {**SWINGING, "along": "normal"})], 'the quasi-elliptical tool servo plans for "z"'),
         (

@@ -411,7 +411,7 @@ def _plans(job: Job, found: Diagnosis, own: Sequence[bool]) -> Iterator[_Plan]:
     worth_nm = job.measurement.worth * NM
     worth = any(one.verdict == "correct" and one.cause in PLANNED for one in found)
     if not any(own):
-        draws = found.on(job.part)
+        draws = found.on(job.part.design)
         proof = prove(draws, np.zeros(draws.x.size), worth_nm=worth_nm)
         yield _Plan(likely=True, sources=True, smooth=None, map=0, draws=draws, proof=proof)
         return

@@ -588,7 +588,7 @@ def _diagnosed(every: Sequence[Measured], report: StageProgress) -> Diagnosis:
     means = [_gathered(one, first) for one in every]
     found = attribute(
         [one.heights for one in means],
-        [one.job.part for one in every],
+        [one.job.part.design for one in every],
         first.tool,
         first.machine,
         causes=asked.causes or DEFAULT,
@@ -631,7 +631,7 @@ def cutoff_of(job: Job) -> float:
 
 def same_part(one: Job, other: Job) -> bool:
     """Say whether two jobs cut the same design in the same way, whatever they take into account."""
-    design, other_design = (replace(job.part, correction=None) for job in (one, other))
+    design, other_design = (job.part.design for job in (one, other))
     return design == other_design and one.strategy == other.strategy and one.passes[-1:] == other.passes[-1:]
 
 

@@ -11,7 +11,7 @@ from pydantic_core import InitErrorDetails, core_schema
 from typing_extensions import TypeAliasType, TypedDict
 
 from turnwright._tables import adapter, refuse, written
-from turnwright.errors import InputError, JobError, UnitError
+from turnwright.errors import InputError, JobError, UnitError, shown
 from turnwright.pose import Pose
 from turnwright.surface.base import FAMILIES, Surface
 from turnwright.surface.compound import Placed
@@ -25,6 +25,9 @@ __all__ = ["json_schema_of", "schema_of", "table_of"]
 
 HIGHEST = 99
 """A coefficient of a higher power of 1/mm belongs to no series."""
+
+LARGEST = 1e100
+"""No coefficient is larger, in mm to its power: powers of it leave the range of numbers."""
 
 UNITS = ("mm", "um", "nm", "m", "in")
 """Units that the formula of a series may be written in."""
@@ -202,10 +205,13 @@ def _coefficient(value: object, units: str | None, power: int) -> float:
     if abs(power) > HIGHEST:
         raise JobError(f"its unit is mm^{power}, the limit is mm^-{HIGHEST}, a degree of {HIGHEST + 1}: leave it out")
     if units is not None and isinstance(value, int | float) and not isinstance(value, bool):
-        return parse(f"{value!r} {_power_of(units, power)}", _power_of("mm", power))
+        value = f"{value!r} {_power_of(units, power)}"
     if not isinstance(value, str):
         raise UnitError(f"{value!r} has no unit: write it as text with a unit, or state the units of the formula once")
-    return parse(value, _power_of("mm", power))
+    found = parse(value, _power_of("mm", power))
+    if abs(found) > LARGEST:
+        raise JobError(f"{shown(value)} is beyond {LARGEST:g} {_power_of('mm', power)}: check its exponent")
+    return found
 
 
 def _power_of(units: str, power: int) -> str:
