@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from turnwright.cli import main
-from turnwright.cutting.learning.records import read_forces
+from turnwright.cutting import read_forces
 from turnwright.errors import InputError
 from turnwright.material import Material
 

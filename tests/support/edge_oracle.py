@@ -11,10 +11,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from force_oracle import CHANNELS, RATE, tap_tests, through
+from turnwright.cutting import Dynamometer, interrupted_cuts, learn_along_edge, turning_cuts
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning.dynamometer import Dynamometer
-from turnwright.cutting.learning.edge_cuts import interrupted_cuts, turning_cuts
-from turnwright.cutting.learning.edge_fit import learn_along_edge
 from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, remove_drift
 
 STEPS = 44

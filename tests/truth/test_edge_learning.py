@@ -22,10 +22,9 @@ from edge_oracle import (
     slot,
     turning,
 )
+from turnwright.cutting import NoseCuts, interrupted_cuts, learn_along_edge
 from turnwright.cutting.chip import RoundChip
 from turnwright.cutting.forces import FlyCut, SlotMill, chip_forces
-from turnwright.cutting.learning.edge_cuts import NoseCuts, interrupted_cuts
-from turnwright.cutting.learning.edge_fit import learn_along_edge
 from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.material import Material
 

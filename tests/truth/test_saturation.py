@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from learning_cases import CLIPPED, clipped, plateau, shipped
-from turnwright.cutting.learning.edge_cuts import NoseCuts
-from turnwright.cutting.learning.edge_fit import learn_along_edge
-from turnwright.cutting.learning.material_fit import Cuts, learn_material
+from turnwright.cutting import Cuts, NoseCuts, learn_along_edge, learn_material
 from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.errors import InputError
 

@@ -7,20 +7,20 @@ have passed, harmonic by harmonic, and are averaged over the same stretches of t
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats
+from turnwright._arrays import Bools, Complexes, Floats
 from turnwright.cutting.chip import RoundChip
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning.edge_cuts import MILLED, OFF_SPEED, TURNED, Complexes, InterruptedCuts, NoseCuts
-from turnwright.cutting.learning.material_fit import FEWEST, drifts
-from turnwright.cutting.learning.signals import correlation_time
+from turnwright.cutting.learning.cuts import MILLED, OFF_SPEED, TURNED, InterruptedCuts, NoseCuts
+from turnwright.cutting.learning.fit import TINY, Fit
+from turnwright.cutting.learning.learned import Transition
+from turnwright.cutting.learning.rows import Rows
 from turnwright.errors import InputError
 
-__all__ = ["Fit", "InterruptedRows", "Rows", "TurningRows"]
+__all__ = ["InterruptedRows", "TurningRows"]
 
 PIECES = 256
 """Elements on each smooth piece of a nose in a steady cut."""
@@ -149,53 +149,6 @@ def _tooth_strips(geometry: SlotMill | FlyCut, kept: Sequence[int]) -> tuple[_St
     return _Strips((around.min(axis=0), t, around.max(axis=0)), area, along, normal, kept), borders
 
 
-class Rows(ABC):
-    """What a regression takes of its rows, whatever the cut: forces, drift, and columns for any limit."""
-
-    def __init__(
-        self, force: Floats, engaged: Bools, thickest: Floats, time: Floats | None, record: Floats, drift: int | None
-    ) -> None:
-        self.force, self.engaged, self.thickest = force, engaged, thickest
-        self.in_time = time is not None
-        n = force.shape[0]
-        self.order = np.arange(n) if time is None else np.lexsort((time, record))
-        self.drift = np.zeros((n, 0)) if drift is None else drifts(time, record, ~engaged, drift)
-        self.weights = np.ones_like(force)
-        self.stated = False
-        self.edge = False
-        self.power: list[float] | None = None
-        self.reference = 1.0
-        self.even = False
-        if np.count_nonzero(engaged) < FEWEST:
-            raise InputError(f"{np.count_nonzero(engaged)} rows are cuts, at least {FEWEST} are needed: measure more")
-
-    @property
-    def parts(self) -> int:
-        """Ductile columns of each coefficient."""
-        return 2 if self.edge or self.power is not None else 1
-
-    @abstractmethod
-    def columns(self, limit: float) -> Floats:
-        """Return what each parameter is multiplied by. (n, components, parameters)."""
-
-    def unknown(self, answer: Floats, limit: float) -> Floats:  # noqa: ARG002 - for those that have some
-        """Return columns of what else is fitted beside the parameters. (n, components, k)."""
-        return np.zeros((*self.force.shape, 0))
-
-    @abstractmethod
-    def synchronise(self, answer: Floats | None, limit: float) -> None:
-        """Find what the rows themselves tell of where the cutter stands."""
-
-    def noise(self, left: Floats, rows: Bools) -> float:
-        """Return how many rows in time say as much as one."""
-        if not self.in_time:
-            return 1.0
-        inside = self.order[rows[self.order]]
-        if inside.size <= 16:
-            return 1.0
-        return max(correlation_time(column) for column in left[inside].T)
-
-
 class TurningRows(Rows):
     """Rows of steady cuts."""
 
@@ -212,10 +165,10 @@ class TurningRows(Rows):
         self.state[engaged] = index.reshape(-1)
         thickest = np.zeros(n)
         thickest[engaged] = self.strips.thickest[self.state[engaged]]
-        record = np.zeros(n) if cuts.record is None else cuts.record
-        super().__init__(cuts.force, engaged, thickest, cuts.time, record, drift)
-        if cuts.uncertainty is not None:
-            self.weights, self.stated = 1 / cuts.uncertainty, True
+        super().__init__(
+            cuts.force, cuts.components, engaged, thickest,
+            time=cuts.time, record=cuts.record, drift=drift, uncertainty=cuts.uncertainty,
+        )  # fmt: skip
         self.reference = _typical([self.strips])
 
     def columns(self, limit: float) -> Floats:
@@ -225,12 +178,11 @@ class TurningRows(Rows):
         found[self.engaged] = each[self.state[self.engaged]]
         return found
 
-    def synchronise(self, answer: Floats | None, limit: float) -> None:
-        """Do nothing: a steady cut has no cutter whose angle could be unknown."""
-
 
 class InterruptedRows(Rows):
     """Rows of a cutter that turns."""
+
+    turns = True
 
     def __init__(self, cuts: InterruptedCuts, drift: int | None) -> None:
         self.cuts = cuts
@@ -247,7 +199,10 @@ class InterruptedRows(Rows):
         self.basis = [_harmonics(borders, number, cuts) for number, (_, borders) in enumerate(self.teeth)]
         most = np.array([one.thickest.max() for one, _ in self.teeth])
         thickest = np.where(engaged, most[cuts.record], 0.0)
-        super().__init__(cuts.force, engaged, thickest, time, cuts.record.astype(np.float64), drift)
+        super().__init__(
+            cuts.force, cuts.components, engaged, thickest,
+            time=time, record=cuts.record.astype(np.float64), drift=drift,
+        )  # fmt: skip
         self.reference = _typical([one for one, _ in self.teeth])
         self.even = all(one.even for one, _ in self.teeth) and not cuts.whole_turns
 
@@ -309,6 +264,27 @@ class InterruptedRows(Rows):
             columns += [mine, mine * (time - self.middle[number])[:, None]]
         return np.stack(columns, axis=2)
 
+    def design(self, used: Bools, split: Transition | None) -> tuple[Bools, Floats, int]:
+        """Return rows and columns of the coefficients, with what places the cutter beside them. See the base.
+
+        Where it stands is told best by when the limit is crossed, so that all rows take part; how the forces depend on
+        the limit is one more unknown.
+        """
+        if split is None or self.cuts.whole_turns:
+            limit, place = np.inf, self.place()
+        else:
+            used, limit, place = np.ones_like(used), split.value, self.place(beyond=True)
+        every = self.columns(limit)
+        columns = every[:, :, place]
+        answer, whole = Fit(self, used).solve(columns)[0], np.zeros(every.shape[2])
+        whole[place] = answer
+        found = [columns, self.unknown(whole, limit)]
+        if split is not None and limit < np.inf:
+            step = max((split.high - split.low) / 4, 1e-4 * limit)
+            slope = (self.columns(limit + step) - self.columns(limit - step))[:, :, place] @ answer
+            found.append(slope[:, :, None])
+        return used, np.concatenate(found, axis=2), len(place)
+
     def synchronise(self, answer: Floats | None, limit: float) -> None:
         """Find speed and phase of each pass: from the harmonics first, then by least squares."""
         if self.cuts.whole_turns:
@@ -318,8 +294,7 @@ class InterruptedRows(Rows):
                 self._catch(number)
             self._look_at_chips()
             return
-        fit = Fit(self, np.ones(self.engaged.size, dtype=np.bool_))
-        moved = fit.solve(np.concatenate((self.columns(limit), self.unknown(answer, limit)), axis=2))[0]
+        moved = Fit(self).solve(np.concatenate((self.columns(limit), self.unknown(answer, limit)), axis=2))[0]
         size = answer.size
         self.phase = self.phase + moved[size::2]
         self.speed = self.speed + moved[size + 1 :: 2]
@@ -360,7 +335,7 @@ class InterruptedRows(Rows):
             table = (np.exp(1j * order * phase)[:, None, None] * model).reshape(-1, model.shape[2])
             table = np.concatenate((table.real, table.imag))
             right = np.concatenate((said.reshape(-1).real, said.reshape(-1).imag))
-            size = np.maximum(np.linalg.norm(table, axis=0), np.finfo(np.float64).tiny)
+            size = np.maximum(np.linalg.norm(table, axis=0), TINY)
             found = np.linalg.lstsq(table / size, right, rcond=1e-10)[0]
             wrong = (found[:: self.parts] < 0).any()
             left[i] = np.inf if wrong else float(((right - table / size @ found) ** 2).sum())
@@ -447,38 +422,3 @@ def _looked_up(table: Floats, turns: Floats, whole: Floats | None = None) -> Flo
     after *= (place - low).reshape(column)
     found += after
     return found
-
-
-class Fit:
-    """Weighted least squares of some rows, every component with a drift of its own."""
-
-    def __init__(self, rows: Rows, used: Bools) -> None:
-        self.rows, self.used = rows, used
-        self.weight = rows.weights[used]
-        self.force = rows.force[used] * self.weight
-        self.drift = []
-        for component in range(self.force.shape[1]):
-            table = rows.drift[used] * self.weight[:, component, None]
-            full = np.linalg.norm(table, axis=0) > 0
-            self.drift.append(np.linalg.qr(table[:, full])[0])
-        self.free_force = self.without_drift(self.force[:, :, None])[:, :, 0]
-
-    def without_drift(self, columns: Floats) -> Floats:
-        """Take out of columns what the drift explains. (n, components, k)."""
-        free = np.empty_like(columns)
-        for component, basis in enumerate(self.drift):
-            free[:, component] = columns[:, component] - basis @ (basis.T @ columns[:, component])
-        return free
-
-    def solve(self, columns: Floats) -> tuple[Floats, float, Floats, Floats]:
-        """Return the parameters, the squares left, what is left of each row, and the columns that told."""
-        table = self.without_drift(columns[self.used] * self.weight[:, :, None])
-        size = np.sqrt((table**2).sum(axis=(0, 1)))
-        scaled = table / np.maximum(size, np.finfo(np.float64).tiny)
-        flat = scaled.reshape(-1, scaled.shape[2])
-        normal = flat.T @ flat
-        # Columns of the brittle side may be one; a touch of the diagonal decides.
-        normal += 1e-11 * np.eye(normal.shape[0])
-        answer = np.linalg.solve(normal, flat.T @ self.free_force.reshape(-1))
-        left = self.free_force - scaled @ answer
-        return answer / np.maximum(size, np.finfo(np.float64).tiny), float((left**2).sum()), left, table

@@ -19,18 +19,21 @@ from turnwright._arrays import Floats, Ints, rows_of_numbers
 from turnwright._io import read_toml
 from turnwright._validate import positive
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning.dynamometer import CLOSES, Dynamometer, TapTest
-from turnwright.cutting.learning.edge_cuts import (
+from turnwright.cutting.learning.cuts import (
     MILLED,
     OFF_SPEED,
     TURNED,
+    Cuts,
     InterruptedCuts,
     NoseCuts,
     interrupted_cuts,
+    measured_cuts,
     turning_cuts,
 )
+from turnwright.cutting.learning.dynamometer import CLOSES, Dynamometer, TapTest
 from turnwright.cutting.learning.edge_fit import learn_along_edge
-from turnwright.cutting.learning.material_fit import Cuts, LearnedMaterial, learn_material, measured_cuts
+from turnwright.cutting.learning.learned import LearnedMaterial
+from turnwright.cutting.learning.material_fit import learn_material
 from turnwright.cutting.learning.records import NEWTONS, read_forces, separator
 from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
 from turnwright.errors import InputError
@@ -40,7 +43,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from turnwright.cutting.learning.edge_cuts import Passband
+    from turnwright.cutting.learning.cuts import Passband
 
 __all__ = ["Experiment", "learn_from_file"]
 
