@@ -3,7 +3,7 @@
 import numpy as np
 
 from turnwright.cutting import Cuts, learn_material
-from turnwright.cutting.learning.material_fit import least_chance
+from turnwright.cutting.learning.straight import least_chance
 from turnwright.material import Material
 
 KC, KT = 1489.0, 816.0

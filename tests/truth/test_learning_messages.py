@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import turnwright as tw
-from turnwright.cutting import Cuts, Dynamometer, NoseCuts, TapTest, learn_along_edge, learn_material, measured_cuts
+from turnwright.cutting import Cuts, Dynamometer, NoseCuts, TapTest, learn_material, measured_cuts
 from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
 from turnwright.cutting.fracture import ri80
 from turnwright.cutting.learning.signals import (
@@ -206,4 +206,4 @@ def test_round_noses_are_held_to_the_same(change, message):
     feed = np.linspace(0.5e-3, 5e-3, 30)
     given = {"nose_radius": np.ones(30), "depth": np.full(30, 0.02), "feed": feed, "axial": 8 * feed}
     with pytest.raises(InputError, match=message):
-        learn_along_edge(NoseCuts(**{**given, "cutting": 15 * feed, **change}))
+        learn_material(NoseCuts(**{**given, "cutting": 15 * feed, **change}))

@@ -9,7 +9,6 @@ from turnwright.cutting.learning.cuts import (
     turning_cuts,
 )
 from turnwright.cutting.learning.dynamometer import Dynamometer, TapTest
-from turnwright.cutting.learning.edge_fit import learn_along_edge
 from turnwright.cutting.learning.experiment import Experiment, learn_from_file
 from turnwright.cutting.learning.learned import Estimate, ForceFit, LearnedMaterial
 from turnwright.cutting.learning.material_fit import learn_material
@@ -40,7 +39,6 @@ __all__ = [
     "engagements",
     "in_air",
     "interrupted_cuts",
-    "learn_along_edge",
     "learn_from_file",
     "learn_material",
     "low_pass",

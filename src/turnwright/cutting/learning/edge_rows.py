@@ -1,4 +1,22 @@
-"""What a regression takes of chips that are not equally thick along the edge: columns for any critical thickness.
+r"""Chips that are not equally thick along the edge: columns for any critical thickness, and how it is found.
+
+Every element of an edge adds Kc dA along the cut and Kt dA along its normal. For constant coefficients each measured
+component of the force is linear in both, with integrals of the chip's area and of the edge's directions that the
+geometry alone decides. Beyond the critical thickness the elements leave that line, and only those beyond it do,
+
+.. math::
+    F = d(t) + K_c \int_{h \le h_c} e_c\,dA + K_t \int_{h \le h_c} e_t\,dA
+      + \int_{h > h_c} \frac{(q_0 + q_1 h)\,e_c + (p_0 + p_1 h)\,e_t}{h}\,dA ,
+
+so that every component of every cut is one equation of the same six numbers and :math:`h_c`. Of a nose that cuts beyond
+:math:`h_c` a part is still below it: the forces change smoothly where the limit is crossed. The critical thickness is
+then found as any parameter is, and its interval holds all :math:`h_c` for which
+
+.. math:: \frac{S(h_c) - S(\hat h_c)}{\tau} \le F_{1,\nu}(p),
+
+with the squares S in units of the noise of each component, within the ductile range and beyond it apart, and the
+correlation time τ. Where the chip is equally thick along the edge the forces jump, and Hansen's limit holds instead, as
+for straight edges. Coefficients come from rows that are ductile all along the edge at every limit in that interval.
 
 An edge is cut into elements, each with the least and the largest thickness on it, so that what is beyond a limit
 changes smoothly with the limit. For a cutter that turns the columns go over its angle, pass the filters that the forces
@@ -15,9 +33,9 @@ from turnwright._arrays import Bools, Complexes, Floats
 from turnwright.cutting.chip import RoundChip
 from turnwright.cutting.forces import FlyCut, SlotMill
 from turnwright.cutting.learning.cuts import MILLED, OFF_SPEED, TURNED, InterruptedCuts, NoseCuts
-from turnwright.cutting.learning.fit import TINY, Fit
-from turnwright.cutting.learning.learned import Transition
-from turnwright.cutting.learning.rows import Rows
+from turnwright.cutting.learning.fit import CERTAIN, TINY, Fit, hansen, interval
+from turnwright.cutting.learning.learned import NAMES, Transition
+from turnwright.cutting.learning.rows import FEWEST, Rows
 from turnwright.errors import InputError
 
 __all__ = ["InterruptedRows", "TurningRows"]
@@ -36,6 +54,15 @@ HARMONICS = 4096
 
 GRID = 1 << 13
 """Angles of a turn at which forces are tabled after the filter."""
+
+LABELS = {"axial": "axial force", "feed": "feed force", "cutting": "cutting force"}
+"""What components of the force are called; those of a mill are named after their axes."""
+
+LOOKED = 96
+"""Thicknesses at which a transition is first looked for."""
+
+HALVED = 12
+"""Times that the interval between two of these is halved."""
 
 
 class _Strips:
@@ -149,7 +176,18 @@ def _tooth_strips(geometry: SlotMill | FlyCut, kept: Sequence[int]) -> tuple[_St
     return _Strips((around.min(axis=0), t, around.max(axis=0)), area, along, normal, kept), borders
 
 
-class TurningRows(Rows):
+class EdgeRows(Rows):
+    """Rows of chips that are not equally thick along the edge."""
+
+    even = False
+    """Whether they are all the same, so that the forces jump where the limit is crossed."""
+
+    def transition(self, confidence: float) -> Transition | None:
+        """Find the thickness beyond which elements of the edge leave the ductile line, and all that could be it."""
+        return _transition(self, confidence)
+
+
+class TurningRows(EdgeRows):
     """Rows of steady cuts."""
 
     def __init__(self, cuts: NoseCuts, drift: int | None) -> None:
@@ -169,6 +207,7 @@ class TurningRows(Rows):
             cuts.force, cuts.components, engaged, thickest,
             time=cuts.time, record=cuts.record, drift=drift, uncertainty=cuts.uncertainty,
         )  # fmt: skip
+        self.labels = tuple(LABELS[one] for one in cuts.components)
         self.reference = _typical([self.strips])
 
     def columns(self, limit: float) -> Floats:
@@ -179,7 +218,7 @@ class TurningRows(Rows):
         return found
 
 
-class InterruptedRows(Rows):
+class InterruptedRows(EdgeRows):
     """Rows of a cutter that turns."""
 
     turns = True
@@ -203,6 +242,7 @@ class InterruptedRows(Rows):
             cuts.force, cuts.components, engaged, thickest,
             time=time, record=cuts.record.astype(np.float64), drift=drift,
         )  # fmt: skip
+        self.labels = tuple(f"force along {one}" for one in cuts.components)
         self.reference = _typical([one for one, _ in self.teeth])
         self.even = all(one.even for one, _ in self.teeth) and not cuts.whole_turns
 
@@ -422,3 +462,79 @@ def _looked_up(table: Floats, turns: Floats, whole: Floats | None = None) -> Flo
     after *= (place - low).reshape(column)
     found += after
     return found
+
+
+def _weigh(rows: EdgeRows, limit: float) -> float:
+    """Weigh each component by its noise, within the ductile range and beyond apart; return the correlation time."""
+    thick = rows.engaged & (rows.thickest > limit)
+    if not rows.stated:
+        apart = min(np.count_nonzero(thick), np.count_nonzero(~thick)) > 2 * FEWEST
+        floor = 1e-9 * np.abs(rows.force).max(axis=0) + TINY
+        rows.weights = np.ones_like(rows.force)
+        for _ in range(2):
+            left = Fit(rows).solve(rows.columns(limit))[2] / rows.weights
+            weights = np.empty_like(left)
+            for group in (thick, ~thick) if apart else (np.ones_like(thick),):
+                weights[group] = 1 / np.maximum(np.sqrt((left[group] ** 2).mean(axis=0)), floor)
+            rows.weights = weights
+    left = Fit(rows).solve(rows.columns(limit))[2]
+    return max(rows.together(left, one) for one in (thick, rows.engaged & ~thick, ~rows.engaged))
+
+
+def _transition(rows: EdgeRows, confidence: float) -> Transition | None:
+    """Find the thickness beyond which elements of the edge leave the ductile line, and all that could be it."""
+    from scipy.stats import f  # noqa: PLC0415 - costly to import
+
+    ascending = np.sort(rows.thickest[rows.engaged])
+    low, high = max(ascending[FEWEST - 1], ascending[-1] / 50), ascending[-FEWEST]
+    _weigh(rows, np.inf)
+    if not low < high * (1 - 1e-6) or ascending.size < 2 * FEWEST:
+        return None
+    fit = Fit(rows)  # as the rows are weighed now
+    grid = np.geomspace(low, high * (1 - 1e-9), LOOKED)
+
+    def squares(limit: float) -> float:
+        columns = rows.columns(limit)
+        answer, least = fit.solve(columns)[:2]
+        beside = rows.unknown(answer, limit)
+        return fit.solve(np.concatenate((columns, beside), axis=2))[1] if beside.shape[2] else least
+
+    rough = grid[::3]
+    tau = _weigh(rows, float(rough[int(np.argmin([squares(float(one)) for one in rough]))]))
+    fit = Fit(rows)
+    profile = np.array([squares(float(one)) for one in grid])
+    exact = 1e-4 * float(grid[int(np.argmin(profile))])
+    best, least, within = interval(squares, grid, profile, exact, every=True)
+    columns = rows.columns(best)
+    number, size = rows.force.size, columns.shape[2]
+    free = max(number / tau - size - rows.drift.shape[1] * rows.force.shape[1], 1.0)
+    answer, _, left = fit.solve(columns)
+    # Weights were made from what is left, so that a square counts as number over what is free.
+    eta = tau * max(
+        least / max(number - size, 1), 1.0 if rows.stated else 0.0, _told_by(fit, columns, answer, left, best)
+    )
+    limit = hansen(confidence) if rows.even else float(f.ppf(confidence, 1, free))
+    ends = within(limit * eta, (0.0, float(ascending[-1])), HALVED)
+    more = 2 * len(rows.told)
+    gain = (squares(np.inf) - least) / eta / more
+    chance = float(min(1.0, rows.engaged.sum() * f.sf(gain, more, free)))
+    which = [tuple(NAMES).index(name) for name in rows.told]
+    # What could as well begin at no thickness at all is no transition: forces are out of proportion everywhere.
+    if chance > CERTAIN or ends[0] == 0 or rows.remaining(which[0], answer, float(ascending[-1])) >= 1:
+        return None
+    remaining = tuple(rows.remaining(one, answer, best) for one in which)
+    return Transition(best, min(ends[0], best), max(ends[1], best), remaining, chance)
+
+
+def _told_by(fit: Fit, columns: Floats, answer: Floats, left: Floats, limit: float) -> float:
+    """Return the noise of what tells the limit over that of independent components; those of a row may hang together.
+
+    What fracture does to one component it does to all.
+    """
+    rows, step = fit.rows, 0.01 * limit
+    slope = (rows.columns(limit + step) - rows.columns(limit - step)) @ answer
+    target, table = fit.table(slope[:, :, None]).reshape(-1), fit.table(columns).reshape(-1, columns.shape[2])
+    table = table / np.maximum(np.linalg.norm(table, axis=0), TINY)
+    rest = target - table @ np.linalg.lstsq(table, target, rcond=1e-10)[0]
+    whole = float(rest @ rest)
+    return float(((rest.reshape(left.shape) * left).sum(axis=1) ** 2).sum() / whole) if whole else 0.0

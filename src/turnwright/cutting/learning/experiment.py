@@ -31,7 +31,6 @@ from turnwright.cutting.learning.cuts import (
     turning_cuts,
 )
 from turnwright.cutting.learning.dynamometer import CLOSES, Dynamometer, TapTest
-from turnwright.cutting.learning.edge_fit import learn_along_edge
 from turnwright.cutting.learning.learned import LearnedMaterial
 from turnwright.cutting.learning.material_fit import learn_material
 from turnwright.cutting.learning.records import NEWTONS, read_forces, separator
@@ -297,11 +296,7 @@ def _learned(keys: _Keys, folder: Path) -> Experiment:
         how = _Record(record, kind)
         rows, shares = _recorded(how, dynamometer, cuts, folder, kind, rake)
         drift = how.drift
-    if isinstance(rows, Cuts):
-        both = [float(np.hypot(one, common)) for one in shares or (0.0, 0.0)]
-        learned = learn_material(rows, drift=drift, calibration=(both[0], both[1]), **more)
-    else:
-        learned = learn_along_edge(rows, drift=drift, calibration=shares, area_uncertainty=common, **more)
+    learned = learn_material(rows, drift=drift, calibration=shares, area_uncertainty=common, **more)
     return Experiment(name=name, source=source, learned=learned, cuts=rows, rake=rake)
 
 

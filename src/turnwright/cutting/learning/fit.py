@@ -1,54 +1,26 @@
-"""One least squares of forces, drift and coefficients together, and what a material's numbers are uncertain by."""
+"""Least squares of forces, drift and coefficients together, and what numbers are uncertain by."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, frozen
-from turnwright._validate import between
-from turnwright.cutting.learning.learned import NAMES, Estimate, ForceFit, LearnedMaterial, Transition, said_of
-from turnwright.cutting.learning.saturation import SOLID, rail, saturated
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
+    from turnwright._arrays import Bools, Floats
     from turnwright.cutting.learning.rows import Rows
 
-__all__ = ["CERTAIN", "TINY", "UNLIKELY", "Find", "Fit", "Solved", "interval", "learn", "require_plausible", "shown"]
+__all__ = ["CERTAIN", "TINY", "UNLIKELY", "Fit", "Solved", "hansen", "interval"]
 
 CERTAIN = 0.01
 """A transition is told of if chance would make one as clear in less than this share of experiments."""
 
-WILD = 10.0
-"""Scatter in the cut over that in air beyond which something is likely not as stated."""
-
 UNLIKELY = 0.999
 """A departure from proportion is told of outside this interval."""
-
-EXACT = 1e-6
-"""Share of the thickest chip below which a departure from proportion is that of the arithmetic."""
-
-ROUNDS = 20
-"""Steps of Newton for the power of a size effect."""
-
-SETTLED = 1e-10
-"""Change of a power at which these end."""
-
-CLEAR = 5.0
-"""Times the scatter in air that a force must have for its cut to be found beyond doubt, as `engagements` looks for it.
-"""
-
-SOFTEST, HARDEST = 10.0, 1e5
-"""Cutting coefficients that materials have; beyond, a unit is likely not as stated. [N/mm²]"""
-
-THICKEST = 0.1
-"""Uncut chip beyond which a thickness is likely not in mm: that of a diamond is below. [mm]"""
-
-FEWEST = 4
-"""Rows that tell something."""
 
 MANY = 50
 """Rows in time from which on each brings its own noise."""
@@ -202,211 +174,6 @@ def interval(
     return best, least, within
 
 
-Find = Callable[["Rows", float], Transition | None]
-"""Finds the transition of rows with a confidence."""
-
-
-def _settled(rows: Rows, find: Find, confidence: float) -> tuple[Transition | None, Bools]:
-    """Return the transition and which rows are ductile, when powers and the place of a cutter no longer change."""
-    for _ in range(3 if rows.turns else 0):
-        rows.synchronise(Fit(rows).solve(rows.columns(np.inf))[0], np.inf)
-    for turn in range(ROUNDS + 1):
-        split = find(rows, confidence)
-        ductile = rows.engaged & rows.surely_ductile(np.inf if split is None else split.low)
-        if rows.turns:
-            limit = np.inf if split is None else split.value
-            rows.synchronise(Fit(rows).solve(rows.columns(limit))[0], limit)
-        if rows.power is None and not turn and rows.turns:
-            continue
-        if rows.power is None or turn == ROUNDS:
-            break
-        answer = Fit(rows, ductile | ~rows.engaged).solve(rows.columns(np.inf))[0]
-        steps = [answer[2 * k + 1] / answer[2 * k] if one in rows.told else 0.0 for k, one in enumerate(NAMES)]
-        rows.power = [float(np.clip(old + step, -2, 2)) for old, step in zip(rows.power, steps, strict=True)]
-        if max(abs(step) for step in steps) < SETTLED:
-            break
-    return split, ductile
-
-
-def learn(
-    rows: Rows,
-    find: Find,
-    *,
-    edge_force: bool,
-    size_effect: bool,
-    calibration: Sequence[float] | None,
-    area_uncertainty: float,
-    thickness_uncertainty: float,
-    confidence: float,
-) -> LearnedMaterial:
-    """Learn coefficients and critical thickness from rows of any kind."""
-    from scipy.stats import norm  # noqa: PLC0415 - costly to import
-
-    between(confidence, "confidence", 0.5, 0.999, "")
-    if edge_force and size_effect:
-        raise InputError("edge_force and size_effect are both asked for, the limit is 1: forces do not tell them apart")
-    components = rows.force.shape[1]
-    shares = np.zeros(components) if calibration is None else frozen(calibration, "calibration")
-    if shares.size != components or not ((shares >= 0) & (shares <= 1)).all():
-        raise InputError(
-            f"calibration is {shares.tolist()} and the cuts have {components} components: give each a share of 0 to 1"
-        )
-    rows.synchronise(None, np.inf)
-    rows.told = rows.which_are_told()
-    rows.edge, rows.power = edge_force, [0.0, 0.0] if size_effect else None
-    split, ductile = _settled(rows, find, confidence)
-    wide = float(norm.ppf(0.5 + confidence / 2))
-    estimates: dict[str, Estimate] = {}
-    standard: dict[str, float] = {}
-    powers: dict[str, Estimate] = {}
-    between(area_uncertainty, "area_uncertainty", 0.0, 1.0, "")
-    for part, share in rows.groups(shares):
-        found = _coefficients(part, ductile | ~rows.engaged, confidence, split)
-        for k, name in enumerate(part.told):
-            at = k * rows.parts
-            value, half = float(found.value[at]), float(found.half[at])
-            _require_material(name, value, value + half)
-            common = float(np.hypot(np.linalg.norm(share * found.by_component[at]), area_uncertainty * value))
-            estimates[name] = Estimate.around(value, float(np.hypot(half, wide * common)))
-            standard[name] = float(np.hypot(found.sigma[at], common))
-            if rows.power is not None:
-                power = rows.power[list(NAMES).index(name)]
-                powers[name] = Estimate.around(power, float(found.half[at + 1]) / abs(value))
-    critical = None
-    if split is not None:
-        more = wide * between(thickness_uncertainty, "thickness_uncertainty", 0.0, np.inf, "mm")
-        critical = Estimate(value=split.value, low=max(split.low - more, 0.0), high=split.high + more)
-    thickest, fitted = float(rows.thickest.max()), shown(rows, np.inf if split is None else split.value)
-    said = [*said_of(estimates, split, thickest, confidence), *rows.questions(split, ductile)]
-    return LearnedMaterial(
-        cutting=estimates.get("cutting"),
-        thrust=estimates.get("thrust"),
-        uncertainty=(standard.get("cutting"), standard.get("thrust")),
-        critical=critical,
-        confidence=confidence,
-        ductile=int(np.count_nonzero(ductile)),
-        brittle=0 if split is None else int(np.count_nonzero(rows.surely_brittle(split.high))),
-        thickest=thickest,
-        remaining=None if split is None else split.remaining,
-        chance=1.0 if split is None else split.chance,
-        sentences=(*said, *_misfits(rows, ductile, fitted)),
-        fit=fitted,
-        exponents=(powers.get("cutting"), powers.get("thrust")) if size_effect else None,
-        reference_thickness=rows.reference if size_effect else None,
-    )
-
-
-def _coefficients(rows: Rows, used: Bools, confidence: float, split: Transition | None = None) -> Solved:
-    """Return the coefficients that are told from some rows, each with its edge force or power."""
-    used, columns, told = rows.design(used, split)
-    return Fit(rows, used).estimate(columns, confidence, told)
-
-
-def shown(rows: Rows, limit: float) -> ForceFit:
-    """Return the forces of the cuts without drift, and what was learned makes of them."""
-    columns = rows.columns(limit)
-    fitted = columns @ Fit(rows).solve(columns)[0]
-    measured = rows.force.copy()
-    for component, weight in enumerate(rows.weights.T if rows.drift.size else ()):
-        rest = (measured - fitted)[:, component] * weight
-        measured[:, component] -= rows.drift @ np.linalg.lstsq(rows.drift * weight[:, None], rest, rcond=None)[0]
-    cut = rows.engaged
-    return ForceFit(
-        components=rows.components, thickness=rows.thickest[cut], measured=measured[cut], fitted=fitted[cut]
-    )
-
-
-def _misfits(rows: Rows, ductile: Bools, fitted: ForceFit) -> list[str]:
-    """Say what no interval accounts for."""
-    said = []
-    used = ductile | ~rows.engaged
-    if rows.in_time and min(np.count_nonzero(~rows.engaged), np.count_nonzero(ductile)) >= FEWEST:
-        left = Fit(rows, used).solve(rows.columns(np.inf))[2] / rows.weights[used]
-        air = np.maximum(left[~rows.engaged[used]].std(axis=0), TINY)
-        wild = float((left[rows.engaged[used]].std(axis=0) / air)[rows.clearest].max())
-        if wild > WILD:
-            said.append(
-                f"the forces in the cut scatter {wild:.3g} times as much as in air, more than {WILD:g} times: check "
-                "that no air is counted as cut, and that chips, geometry and feeds are as stated"
-            )
-        if not rows.turns:
-            clear = int(np.argmax((np.abs(fitted.fitted).max(axis=0) / air)[rows.clearest]))
-            said += _too_weak(float(np.abs(fitted.fitted[:, clear]).min()), float(air[clear]))
-    if rows.edge or rows.power is not None or np.unique(rows.thickest[ductile]).size < FEWEST:
-        return said
-    rows.edge = True
-    try:
-        found = [(part.told, _coefficients(part, used, UNLIKELY)) for part, _ in rows.groups()]
-    except InputError:
-        return said  # cuts too alike to tell an edge force
-    finally:
-        rows.edge = False
-    for names, one in found:
-        for name, value, edge, half in zip(names, one.value[::2], one.value[1::2], one.half[1::2], strict=True):
-            if abs(edge) > max(half, EXACT * abs(value) * rows.thickest.max()):
-                said.append(
-                    f"the {NAMES[name]} is not in proportion to the chip: it is as if the chips were "
-                    f"{abs(edge / value) * 1e6:.3g} nm {'thicker' if edge > 0 else 'thinner'} than stated, so the "
-                    "intervals do not hold: check where the cut begins, feed, depth and nose, or take a force of the "
-                    "edge or a size effect into account"
-                )
-    return said
-
-
-def _too_weak(weakest: float, scatter: float) -> list[str]:
-    """Say if cuts may have been taken for air, since their forces do not stand out of the noise there."""
-    if weakest >= CLEAR * scatter:
-        return []
-    said = (
-        f"the weakest cuts press with {weakest * 1e3:.3g} mN and forces in air scatter by {scatter * 1e3:.3g} mN, so "
-        f"that cuts below {CLEAR * scatter * 1e3:.3g} mN, {CLEAR:g} times that, may have been taken for air, and chips "
-        "then be thicker than stated: do not rely on the intervals; leave the thinnest chips out, cut wider, filter "
-        "more, or state when the cuts begin and end"
-    )
-    return [said]
-
-
-def require_plausible(rows: Rows, names: Sequence[str], load: Floats) -> None:
-    """Raise for chips that are no diamond's, and for channels that measured nothing or are saturated at some load."""
-    thickness, forces = rows.thickest, dict(zip(names, rows.force.T, strict=True))
-    thickest = float(thickness.max(initial=0.0))
-    if thickest > THICKEST:
-        raise InputError(
-            f"the thickest chip is {thickest:g} mm, the limit is {THICKEST:g} mm: state thicknesses in mm, of which 1 "
-            "um is 0.001"
-        )
-    for name, force in forces.items():
-        if not force[rows.engaged].any():
-            raise InputError(f"the {name} of all cuts is 0 N, it must be measured: check its channel")
-    order = np.flatnonzero(rows.engaged)
-    order = order[np.argsort(thickness[order], kind="stable")]
-    for name, force in forces.items():
-        clipped = saturated(force[order])
-        solid = clipped.size >= SOLID * (np.ptp(clipped) + 1 if clipped.size else 1)
-        # Without noise all forces may be constant beyond a transition; a range ends for one of them.
-        others = [other[order[clipped]] for other in forces.values()]
-        if not solid or (len(forces) > 1 and not any(np.ptp(other) for other in others)):
-            clipped = rail(load[order], force[order])
-        if not clipped.size:
-            continue
-        at = order[clipped]
-        largest = force[at[np.argmax(np.abs(force[at]))]]
-        raise InputError(
-            f"the {name} is saturated: it stands at {largest:.6g} N in {at.size} of {order.size} cuts, of chips from "
-            f"{thickness[at].min() * 1e6:.4g} to {thickness[at].max() * 1e6:.4g} nm, closer together than its noise: "
-            "record with a larger range, or leave these cuts out"
-        )
-
-
-def _require_material(name: str, value: float, high: float) -> None:
-    """Raise for a coefficient of cutting force or thrust that no material has."""
-    if not value > 0 and (name == "cutting" or high < 0):
-        raise InputError(
-            f"the {name} coefficient comes out as {value:.4g} N/mm^2, it must be above 0: check the signs of both "
-            "channels"
-        )
-    if abs(value) > HARDEST or (name == "cutting" and value < SOFTEST):
-        raise InputError(
-            f"the {name} coefficient comes out as {value:.4g} N/mm^2, materials have {SOFTEST:g} to {HARDEST:.0e}: "
-            "state forces in N, and thickness and width of the chip in mm"
-        )
+def hansen(confidence: float) -> float:
+    """Return the limit of the likelihood ratio of the place of a jump."""
+    return float(-2 * np.log(1 - np.sqrt(confidence)))

@@ -1,59 +1,64 @@
-r"""From measured forces to the coefficients of a material and the chip it bears, each with its interval.
+"""From measured forces to the coefficients of a material and the chip it bears, each with its interval.
 
-Everything is one regression. In the ductile range the forces are in proportion to the area A of the uncut chip, beyond
-the critical thickness they leave that line,
-
-.. math:: F = d(t) + \begin{cases} K A & h \le h_c \\ (q_0 + q_1 h)\,A/h & h > h_c \end{cases}
-
-with the drift d of the amplifier, a polynomial that the samples in air tell, in the same fit, so that its uncertainty
-is in that of K. The critical thickness :math:`h_c` is the split at which both parts leave the least to explain. Since a
-jump is found more sharply than the noise would let a mean be, its interval is not that of a normal distribution: it is
-made of all splits that the likelihood ratio does not reject,
-
-.. math:: \frac{S(h_c) - S(\hat h_c)}{\eta^2} \le -2 \ln\!\bigl(1 - \sqrt{p}\bigr)
-
-(7.35 for p = 95 %), with the long-run variance η² of the noise on the side that would then be on the wrong part
-[Hansen2000]_. What lies within that interval takes no part in the fit of K. Correlation in time is counted in all of
-it.
-
-Forces may also go on without a drop and grow more slowly beyond the critical thickness. F tests choose among no
-transition, a drop and a change of slope; an edge force or a size effect, which bend forces too, is no transition.
+Coefficients, drift and forces beyond the critical thickness are found in one regression, whatever was cut; see
+`straight` for chips of one thickness along the edge, and `edge_rows` for others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints
-from turnwright.cutting.learning.cuts import Cuts
-from turnwright.cutting.learning.fit import CERTAIN, TINY, UNLIKELY, Fit, learn, require_plausible
-from turnwright.cutting.learning.learned import NAMES, LearnedMaterial, Transition
+from turnwright._arrays import Bools, frozen
+from turnwright._validate import between
+from turnwright.cutting.learning.cuts import Cuts, NoseCuts
+from turnwright.cutting.learning.edge_rows import InterruptedRows, TurningRows
+from turnwright.cutting.learning.fit import TINY, UNLIKELY, Fit, Solved
+from turnwright.cutting.learning.learned import NAMES, Estimate, ForceFit, LearnedMaterial, Transition, said_of
 from turnwright.cutting.learning.rows import FEWEST, Rows
-from turnwright.cutting.learning.slope_change import COMPONENTS, ROUNDING, SlopeChange, chance_of, slope_change
+from turnwright.cutting.learning.saturation import SOLID, rail, saturated
+from turnwright.cutting.learning.straight import StraightRows
 from turnwright.errors import InputError
 
-__all__ = ["StraightRows", "hansen", "learn_material", "least_chance"]
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
-SURE = 3.0
-"""Standard uncertainties within which a slope is that of forces that stand still, or go on."""
+    from turnwright.cutting.learning.cuts import InterruptedCuts
 
-STILL = 0.05
-"""Share of the ductile slope that counts as nothing, where the place of a transition is not quite known."""
+__all__ = ["learn_material"]
 
-SLOW = 0.3
-"""Share of the ductile slope that these may be at most to tell one from the other."""
+WILD = 10.0
+"""Scatter in the cut over that in air beyond which something is likely not as stated."""
+
+EXACT = 1e-6
+"""Share of the thickest chip below which a departure from proportion is that of the arithmetic."""
+
+ROUNDS = 20
+"""Steps of Newton for the power of a size effect."""
+
+SETTLED = 1e-10
+"""Change of a power at which these end."""
+
+CLEAR = 5.0
+"""Times the scatter in air that a force must have for its cut to be found beyond doubt, as `engagements` looks for it.
+"""
+
+SOFTEST, HARDEST = 10.0, 1e5
+"""Cutting coefficients that materials have; beyond, a unit is likely not as stated. [N/mm²]"""
+
+THICKEST = 0.1
+"""Uncut chip beyond which a thickness is likely not in mm: that of a diamond is below. [mm]"""
 
 
 def learn_material(
-    cuts: Cuts,
+    cuts: Cuts | NoseCuts | InterruptedCuts,
     *,
     drift: int | None = None,
     edge_force: bool = False,
     size_effect: bool = False,
     calibration: Sequence[float] | None = None,
+    area_uncertainty: float = 0.0,
     thickness_uncertainty: float = 0.0,
     confidence: float = 0.95,
 ) -> LearnedMaterial:
@@ -62,17 +67,19 @@ def learn_material(
     Parameters
     ----------
     cuts
-        Forces and chips.
+        Forces and what was cut: chips of one thickness along the edge, round noses, or mills and fly-cutters.
     drift
         Degree of the polynomial in time that the forces in air follow; ``None`` for forces without drift.
     edge_force
-        Whether a force in proportion to the width alone, of the rubbing edge, is taken out of the coefficients.
+        Whether a force in proportion to the engaged edge alone, which rubs, is taken out of the coefficients.
     size_effect
         Whether the coefficients fall with a power of the chip thickness, :math:`K_0 (h/h_0)^{-m}`; :math:`h_0` is the
-        geometric mean of all thicknesses.
+        geometric mean of all thicknesses, along an edge each counted by its area.
     calibration
-        Standard uncertainties, as shares, that are common to all cutting forces and to all thrusts: of the dynamometer
-        (see `Dynamometer.relative_uncertainty`), the width, the thickness. (2)
+        Standard uncertainty of each measured component, as a share that is common to all rows: of the dynamometer,
+        see `Dynamometer.relative_uncertainty`. (components)
+    area_uncertainty
+        Standard uncertainty that is common to all areas of chips, such as that of width or depth, as a share.
     thickness_uncertainty
         Standard uncertainty that is common to all thicknesses, such as that of where the cut began. [mm]
     confidence
@@ -85,278 +92,208 @@ def learn_material(
 
     Sources
     -------
-    [Hansen2000]_ for the transition; the force model of [Troutman2016]_. Oracles: forces made from known coefficients,
-    in a hundred random experiments; Student's t of a regression.
+    The force model of [Troutman2016]_; [Hansen2000]_ for a transition where forces jump. Oracles: forces made from
+    known coefficients, along an edge by brute force from the shapes that it leaves, in a hundred random experiments;
+    Student's t of a regression; weighted least squares by SciPy.
     """
-    rows = StraightRows(cuts, drift)
-    require_plausible(rows, tuple(NAMES.values()), rows.areas[:, 0])
-    return learn(
-        rows,
-        _transition,
-        edge_force=edge_force,
-        size_effect=size_effect,
-        calibration=calibration,
-        area_uncertainty=0.0,
-        thickness_uncertainty=thickness_uncertainty,
+    from scipy.stats import norm  # noqa: PLC0415 - costly to import
+
+    between(confidence, "confidence", 0.5, 0.999, "")
+    if edge_force and size_effect:
+        raise InputError("edge_force and size_effect are both asked for, the limit is 1: forces do not tell them apart")
+    rows: Rows
+    match cuts:
+        case Cuts():
+            rows = StraightRows(cuts, drift)
+        case NoseCuts():
+            rows = TurningRows(cuts, drift)
+        case _:
+            rows = InterruptedRows(cuts, drift)
+    _require_plausible(rows)
+    components = rows.force.shape[1]
+    shares = np.zeros(components) if calibration is None else frozen(calibration, "calibration")
+    if shares.size != components or not ((shares >= 0) & (shares <= 1)).all():
+        raise InputError(
+            f"calibration is {shares.tolist()} and the cuts have {components} components: give each a share of 0 to 1"
+        )
+    rows.synchronise(None, np.inf)
+    rows.told = rows.which_are_told()
+    rows.edge, rows.power = edge_force, [0.0, 0.0] if size_effect else None
+    split, ductile = _settled(rows, confidence)
+    wide = float(norm.ppf(0.5 + confidence / 2))
+    estimates: dict[str, Estimate] = {}
+    standard: dict[str, float] = {}
+    powers: dict[str, Estimate] = {}
+    between(area_uncertainty, "area_uncertainty", 0.0, 1.0, "")
+    for part, share in rows.groups(shares):
+        found = _coefficients(part, ductile | ~rows.engaged, confidence, split)
+        for k, name in enumerate(part.told):
+            at = k * rows.parts
+            value, half = float(found.value[at]), float(found.half[at])
+            _require_material(name, value, value + half)
+            common = float(np.hypot(np.linalg.norm(share * found.by_component[at]), area_uncertainty * value))
+            estimates[name] = Estimate.around(value, float(np.hypot(half, wide * common)))
+            standard[name] = float(np.hypot(found.sigma[at], common))
+            if rows.power is not None:
+                power = rows.power[list(NAMES).index(name)]
+                powers[name] = Estimate.around(power, float(found.half[at + 1]) / abs(value))
+    critical = None
+    if split is not None:
+        more = wide * between(thickness_uncertainty, "thickness_uncertainty", 0.0, np.inf, "mm")
+        critical = Estimate(value=split.value, low=max(split.low - more, 0.0), high=split.high + more)
+    thickest, fitted = float(rows.thickest.max()), _shown(rows, np.inf if split is None else split.value)
+    said = [*said_of(estimates, split, thickest, confidence), *rows.questions(split, ductile)]
+    return LearnedMaterial(
+        cutting=estimates.get("cutting"),
+        thrust=estimates.get("thrust"),
+        uncertainty=(standard.get("cutting"), standard.get("thrust")),
+        critical=critical,
         confidence=confidence,
+        ductile=int(np.count_nonzero(ductile)),
+        brittle=0 if split is None else int(np.count_nonzero(rows.surely_brittle(split.high))),
+        thickest=thickest,
+        remaining=None if split is None else split.remaining,
+        chance=1.0 if split is None else split.chance,
+        sentences=(*said, *_misfits(rows, ductile, fitted)),
+        fit=fitted,
+        exponents=(powers.get("cutting"), powers.get("thrust")) if size_effect else None,
+        reference_thickness=rows.reference if size_effect else None,
     )
 
 
-class StraightRows(Rows):
-    """Rows of chips that are equally thick all along the edge: each component tells of one coefficient."""
+def _settled(rows: Rows, confidence: float) -> tuple[Transition | None, Bools]:
+    """Return the transition and which rows are ductile, when powers and the place of a cutter no longer change."""
+    for _ in range(3 if rows.turns else 0):
+        rows.synchronise(Fit(rows).solve(rows.columns(np.inf))[0], np.inf)
+    for turn in range(ROUNDS + 1):
+        split = rows.transition(confidence)
+        ductile = rows.engaged & rows.surely_ductile(np.inf if split is None else split.low)
+        if rows.turns:
+            limit = np.inf if split is None else split.value
+            rows.synchronise(Fit(rows).solve(rows.columns(limit))[0], limit)
+        if rows.power is None and not turn and rows.turns:
+            continue
+        if rows.power is None or turn == ROUNDS:
+            break
+        answer = Fit(rows, ductile | ~rows.engaged).solve(rows.columns(np.inf))[0]
+        steps = [answer[2 * k + 1] / answer[2 * k] if one in rows.told else 0.0 for k, one in enumerate(NAMES)]
+        rows.power = [float(np.clip(old + step, -2, 2)) for old, step in zip(rows.power, steps, strict=True)]
+        if max(abs(step) for step in steps) < SETTLED:
+            break
+    return split, ductile
 
-    clearest = slice(0, 1)
 
-    def __init__(self, cuts: Cuts, drift: int | None = None) -> None:
-        """Take the cuts, and the degree of their drift."""
-        force, engaged = np.column_stack((cuts.cutting, cuts.thrust)), cuts.thickness > 0
-        super().__init__(
-            force, tuple(NAMES), engaged, cuts.thickness,
-            time=cuts.time, record=cuts.record, drift=drift, uncertainty=cuts.uncertainty,
-        )  # fmt: skip
-        area = cuts.thickness * cuts.width if cuts.area is None else cuts.area
-        self.areas = np.column_stack((area, area if cuts.thrust_area is None else cuts.thrust_area))
-        self.widths = np.divide(
-            self.areas, cuts.thickness[:, None], out=np.zeros_like(self.areas), where=engaged[:, None]
-        )
-        self.spread = np.zeros_like(cuts.thickness) if cuts.spread is None else cuts.spread
-        self.reference = float(np.exp(np.log(cuts.thickness[engaged]).mean()))
-        self.kept = np.arange(COMPONENTS)
+def _coefficients(rows: Rows, used: Bools, confidence: float, split: Transition | None = None) -> Solved:
+    """Return the coefficients that are told from some rows, each with its edge force or power."""
+    used, columns, told = rows.design(used, split)
+    return Fit(rows, used).estimate(columns, confidence, told)
 
-    def ductile(self, component: int, limit: float = np.inf) -> Floats:
-        """Return what multiplies the coefficient, and the edge's own force or the bend by a power. (n, 1 or 2).
 
-        Beyond a limit [mm] they stay, per width, what they are there.
-        """
-        width, thickness = self.widths[:, component], np.minimum(self.thickest, limit)
-        area = width * thickness if limit < np.inf else self.areas[:, component]
-        if self.power is not None:
-            ratio = np.where(self.engaged, thickness / self.reference, 1.0)
-            falls = area * ratio ** -self.power[component]
-            return np.column_stack((falls, -falls * np.log(ratio)))
-        return np.column_stack((area, width)) if self.edge else area[:, None]
+def _shown(rows: Rows, limit: float) -> ForceFit:
+    """Return the forces of the cuts without drift, and what was learned makes of them."""
+    columns = rows.columns(limit)
+    fitted = columns @ Fit(rows).solve(columns)[0]
+    measured = rows.force.copy()
+    for component, weight in enumerate(rows.weights.T if rows.drift.size else ()):
+        rest = (measured - fitted)[:, component] * weight
+        measured[:, component] -= rows.drift @ np.linalg.lstsq(rows.drift * weight[:, None], rest, rcond=None)[0]
+    cut = rows.engaged
+    return ForceFit(
+        components=rows.components, thickness=rows.thickest[cut], measured=measured[cut], fitted=fitted[cut]
+    )
 
-    def columns(self, limit: float) -> Floats:
-        """Return what each parameter is multiplied by. See its base."""
-        thin, p = (self.thickest <= limit)[:, None], self.parts
-        found = np.zeros((self.engaged.size, COMPONENTS, 2 * p + (2 * COMPONENTS if limit < np.inf else 0)))
-        for c in range(COMPONENTS):
-            found[:, c, p * c : p * (c + 1)] = self.ductile(c) * thin
-            if limit < np.inf:
-                brittle = np.column_stack((self.widths[:, c], self.areas[:, c])) * ~thin
-                found[:, c, 2 * p + 2 * c : 2 * p + 2 * c + 2] = brittle
-        return found[:, self.kept]
 
-    def part(self, component: int) -> StraightRows:
-        """Return the rows with one component of the force."""
-        one = super().part(component)
-        assert isinstance(one, StraightRows)  # noqa: S101 - a copy
-        one.kept = self.kept[[component]]
-        return one
-
-    def groups(self, shares: Sequence[float] | Floats = (0.0, 0.0)) -> Iterator[tuple[Rows, Sequence[float] | Floats]]:
-        """Return each component, which tells of its own coefficient alone."""
-        yield from ((self.part(c), shares[c : c + 1]) for c in range(COMPONENTS))
-
-    def surely_ductile(self, low: float) -> Bools:
-        """Return which rows are ductile at every limit from ``low`` on."""
-        return np.asarray(self.thickest + self.spread <= low)
-
-    def surely_brittle(self, high: float) -> Bools:
-        """Return which rows are brittle at every limit up to ``high``."""
-        return np.asarray(self.thickest - self.spread >= high)
-
-    def questions(self, split: Transition | None, ductile: Bools) -> list[str]:
-        """Say if forces stand still, or too few are ductile."""
-        if split is None:
-            return []
-        said, few = _standing(self, split.value), int(np.count_nonzero(ductile))
-        if few <= FEWEST:
+def _misfits(rows: Rows, ductile: Bools, fitted: ForceFit) -> list[str]:
+    """Say what no interval accounts for."""
+    said = []
+    used = ductile | ~rows.engaged
+    if rows.in_time and min(np.count_nonzero(~rows.engaged), np.count_nonzero(ductile)) >= FEWEST:
+        left = Fit(rows, used).solve(rows.columns(np.inf))[2] / rows.weights[used]
+        air = np.maximum(left[~rows.engaged[used]].std(axis=0), TINY)
+        wild = float((left[rows.engaged[used]].std(axis=0) / air)[rows.clearest].max())
+        if wild > WILD:
             said.append(
-                f"only the {few} thinnest cuts are ductile beyond doubt, at least {FEWEST + 1} are needed to tell: if "
-                "they are brittle too, coefficients and critical thickness are wrong, so measure thinner chips"
+                f"the forces in the cut scatter {wild:.3g} times as much as in air, more than {WILD:g} times: check "
+                "that no air is counted as cut, and that chips, geometry and feeds are as stated"
             )
+        if not rows.turns:
+            clear = int(np.argmax((np.abs(fitted.fitted).max(axis=0) / air)[rows.clearest]))
+            said += _too_weak(float(np.abs(fitted.fitted[:, clear]).min()), float(air[clear]))
+    if rows.edge or rows.power is not None or np.unique(rows.thickest[ductile]).size < FEWEST:
         return said
-
-    @property
-    def free(self) -> int:
-        """Rows that are free beside the drift, a line and a limit."""
-        return int(max(self.engaged.size - self.drift.shape[1] - 3, 1))
-
-
-def hansen(confidence: float) -> float:
-    """Return the limit of the likelihood ratio of the place of a jump."""
-    return float(-2 * np.log(1 - np.sqrt(confidence)))
-
-
-@dataclass(frozen=True, slots=True)
-class _Drop:
-    """The best split with a drop, and what it leaves of each component, with weights and long-run variance."""
-
-    split: Transition
-    squares: Floats
-    weight: Floats
-    noise: float
+    rows.edge = True
+    try:
+        found = [(part.told, _coefficients(part, used, UNLIKELY)) for part, _ in rows.groups()]
+    except InputError:
+        return said  # cuts too alike to tell an edge force
+    finally:
+        rows.edge = False
+    for names, one in found:
+        for name, value, edge, half in zip(names, one.value[::2], one.value[1::2], one.half[1::2], strict=True):
+            if abs(edge) > max(half, EXACT * abs(value) * rows.thickest.max()):
+                said.append(
+                    f"the {NAMES[name]} is not in proportion to the chip: it is as if the chips were "
+                    f"{abs(edge / value) * 1e6:.3g} nm {'thicker' if edge > 0 else 'thinner'} than stated, so the "
+                    "intervals do not hold: check where the cut begins, feed, depth and nose, or take a force of the "
+                    "edge or a size effect into account"
+                )
+    return said
 
 
-def _drop(rows: StraightRows, confidence: float) -> _Drop | None:
-    """Find the thickness at which the forces leave the ductile line with a jump, and all those that could be it."""
-    engaged = np.flatnonzero(rows.engaged)
-    order = engaged[np.argsort(rows.thickest[engaged], kind="stable")]
-    ascending = rows.thickest[order]
-    # Number of rows on the thin side; rows of one thickness stay together.
-    after = np.flatnonzero(np.diff(ascending) > 0) + 1
-    after = after[(after >= FEWEST) & (after <= ascending.size - FEWEST)]
-    if not after.size:
-        return None
-    middle = (ascending[after - 1] + ascending[after]) / 2
-    squares = np.array([_left(rows, component, order, after) for component in range(COMPONENTS)])
-    scale = np.maximum(squares.min(axis=1) / rows.free, TINY)
-    rough = int(np.argmin((squares / scale[:, None]).sum(axis=0)))
-    # The two components weigh as the noise of the ductile side tells.
-    weight = 1 / np.diag(_sides(rows, order, int(after[rough]), float(middle[rough]))[0])
-    joint = weight @ squares
-    best = int(np.argmin(joint))
-    at = float(middle[best])
-    thin, thick, gone, left, answer = _sides(rows, order, int(after[best]), at)
-    jump = max(float(weight @ gone**2), TINY)
-    eta = [float((weight * gone) @ side @ (weight * gone) / jump) for side in (thin, thick)]
-    # A split below the best one would make ductile what is brittle, and is judged by the noise of the brittle side.
-    allowed = joint - joint[best] <= hansen(confidence) * np.where(np.arange(joint.size) < best, eta[1], eta[0])
-    inside = after[allowed]
-    low, high = order[inside.min() - 1], order[inside.max()]
-    split = Transition(
-        value=at,
-        low=max(float(rows.thickest[low] - rows.spread[low]), 0.0),
-        high=float(rows.thickest[high] + rows.spread[high]),
-        remaining=tuple(rows.remaining(component, answer, at) for component in range(COMPONENTS)),
-        chance=chance_of(rows, left, at),
+def _too_weak(weakest: float, scatter: float) -> list[str]:
+    """Say if cuts may have been taken for air, since their forces do not stand out of the noise there."""
+    if weakest >= CLEAR * scatter:
+        return []
+    said = (
+        f"the weakest cuts press with {weakest * 1e3:.3g} mN and forces in air scatter by {scatter * 1e3:.3g} mN, so "
+        f"that cuts below {CLEAR * scatter * 1e3:.3g} mN, {CLEAR:g} times that, may have been taken for air, and chips "
+        "then be thicker than stated: do not rely on the intervals; leave the thinnest chips out, cut wider, filter "
+        "more, or state when the cuts begin and end"
     )
-    return _Drop(split, squares[:, best], weight, max(eta))
+    return [said]
 
 
-def _left(rows: StraightRows, component: int, order: Ints, after: Ints) -> Floats:
-    """Return the squares left by each split, from products of the columns that are added up once. (k,)."""
-    ductile, beyond = rows.ductile(component), np.column_stack((rows.widths[:, component], rows.areas[:, component]))
-    table = np.column_stack((rows.drift, ductile, beyond, rows.force[:, component]))
-    table = table * rows.weights[:, component, None]
-    size = np.maximum(np.linalg.norm(table, axis=0), TINY)
-    size[-1] = 1.0
-    table = table / size
-    of_split = np.repeat([0, 1, 2, 0], [rows.drift.shape[1], ductile.shape[1], 2, 1])
-    products = np.cumsum(table[order, :, None] * table[order, None, :], axis=0)
-    air = table[~rows.engaged].T @ table[~rows.engaged]
-    thin, thick = (np.outer(of_split != other, of_split != other) for other in (2, 1))
-    sums = products[after - 1] * thin + (products[-1] - products[after - 1]) * thick + air
-    normal, right, total = sums[:, :-1, :-1], sums[:, :-1, -1], float(sums[0, -1, -1])
-    # Both columns of the brittle side are one where all its chips are as thick; a touch of the diagonal decides.
-    normal = normal + 1e-11 * np.trace(normal, axis1=1, axis2=2)[:, None, None] / right.shape[1] * np.eye(
-        right.shape[1]
-    )
-    answer = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-    return np.asarray(np.maximum(total - np.einsum("ij,ij->i", answer, right), 1e-14 * total))
-
-
-def _sides(rows: StraightRows, order: Ints, cut: int, limit: float) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Return the long-run covariances of the thin and the thick side at a split, the jump there, what is left, the fit.
-
-    (2, 2), (2, 2), (2,), (n, 2) and (k,).
-    """
-    fit, columns = Fit(rows), rows.columns(limit)
-    answer, _, left = fit.solve(columns)
-    line, first = answer[: 2 * rows.parts], order[cut]
-    jump = rows.weights[first] * (rows.columns(np.inf)[first] @ line - columns[first] @ answer)
-    covers = []
-    for which in (order[:cut], order[cut:]):
-        side = np.zeros(rows.engaged.size, dtype=np.bool_)
-        side[which] = True
-        covers.append(rows.together(left, side) * left[which].T @ left[which] / max(which.size - 1, 1))
-    # Few rows on a side say little of its noise: then the larger of the two stands for both.
-    if min(cut, order.size - cut) < 2 * FEWEST:
-        covers = [max(covers, key=np.trace)] * 2
-    floor = np.diag(ROUNDING * (fit.force**2).mean(axis=0) + TINY)
-    return covers[0] + floor, covers[1] + floor, jump, left, answer
-
-
-def least_chance(cuts: Cuts, confidence: float = 0.95) -> float:
-    """Return the chance of the clearest transition that forces show, of either kind, told or not."""
-    rows = StraightRows(cuts)
-    drop, bend = _drop(rows, confidence), slope_change(rows, confidence)
-    found = (bend, None if drop is None else drop.split)
-    return min([1.0, *(one.chance for one in found if one is not None)])
-
-
-def _transition(rows: Rows, confidence: float) -> Transition | None:
-    """Return the transition that the forces ask for: none, a drop, or a change of slope.
-
-    A change of slope is the simpler one. A drop is taken where it explains more than chance would; where it may, the
-    interval holds both. Neither is taken where an edge force or a size effect explains as much.
-    """
-    from scipy.stats import f  # noqa: PLC0415 - costly to import
-
-    assert isinstance(rows, StraightRows)  # noqa: S101 - found of these alone
-    drop, bend = _drop(rows, confidence), slope_change(rows, confidence)
-    n = rows.engaged.size
-
-    def probability(drop: _Drop, squares: Floats, numbers: int) -> float:
-        """Return how often noise alone lets a drop, with so many more numbers, explain so much more."""
-        # The noise is that of the richer model: what a drop leaves of two lines that meet would count as noise.
-        gain = float(drop.weight @ (squares - drop.squares)) / drop.noise / numbers
-        return n * float(f.sf(gain, numbers, rows.free))
-
-    for one in (bend, None if drop is None else drop.split):
-        if one is not None and one.chance <= CERTAIN:
-            _standing(rows, one.value)
-    split = None if drop is None or drop.split.chance > CERTAIN or drop.split.remaining[0] >= 1 else drop.split
-    if bend is None or drop is None:
-        return _bent(bend) or split
-    if probability(drop, bend.smooth, COMPONENTS) > CERTAIN:
-        split = None
-    bent, chance = _bent(bend), probability(drop, bend.squares, COMPONENTS + 1)
-    if bent is None or chance < CERTAIN:
-        return split
-    if split is not None and chance < n * CERTAIN:
-        return replace(bent, low=min(bent.low, split.low), high=max(bent.high, split.high))
-    return bent
-
-
-def _bent(bend: SlopeChange | None) -> Transition | None:
-    """Return a change of slope as a transition; what could as well begin at no thickness at all is none."""
-    if bend is None or bend.chance > CERTAIN or bend.straight or not bend.falls or bend.low == 0:
-        return None
-    return Transition(bend.value, bend.low, bend.high, (1.0, 1.0), bend.chance)
-
-
-def _standing(rows: StraightRows, limit: float) -> list[str]:
-    """Say if both forces stand still at their largest beyond a limit; raise if one does and the other goes on.
-
-    Fracture changes both; the end of a range is that of a channel.
-    """
-    level, clear, stands, goes = [], [], [], []
-    thick = rows.thickest > limit
-    for component in range(COMPONENTS):
-        beyond = rows.widths[:, component] * np.maximum(rows.thickest - limit, 0.0)
-        fit = Fit(rows.part(component))
-        found = fit.estimate(np.column_stack((beyond, rows.ductile(component, limit)))[:, None], UNLIKELY)
-        slope, sigma, whole = found.value[0], found.sigma[0], found.value[1]
-        force = np.abs(rows.force[:, component])
-        level.append(float(force[thick].mean()))
-        near = max(SURE * sigma, STILL * whole)
-        clear.append(SURE * sigma < SLOW * whole)
-        stands.append(abs(slope) < near and force[thick].max() >= force[~thick].max())
-        goes.append(abs(slope - whole) < near)
-    if all(stands):
-        question = (
-            f"both forces stand at their largest from there on, {level[0]:.4g} N and {level[1]:.4g} N: if these are "
-            "the ends of the ranges, the critical thickness is not the material's"
+def _require_plausible(rows: Rows) -> None:
+    """Raise for chips that are no diamond's, and for channels that measured nothing or are saturated."""
+    thickness, forces = rows.thickest, dict(zip(rows.labels, rows.force.T, strict=True))
+    thickest = float(thickness.max(initial=0.0))
+    if thickest > THICKEST:
+        raise InputError(
+            f"the thickest chip is {thickest:g} mm, the limit is {THICKEST:g} mm: state thicknesses in mm, of which 1 "
+            "um is 0.001"
         )
-        return [question]
-    names = tuple(NAMES.values())
-    for which, other in ((0, 1), (1, 0)):
-        if all(clear) and stands[which] and goes[other]:
-            raise InputError(
-                f"the {names[which]} stands at its largest, {level[which]:.4g} N, from {limit * 1e6:.4g} nm on "
-                f"and the {names[other]} goes on in proportion: fracture changes both, so the channel is saturated; "
-                "record with a larger range, or leave these cuts out"
-            )
-    return []
+    for name, force in forces.items():
+        if not force[rows.engaged].any():
+            raise InputError(f"the {name} of all cuts is 0 N, it must be measured: check its channel")
+    order = np.flatnonzero(rows.engaged)
+    order = order[np.argsort(thickness[order], kind="stable")]
+    for name, force in forces.items():
+        clipped = saturated(force[order])
+        solid = clipped.size >= SOLID * (np.ptp(clipped) + 1 if clipped.size else 1)
+        # Without noise all forces may be constant beyond a transition; a range ends for one of them.
+        others = [other[order[clipped]] for other in forces.values()]
+        if not solid or (len(forces) > 1 and not any(np.ptp(other) for other in others)):
+            clipped = rail(rows.load[order], force[order])
+        if not clipped.size:
+            continue
+        at = order[clipped]
+        largest = force[at[np.argmax(np.abs(force[at]))]]
+        raise InputError(
+            f"the {name} is saturated: it stands at {largest:.6g} N in {at.size} of {order.size} cuts, of chips from "
+            f"{thickness[at].min() * 1e6:.4g} to {thickness[at].max() * 1e6:.4g} nm, closer together than its noise: "
+            "record with a larger range, or leave these cuts out"
+        )
+
+
+def _require_material(name: str, value: float, high: float) -> None:
+    """Raise for a coefficient of cutting force or thrust that no material has."""
+    if not value > 0 and (name == "cutting" or high < 0):
+        raise InputError(
+            f"the {name} coefficient comes out as {value:.4g} N/mm^2, it must be above 0: check the signs of both "
+            "channels"
+        )
+    if abs(value) > HARDEST or (name == "cutting" and value < SOFTEST):
+        raise InputError(
+            f"the {name} coefficient comes out as {value:.4g} N/mm^2, materials have {SOFTEST:g} to {HARDEST:.0e}: "
+            "state forces in N, and thickness and width of the chip in mm"
+        )

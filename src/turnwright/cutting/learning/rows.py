@@ -43,6 +43,7 @@ class Rows(ABC):
         uncertainty: Floats | None = None,
     ) -> None:
         self.force, self.components, self.engaged, self.thickest = force, components, engaged, thickest
+        self.labels, self.load = components, thickest
         n = engaged.size
         if np.count_nonzero(engaged) < FEWEST:
             raise InputError(f"{np.count_nonzero(engaged)} rows are cuts, at least {FEWEST} are needed: measure more")
@@ -56,7 +57,6 @@ class Rows(ABC):
         self.edge = False
         self.power: list[float] | None = None
         self.reference = 1.0
-        self.even = False
 
     @property
     def parts(self) -> int:
@@ -70,6 +70,10 @@ class Rows(ABC):
         For the cutting coefficient: ductile area, edge or bend; then the same for thrust; then what is beyond the
         limit per width and per area, for both.
         """
+
+    @abstractmethod
+    def transition(self, confidence: float) -> Transition | None:
+        """Find the critical thickness, and all that could be it; ``None`` where the forces show none."""
 
     def which_are_told(self) -> tuple[str, ...]:
         """Return which coefficients the measured components tell of."""

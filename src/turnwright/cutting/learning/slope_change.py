@@ -12,7 +12,7 @@ from turnwright.cutting.learning.rows import FEWEST
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
-    from turnwright.cutting.learning.material_fit import StraightRows
+    from turnwright.cutting.learning.straight import StraightRows
 
 __all__ = ["COMPONENTS", "ROUNDING", "SlopeChange", "chance_of", "slope_change"]
 
