@@ -110,6 +110,15 @@ def hashable(one: Any) -> Any:
     return one
 
 
+NORMAL = 1.4826
+"""Standard deviation of normal noise over the median of its size."""
+
+
+def robust_scatter(off: Floats) -> float:
+    """Return the standard deviation of what is off a centre, as the median of its size tells it."""
+    return NORMAL * float(np.median(np.abs(off)))
+
+
 def rounding(values: Floats) -> float:
     """Return by how much the difference of two cumulative values may be off, as rounding grows with the values."""
     return 4 * float(np.spacing(np.abs(values[[0, -1]]).max()))

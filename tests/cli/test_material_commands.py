@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from turnwright.cli import main
-from turnwright.cutting.learning.records import read_forces
+from turnwright.cutting import read_forces
 from turnwright.errors import InputError
 from turnwright.material import Material
 
@@ -227,7 +227,7 @@ TABLES = {
     "nothing": ("", "has 0 lines, it needs a line of names"),
     "a name without a unit": (averages().replace("width [mm]", "width"), "has a column 'width'"),
     "a unit of another kind": (averages().replace("[nm]", "[N]"), "thickness in 'N', the units are"),
-    "a column too few": (averages().replace(",thrust [mN]", ""), "lacks thrust"),
+    "a column too few": (averages().replace(",thrust [mN]", ""), "has 3 names and 4 columns"),
     "words": (averages() + "one,two,three,four\n", "is not a table of numbers"),
     "nan": (averages() + "nan,0.2,1,1\n", "values that are not finite"),
     "three cuts": (averages(3), "3 rows are cuts, at least 4 are needed"),

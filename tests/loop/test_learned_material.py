@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from turnwright.cutting.learning.experiment import learn_from_file
+from turnwright.cutting import learn_from_file
 from turnwright.material import Material
 
 

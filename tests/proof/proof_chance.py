@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 
 from learning_cases import CLIPPED, clipped, misled, plateau
-from turnwright.cutting.learning.material_fit import learn_material
+from turnwright.cutting import learn_material
 from turnwright.errors import InputError
 
 LIMITS = (0.05, 0.01, 0.001)

@@ -9,7 +9,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 from learning_cases import KC, KINDS, SMOOTH, covered, shipped
-from turnwright.cutting.learning.material_fit import learn_material
+from turnwright.cutting import learn_material
 
 HELD = 0.90
 """Share of experiments in which a 95 % interval must hold the truth."""

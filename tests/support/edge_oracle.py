@@ -11,10 +11,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from force_oracle import CHANNELS, RATE, tap_tests, through
+from turnwright.cutting import Dynamometer, interrupted_cuts, learn_material, turning_cuts
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning.dynamometer import Dynamometer
-from turnwright.cutting.learning.edge_cuts import interrupted_cuts, turning_cuts
-from turnwright.cutting.learning.edge_fit import learn_along_edge
 from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, remove_drift
 
 STEPS = 44
@@ -212,7 +210,7 @@ def learned_turning(random, *, noise=5e-3, **more):
         true, cuts, nose_radius=1.0, depth=0.02, feed=feeds, block=2e-3, guard=2e-3,
         axial="Fx", feed_force="Fy", cutting="Fz",
     )  # fmt: skip
-    return learn_along_edge(rows, drift=2, calibration=shares(sensor, true, cuts), **more), glass
+    return learn_material(rows, drift=2, calibration=shares(sensor, true, cuts), **more), glass
 
 
 def learned_milling(random, kind, *, block, brittle=True, **more):
@@ -230,4 +228,4 @@ def learned_milling(random, kind, *, block, brittle=True, **more):
         true, cuts, geometry=geometry, spindle_rpm=rpm, block=block, guard=0.05, x="Fx", y="Fy", z="Fz",
         passband=passband,
     )  # fmt: skip
-    return learn_along_edge(rows, drift=2, calibration=shares(sensor, true, cuts), **more), glass
+    return learn_material(rows, drift=2, calibration=shares(sensor, true, cuts), **more), glass

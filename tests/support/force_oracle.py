@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from turnwright.cutting.learning.dynamometer import Dynamometer, TapTest
-from turnwright.cutting.learning.material_fit import learn_material, measured_cuts
+from turnwright.cutting import Dynamometer, TapTest, learn_material, measured_cuts
 from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, remove_drift
 
 RATE = 25_600.0

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from turnwright.cutting.learning.material_fit import Cuts, _Rows, _transition, learn_material
-from turnwright.cutting.learning.slope_change import slope_change
+from turnwright.cutting import Cuts, learn_material
+from turnwright.cutting.learning.straight import least_chance
 from turnwright.material import Material
 
 KC, KT = 1489.0, 816.0
@@ -62,11 +62,7 @@ def misled(count, seed):
     random = np.random.default_rng(seed)
     chip = np.linspace(50e-6, 1500e-6, count)
     cutting, thrust = (0.5 * k * chip + 0.01 * random.normal(size=count) for k in (KC, KT))
-    rows = _Rows(
-        Cuts(thickness=chip, width=np.full(count, 0.5), cutting=cutting, thrust=thrust), None, edge=False, falling=False
-    )
-    drop, bend = _transition(rows, 0.95), slope_change(rows, 0.95)
-    return min(1.0 if drop is None else drop.split.chance, 1.0 if bend is None else bend.chance)
+    return least_chance(Cuts(thickness=chip, width=np.full(count, 0.5), cutting=cutting, thrust=thrust))
 
 
 CLIPPED = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from force_oracle import ACROSS, CHANNELS, RATE, tap_tests, through, true_response
-from turnwright.cutting.learning.dynamometer import Dynamometer
+from turnwright.cutting import Dynamometer
 from turnwright.cutting.learning.signals import ForceRecord
 
 BAND = {"bandwidth_hz": 5000.0, "noise_to_signal": 0.01}
@@ -79,7 +79,7 @@ def test_coherence_is_high_where_the_hammer_is_heard():
 
 
 def test_slanted_taps_serve_as_well_as_those_along_the_axes():
-    from turnwright.cutting.learning.dynamometer import TapTest
+    from turnwright.cutting import TapTest
 
     random = np.random.default_rng(5)
     turn = np.linalg.qr(random.normal(size=(3, 3)))[0]

@@ -22,10 +22,9 @@ from edge_oracle import (
     slot,
     turning,
 )
+from turnwright.cutting import NoseCuts, interrupted_cuts, learn_material
 from turnwright.cutting.chip import RoundChip
 from turnwright.cutting.forces import FlyCut, SlotMill, chip_forces
-from turnwright.cutting.learning.edge_cuts import NoseCuts, interrupted_cuts
-from turnwright.cutting.learning.edge_fit import learn_along_edge
 from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.material import Material
 
@@ -53,7 +52,7 @@ def averages(glass, random=None, noise=0.0, edge=0.0, **more):
 
 def test_forces_without_noise_give_back_what_they_were_made_of():
     glass = Glass(1489.0, 816.0, 600e-6)
-    found = learn_along_edge(averages(glass))
+    found = learn_material(averages(glass))
     assert found.cutting.value == pytest.approx(1489, rel=2e-5)
     assert found.thrust.value == pytest.approx(816, rel=2e-5)
     assert found.critical.value == pytest.approx(600e-6, rel=2e-3)
@@ -78,12 +77,12 @@ def test_a_dozen_feeds_with_the_whole_way_from_record_and_taps():
 
 def test_what_one_component_tells_is_learned_and_the_rest_left_open():
     glass = Glass(1489.0, 816.0)
-    only = learn_along_edge(averages(glass, axial=None, feed_force=None))
+    only = learn_material(averages(glass, axial=None, feed_force=None))
     assert only.cutting.value == pytest.approx(1489, rel=2e-5)
     assert only.thrust is None
     assert only.critical is None
     for missing in ("axial", "feed_force"):
-        other = learn_along_edge(averages(glass, cutting=None, **{missing: None}))
+        other = learn_material(averages(glass, cutting=None, **{missing: None}))
         assert other.cutting is None
         assert other.thrust.value == pytest.approx(816, rel=2e-5)
 
@@ -97,14 +96,14 @@ def test_stated_uncertainties_give_those_of_weighted_least_squares():
     answer = least_squares(lambda k: ((k[0] * unit[0] + k[1] * unit[1] - cuts.force) / sigma).ravel(), (1000, 1000))
     scale = max(2 * answer.cost / (3 * FEEDS.size - 2), 1.0)
     spread = np.sqrt(scale * np.diag(np.linalg.inv(answer.jac.T @ answer.jac)))
-    found = learn_along_edge(cuts)
+    found = learn_material(cuts)
     assert (found.cutting.value, found.thrust.value) == pytest.approx(answer.x, rel=2e-5)
     assert found.uncertainty == pytest.approx(spread, rel=1e-3)
 
 
 def test_intervals_hold_common_errors_of_areas_and_channels():
     cuts = averages(Glass(1489.0, 816.0))
-    found = learn_along_edge(cuts, area_uncertainty=0.02, calibration=(0.0, 0.0, 0.01))
+    found = learn_material(cuts, area_uncertainty=0.02, calibration=(0.0, 0.0, 0.01))
     assert found.uncertainty[0] == pytest.approx(1489 * np.hypot(0.02, 0.01), rel=1e-3)
     assert found.uncertainty[1] == pytest.approx(816 * 0.02, rel=1e-3)
 
@@ -114,14 +113,12 @@ def test_a_force_of_the_edge_is_told_of_and_taken_out():
     glass, random = Glass(1489.0, 816.0), np.random.default_rng(2)
     arc = np.arccos(1 - DEPTH / NOSE) + np.arcsin(FEEDS / 2 / NOSE)
     cuts = averages(glass, random=random, noise=2e-4, edge=0.05 * NOSE * arc)
-    assert any("the cutting force is not in proportion to the chip" in one for one in learn_along_edge(cuts).sentences)
-    found = learn_along_edge(cuts, edge_force=True)
+    assert any("the cutting force is not in proportion to the chip" in one for one in learn_material(cuts).sentences)
+    found = learn_material(cuts, edge_force=True)
     assert found.cutting.low <= 1489 <= found.cutting.high
     assert found.cutting.value == pytest.approx(1489, rel=0.01)
     assert not any("proportion" in one for one in found.sentences)
-    assert not any(
-        "proportion" in one for one in learn_along_edge(averages(glass, random=random, noise=2e-4)).sentences
-    )
+    assert not any("proportion" in one for one in learn_material(averages(glass, random=random, noise=2e-4)).sentences)
 
 
 def test_a_size_effect_comes_back_with_its_power():
@@ -132,7 +129,7 @@ def test_a_size_effect_comes_back_with_its_power():
             ratio = np.maximum(chip, 1e-12) / 200e-6
             return 1500 * ratio**-0.3 * chip, 800 * ratio**-0.2 * chip
 
-    found = learn_along_edge(averages(Falling(1.0, 1.0)), size_effect=True)
+    found = learn_material(averages(Falling(1.0, 1.0)), size_effect=True)
     assert [one.value for one in found.exponents] == pytest.approx([0.3, 0.2], abs=2e-4)
     reference = found.reference_thickness
     assert found.cutting.value == pytest.approx(1500 * (reference / 200e-6) ** -0.3, rel=1e-3)
@@ -177,7 +174,7 @@ def test_means_over_whole_turns_do_without_the_place_of_the_cutter(geometry, sha
         record, [[int(1.0 * RATE), int(3.0 * RATE)]], geometry=geometry, spindle_rpm=rpm, block=None, guard=0.05,
         x="a", y="b", z="c",
     )  # fmt: skip
-    found = learn_along_edge(cuts, drift=0)
+    found = learn_material(cuts, drift=0)
     assert found.cutting.value == pytest.approx(1489, rel=3e-3)
     assert found.thrust.value == pytest.approx(816, rel=3e-3)
 
@@ -187,7 +184,7 @@ def test_exact_forces_of_a_round_nose_are_in_proportion():
     feed, glass = FEEDS[FEEDS < 1.5e-3], Material.load("irg26")
     feed = np.linspace(feed[0], feed[-1], 24)
     forces = [chip_forces(RoundChip(nose_radius=NOSE, feed=one, depth=DEPTH), glass) for one in feed]
-    found = learn_along_edge(
+    found = learn_material(
         NoseCuts(
             nose_radius=np.full(24, NOSE),
             depth=np.full(24, DEPTH),

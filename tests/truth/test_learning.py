@@ -11,7 +11,7 @@ from scipy import stats
 
 from force_oracle import learned, ramp_record, tap_tests
 from learning_cases import covered, misled, shipped
-from turnwright.cutting.learning.material_fit import Cuts, learn_material
+from turnwright.cutting import Cuts, learn_material
 from turnwright.errors import InputError
 
 TRIALS = 100
@@ -93,7 +93,7 @@ def test_chips_thinner_than_stated_are_reported():
 
 def learned_raw(record):
     from force_oracle import FIRST, LAST, RATE, WIDTH
-    from turnwright.cutting.learning.material_fit import measured_cuts
+    from turnwright.cutting import measured_cuts
     from turnwright.cutting.learning.signals import engagements
 
     cuts = engagements(record, "Fy", shortest=0.01, drift=2)
@@ -222,7 +222,7 @@ def test_axial_force_counts_by_its_projected_area():
 
 def test_the_files_of_an_experiment_with_taps_give_what_its_arrays_give(tmp_path):
     from force_oracle import CHANNELS
-    from turnwright.cutting.learning.experiment import learn_from_file
+    from turnwright.cutting import learn_from_file
 
     random = np.random.default_rng(50_000)
     record, truth = ramp_record(random)

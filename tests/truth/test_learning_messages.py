@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 import turnwright as tw
+from turnwright.cutting import Cuts, Dynamometer, NoseCuts, TapTest, learn_material, measured_cuts
 from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated
 from turnwright.cutting.fracture import ri80
-from turnwright.cutting.learning.dynamometer import Dynamometer, TapTest
-from turnwright.cutting.learning.edge_cuts import NoseCuts
-from turnwright.cutting.learning.edge_fit import learn_along_edge
-from turnwright.cutting.learning.material_fit import Cuts, learn_material, measured_cuts
 from turnwright.cutting.learning.signals import (
     ForceRecord,
     average_force,
@@ -128,7 +125,7 @@ WRONG = {
         lambda: learn_material(cuts(), edge_force=True, size_effect=True), "edge_force and size_effect are both asked for"
     ),
     "one thickness and an edge": (
-        lambda: learn_material(cuts(thickness=np.full(10, 1e-4)), edge_force=True), "do not tell the coefficient from"
+        lambda: learn_material(cuts(thickness=np.full(10, 1e-4)), edge_force=True), "do not tell the 2 coefficients from each other"
     ),
     "a long block": (
         lambda: measured_cuts(record(), [[0, 50]], cutting="a", thrust="a", thickness=np.ones_like, width=1,
@@ -209,4 +206,4 @@ def test_round_noses_are_held_to_the_same(change, message):
     feed = np.linspace(0.5e-3, 5e-3, 30)
     given = {"nose_radius": np.ones(30), "depth": np.full(30, 0.02), "feed": feed, "axial": 8 * feed}
     with pytest.raises(InputError, match=message):
-        learn_along_edge(NoseCuts(**{**given, "cutting": 15 * feed, **change}))
+        learn_material(NoseCuts(**{**given, "cutting": 15 * feed, **change}))

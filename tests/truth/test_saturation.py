@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from learning_cases import CLIPPED, clipped, plateau, shipped
-from turnwright.cutting.learning.edge_cuts import NoseCuts
-from turnwright.cutting.learning.edge_fit import learn_along_edge
-from turnwright.cutting.learning.material_fit import Cuts, learn_material
+from turnwright.cutting import Cuts, NoseCuts, learn_material
 from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.errors import InputError
 
@@ -86,7 +84,7 @@ def test_averages_of_a_round_nose_are_refused_alike():
     axial, cutting = (one * feed * (1 + 0.01 * np.random.default_rng(1).normal(size=30)) for one in (8.0, 15.0))
     given = {"nose_radius": np.full(30, 1.0), "depth": np.full(30, 0.02), "feed": feed, "axial": axial}
     with pytest.raises(InputError, match="the cutting force is saturated"):
-        learn_along_edge(NoseCuts(**given, cutting=np.minimum(cutting, 0.04)))
+        learn_material(NoseCuts(**given, cutting=np.minimum(cutting, 0.04)))
 
 
 @pytest.mark.parametrize(("channel", "limits"), [("Fy", (-0.2, 0.2)), ("Fz", (-1.0, 0.1)), ("Fy", (-0.001, 1.0))])

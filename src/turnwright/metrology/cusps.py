@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._arrays import Bools, Floats, Ints, frozen, robust_scatter
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.metrology.spectrum import line_psd
@@ -796,7 +796,7 @@ def _crest_scatter(line: Floats, lines: list[Floats]) -> float:
     # means over many (1 + 2 c) s².
     second = np.concatenate([np.diff(one, 2) for one in alike])
     ratio = (1 + 2 * CORRELATION) / (6 - 8 * CORRELATION)
-    return max(1.4826 * float(np.median(np.abs(second))) * float(np.sqrt(ratio)), LOCATED * feed)
+    return max(robust_scatter(second) * float(np.sqrt(ratio)), LOCATED * feed)
 
 
 def _slope(lines: list[Floats]) -> tuple[float, float, float]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.polynomial.legendre import legvander2d
 
+from turnwright._arrays import robust_scatter
 from turnwright.metrology.rigid import FINEST, Problem, residuals, rows, turns
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def _scatter(size: Floats) -> float:
     """Return the standard deviation that magnitudes stand for, robustly; their rms where most of them are zero."""
     if size.size == 0:
         return 0.0
-    return 1.4826 * float(np.median(size)) or float(np.sqrt(np.mean(size**2)))
+    return robust_scatter(size) or float(np.sqrt(np.mean(size**2)))
 
 
 def _in_cells(problem: Problem, state: Floats) -> float:
@@ -193,7 +194,7 @@ def _correlated(some: Problem, state: Floats, white: float, count: int) -> MapNo
     for _ in range(2):
         solved = np.linalg.lstsq(terms[keep], left[keep], rcond=1e-12)[0]
         rest = left - terms @ solved
-        keep = np.abs(rest) <= OUTLIER * max(1.4826 * float(np.median(np.abs(rest))), FINEST)
+        keep = np.abs(rest) <= OUTLIER * max(robust_scatter(rest), FINEST)
     x, y, rest = x[keep], y[keep], rest[keep]
     excess = float(np.mean(rest**2)) * left.size / (left.size - terms.shape[1]) - white**2
     cells = int(np.clip(np.sqrt(rest.size / CELL_POINTS), 4, MOST_CELLS))

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints
+from turnwright._arrays import Bools, Floats, Ints, robust_scatter
 from turnwright._kernels.registration import bend
 from turnwright.pose import Pose
 from turnwright.progress import run_chunks
@@ -271,7 +271,7 @@ def _each(work: Callable[[int, int], object], count: int) -> None:
 def scatter(residual: Floats) -> float:
     """Return the standard deviation that the median size of the residuals stands for. [mm]."""
     valid = residual[np.isfinite(residual)]
-    return max(1.4826 * float(np.median(np.abs(valid))), FINEST) if valid.size else FINEST
+    return max(robust_scatter(valid), FINEST) if valid.size else FINEST
 
 
 def fit(

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Floats
+from turnwright._arrays import Floats, robust_scatter
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.surface import Gridded
@@ -159,7 +159,7 @@ def smooth_table(
     whole = z + beside
     halves = [_binned(x[chosen], y[chosen], whole[chosen], cell, reach) for chosen in (odd, ~odd)]
     best: float | None = None
-    scale = 1.4826 * float(np.median(np.abs(whole - np.median(whole))))
+    scale = robust_scatter(whole - np.median(whole))
     inner = min(reach, float(max(np.abs(x).max(), np.abs(y).max())) + cutoff)
     left = [half.z for half in halves]
     last = _losses(halves, left, scale)
@@ -214,7 +214,7 @@ def _hangs_together(half: _Points, off: Floats, cell: float) -> bool:
     column, row = (np.floor((at - at.min()) / cell).astype(np.int64) for at in (half.x, half.y))
     grid = np.zeros((int(row.max()) + 1, int(column.max()) + 1))
     scaled = off * np.sqrt(half.weight)
-    grid[row, column] = np.clip(scaled, *(np.array([-4, 4]) * 1.4826 * np.median(np.abs(scaled))))
+    grid[row, column] = np.clip(scaled, *(np.array([-4, 4]) * robust_scatter(scaled)))
     pairs = np.concatenate([(grid[1:, 1:] * grid[:-1, :-1]).ravel(), (grid[1:, :-1] * grid[:-1, 1:]).ravel()])
     return bool(pairs.sum() > WORTH * np.sqrt(pairs @ pairs))
 

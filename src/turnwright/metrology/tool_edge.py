@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._arrays import Bools, Floats, Ints, frozen, robust_scatter
 from turnwright._validate import check_angle, positive
 from turnwright.errors import InputError
 from turnwright.tool import Tool, WavinessTable
@@ -272,7 +272,7 @@ class _Found(NamedTuple):
 
 def _scatter(off: Floats) -> float:
     """Return the standard deviation that the median of the magnitudes stands for."""
-    return float(1.4826 * np.median(np.abs(off))) if off.size else 0.0
+    return robust_scatter(off) if off.size else 0.0
 
 
 def _polar(a: Floats, b: Floats, radius: float, centre: Floats) -> tuple[Floats, Floats]:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._arrays import Bools, Floats, Ints, frozen, robust_scatter
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
@@ -430,7 +430,7 @@ def _as_seen(
 
 
 def _scatter(values: Floats) -> float:
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+    return robust_scatter(values - np.median(values))
 
 
 def _uncertainty(valleys: _Valleys, knots: Floats, residual: Floats, fit: _Fit) -> tuple[Floats, Bools]:

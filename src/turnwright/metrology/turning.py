@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from turnwright._arrays import Bools, Complexes, Floats
+from turnwright._arrays import Bools, Complexes, Floats, robust_scatter
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.metrology.grid import measure, valid_points
@@ -223,7 +223,7 @@ def _crossing(places: Floats, waves: Floats, fewest: float) -> tuple[Floats, Boo
         solution, _, rank, _ = np.linalg.lstsq(rows[keep], right[keep], rcond=1e-6)
         solved = np.asarray(solution, dtype=np.float64)
         off = np.abs(rows @ solved - right)
-        last, keep = keep, off <= max(4 * 1.4826 * float(np.median(off[keep])), 1e-9)
+        last, keep = keep, off <= max(4 * robust_scatter(off[keep]), 1e-9)
         if rank < 2 or np.count_nonzero(keep) < fewest:
             return None  # as of rings that pixels wider than half of them show elsewhere
         if np.array_equal(last, keep):

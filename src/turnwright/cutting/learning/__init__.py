@@ -1,17 +1,17 @@
 """Materials learned from forces: records, signals, experiments, and the fits that make coefficients of them."""
 
-from turnwright.cutting.learning.dynamometer import Dynamometer, TapTest
-from turnwright.cutting.learning.edge_cuts import InterruptedCuts, NoseCuts, interrupted_cuts, turning_cuts
-from turnwright.cutting.learning.edge_fit import learn_along_edge
-from turnwright.cutting.learning.experiment import Experiment, learn_from_file
-from turnwright.cutting.learning.material_fit import (
+from turnwright.cutting.learning.cuts import (
     Cuts,
-    Estimate,
-    ForceFit,
-    LearnedMaterial,
-    learn_material,
+    InterruptedCuts,
+    NoseCuts,
+    interrupted_cuts,
     measured_cuts,
+    turning_cuts,
 )
+from turnwright.cutting.learning.dynamometer import Dynamometer, TapTest
+from turnwright.cutting.learning.experiment import Experiment, learn_from_file
+from turnwright.cutting.learning.learned import Estimate, ForceFit, LearnedMaterial
+from turnwright.cutting.learning.material_fit import learn_material
 from turnwright.cutting.learning.records import read_forces
 from turnwright.cutting.learning.signals import (
     ForceAverage,
@@ -39,7 +39,6 @@ __all__ = [
     "engagements",
     "in_air",
     "interrupted_cuts",
-    "learn_along_edge",
     "learn_from_file",
     "learn_material",
     "low_pass",

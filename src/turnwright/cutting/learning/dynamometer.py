@@ -22,9 +22,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from turnwright._arrays import Bools, Floats, frozen
+from turnwright._arrays import Bools, Complexes, Floats, frozen
 from turnwright._validate import between, check_numbers, positive
 from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.errors import InputError
@@ -33,8 +32,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 __all__ = ["Dynamometer", "TapTest"]
-
-Complexes = NDArray[np.complex128]
 
 AXES = 3
 

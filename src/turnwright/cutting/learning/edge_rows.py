@@ -1,4 +1,22 @@
-"""What a regression takes of chips that are not equally thick along the edge: columns for any critical thickness.
+r"""Chips that are not equally thick along the edge: columns for any critical thickness, and how it is found.
+
+Every element of an edge adds Kc dA along the cut and Kt dA along its normal. For constant coefficients each measured
+component of the force is linear in both, with integrals of the chip's area and of the edge's directions that the
+geometry alone decides. Beyond the critical thickness the elements leave that line, and only those beyond it do,
+
+.. math::
+    F = d(t) + K_c \int_{h \le h_c} e_c\,dA + K_t \int_{h \le h_c} e_t\,dA
+      + \int_{h > h_c} \frac{(q_0 + q_1 h)\,e_c + (p_0 + p_1 h)\,e_t}{h}\,dA ,
+
+so that every component of every cut is one equation of the same six numbers and :math:`h_c`. Of a nose that cuts beyond
+:math:`h_c` a part is still below it: the forces change smoothly where the limit is crossed. The critical thickness is
+then found as any parameter is, and its interval holds all :math:`h_c` for which
+
+.. math:: \frac{S(h_c) - S(\hat h_c)}{\tau} \le F_{1,\nu}(p),
+
+with the squares S in units of the noise of each component, within the ductile range and beyond it apart, and the
+correlation time τ. Where the chip is equally thick along the edge the forces jump, and Hansen's limit holds instead, as
+for straight edges. Coefficients come from rows that are ductile all along the edge at every limit in that interval.
 
 An edge is cut into elements, each with the least and the largest thickness on it, so that what is beyond a limit
 changes smoothly with the limit. For a cutter that turns the columns go over its angle, pass the filters that the forces
@@ -7,20 +25,20 @@ have passed, harmonic by harmonic, and are averaged over the same stretches of t
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats
+from turnwright._arrays import Bools, Complexes, Floats
 from turnwright.cutting.chip import RoundChip
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning.edge_cuts import MILLED, OFF_SPEED, TURNED, Complexes, InterruptedCuts, NoseCuts
-from turnwright.cutting.learning.material_fit import FEWEST, drifts
-from turnwright.cutting.learning.signals import correlation_time
+from turnwright.cutting.learning.cuts import MILLED, OFF_SPEED, TURNED, InterruptedCuts, NoseCuts
+from turnwright.cutting.learning.fit import CERTAIN, TINY, Fit, hansen, interval
+from turnwright.cutting.learning.learned import NAMES, Transition
+from turnwright.cutting.learning.rows import FEWEST, Rows
 from turnwright.errors import InputError
 
-__all__ = ["Fit", "InterruptedRows", "Rows", "TurningRows"]
+__all__ = ["InterruptedRows", "TurningRows"]
 
 PIECES = 256
 """Elements on each smooth piece of a nose in a steady cut."""
@@ -36,6 +54,15 @@ HARMONICS = 4096
 
 GRID = 1 << 13
 """Angles of a turn at which forces are tabled after the filter."""
+
+LABELS = {"axial": "axial force", "feed": "feed force", "cutting": "cutting force"}
+"""What components of the force are called; those of a mill are named after their axes."""
+
+LOOKED = 96
+"""Thicknesses at which a transition is first looked for."""
+
+HALVED = 12
+"""Times that the interval between two of these is halved."""
 
 
 class _Strips:
@@ -149,54 +176,18 @@ def _tooth_strips(geometry: SlotMill | FlyCut, kept: Sequence[int]) -> tuple[_St
     return _Strips((around.min(axis=0), t, around.max(axis=0)), area, along, normal, kept), borders
 
 
-class Rows(ABC):
-    """What a regression takes of its rows, whatever the cut: forces, drift, and columns for any limit."""
+class EdgeRows(Rows):
+    """Rows of chips that are not equally thick along the edge."""
 
-    def __init__(
-        self, force: Floats, engaged: Bools, thickest: Floats, time: Floats | None, record: Floats, drift: int | None
-    ) -> None:
-        self.force, self.engaged, self.thickest = force, engaged, thickest
-        self.in_time = time is not None
-        n = force.shape[0]
-        self.order = np.arange(n) if time is None else np.lexsort((time, record))
-        self.drift = np.zeros((n, 0)) if drift is None else drifts(time, record, ~engaged, drift)
-        self.weights = np.ones_like(force)
-        self.stated = False
-        self.edge = False
-        self.power: list[float] | None = None
-        self.reference = 1.0
-        self.even = False
-        if np.count_nonzero(engaged) < FEWEST:
-            raise InputError(f"{np.count_nonzero(engaged)} rows are cuts, at least {FEWEST} are needed: measure more")
+    even = False
+    """Whether they are all the same, so that the forces jump where the limit is crossed."""
 
-    @property
-    def parts(self) -> int:
-        """Ductile columns of each coefficient."""
-        return 2 if self.edge or self.power is not None else 1
-
-    @abstractmethod
-    def columns(self, limit: float) -> Floats:
-        """Return what each parameter is multiplied by. (n, components, parameters)."""
-
-    def unknown(self, answer: Floats, limit: float) -> Floats:  # noqa: ARG002 - for those that have some
-        """Return columns of what else is fitted beside the parameters. (n, components, k)."""
-        return np.zeros((*self.force.shape, 0))
-
-    @abstractmethod
-    def synchronise(self, answer: Floats | None, limit: float) -> None:
-        """Find what the rows themselves tell of where the cutter stands."""
-
-    def noise(self, left: Floats, rows: Bools) -> float:
-        """Return how many rows in time say as much as one."""
-        if not self.in_time:
-            return 1.0
-        inside = self.order[rows[self.order]]
-        if inside.size <= 16:
-            return 1.0
-        return max(correlation_time(column) for column in left[inside].T)
+    def transition(self, confidence: float) -> Transition | None:
+        """Find the thickness beyond which elements of the edge leave the ductile line, and all that could be it."""
+        return _transition(self, confidence)
 
 
-class TurningRows(Rows):
+class TurningRows(EdgeRows):
     """Rows of steady cuts."""
 
     def __init__(self, cuts: NoseCuts, drift: int | None) -> None:
@@ -212,10 +203,11 @@ class TurningRows(Rows):
         self.state[engaged] = index.reshape(-1)
         thickest = np.zeros(n)
         thickest[engaged] = self.strips.thickest[self.state[engaged]]
-        record = np.zeros(n) if cuts.record is None else cuts.record
-        super().__init__(cuts.force, engaged, thickest, cuts.time, record, drift)
-        if cuts.uncertainty is not None:
-            self.weights, self.stated = 1 / cuts.uncertainty, True
+        super().__init__(
+            cuts.force, cuts.components, engaged, thickest,
+            time=cuts.time, record=cuts.record, drift=drift, uncertainty=cuts.uncertainty,
+        )  # fmt: skip
+        self.labels = tuple(LABELS[one] for one in cuts.components)
         self.reference = _typical([self.strips])
 
     def columns(self, limit: float) -> Floats:
@@ -225,12 +217,11 @@ class TurningRows(Rows):
         found[self.engaged] = each[self.state[self.engaged]]
         return found
 
-    def synchronise(self, answer: Floats | None, limit: float) -> None:
-        """Do nothing: a steady cut has no cutter whose angle could be unknown."""
 
-
-class InterruptedRows(Rows):
+class InterruptedRows(EdgeRows):
     """Rows of a cutter that turns."""
+
+    turns = True
 
     def __init__(self, cuts: InterruptedCuts, drift: int | None) -> None:
         self.cuts = cuts
@@ -247,7 +238,11 @@ class InterruptedRows(Rows):
         self.basis = [_harmonics(borders, number, cuts) for number, (_, borders) in enumerate(self.teeth)]
         most = np.array([one.thickest.max() for one, _ in self.teeth])
         thickest = np.where(engaged, most[cuts.record], 0.0)
-        super().__init__(cuts.force, engaged, thickest, time, cuts.record.astype(np.float64), drift)
+        super().__init__(
+            cuts.force, cuts.components, engaged, thickest,
+            time=time, record=cuts.record.astype(np.float64), drift=drift,
+        )  # fmt: skip
+        self.labels = tuple(f"force along {one}" for one in cuts.components)
         self.reference = _typical([one for one, _ in self.teeth])
         self.even = all(one.even for one, _ in self.teeth) and not cuts.whole_turns
 
@@ -309,6 +304,27 @@ class InterruptedRows(Rows):
             columns += [mine, mine * (time - self.middle[number])[:, None]]
         return np.stack(columns, axis=2)
 
+    def design(self, used: Bools, split: Transition | None) -> tuple[Bools, Floats, int]:
+        """Return rows and columns of the coefficients, with what places the cutter beside them. See the base.
+
+        Where it stands is told best by when the limit is crossed, so that all rows take part; how the forces depend on
+        the limit is one more unknown.
+        """
+        if split is None or self.cuts.whole_turns:
+            limit, place = np.inf, self.place()
+        else:
+            used, limit, place = np.ones_like(used), split.value, self.place(beyond=True)
+        every = self.columns(limit)
+        columns = every[:, :, place]
+        answer, whole = Fit(self, used).solve(columns)[0], np.zeros(every.shape[2])
+        whole[place] = answer
+        found = [columns, self.unknown(whole, limit)]
+        if split is not None and limit < np.inf:
+            step = max((split.high - split.low) / 4, 1e-4 * limit)
+            slope = (self.columns(limit + step) - self.columns(limit - step))[:, :, place] @ answer
+            found.append(slope[:, :, None])
+        return used, np.concatenate(found, axis=2), len(place)
+
     def synchronise(self, answer: Floats | None, limit: float) -> None:
         """Find speed and phase of each pass: from the harmonics first, then by least squares."""
         if self.cuts.whole_turns:
@@ -318,8 +334,7 @@ class InterruptedRows(Rows):
                 self._catch(number)
             self._look_at_chips()
             return
-        fit = Fit(self, np.ones(self.engaged.size, dtype=np.bool_))
-        moved = fit.solve(np.concatenate((self.columns(limit), self.unknown(answer, limit)), axis=2))[0]
+        moved = Fit(self).solve(np.concatenate((self.columns(limit), self.unknown(answer, limit)), axis=2))[0]
         size = answer.size
         self.phase = self.phase + moved[size::2]
         self.speed = self.speed + moved[size + 1 :: 2]
@@ -360,7 +375,7 @@ class InterruptedRows(Rows):
             table = (np.exp(1j * order * phase)[:, None, None] * model).reshape(-1, model.shape[2])
             table = np.concatenate((table.real, table.imag))
             right = np.concatenate((said.reshape(-1).real, said.reshape(-1).imag))
-            size = np.maximum(np.linalg.norm(table, axis=0), np.finfo(np.float64).tiny)
+            size = np.maximum(np.linalg.norm(table, axis=0), TINY)
             found = np.linalg.lstsq(table / size, right, rcond=1e-10)[0]
             wrong = (found[:: self.parts] < 0).any()
             left[i] = np.inf if wrong else float(((right - table / size @ found) ** 2).sum())
@@ -449,36 +464,77 @@ def _looked_up(table: Floats, turns: Floats, whole: Floats | None = None) -> Flo
     return found
 
 
-class Fit:
-    """Weighted least squares of some rows, every component with a drift of its own."""
+def _weigh(rows: EdgeRows, limit: float) -> float:
+    """Weigh each component by its noise, within the ductile range and beyond apart; return the correlation time."""
+    thick = rows.engaged & (rows.thickest > limit)
+    if not rows.stated:
+        apart = min(np.count_nonzero(thick), np.count_nonzero(~thick)) > 2 * FEWEST
+        floor = 1e-9 * np.abs(rows.force).max(axis=0) + TINY
+        rows.weights = np.ones_like(rows.force)
+        for _ in range(2):
+            left = Fit(rows).solve(rows.columns(limit))[2] / rows.weights
+            weights = np.empty_like(left)
+            for group in (thick, ~thick) if apart else (np.ones_like(thick),):
+                weights[group] = 1 / np.maximum(np.sqrt((left[group] ** 2).mean(axis=0)), floor)
+            rows.weights = weights
+    left = Fit(rows).solve(rows.columns(limit))[2]
+    return max(rows.together(left, one) for one in (thick, rows.engaged & ~thick, ~rows.engaged))
 
-    def __init__(self, rows: Rows, used: Bools) -> None:
-        self.rows, self.used = rows, used
-        self.weight = rows.weights[used]
-        self.force = rows.force[used] * self.weight
-        self.drift = []
-        for component in range(self.force.shape[1]):
-            table = rows.drift[used] * self.weight[:, component, None]
-            full = np.linalg.norm(table, axis=0) > 0
-            self.drift.append(np.linalg.qr(table[:, full])[0])
-        self.free_force = self.without_drift(self.force[:, :, None])[:, :, 0]
 
-    def without_drift(self, columns: Floats) -> Floats:
-        """Take out of columns what the drift explains. (n, components, k)."""
-        free = np.empty_like(columns)
-        for component, basis in enumerate(self.drift):
-            free[:, component] = columns[:, component] - basis @ (basis.T @ columns[:, component])
-        return free
+def _transition(rows: EdgeRows, confidence: float) -> Transition | None:
+    """Find the thickness beyond which elements of the edge leave the ductile line, and all that could be it."""
+    from scipy.stats import f  # noqa: PLC0415 - costly to import
 
-    def solve(self, columns: Floats) -> tuple[Floats, float, Floats, Floats]:
-        """Return the parameters, the squares left, what is left of each row, and the columns that told."""
-        table = self.without_drift(columns[self.used] * self.weight[:, :, None])
-        size = np.sqrt((table**2).sum(axis=(0, 1)))
-        scaled = table / np.maximum(size, np.finfo(np.float64).tiny)
-        flat = scaled.reshape(-1, scaled.shape[2])
-        normal = flat.T @ flat
-        # Columns of the brittle side may be one; a touch of the diagonal decides.
-        normal += 1e-11 * np.eye(normal.shape[0])
-        answer = np.linalg.solve(normal, flat.T @ self.free_force.reshape(-1))
-        left = self.free_force - scaled @ answer
-        return answer / np.maximum(size, np.finfo(np.float64).tiny), float((left**2).sum()), left, table
+    ascending = np.sort(rows.thickest[rows.engaged])
+    low, high = max(ascending[FEWEST - 1], ascending[-1] / 50), ascending[-FEWEST]
+    _weigh(rows, np.inf)
+    if not low < high * (1 - 1e-6) or ascending.size < 2 * FEWEST:
+        return None
+    fit = Fit(rows)  # as the rows are weighed now
+    grid = np.geomspace(low, high * (1 - 1e-9), LOOKED)
+
+    def squares(limit: float) -> float:
+        columns = rows.columns(limit)
+        answer, least = fit.solve(columns)[:2]
+        beside = rows.unknown(answer, limit)
+        return fit.solve(np.concatenate((columns, beside), axis=2))[1] if beside.shape[2] else least
+
+    rough = grid[::3]
+    tau = _weigh(rows, float(rough[int(np.argmin([squares(float(one)) for one in rough]))]))
+    fit = Fit(rows)
+    profile = np.array([squares(float(one)) for one in grid])
+    exact = 1e-4 * float(grid[int(np.argmin(profile))])
+    best, least, within = interval(squares, grid, profile, exact, every=True)
+    columns = rows.columns(best)
+    number, size = rows.force.size, columns.shape[2]
+    free = max(number / tau - size - rows.drift.shape[1] * rows.force.shape[1], 1.0)
+    answer, _, left = fit.solve(columns)
+    # Weights were made from what is left, so that a square counts as number over what is free.
+    eta = tau * max(
+        least / max(number - size, 1), 1.0 if rows.stated else 0.0, _told_by(fit, columns, answer, left, best)
+    )
+    limit = hansen(confidence) if rows.even else float(f.ppf(confidence, 1, free))
+    ends = within(limit * eta, (0.0, float(ascending[-1])), HALVED)
+    more = 2 * len(rows.told)
+    gain = (squares(np.inf) - least) / eta / more
+    chance = float(min(1.0, rows.engaged.sum() * f.sf(gain, more, free)))
+    which = [tuple(NAMES).index(name) for name in rows.told]
+    # What could as well begin at no thickness at all is no transition: forces are out of proportion everywhere.
+    if chance > CERTAIN or ends[0] == 0 or rows.remaining(which[0], answer, float(ascending[-1])) >= 1:
+        return None
+    remaining = tuple(rows.remaining(one, answer, best) for one in which)
+    return Transition(best, min(ends[0], best), max(ends[1], best), remaining, chance)
+
+
+def _told_by(fit: Fit, columns: Floats, answer: Floats, left: Floats, limit: float) -> float:
+    """Return the noise of what tells the limit over that of independent components; those of a row may hang together.
+
+    What fracture does to one component it does to all.
+    """
+    rows, step = fit.rows, 0.01 * limit
+    slope = (rows.columns(limit + step) - rows.columns(limit - step)) @ answer
+    target, table = fit.table(slope[:, :, None]).reshape(-1), fit.table(columns).reshape(-1, columns.shape[2])
+    table = table / np.maximum(np.linalg.norm(table, axis=0), TINY)
+    rest = target - table @ np.linalg.lstsq(table, target, rcond=1e-10)[0]
+    whole = float(rest @ rest)
+    return float(((rest.reshape(left.shape) * left).sum(axis=1) ** 2).sum() / whole) if whole else 0.0

@@ -6,45 +6,40 @@ page on learning from forces.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from turnwright import units
-from turnwright._arrays import Floats, Ints, rows_of_numbers
+from turnwright._arrays import Complexes, Floats, Ints
 from turnwright._io import read_toml
-from turnwright._validate import positive
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning.dynamometer import CLOSES, Dynamometer, TapTest
-from turnwright.cutting.learning.edge_cuts import (
+from turnwright.cutting.learning.cuts import (
     MILLED,
     OFF_SPEED,
     TURNED,
+    Cuts,
     InterruptedCuts,
     NoseCuts,
     interrupted_cuts,
+    measured_cuts,
     turning_cuts,
 )
-from turnwright.cutting.learning.edge_fit import learn_along_edge
-from turnwright.cutting.learning.material_fit import Cuts, LearnedMaterial, learn_material, measured_cuts
-from turnwright.cutting.learning.records import NEWTONS, read_forces, separator
+from turnwright.cutting.learning.dynamometer import CLOSES, Dynamometer, TapTest
+from turnwright.cutting.learning.learned import LearnedMaterial
+from turnwright.cutting.learning.material_fit import learn_material
+from turnwright.cutting.learning.records import NEWTONS, bytes_of, read_forces, read_table
 from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
-from turnwright.errors import InputError
+from turnwright.errors import InputError, shown
+from turnwright.units import unit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from turnwright.cutting.learning.edge_cuts import Passband
+    from turnwright.cutting.learning.cuts import Passband
 
 __all__ = ["Experiment", "learn_from_file"]
-
-GONE = object()
 
 LEAST_TURNS = 8
 """Turns of a cutter that a pass must last to be found by the force; `engagements` looks at eighths of that."""
@@ -166,11 +161,7 @@ def learn_from_file(file: str | Path) -> Experiment:
         If a file cannot be read or the experiment is too small; the message says where.
     """
     path = Path(file)
-    try:
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or "it is no name of a file"
-        raise InputError(f"the experiment {str(file)!r} cannot be read ({why}): check its name") from error
+    data = bytes_of(path, "the experiment")
     if path.suffix.lower() == ".toml":
         table = read_toml(data, f"the experiment {str(file)!r}")
     else:
@@ -178,108 +169,187 @@ def learn_from_file(file: str | Path) -> Experiment:
         if b"nose radius" in data.split(b"\n", 1)[0]:
             table["kind"] = "round nose"
     try:
-        return _learned(_Keys(table, "the experiment"), path.parent)
+        return _learned(_Stated.read(table, "the experiment"), path.parent)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-class _Keys:
-    """A table of a file whose keys are asked for one by one; what nobody asks for is an error."""
+Text = Annotated[str, Field(min_length=1)]
+Length = Annotated[float, unit("mm")]
+Size = Annotated[float, unit("mm", above=0)]
+Feed = Annotated[float, unit("mm/rev", above=0)]
+Angle = Annotated[float, unit("rad")]
+Time = Annotated[float, unit("s")]
+Frequency = Annotated[float, unit("Hz")]
 
-    def __init__(self, table: Mapping[str, Any], where: str) -> None:
-        self.table, self.where, self.asked = table, where, set[str]()
 
-    def raw(self, key: str, default: Any = GONE) -> Any:
-        self.asked.add(key)
-        if key in self.table:
-            return self.table[key]
-        if default is GONE:
-            raise InputError(f"{self.where} lacks {key}: add it")
-        return default
+class _Table(BaseModel):
+    """A table of the file; a key that it has not is an error."""
 
-    def text(self, key: str, default: Any = GONE) -> Any:
-        value = self.raw(key, default)
-        if value is not default and (not isinstance(value, str) or not value):
-            raise InputError(f"{self.where} has {key} = {value!r}, it must be a text: put it in quotes")
-        return value
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
-    def number(self, key: str, default: Any = GONE) -> Any:
-        value = self.raw(key, default)
-        if value is not default and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise InputError(f"{self.where} has {key} = {value!r}, it must be a plain number: write one")
-        return value
-
-    def flag(self, key: str) -> bool:
-        value = self.raw(key, False)
-        if not isinstance(value, bool):
-            raise InputError(f"{self.where} has {key} = {value!r}, it must be true or false: change it")
-        return value
-
-    def quantity(self, key: str, unit: str, default: Any = GONE) -> Any:
-        value = self.raw(key, default)
-        return value if value is default else self._read(key, value, unit)
-
-    def quantities(self, key: str, unit: str) -> list[float]:
-        value = self.raw(key)
-        if not isinstance(value, list):
-            raise InputError(f"{self.where} has {key} = {value!r}, it must be a list of quantities: write [ ]")
-        return [self._read(key, one, unit) for one in value]
-
-    def tables(self, key: str) -> list[_Keys]:
-        value = self.raw(key, [])
-        if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
-            raise InputError(f"{self.where} has {key} that is no list of tables: write [[{key}]] above each")
-        return [_Keys(one, f"{key} number {i + 1}") for i, one in enumerate(value)]
-
-    def part(self, key: str) -> _Keys | None:
-        value = self.raw(key, None)
-        if value is not None and not isinstance(value, dict):
-            raise InputError(f"{self.where} has {key} = {value!r}, it must be a table: write [{key}]")
-        return None if value is None else _Keys(value, key)
-
-    def done(self) -> None:
-        for key in self.table:
-            if key not in self.asked:
-                raise InputError(
-                    f"{key!r} in {self.where} is not known, the keys are {', '.join(sorted(self.asked))}: correct it"
-                )
-
-    def _read(self, key: str, value: object, unit: str) -> float:
+    @classmethod
+    def read(cls, table: Mapping[str, Any], where: str) -> Self:
+        """Return the table, or say in a sentence what is wrong with it."""
         try:
-            return units.parse(value, unit)
-        except InputError as error:
-            raise InputError(f"{self.where}, {key}: {error}") from error
+            return cls.model_validate(table)
+        except ValidationError as error:
+            found = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
+            key, *number = (f"number {one + 1}" if isinstance(one, int) else one for one in found["loc"])
+            name, reason = " ".join((key, *number)), found["msg"].removeprefix("Value error, ")
+            said = f"{where} has {name} = {shown(found['input'])}, {reason[:1].lower()}{reason[1:]}: correct it"
+            if found["type"] == "value_error":
+                said = f"{where}, {name}: {reason}"
+            elif found["type"] == "missing":
+                said = f"{where} lacks {name}: add it"
+            elif found["type"] == "extra_forbidden":
+                said = f"{name!r} in {where} is not known, the keys are {', '.join(cls.model_fields)}: correct it"
+            raise InputError(said) from error
 
 
-def _learned(keys: _Keys, folder: Path) -> Experiment:
+class _Stated(_Table):
+    name: Text
+    source: Text
+    kind: str = "orthogonal"
+    rake: Angle = 0.0
+    inclination: Angle = 0.0
+    confidence: float = 0.95
+    edge_force: bool = False
+    size_effect: bool = False
+    width_uncertainty: float = 0.0
+    area_uncertainty: float = 0.0
+    thickness_uncertainty: Length = 0.0
+    averages: dict[str, Any] | None = None
+    cuts: list[dict[str, Any]] = []
+    record: dict[str, Any] | None = None
+    dynamometer: dict[str, Any] | None = None
+
+
+class _LowPass(_Table):
+    cutoff: Frequency
+    order: int
+
+
+class _File(_Table):
+    file: Text
+
+
+class _Cut(_File):
+    rake: Angle | None = None
+
+
+class _Straight(_Cut):
+    width: Length
+    thickness: Length | None = None
+    ramp: list[Length] | None = None
+    steps: list[Length] | None = None
+    times: list[Time] | None = None
+
+
+class _Turned(_Cut):
+    nose_radius: Size
+    depth: Size | None = None
+    depths: list[Size] | None = None
+    feed: Feed | None = None
+    feeds: list[Feed] | None = None
+
+
+class _Pass(_Cut):
+    spindle: Annotated[float, unit("rpm", above=0)]
+    times: list[Time] | None = None
+
+
+class _Slot(_Pass):
+    radius: Length
+    feed_per_tooth: Length
+    depth: Length
+    teeth: int
+    corner_radius: Length = 0.0
+    entry: Angle = 0.0
+    exit: Angle = np.pi
+
+
+class _FlyCut(_Pass):
+    swing: Length
+    nose_radius: Length
+    step: Length
+    depth: Length
+    feed: Feed
+
+
+KINDS: dict[str, type[_Cut]] = {"orthogonal": _Straight, "round nose": _Turned, "slot": _Slot, "fly-cut": _FlyCut}
+"""What says what was cut in a record, for each kind of experiment."""
+
+
+class _Tap(_File):
+    direction: list[float]
+
+
+class _Sensor(_Table):
+    hammer: Text
+    bandwidth: Frequency
+    noise_to_signal: float
+    unit: Text | None = None
+    rate: Frequency | None = None
+    flat: Frequency | None = None
+    taps: list[dict[str, Any]]
+
+
+class _Record(_Table):
+    """How the records are to be read and cleaned."""
+
+    cutting: Text | None = None
+    thrust: Text | None = None
+    axial: Text | None = None
+    feed: Text | None = None
+    x: Text | None = None
+    y: Text | None = None
+    z: Text | None = None
+    found_by: Text | None = None
+    channels: list[str] | None = None
+    unit: Text | None = None
+    rate: Frequency | None = None
+    range_n: float | None = None
+    drift: int
+    shortest: Time
+    lead: Time = 0.0
+    whole_turns: bool = False
+    block: Time | None = None
+    guard: Time
+    low_pass: dict[str, Any] | None = None
+
+    def named(self, kind: str) -> dict[str, str]:
+        """Return the channels of the components that were measured, the one first by which the tool cuts."""
+        every = [one for names in CHANNELS.values() for one in names if getattr(self, one) is not None]
+        wrong = [one for one in every if one not in CHANNELS[kind]]
+        if wrong or not every or (kind == "orthogonal" and len(every) < len(CHANNELS[kind])):
+            raise InputError(
+                f"record names {', '.join(dict.fromkeys(every)) or 'no channel'}, it needs "
+                f"{'both' if kind == 'orthogonal' else 'at least 1'} of {', '.join(CHANNELS[kind])}: correct it"
+            )
+        return {one: getattr(self, one) for one in CHANNELS[kind] if one in every}
+
+
+def _learned(stated: _Stated, folder: Path) -> Experiment:
     """Learn from the tables of an experiment."""
-    name, source = keys.text("name"), keys.text("source")
-    kind = keys.text("kind", "orthogonal")
+    kind, rake = stated.kind, stated.rake
     if kind not in CHANNELS:
         raise InputError(f"kind is {kind!r}, the known ones are {', '.join(CHANNELS)}: choose one")
-    rake, leans = keys.quantity("rake", "rad", 0.0), keys.quantity("inclination", "rad", 0.0)
-    if leans:
+    if stated.inclination:
         raise InputError(
-            f"the edge is inclined by {np.rad2deg(leans):g} deg, the limit is 0 deg: an oblique cut also presses along "
-            "its edge, for which no coefficient is learned, so set the edge square to the cut"
+            f"the edge is inclined by {np.rad2deg(stated.inclination):g} deg, the limit is 0 deg: an oblique cut also "
+            "presses along its edge, for which no coefficient is learned, so set the edge square to the cut"
         )
-    confidence = keys.number("confidence", 0.95)
-    edge, falls = keys.flag("edge_force"), keys.flag("size_effect")
-    shared = "width_uncertainty" if kind == "orthogonal" else "area_uncertainty"
-    common = float(keys.number(shared, 0.0))
-    averages, cuts = keys.part("averages"), keys.tables("cuts")
-    record, dynamometer = keys.part("record"), keys.part("dynamometer")
-    thickness = keys.quantity("thickness_uncertainty", "mm", 0.0)
-    keys.done()
-    if (averages is None) == (not cuts):
+    right, wrong = ("width", "area") if kind == "orthogonal" else ("area", "width")
+    if getattr(stated, f"{wrong}_uncertainty"):
+        raise InputError(f"{wrong}_uncertainty is given of the kind {kind!r}, which has {right}_uncertainty: rename it")
+    if (stated.averages is None) == (not stated.cuts):
         raise InputError("the experiment has neither averages nor cuts, or both: give [averages] or [[cuts]]")
-    more = {"edge_force": edge, "size_effect": falls, "thickness_uncertainty": thickness, "confidence": confidence}
     drift: int | None = None
     shares: list[float] | None = None
     rows: Cuts | NoseCuts | InterruptedCuts
-    if averages is not None:
-        file = folder / averages.text("file")
-        averages.done()
+    if stated.averages is not None:
+        file = folder / _File.read(stated.averages, "averages").file
         if kind in ("slot", "fly-cut"):
             raise InputError(
                 f"averages were given of the kind {kind!r}, averages can be of orthogonal or round nose: give records"
@@ -288,61 +358,110 @@ def _learned(keys: _Keys, folder: Path) -> Experiment:
             rows = _averages(file)
         else:
             rows, rake = _nose_averages(file, rake)
-    elif record is None:
+    elif stated.record is None:
         raise InputError("the experiment lacks record: say in [record] which channel is which")
     else:
-        how = _Record(record, kind)
-        rows, shares = _recorded(how, dynamometer, cuts, folder, kind, rake)
-        drift = how.drift
-    if isinstance(rows, Cuts):
-        both = [float(np.hypot(one, common)) for one in shares or (0.0, 0.0)]
-        learned = learn_material(rows, drift=drift, calibration=(both[0], both[1]), **more)
-    else:
-        learned = learn_along_edge(rows, drift=drift, calibration=shares, area_uncertainty=common, **more)
-    return Experiment(name=name, source=source, learned=learned, cuts=rows, rake=rake)
+        how = _Reading(_Record.read(stated.record, "record"), stated, folder)
+        rows, drift, shares = how.rows(), how.record.drift, how.shares()
+    learned = learn_material(
+        rows,
+        drift=drift,
+        edge_force=stated.edge_force,
+        size_effect=stated.size_effect,
+        calibration=shares,
+        area_uncertainty=getattr(stated, f"{right}_uncertainty"),
+        thickness_uncertainty=stated.thickness_uncertainty,
+        confidence=stated.confidence,
+    )
+    return Experiment(name=stated.name, source=stated.source, learned=learned, cuts=rows, rake=rake)
 
 
-class _Record:
-    """How the records are to be read and cleaned."""
+class _Reading:
+    """Reads the records of an experiment, takes the dynamometer's share and fast changes out, and averages them."""
 
-    def __init__(self, keys: _Keys, kind: str) -> None:
-        given = {one: keys.text(one, *(() if kind == "orthogonal" else (None,))) for one in CHANNELS[kind]}
-        self.named: dict[str, str] = {key: channel for key, channel in given.items() if channel is not None}
-        if not self.named:
-            raise InputError(f"record names no channel, it needs at least 1 of {', '.join(given)}: add it")
-        self.by = keys.text("found_by", next(iter(self.named.values())))
-        plain = [one.removeprefix("-") for one in (*self.named.values(), self.by)]
-        self.channels = keys.raw("channels", list(dict.fromkeys(plain)))
-        if not isinstance(self.channels, list) or not all(isinstance(one, str) for one in self.channels):
-            raise InputError(f"record has channels = {self.channels!r}, it must be a list of names: write [ ]")
-        self.unit = keys.text("unit", None)
-        self.rate = keys.quantity("rate", "Hz", None)
-        self.range = keys.number("range_n", None)
-        self.drift = keys.raw("drift")
-        self.shortest, self.lead = keys.quantity("shortest", "s"), keys.quantity("lead", "s", 0.0)
-        self.whole_turns = kind in ("slot", "fly-cut") and keys.flag("whole_turns")
-        self.block = None if self.whole_turns else keys.quantity("block", "s")
-        self.guard = keys.quantity("guard", "s")
-        smooth = keys.part("low_pass")
-        self.smooth = None if smooth is None else (smooth.quantity("cutoff", "Hz"), smooth.raw("order"))
-        if smooth is not None:
-            smooth.done()
-        keys.done()
+    def __init__(self, record: _Record, stated: _Stated, folder: Path) -> None:
+        """Take how the records are to be read, and what was cut in them."""
+        self.record, self.stated, self.folder, self.kind = record, stated, folder, stated.kind
+        self.turns = self.kind in ("slot", "fly-cut")
+        if (record.block is None) != record.whole_turns or (record.whole_turns and not self.turns):
+            raise InputError(
+                "record lacks block, or has whole_turns beside it or of a kind that does not turn: give one of both"
+            )
+        self.named = record.named(self.kind)
+        self.by = record.found_by or next(iter(self.named.values()))
+        self.channels = record.channels or list(
+            dict.fromkeys(one.removeprefix("-") for one in (*self.named.values(), self.by))
+        )
+        smooth = None if record.low_pass is None else _LowPass.read(record.low_pass, "low_pass")
+        self.smooth = None if smooth is None else (smooth.cutoff, smooth.order)
+        self.sensor: Dynamometer | None = None
+        self.filter = {"bandwidth_hz": 0.0, "noise_to_signal": 0.0}
+        if stated.dynamometer is not None:
+            self._tap(_Sensor.read(stated.dynamometer, "dynamometer"))
+        self.steady = np.zeros(len(self.channels))
 
-    def read(self, path: Path) -> ForceRecord:
-        return read_forces(path, channels=self.channels, unit=self.unit, rate_hz=self.rate, range_n=self.range)
+    def _tap(self, keys: _Sensor) -> None:
+        """Learn the responses of the dynamometer from its taps."""
+        if len(self.channels) != 3:
+            raise InputError(f"record has {len(self.channels)} channels, with a dynamometer it needs 3: name all three")
+        taps = []
+        for i, table in enumerate(keys.taps):
+            one = _Tap.read(table, f"taps number {i + 1}")
+            said = read_forces(
+                self.folder / one.file,
+                channels=[keys.hammer, *self.channels],
+                unit=keys.unit or self.record.unit,
+                rate_hz=keys.rate or self.record.rate,
+            )
+            hammer, response = said.force[:, 0], said.force[:, 1:]
+            taps.append(
+                TapTest(hammer=hammer, response=response, direction=np.array(one.direction), rate_hz=said.rate_hz)
+            )
+        self.sensor = Dynamometer.from_taps(taps, flat_hz=keys.flat)
+        self.filter = {"bandwidth_hz": keys.bandwidth, "noise_to_signal": keys.noise_to_signal}
 
-    def passband(self, sensor: Dynamometer | None, bandwidth: float, noise: float, rate: float) -> Passband | None:
+    def rows(self) -> Cuts | NoseCuts | InterruptedCuts:
+        """Return the averages of all records."""
+        how = self.record
+        parts: list[Cuts | NoseCuts | InterruptedCuts] = []
+        for i, table in enumerate(self.stated.cuts):
+            where = f"cuts number {i + 1}"
+            one = KINDS[self.kind].read(table, where)
+            _require_rake(self.stated.rake if one.rake is None else one.rake, self.stated.rake, where)
+            record = read_forces(
+                self.folder / one.file, channels=self.channels, unit=how.unit, rate_hz=how.rate, range_n=how.range_n
+            )
+            passed = self._passband(record.rate_hz)
+            if self.sensor is not None:
+                record = self.sensor.forces(record, **self.filter)
+            if self.smooth is not None:
+                record = low_pass(record, *self.smooth)
+            found = self._found(one, record, where)
+            parts.append(self._averaged(one, record, found, passed, where))
+            air = in_air(record.samples, found)
+            self.steady += remove_drift(record, air, degree=how.drift).force[~air].mean(axis=0)
+        return _together(parts)
+
+    def shares(self) -> list[float] | None:
+        """Return by what share the dynamometer leaves each component uncertain."""
+        if self.sensor is None:
+            return None
+        of_channel = np.minimum(self.sensor.relative_uncertainty(self.steady), 1.0)
+        order = {"round nose": TURNED, "orthogonal": CHANNELS[self.kind]}.get(self.kind, MILLED)
+        named = [self.named[key].removeprefix("-") for key in order if key in self.named]
+        return [float(of_channel[self.channels.index(one)]) for one in named]
+
+    def _passband(self, rate: float) -> Passband | None:
         """Return what the filters leave of forces at some frequencies, or ``None`` for all."""
-        if sensor is None and self.smooth is None:
+        if self.sensor is None and self.smooth is None:
             return None
 
-        def left(frequency: Floats) -> NDArray[np.complex128]:
+        def left(frequency: Floats) -> Complexes:
             found = np.tile(np.eye(len(self.channels), dtype=np.complex128), (frequency.size, 1, 1))
-            if sensor is not None:
-                heard = frequency <= CLOSES * bandwidth
+            if self.sensor is not None:
+                heard = frequency <= CLOSES * self.filter["bandwidth_hz"]
                 found[~heard] = 0
-                found[heard] = sensor.resolution(frequency[heard], bandwidth_hz=bandwidth, noise_to_signal=noise)
+                found[heard] = self.sensor.resolution(frequency[heard], **self.filter)
             if self.smooth is not None:
                 cutoff, order = self.smooth
                 ratio = np.tan(np.pi * np.minimum(frequency / rate, 0.499)) / np.tan(np.pi * cutoff / rate)
@@ -351,61 +470,48 @@ class _Record:
 
         return left
 
-
-def _recorded(
-    how: _Record, dynamometer: _Keys | None, cuts: Sequence[_Keys], folder: Path, kind: str, rake: float
-) -> tuple[Cuts | NoseCuts | InterruptedCuts, list[float] | None]:
-    """Return the rows of all records, and by what share the dynamometer leaves each component uncertain."""
-    sensor, bandwidth, noise = _sensor(dynamometer, how, folder)
-    parts: list[Cuts | NoseCuts | InterruptedCuts] = []
-    steady = np.zeros(len(how.channels))
-    for one in cuts:
-        _require_rake(one.quantity("rake", "rad", rake), rake, one.where)
-        record = how.read(folder / one.text("file"))
-        passed = how.passband(sensor, bandwidth, noise, record.rate_hz)
-        if sensor is not None:
-            record = sensor.forces(record, bandwidth_hz=bandwidth, noise_to_signal=noise)
-        if how.smooth is not None:
-            record = low_pass(record, *how.smooth)
-        found = _found(how, one, record, kind)
-        if kind == "orthogonal":
-            parts.append(_straight(how, one, record, found))
-        elif kind == "round nose":
-            parts.append(_turned(how, one, record, found))
-        else:
-            parts.append(_milled(how, one, record, found, kind, passed))
-        one.done()
-        air = in_air(record.samples, found)
-        steady += remove_drift(record, air, degree=how.drift).force[~air].mean(axis=0)
-    shares: list[float] | None = None
-    if sensor is not None:
-        of_channel = np.minimum(sensor.relative_uncertainty(steady), 1.0)
-        order = {"round nose": TURNED, "orthogonal": CHANNELS[kind]}.get(kind, MILLED)
-        shares = [
-            float(of_channel[how.channels.index(how.named[key].removeprefix("-"))]) for key in order if key in how.named
-        ]
-    return _together(parts), shares
-
-
-def _found(how: _Record, one: _Keys, record: ForceRecord, kind: str) -> Ints:
-    """Return first samples of the cuts of a record, and first ones after them. (m, 2)."""
-    if kind in ("slot", "fly-cut"):
-        turn = 60 / positive(one.quantity("spindle", "rpm"), f"spindle of {one.where}", "rpm")
-        if "times" in one.table:
-            times = one.quantities("times", "s")
-            ends = [round(at * record.rate_hz) for at in times]
-            if len(ends) != 2 or not 0 <= ends[0] < ends[1] <= record.samples:
+    def _found(self, one: _Cut, record: ForceRecord, where: str) -> Ints:
+        """Return first samples of the cuts of a record, and first ones after them. (m, 2)."""
+        how = self.record
+        if isinstance(one, _Pass):
+            if one.times is not None:
+                ends = [round(at * record.rate_hz) for at in one.times]
+                if len(ends) != 2 or not 0 <= ends[0] < ends[1] <= record.samples:
+                    raise InputError(
+                        f"{where} has times {one.times}, a pass needs 2 that ascend within the record of "
+                        f"{record.samples / record.rate_hz:.4g} s: give begin and end"
+                    )
+                return np.array([ends], dtype=np.int64)
+            turn = 60 / one.spindle
+            if how.shortest < LEAST_TURNS * turn * (1 - OFF_SPEED):
                 raise InputError(
-                    f"{one.where} has times {times}, a pass needs 2 that ascend within the record of "
-                    f"{record.samples / record.rate_hz:.4g} s: give begin and end"
+                    f"shortest is {how.shortest:g} s, a pass is found by means over turns of {turn:.3g} s and the "
+                    f"limit is {LEAST_TURNS} of these: raise it, or give the times of {where}"
                 )
-            return np.array([ends], dtype=np.int64)
-        if how.shortest < LEAST_TURNS * turn * (1 - OFF_SPEED):
-            raise InputError(
-                f"shortest is {how.shortest:g} s, a pass is found by means over turns of {turn:.3g} s and the limit is "
-                f"{LEAST_TURNS} of these: raise it, or give the times of {one.where}"
+        return engagements(record, self.by, shortest=how.shortest, drift=how.drift, lead=how.lead)
+
+    def _averaged(
+        self, one: _Cut, record: ForceRecord, found: Ints, passed: Passband | None, where: str
+    ) -> Cuts | NoseCuts | InterruptedCuts:
+        """Return the averages of one record."""
+        block, guard = self.record.block, self.record.guard
+        if isinstance(one, _Straight) and block is not None:
+            return measured_cuts(
+                record, found, thickness=_thickness(one, found / record.rate_hz, where), width=one.width,
+                block=block, guard=guard, **self.named,
+            )  # fmt: skip
+        if isinstance(one, _Turned) and block is not None:
+            channels = {"feed_force" if key == "feed" else key: channel for key, channel in self.named.items()}
+            depth, feed = (_of_each(one, key, len(found), where) for key in ("depth", "feed"))
+            return turning_cuts(
+                record, found, nose_radius=one.nose_radius, depth=depth, feed=feed, block=block, guard=guard, **channels
             )
-    return engagements(record, how.by, shortest=how.shortest, drift=how.drift, lead=how.lead)
+        assert isinstance(one, _Pass)  # noqa: S101 - the other kinds have a block
+        stated = {key: getattr(one, key) for key in type(one).model_fields if key not in _Pass.model_fields}
+        return interrupted_cuts(
+            record, found, geometry=(SlotMill if isinstance(one, _Slot) else FlyCut)(**stated),
+            spindle_rpm=one.spindle, block=block, guard=guard, passband=passed, **self.named,
+        )  # fmt: skip
 
 
 def _require_rake(mine: float, common: float, where: str) -> None:
@@ -416,68 +522,19 @@ def _require_rake(mine: float, common: float, where: str) -> None:
         )
 
 
-def _straight(how: _Record, one: _Keys, record: ForceRecord, found: Ints) -> Cuts:
-    assert how.block is not None  # noqa: S101 - whole turns are of other kinds
-    return measured_cuts(
-        record,
-        found,
-        cutting=how.named["cutting"],
-        thrust=how.named["thrust"],
-        thickness=_thickness(one, found / record.rate_hz),
-        width=one.quantity("width", "mm"),
-        block=how.block,
-        guard=how.guard,
-    )
-
-
-def _turned(how: _Record, one: _Keys, record: ForceRecord, found: Ints) -> NoseCuts:
-    assert how.block is not None  # noqa: S101 - whole turns are of other kinds
-    of_each = {}
-    for key, many, unit in (("depth", "depths", "mm"), ("feed", "feeds", "mm/rev")):
-        given = [name for name in (key, many) if name in one.table]
-        if len(given) != 1:
-            raise InputError(f"{one.where} has {' and '.join(given) or f'no {key}'}: give {key}, or {many} of its cuts")
-        values = [one.quantity(key, unit)] * len(found) if given == [key] else one.quantities(many, unit)
-        if len(values) != len(found):
-            raise InputError(
-                f"{one.where} has {len(values)} {many}, and {len(found)} cuts are found in its record: give one for "
-                "each cut, or another value of shortest"
-            )
-        of_each[key] = np.array([positive(value, f"a {key} of {one.where}", unit) for value in values])
-    channels = {"feed_force" if key == "feed" else key: channel for key, channel in how.named.items()}
-    return turning_cuts(
-        record, found, nose_radius=positive(one.quantity("nose_radius", "mm"), "nose_radius", "mm"),
-        depth=of_each["depth"], feed=of_each["feed"], block=how.block, guard=how.guard, **channels,
-    )  # fmt: skip
-
-
-def _milled(
-    how: _Record, one: _Keys, record: ForceRecord, found: Ints, kind: str, passed: Passband | None
-) -> InterruptedCuts:
-    geometry: SlotMill | FlyCut
-    if kind == "slot":
-        geometry = SlotMill(
-            radius=one.quantity("radius", "mm"),
-            feed_per_tooth=one.quantity("feed_per_tooth", "mm"),
-            depth=one.quantity("depth", "mm"),
-            teeth=one.raw("teeth"),
-            corner_radius=one.quantity("corner_radius", "mm", 0.0),
-            entry=one.quantity("entry", "rad", 0.0),
-            exit=one.quantity("exit", "rad", np.pi),
+def _of_each(one: _Turned, key: str, count: int, where: str) -> list[float]:
+    """Return a depth or feed of each cut of a record."""
+    each, many = getattr(one, key), getattr(one, f"{key}s")
+    if (each is None) == (many is None):
+        given = f"{key} and {key}s" if each else f"no {key}"
+        raise InputError(f"{where} has {given}: give {key}, or {key}s of its cuts")
+    values = [each] * count if many is None else many
+    if len(values) != count:
+        raise InputError(
+            f"{where} has {len(values)} {key}s, and {count} cuts are found in its record: give one for each cut, or "
+            "another value of shortest"
         )
-    else:
-        lengths = {key: one.quantity(key, "mm") for key in ("swing", "nose_radius", "step", "depth")}
-        geometry = FlyCut(**lengths, feed=one.quantity("feed", "mm/rev"))
-    return interrupted_cuts(
-        record,
-        found,
-        geometry=geometry,
-        spindle_rpm=one.quantity("spindle", "rpm"),
-        block=how.block,
-        guard=how.guard,
-        passband=passed,
-        **how.named,
-    )
+    return values
 
 
 def _together(parts: Sequence[Cuts | NoseCuts | InterruptedCuts]) -> Cuts | NoseCuts | InterruptedCuts:
@@ -514,92 +571,47 @@ def _together(parts: Sequence[Cuts | NoseCuts | InterruptedCuts]) -> Cuts | Nose
     )
 
 
-def _thickness(keys: _Keys, spans: Floats) -> Callable[[Floats], Floats]:
+def _thickness(one: _Straight, spans: Floats, where: str) -> Callable[[Floats], Floats]:
     """Return the thickness over time: one for all, a ramp from first entry to last exit, or one for each cut."""
-    given = [key for key in ("thickness", "ramp", "steps") if key in keys.table]
+    given = [key for key in ("thickness", "ramp", "steps") if getattr(one, key) is not None]
     if len(given) != 1:
-        raise InputError(f"{keys.where} has {', '.join(given) or 'no thickness'}: give one of thickness, ramp, steps")
-    if given[0] == "thickness":
-        steady = float(keys.quantity("thickness", "mm"))
+        raise InputError(f"{where} has {', '.join(given) or 'no thickness'}: give one of thickness, ramp, steps")
+    if one.thickness is not None:
+        steady = one.thickness
         return lambda at: np.full(at.shape, steady)
-    values = keys.quantities(given[0], "mm")
-    if given[0] == "ramp":
-        if len(values) != 2:
-            raise InputError(f"{keys.where} has a ramp of {len(values)} thicknesses, it needs 2: give first and last")
-        ends = keys.quantities("times", "s") if "times" in keys.table else [spans[0, 0], spans[-1, 1]]
-        if len(ends) != 2 or not ends[0] < ends[1]:
-            raise InputError(f"{keys.where} has times {ends}, a ramp needs 2 that ascend: give begin and end")
-        return lambda at: np.interp(at, ends, values)
-    if len(values) != len(spans):
+    if one.ramp is not None:
+        ramp, ends = one.ramp, one.times or [spans[0, 0], spans[-1, 1]]
+        if len(ramp) != 2 or len(ends) != 2 or not ends[0] < ends[1]:
+            raise InputError(
+                f"{where} has times {ends} and a ramp of {len(ramp)} thicknesses, it needs 2 times that ascend and 2 "
+                "thicknesses: give first and last"
+            )
+        return lambda at: np.interp(at, ends, ramp)
+    steps = one.steps or []
+    if len(steps) != len(spans):
         raise InputError(
-            f"{keys.where} has {len(values)} steps, and {len(spans)} cuts are found in its record: give one for each "
-            "cut, or another value of shortest"
+            f"{where} has {len(steps)} steps, and {len(spans)} cuts are found in its record: give one for each cut, or "
+            "another value of shortest"
         )
-    return lambda at: np.asarray(values)[np.clip(np.searchsorted(spans[:, 0], at, side="right") - 1, 0, None)]
-
-
-def _sensor(keys: _Keys | None, how: _Record, folder: Path) -> tuple[Dynamometer | None, float, float]:
-    """Return the dynamometer with its bandwidth and share of noise, if tap tests are given."""
-    if keys is None:
-        return None, 0.0, 0.0
-    bandwidth, noise = keys.quantity("bandwidth", "Hz"), float(keys.number("noise_to_signal"))
-    hammer, unit, flat = keys.text("hammer"), keys.text("unit", how.unit), keys.quantity("flat", "Hz", None)
-    if len(how.channels) != 3:
-        raise InputError(f"record has {len(how.channels)} channels, with a dynamometer it needs 3: name all three")
-    taps = []
-    for one in keys.tables("taps"):
-        said = read_forces(
-            folder / one.text("file"),
-            channels=[hammer, *how.channels],
-            unit=unit,
-            rate_hz=keys.quantity("rate", "Hz", how.rate),
-        )
-        direction = one.raw("direction")
-        taps.append(
-            TapTest(hammer=said.force[:, 0], response=said.force[:, 1:], direction=direction, rate_hz=said.rate_hz)
-        )
-        one.done()
-    keys.done()
-    return Dynamometer.from_taps(taps, flat_hz=flat), bandwidth, noise
+    return lambda at: np.asarray(steps)[np.clip(np.searchsorted(spans[:, 0], at, side="right") - 1, 0, None)]
 
 
 def _columns(path: Path, known: Mapping[str, Mapping[str, float]], needed: Sequence[str]) -> dict[str, Floats]:
     """Read a CSV of averaged cuts, a line each; every column with its unit, of which the sizes are given."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): check its name") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path} is no text: give a CSV of averaged cuts, or a TOML file of an experiment") from error
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if len(lines) < 2:
-        raise InputError(f"{path} has {len(lines)} lines, it needs a line of names and one for each cut: add them")
-    mark = separator(lines[0])
-    heads = [one.strip() for one in lines[0].split(mark)]
-    found: dict[str, tuple[int, float]] = {}
-    for i, head in enumerate(heads):
-        match = re.fullmatch(r"(.+?)\s*[\[(]\s*(\S+)\s*[\])]", head)
-        if match is None or match.group(1) not in known:
+    found, units = read_table(path, bytes_of(path, "the table"), "cut")
+    for name in found:
+        if name not in known or name not in units:
             raise InputError(
-                f"{path} has a column {head[:60]!r}, the known ones are {', '.join(known)}, each with its unit such as "
+                f"{path} has a column {name[:60]!r}, the known ones are {', '.join(known)}, each with its unit such as "
                 f"'{needed[0]} [nm]': correct the first line"
             )
-        name, unit = match.groups()
-        if unit not in known[name]:
-            raise InputError(f"{path} has {name} in {unit!r}, the units are {', '.join(known[name])}: convert it")
-        found[name] = (i, known[name][unit])
+        if units[name] not in known[name]:
+            listed = ", ".join(known[name])
+            raise InputError(f"{path} has {name} in {units[name]!r}, the units are {listed}: convert it")
     missing = [name for name in needed if name not in found]
     if missing:
         raise InputError(f"{path} lacks {', '.join(missing)}: add it with its unit, such as '{needed[0]} [nm]'")
-    try:
-        table = rows_of_numbers(lines[1:], mark)
-    except ValueError as error:
-        raise InputError(
-            f"{path} is not a table of numbers ({error}): use decimal points and as many numbers in each line"
-        ) from error
-    if table.shape[1] != len(heads):
-        raise InputError(f"{path} has {len(heads)} names and numbers of shape {table.shape}: give as many in each line")
-    return {name: table[:, i] * factor for name, (i, factor) in found.items()}
+    return {name: column * known[name][units[name]] for name, column in found.items()}
 
 
 def _averages(path: Path) -> Cuts:

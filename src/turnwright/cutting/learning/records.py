@@ -24,7 +24,7 @@ from turnwright.cutting.learning.saturation import require_unsaturated
 from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.errors import InputError
 
-__all__ = ["read_forces"]
+__all__ = ["NEWTONS", "bytes_of", "read_forces", "read_table"]
 
 NEWTONS = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "uN": 1e-6, "µN": 1e-6, "μN": 1e-6}
 """What forces may be in."""
@@ -101,17 +101,13 @@ def read_forces(
     TDMS is read by npTDMS, HDF5 by h5py in a process of its own, since its library may die of a damaged file.
     """
     path = Path(file)
-    try:
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or "it is no name of a file"
-        raise InputError(f"the force record {str(file)!r} cannot be read ({why}): check its name") from error
+    data = bytes_of(path, "the force record")
     if data.startswith(HDF5):
         raw = _apart(path, channels)
     elif data.startswith(TDMS):
         raw = _tdms(path, data, channels)
     else:
-        raw = _csv(path, data)
+        raw = _Raw(*read_table(path, data, "sample"), None)
     record = _chosen(path, raw, channels, unit, rate_hz)
     if range_n is not None:
         limit = positive(range_n, "range_n", "N") * (1 - ROUNDED)
@@ -185,27 +181,32 @@ def _rate(path: Path, raw: _Raw, name: str) -> float:
     return float(1 / step)
 
 
+def bytes_of(path: Path, what: str) -> bytes:
+    """Return what a file holds."""
+    try:
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or "it is no name of a file"
+        raise InputError(f"{what} {str(path)!r} cannot be read ({why}): check its name") from error
+
+
 _NAME = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
+_NUMBER = re.compile(r"[-+.\d][-+.\deE]*|nan|inf")
 
 
-def separator(names: str) -> str:
-    """Return what stands between the names of a table: a tab, a semicolon or a comma."""
-    return next((one for one in ("\t", ";") if one in names), ",")
-
-
-def _csv(path: Path, data: bytes) -> _Raw:
-    """Read text: a line of names, then a line of numbers for each sample."""
+def read_table(path: Path, data: bytes, row: str) -> tuple[dict[str, Floats], dict[str, str]]:
+    """Read text: a line of names, then a line of numbers for each row. Return the columns and their units."""
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is neither CSV text, HDF5 nor TDMS: export it as one of these") from error
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if len(lines) < 3:
-        raise InputError(f"{path} has {len(lines)} lines, a record needs a line of names and at least 2 samples")
-    mark = separator(lines[0])
+    if len(lines) < 2:
+        raise InputError(f"{path} has {len(lines)} lines, it needs a line of names and one for each {row}: add them")
+    mark = next((one for one in ("\t", ";") if one in lines[0]), ",")
     heads = [_NAME.fullmatch(one) for one in lines[0].split(mark)]
     names = [head.group(1).strip('"') if head else "" for head in heads]
-    if any(not name or _is_number(name) for name in names) or len(set(names)) != len(names):
+    if any(not name or _NUMBER.fullmatch(name) for name in names) or len(set(names)) != len(names):
         raise InputError(f"{path} begins with {lines[0][:60]!r}, that is no line of names: name each column apart")
     try:
         table = rows_of_numbers(lines[1:], mark)
@@ -216,16 +217,8 @@ def _csv(path: Path, data: bytes) -> _Raw:
         ) from error
     if table.shape[1] != len(names):
         raise InputError(f"{path} has {len(names)} names and {table.shape[1]} columns: name each column")
-    units = {name: head.group(2) for name, head in zip(names, heads, strict=True) if head and head.group(2)}
-    return _Raw(dict(zip(names, table.T, strict=True)), units, None)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    columns = dict(zip(names, table.T, strict=True))
+    return columns, {name: head.group(2) for name, head in zip(names, heads, strict=True) if head and head.group(2)}
 
 
 def _tdms(path: Path, data: bytes, channels: Sequence[str] | None) -> _Raw:

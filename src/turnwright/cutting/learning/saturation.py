@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from turnwright._arrays import robust_scatter
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def _noise(load: Floats, forces: Floats, before: int) -> float:
     part = np.divide(load[1:-1] - load[:-2], span, out=np.full(span.size, 0.5), where=span > 0)
     off = forces[1:-1] - (1 - part) * forces[:-2] - part * forces[2:]
     off = np.abs(off) / np.sqrt(1 + part**2 + (1 - part) ** 2)
-    return float(1.4826 * np.median(off)) or float(np.sqrt((off**2).mean()))
+    return robust_scatter(off) or float(np.sqrt((off**2).mean()))
 
 
 def require_unsaturated(label: str, channel: str, values: Floats, at: Ints, rate_hz: float) -> None:

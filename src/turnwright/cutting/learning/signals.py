@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, frozen
+from turnwright._arrays import Bools, Floats, Ints, frozen, robust_scatter
 from turnwright._validate import between, check_numbers, positive
 from turnwright.cutting.learning.saturation import require_unsaturated, saturated
 from turnwright.errors import InputError
@@ -314,7 +314,7 @@ def engagements(record: ForceRecord, channel: str, *, shortest: float, drift: in
     means = force[: count * block].reshape(count, block).mean(axis=1)
     basis = np.asarray(np.polynomial.legendre.legvander(np.linspace(-1, 1, count), _degree(drift)), dtype=np.float64)
     # Differences of neighbours tell the noise whatever the level.
-    noise = 1.4826 * float(np.median(np.abs(np.diff(means)))) / np.sqrt(2)
+    noise = robust_scatter(np.diff(means)) / np.sqrt(2)
     noise = max(noise, 1e-9 * float(np.ptp(means)), 1e-12 * float(np.abs(means).max()), np.finfo(np.float64).tiny)
     sure = round(between(lead, "lead", 0.0, record.samples / record.rate_hz / 2, "s") * record.rate_hz) // block
     if sure:

@@ -1,27 +1,24 @@
-"""Forces of cuts with a round nose, of mills and of fly-cutters, and what was cut."""
+"""Forces of cuts and what was cut: straight edges, round noses, mills and fly-cutters; the averages of records."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from turnwright._arrays import Floats, Ints, freeze, frozen, same_length
-from turnwright._validate import check_numbers, positive
+from turnwright._arrays import Complexes, Floats, Ints, freeze, frozen, same_length
+from turnwright._validate import between, check_numbers, positive
 from turnwright.cutting.forces import FlyCut, SlotMill
-from turnwright.cutting.learning.material_fit import freeze_cuts, stretches
-from turnwright.cutting.learning.signals import ForceRecord
+from turnwright.cutting.learning.signals import ForceRecord, in_air
 from turnwright.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["InterruptedCuts", "NoseCuts", "interrupted_cuts", "turning_cuts"]
+__all__ = ["Cuts", "InterruptedCuts", "NoseCuts", "interrupted_cuts", "measured_cuts", "turning_cuts"]
 
-Complexes = NDArray[np.complex128]
 Passband = Callable[[Floats], Complexes]
 
 TURNED = ("axial", "feed", "cutting")
@@ -35,6 +32,80 @@ HEARD = 8
 
 MILLED = ("x", "y", "z")
 """Components of the force of an interrupted cut."""
+
+
+def freeze_cuts(cuts: Cuts | NoseCuts, names: Sequence[str], optional: Sequence[str], components: int) -> None:
+    """Make arrays of the fields of cuts, with positive uncertainties of all components if they are stated."""
+    freeze(cuts, names, optional, of=" of the cuts")
+    if cuts.uncertainty is None:
+        return
+    stated = frozen(cuts.uncertainty, "uncertainty of the cuts", ndim=2)
+    same_length([(names[0], getattr(cuts, names[0])), ("uncertainty", stated)])
+    if stated.shape[1] != components or not (stated > 0).all():
+        raise InputError(
+            f"the uncertainties of the cuts are not {components} positive numbers for each: give one for each "
+            "component that was measured, or none at all"
+        )
+    object.__setattr__(cuts, "uncertainty", stated)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cuts:
+    """Forces and the chips that they belong to: a row for each steady cut, or for each short stretch of a record.
+
+    Parameters
+    ----------
+    thickness
+        Thickest place of the uncut chip; 0 where the tool is in air. (n,) [mm]
+    width
+        Of the uncut chip. (n,) [mm]
+    cutting, thrust
+        Mean forces. Each (n,) [N]
+    area
+        Of the uncut chip across the cutting direction; thickness times width, as in orthogonal cutting, if not given.
+        (n,) [mm²]
+    thrust_area
+        What the thrust coefficient multiplies: for a round nose the area as it is seen along the measured direction.
+        As ``area`` if not given. (n,) [mm²]
+    uncertainty
+        Standard uncertainties of cutting force and thrust; ``None`` where the scatter of the rows is to tell. (n, 2)
+        [N]
+    time
+        Of each row, where the rows are stretches of one record. (n,) [s]
+    spread
+        Half the range of thicknesses within each row. (n,) [mm]
+    record
+        Number of the record that each row is of; each has a drift of its own. All are of one if not given. (n,)
+
+    Raises
+    ------
+    InputError
+        If the arrays differ in length, or a thickness or width is below zero.
+    """
+
+    thickness: Floats
+    width: Floats
+    cutting: Floats
+    thrust: Floats
+    area: Floats | None = None
+    thrust_area: Floats | None = None
+    uncertainty: Floats | None = None
+    time: Floats | None = None
+    spread: Floats | None = None
+    record: Floats | None = None
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        optional = ("area", "thrust_area", "time", "spread", "record")
+        freeze_cuts(self, ("thickness", "width", "cutting", "thrust"), optional, 2)
+        if self.thickness.size and min(self.thickness.min(), self.width.min()) < 0:
+            raise InputError(
+                f"the cuts have a thickness or width of {min(self.thickness.min(), self.width.min()):g} mm, the "
+                "limit is 0 mm: correct it"
+            )
+        bare = int(np.count_nonzero((self.thickness > 0) & (self.width == 0)))
+        if bare:
+            raise InputError(f"{bare} cuts have a thickness and a width of 0 mm: state how wide they are")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -152,6 +223,92 @@ class InterruptedCuts:
                 f"the cuts have the components {', '.join(self.components) or 'none'} and {self.force.shape[1]} "
                 "columns of forces: name each column x, y or z"
             )
+
+
+def measured_cuts(
+    record: ForceRecord,
+    cuts: ArrayLike,
+    *,
+    cutting: str,
+    thrust: str,
+    thickness: Callable[[Floats], Floats],
+    width: float,
+    block: float,
+    guard: float,
+) -> Cuts:
+    """Average a record over short stretches, in the cuts and in air.
+
+    Parameters
+    ----------
+    record
+        Forces, the dynamometer's own share taken out; the drift may stay in, see `learn_material`.
+    cuts
+        First sample of each cut and first one after it, see `engagements`. (m, 2)
+    cutting, thrust
+        Which channel is which, with a minus where it points the other way.
+    thickness
+        Gives the chip thickness at some times. (k,) [s] to (k,) [mm]
+    width
+        Of the chip. [mm]
+    block
+        Length of a stretch; the transition is found to about this. [s]
+    guard
+        What is left out on either side of each entry and exit. [s]
+
+    Raises
+    ------
+    InputError
+        If no stretch fits in a cut.
+    """
+    at = stretches(record, cuts, block=block, guard=guard)
+    start, step, flag = at.start, at.step, at.cut >= 0
+    begin, end = start / record.rate_hz, (start + step - 1) / record.rate_hz
+    ends = np.array([np.where(flag, thickness(at), 0.0) for at in (begin, end)])
+    return Cuts(
+        thickness=ends.mean(axis=0),
+        width=np.where(flag, width, 0.0),
+        cutting=at.means(record.channel(cutting)),
+        thrust=at.means(record.channel(thrust)),
+        time=(begin + end) / 2,
+        spread=np.abs(ends[1] - ends[0]) / 2,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretches:
+    """Short stretches of a record, in its cuts and in air, in the order of time."""
+
+    start: Ints
+    step: int
+    cut: Ints  # number of the cut that each is in; -1 in air
+
+    def means(self, values: Floats) -> Floats:
+        """Return the mean of each stretch."""
+        total = np.concatenate(([0.0], np.cumsum(values)))
+        return np.asarray((total[self.start + self.step] - total[self.start]) / self.step)
+
+
+def stretches(record: ForceRecord, cuts: ArrayLike, *, block: float, guard: float) -> Stretches:
+    """Divide a record into stretches of one length that lie in one cut, or in air."""
+    step = max(1, round(positive(block, "block", "s") * record.rate_hz))
+    margin = max(0, round(between(guard, "guard", 0.0, np.inf, "s") * record.rate_hz))
+    pairs = np.asarray(cuts, dtype=np.int64).reshape(-1, 2)
+    air = in_air(record.samples, pairs, guard=margin)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], air, [False])).astype(np.int8))).reshape(-1, 2)
+    spans = [(first + margin, last - margin, number) for number, (first, last) in enumerate(pairs)]
+    spans += [(first, last, -1) for first, last in edges]
+    starts, which = [], []
+    for first, last, number in spans:
+        count = max((last - first) // step, 0)
+        starts.append(first + step * np.arange(count))
+        which.append(np.full(count, number))
+    start, cut = np.concatenate(starts).astype(np.int64), np.concatenate(which).astype(np.int64)
+    if not (cut >= 0).any():
+        raise InputError(
+            f"no stretch of {block:g} s fits in a cut with {guard:g} s left out at entry and exit: shorten them"
+        )
+    order = np.argsort(start)
+    return Stretches(start[order], step, cut[order])
 
 
 def turning_cuts(
