@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pydantic_core import CoreSchema, ValidationError
 
 __all__ = [
-    "ByName", "Columns", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat", "named", "read_by", "refuse",
+    "ByName", "Columns", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat", "forget_adapters", "named", "read_by", "refuse",
     "types_of", "written",
 ]  # fmt: skip
 
@@ -317,6 +317,11 @@ def named(value: Any) -> str | None:
 def adapter(annotation: Any) -> TypeAdapter[Any]:
     """Return how pydantic reads and writes a type."""
     return _adapter(annotation)
+
+
+def forget_adapters() -> None:
+    """Let types be read anew, as after a surface family was added."""
+    _adapter.cache_clear()
 
 
 @cache

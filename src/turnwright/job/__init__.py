@@ -30,14 +30,13 @@ from turnwright.job.running import (
     program_shares,
     run,
 )
-from turnwright.job.schema import TAGS, Job, faults
+from turnwright.job.schema import Job, faults
 from turnwright.job.shape import PartShape, part_shape
 from turnwright.job.table import Table
 from turnwright.job.text import as_tables, edited, written
 from turnwright.job.verdict import Verdict, judge, judge_form, missed, unjudged
 
 __all__ = [
-    "TAGS",
     "Artefact",
     "Candidate",
     "Comparison",

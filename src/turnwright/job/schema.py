@@ -436,10 +436,6 @@ def _all_different(what: str, names: list[str]) -> None:
             )
 
 
-TAGS = {**FAMILIES, **KINDS}
-"""Tables by the key that chooses them, which pydantic puts into the place of an error."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Job(Table):
     """A job: everything that a run needs, as data. A wrong one cannot exist.
@@ -612,7 +608,7 @@ class Job(Table):
         try:
             found: Job = adapter(cls).validate_python(data, context=context_of(folder))
         except ValidationError as error:
-            raise JobError("\n".join(sentences(error, cls, TAGS))) from error
+            raise JobError("\n".join(sentences(error, cls, {**FAMILIES, **KINDS}))) from error
         return found
 
     @classmethod
@@ -697,4 +693,4 @@ def faults(error: ValidationError) -> list[tuple[str, str]]:
     error
         What pydantic found, as reading a `Job` raises it.
     """
-    return list(dict.fromkeys(faults_of(error, Job, TAGS)))
+    return list(dict.fromkeys(faults_of(error, Job, {**FAMILIES, **KINDS})))

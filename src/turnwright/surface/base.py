@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, Value
-from turnwright._tables import Stated
+from turnwright._tables import Stated, forget_adapters
 from turnwright._validate import IN_RAD, check_angle
 from turnwright.errors import DomainError
 from turnwright.pose import Pose
@@ -81,6 +81,7 @@ class Family(Stated):
         super().__init_subclass__(**settings)
         if "family" in vars(cls):
             FAMILIES[cls.family] = cls
+            forget_adapters()
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
