@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from pydantic_core import CoreSchema, ValidationError
 
 __all__ = [
-    "ByName", "Columns", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat", "forget_adapters", "named", "read_by", "refuse",
-    "types_of", "written",
+    "ByName", "Columns", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat", "forget_adapters", "named",
+    "read_by", "refuse", "types_of", "written",
 ]  # fmt: skip
 
 

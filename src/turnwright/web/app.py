@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import traceback
 from contextlib import asynccontextmanager, suppress
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ from starlette.middleware import Middleware
 
 from turnwright import __version__
 from turnwright.errors import TurnwrightError, shortened
+from turnwright.web import files, measurements, planning, runs, views, windows
 from turnwright.web.files import tidy
 from turnwright.web.guard import Guard, require_token
 from turnwright.web.limits import PARSE_BYTES, PARSE_S
@@ -34,9 +34,6 @@ if TYPE_CHECKING:
 __all__ = ["create_app"]
 
 STATIC = Path(__file__).resolve().parent / "static"
-
-ROUTERS = ("planning", "files", "views", "runs", "windows", "measurements")
-"""Modules that bring routes, each in its ``router``."""
 
 REFUSED: dict[int | str, dict[str, Any]] = {
     status: {"model": Problem, "description": text}
@@ -109,7 +106,7 @@ def create_app(
         finally:
             await app.state.runs.close()
             await asyncio.to_thread(workers.close)
-            await asyncio.to_thread(import_module("turnwright.web.windows").close, app)
+            await asyncio.to_thread(windows.close, app)
 
     app = FastAPI(
         title="Turnwright workbench",
@@ -132,8 +129,8 @@ def create_app(
     app.state.folder, app.state.workers, app.state.at_a_time = folder, workers, at_a_time
     app.state.runs = Runs(folder, at_a_time=at_a_time, nice=nice, parse_s=parse_s, parse_bytes=parse_bytes)
     tidy(folder)
-    for name in ROUTERS:
-        app.include_router(import_module(f"turnwright.web.{name}").router)
+    for routes in (planning, files, views, runs, windows, measurements):
+        app.include_router(routes.router)
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="page")
     return app
 

@@ -19,6 +19,7 @@ from fastapi import APIRouter, HTTPException, Query, Request
 from starlette.requests import ClientDisconnect
 
 from turnwright.errors import InputError
+from turnwright.web import bundles, jobs
 from turnwright.web.guard import HANG_UP
 from turnwright.web.limits import FILE_BYTES, FILE_ENDINGS, FILE_S, SPARE_BYTES
 from turnwright.web.models import Kept, Opened
@@ -63,7 +64,7 @@ async def bring(
     try:
         size, digest = await stored(request, new, FILE_BYTES)
         try:
-            await state.workers.ask("jobs:look_into", str(new), kind, limit_s=FILE_S)
+            await state.workers.ask(jobs.look_into, str(new), kind, limit_s=FILE_S)
         except TooLong as error:
             raise InputError(_too_long("file", error)) from None
         new.replace(place_of(state.folder, digest, kind, ending))
@@ -82,7 +83,7 @@ async def open_archive(request: Request) -> Opened:
     try:
         await stored(request, new, FILE_BYTES)
         try:
-            found = await state.workers.ask("bundles:opened", str(new), str(state.folder), limit_s=FILE_S)
+            found = await state.workers.ask(bundles.opened, str(new), str(state.folder), limit_s=FILE_S)
         except TooLong as error:
             raise InputError(_too_long("archive", error)) from None
     finally:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import FileResponse, Response
 
+from turnwright.web import shown
 from turnwright.web.files import RAW_BODY, stored
 from turnwright.web.guard import UPLOAD_BYTES
 from turnwright.web.limits import FILE_BYTES, FILE_S, MAP_TYPES
@@ -91,7 +92,7 @@ async def show(
     file = state.folder / "files" / f".{secrets.token_hex(16)}{suffix}"
     try:
         await stored(request, file, FILE_BYTES)
-        packed = await state.workers.ask("shown:lone_map", str(file), shown_name(name), limit_s=FILE_S)
+        packed = await state.workers.ask(shown.lone_map, str(file), shown_name(name), limit_s=FILE_S)
     finally:
         file.unlink(missing_ok=True)
     return Response(packed, media_type=MEDIA_TYPE)
@@ -152,7 +153,7 @@ async def measured_map(
     file = folder / PICTURES[name]
     if not file.is_file():
         raise HTTPException(409, f"there is no {name} map yet: wait until it is done")
-    packed = await state.workers.ask("shown:shown_map", str(file), state.runs.data(run), str(state.folder), nx, ny)
+    packed = await state.workers.ask(shown.shown_map, str(file), state.runs.data(run), str(state.folder), nx, ny)
     return Response(packed, media_type=MEDIA_TYPE)
 
 

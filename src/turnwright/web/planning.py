@@ -8,6 +8,7 @@ from fastapi import APIRouter, HTTPException, Request
 from fastapi.responses import Response
 
 from turnwright import __version__
+from turnwright.web import bundles, jobs
 from turnwright.web.examples import examples
 from turnwright.web.guard import BODY_BYTES, UPLOAD_BYTES
 from turnwright.web.limits import FILE_BYTES, MAP_TYPES, MOST_POINTS
@@ -24,6 +25,7 @@ from turnwright.web.models import (
     Written,
     archived,
 )
+from turnwright.web.schema import job_schema
 
 __all__ = ["router"]
 
@@ -50,7 +52,7 @@ async def about(request: Request) -> About:
 @router.get("/schema", response_model=dict[str, Any])
 async def schema(request: Request) -> Any:
     """Return the JSON schema of a job: each field with its title, explanation, unit and default."""
-    return await request.app.state.workers.ask("schema:job_schema", keep=True)
+    return await request.app.state.workers.ask(job_schema, keep=True)
 
 
 @router.get("/examples", response_model=list[ExampleLine])
@@ -66,21 +68,21 @@ async def example(name: str, request: Request) -> Any:
         raise HTTPException(404, f"there is no example of that name, there are {', '.join(examples())}: choose one")
     toml = examples()[name].toml
     state = request.app.state
-    return {"toml": toml, **await state.workers.ask("jobs:parse", toml, str(state.folder), keep=True)}
+    return {"toml": toml, **await state.workers.ask(jobs.parse, toml, str(state.folder), keep=True)}
 
 
 @router.post("/job/parse", response_model=Parsed)
 async def parse(job: Toml, request: Request) -> Any:
     """Read a job file."""
     state = request.app.state
-    return await state.workers.ask("jobs:parse", job.toml, str(state.folder))
+    return await state.workers.ask(jobs.parse, job.toml, str(state.folder))
 
 
 @router.post("/job/write", response_model=Written)
 async def write(job: Edited, request: Request) -> Any:
     """Write a job as a file."""
     state = request.app.state
-    return await state.workers.ask("jobs:write", job.data, str(state.folder), job.toml)
+    return await state.workers.ask(jobs.write, job.data, str(state.folder), job.toml)
 
 
 @router.post(
@@ -91,7 +93,7 @@ async def write(job: Edited, request: Request) -> Any:
 async def bundle(job: Edited, request: Request) -> Response:
     """Return a job as a file, with the files that it names beside it."""
     state = request.app.state
-    found = await state.workers.ask("bundles:bundle", job.data, str(state.folder), job.toml)
+    found = await state.workers.ask(bundles.bundle, job.data, str(state.folder), job.toml)
     return Response(
         found, media_type="application/zip", headers={"Content-Disposition": 'attachment; filename="job.zip"'}
     )
@@ -102,4 +104,4 @@ async def check(job: Question, request: Request) -> Any:
     """Say whether the tool reaches the part, how long the program will be, and what becomes of the material."""
     state = request.app.state
     latest = f"check {job.client}" if job.client else ""
-    return await state.workers.ask("jobs:check", job.data, str(state.folder), latest=latest)
+    return await state.workers.ask(jobs.check, job.data, str(state.folder), latest=latest)

@@ -14,7 +14,9 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, HTTPException, Path, Query, Request
 from fastapi.responses import FileResponse, Response, StreamingResponse
 
+from turnwright.web import jobs
 from turnwright.web.models import Id, Line, Lines, NewRun, RunDetail, RunFile, RunLine, archived
+from turnwright.web.program import lines, near as nearest_line
 from turnwright.web.queue import ENDED, Run, Runs
 from turnwright.web.references import BUNDLE, CORRECTION, JOB, job_in
 
@@ -105,14 +107,14 @@ def one_file(request: Request, run: Run, name: str, part: int) -> FileResponse:
 async def begin(asked: NewRun, request: Request) -> Id:
     """Queue a job to be run, or its strategies to be compared."""
     state = request.app.state
-    told = await state.workers.ask("jobs:check", asked.data, str(state.folder))
+    told = await state.workers.ask(jobs.check, asked.data, str(state.folder))
     if told["errors"]:
         raise HTTPException(422, "; ".join(one["sentence"] for one in told["errors"][:5]))
     part = asked.data.get("part")
     name = asked.name.strip() or (str(part.get("name") or "") if isinstance(part, dict) else "") or "job"
     text = ""
     if asked.toml:
-        text = (await state.workers.ask("jobs:write", asked.data, str(state.folder), asked.toml))["toml"]
+        text = (await state.workers.ask(jobs.write, asked.data, str(state.folder), asked.toml))["toml"]
     runs: Runs = state.runs
     with runs.new_folder() as folder:
         return Id(id=runs.add(folder, asked.data, kind=asked.kind, name=name, text=text).id)
@@ -224,14 +226,14 @@ async def program(
     if not out.is_dir():
         raise HTTPException(409, f"the run is {run.state} and has no program: wait until it is done")
     if near is None:
-        return Lines(**await state.workers.ask("program:lines", str(out), first, count))
+        return Lines(**await state.workers.ask(lines, str(out), first, count))
     try:
         x, y = (float(one) for one in near.split(","))
     except ValueError:
         x = y = float("inf")
     if not max(abs(x), abs(y)) < 1e5:
         raise HTTPException(422, "near must be two numbers in mm with a comma between them: write near=1.5,-2")
-    return Line(**await state.workers.ask("program:near", str(out), x, y))
+    return Line(**await state.workers.ask(nearest_line, str(out), x, y))
 
 
 @router.get(

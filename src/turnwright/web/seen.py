@@ -6,7 +6,6 @@ This runs in the warm processes and only calls what the command line calls; `vie
 from __future__ import annotations
 
 import math
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -54,7 +53,7 @@ class _Colours(NamedTuple):
 
 def warm_compiler() -> None:
     """Import what compiled kernels stand on."""
-    import_module("turnwright._kernels.compiling")
+    import turnwright._kernels.compiling  # noqa: F401, PLC0415 - numba is costly to import
 
 
 def warm_surface() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Request, Response
 from pydantic import Field
 
+from turnwright.web import jobs, seen
 from turnwright.web.models import Model, Problem, Question
 from turnwright.web.packed import MEDIA_TYPE
 from turnwright.web.workers import Workers
@@ -66,7 +68,7 @@ def apart(request: Request) -> Workers:
     """Return the one process for what takes long, so that nobody waits behind it."""
     state = request.app.state
     if getattr(state, "path_worker", None) is None:
-        state.path_worker = Workers(1, threads=1, warm="jobs:warm")
+        state.path_worker = Workers(1, threads=1, warm=jobs.warm)
     found: Workers = state.path_worker
     return found
 
@@ -81,10 +83,12 @@ def _workers(request: Request, data: dict[str, Any]) -> Workers:
     return apart(request)
 
 
-async def _seen(workers: Workers, question: Question, what: str, *arguments: Any, keep: bool = True) -> Response:
+async def _seen(
+    workers: Workers, question: Question, what: Callable[..., bytes], *arguments: Any, keep: bool = True
+) -> Response:
     """Return what one of the processes packs; of equal questions of one page only the last counts."""
-    latest = f"{what} {question.client}" if question.client else ""
-    found = await workers.ask(f"seen:{what}", question.data, *arguments, latest=latest, keep=keep)
+    latest = f"{what.__name__} {question.client}" if question.client else ""
+    found = await workers.ask(what, question.data, *arguments, latest=latest, keep=keep)
     return Response(found, media_type=MEDIA_TYPE)
 
 
@@ -93,14 +97,14 @@ async def view_surface(request: Request, question: SurfaceQuestion) -> Response:
     """Return the part coloured by a quantity: values, and heights [mm] for the shape."""
     state = request.app.state
     workers = _workers(request, question.data) if question.quantity == "chip thickness" else state.workers
-    return await _seen(workers, question, "surface", str(state.folder), question.quantity, question.pixels)
+    return await _seen(workers, question, seen.surface, str(state.folder), question.quantity, question.pixels)
 
 
 @router.post("/path", response_class=Response, responses=PACKED)
 async def view_path(request: Request, question: PathQuestion) -> Response:
     """Return turns of the finishing path with the tip in contact at every place [mm, rad]."""
     workers = _workers(request, question.data)
-    return await _seen(workers, question, "path", str(request.app.state.folder), question.points)
+    return await _seen(workers, question, seen.path, str(request.app.state.folder), question.points)
 
 
 @router.post("/section", response_class=Response, responses=PACKED)
@@ -109,4 +113,4 @@ async def view_section(request: Request, question: SectionQuestion) -> Response:
     at, state = question.at, request.app.state
     workers = state.workers if at.feed is not None else _workers(request, question.data)
     place = (at.angle, at.radius, at.y, at.feed)
-    return await _seen(workers, question, "section", str(state.folder), *place, keep=False)
+    return await _seen(workers, question, seen.section, str(state.folder), *place, keep=False)

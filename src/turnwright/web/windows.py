@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path as File
 from typing import Annotated, Any, Literal
 
@@ -11,6 +12,7 @@ from fastapi.exceptions import HTTPException
 from pydantic import Field
 
 from turnwright.progress import cores
+from turnwright.web import budget, made
 from turnwright.web.limits import FINER
 from turnwright.web.models import Model
 from turnwright.web.packed import MEDIA_TYPE
@@ -80,7 +82,7 @@ def _lane(request: Request) -> Workers:
     """Return the one process that keeps motions ready."""
     state = request.app.state
     if getattr(state, "window_worker", None) is None:
-        state.window_worker = Workers(1, threads=cores(), warm="made:warm")
+        state.window_worker = Workers(1, threads=cores(), warm=made.warm)
     found: Workers = state.window_worker
     return found
 
@@ -92,7 +94,9 @@ def close(app: Any) -> None:
             getattr(app.state, name).close()
 
 
-async def _asked(request: Request, function: str, *arguments: Any, latest: str = "", keep: bool = True) -> Any:
+async def _asked(
+    request: Request, function: Callable[..., Any], *arguments: Any, latest: str = "", keep: bool = True
+) -> Any:
     return await _lane(request).ask(function, *arguments, latest=latest, keep=keep, limit_s=LONGEST_S)
 
 
@@ -100,7 +104,7 @@ async def _asked(request: Request, function: str, *arguments: Any, latest: str =
 async def run_maps(request: Request, id: Id) -> list[Map]:  # noqa: A002 - the word of the contract
     """List the maps that a run has stored."""
     _lane(request)  # whoever looks at maps will soon look closer: its process warms up meanwhile
-    return [Map(**one) for one in await request.app.state.workers.ask("made:listed", _out(request, id), keep=True)]
+    return [Map(**one) for one in await request.app.state.workers.ask(made.listed, _out(request, id), keep=True)]
 
 
 @router.get("/{id}/map", response_class=Response, responses=NOT_FOUND)
@@ -119,7 +123,7 @@ async def run_map(
 ) -> Response:
     """Return a window of a map; finer than the run has stored it, it is generated. All of it where nothing is said."""
     out = _out(request, id)
-    told = await request.app.state.workers.ask("made:listed", out, keep=True)
+    told = await request.app.state.workers.ask(made.listed, out, keep=True)
     one = next((each for each in told if each["name"] == name), None)
     if one is None:
         raise HTTPException(404, f"the run has no map {name[:60]!r}: it has {', '.join(each['name'] for each in told)}")
@@ -140,9 +144,9 @@ async def run_map(
     stored = step >= FINER * (one["pixel"] or math.inf) and (within or not one["x"])
     arguments = (out, name, list(x), list(y), [ny, nx], quantity)
     if stored:
-        found = await request.app.state.workers.ask("made:window", *arguments, keep=True)
+        found = await request.app.state.workers.ask(made.window, *arguments, keep=True)
     else:
-        found = await _asked(request, "made:window", *arguments, latest=f"window {client}" if client else "")
+        found = await _asked(request, made.window, *arguments, latest=f"window {client}" if client else "")
     return Response(found, media_type=MEDIA_TYPE)
 
 
@@ -153,14 +157,14 @@ async def run_chips(
     pixels: Annotated[int, Query(ge=16, le=768)] = 288,
 ) -> Response:
     """Return the thickest chip of the finishing pass over the part [mm]."""
-    found = await request.app.state.workers.ask("made:chips", _out(request, id), pixels, keep=True)
+    found = await request.app.state.workers.ask(made.chips, _out(request, id), pixels, keep=True)
     return Response(found, media_type=MEDIA_TYPE)
 
 
 @router.get("/{id}/budget", responses=JSON_ERRORS)
 async def run_budget(request: Request, id: Id) -> Budget:  # noqa: A002
     """Return where the error of a run comes from; it takes about as long as planning its path."""
-    return Budget(**await apart(request).ask("budget:budget", _out(request, id), keep=True, limit_s=LONGEST_S))
+    return Budget(**await apart(request).ask(budget.budget, _out(request, id), keep=True, limit_s=LONGEST_S))
 
 
 @router.get("/{id}/profile", response_class=Response, responses=NOT_FOUND)
@@ -178,7 +182,7 @@ async def run_profile(
     if math.hypot(x1 - x0, y1 - y0) < 1e-9:
         raise HTTPException(422, "the line of the profile is shorter than 1e-9 mm: give it two ends")
     found = await _asked(
-        request, "made:profile", _out(request, id), [x0, y0, x1, y1], n, latest=f"profile {client}" if client else ""
+        request, made.profile, _out(request, id), [x0, y0, x1, y1], n, latest=f"profile {client}" if client else ""
     )
     return Response(found, media_type=MEDIA_TYPE)
 
@@ -190,7 +194,7 @@ async def run_motion(
     points: Annotated[int, Query(ge=10, le=20_000)] = 1500,
 ) -> Response:
     """Return how the axes of the finishing pass move, against the limits of the machine."""
-    return Response(await _asked(request, "made:motion", _out(request, id), points), media_type=MEDIA_TYPE)
+    return Response(await _asked(request, made.motion, _out(request, id), points), media_type=MEDIA_TYPE)
 
 
 @router.get("/{id}/spectrum", response_class=Response, responses=NOT_FOUND)
@@ -200,4 +204,4 @@ async def run_spectrum(
     axis: Annotated[str, Query(pattern="^[A-Z]$")] = "Z",
 ) -> Response:
     """Return what an axis moves at each frequency, and the largest sine that its limits allow."""
-    return Response(await _asked(request, "made:spectrum", _out(request, id), axis), media_type=MEDIA_TYPE)
+    return Response(await _asked(request, made.spectrum, _out(request, id), axis), media_type=MEDIA_TYPE)

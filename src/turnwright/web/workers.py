@@ -10,12 +10,12 @@ import time
 from collections import OrderedDict
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from turnwright.errors import InputError, TurnwrightError
 from turnwright.progress import cores
 from turnwright.studies import LocalPool, WorkerDied
+from turnwright.web import jobs, seen
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -83,7 +83,9 @@ class Workers:
         Called after that, one after the other, whenever nobody has asked anything for a moment.
     """
 
-    def __init__(self, count: int, *, threads: int, warm: Callable[[], object] | str, then: Sequence[str] = ()) -> None:
+    def __init__(
+        self, count: int, *, threads: int, warm: Callable[[], object], then: Sequence[Callable[[], object]] = ()
+    ) -> None:
         self.threads, self.warm, self.then = threads, warm, then
         self._closing = threading.Event()
         self._open, self._asked = 0, -REST_S
@@ -96,7 +98,7 @@ class Workers:
 
     async def ask(
         self,
-        function: Callable[..., Any] | str,
+        function: Callable[..., Any],
         *arguments: Any,
         latest: str = "",
         keep: bool = False,
@@ -107,8 +109,7 @@ class Workers:
         Parameters
         ----------
         function
-            Called there with the arguments; what it raises is raised here. A name such as "jobs:check", of a module of
-            this package, spares the server its import.
+            Called there with the arguments; what it raises is raised here.
         arguments
             Plain data.
         latest
@@ -120,8 +121,7 @@ class Workers:
         """
         key = ""
         if keep:
-            name = function if isinstance(function, str) else f"{function.__module__}:{function.__qualname__}"
-            text = json.dumps([name, arguments], sort_keys=True)
+            text = json.dumps([f"{function.__module__}:{function.__qualname__}", arguments], sort_keys=True)
             key = hashlib.sha256(text.encode()).hexdigest()
             if key in self._answers:
                 self._answers.move_to_end(key)
@@ -155,13 +155,13 @@ class Workers:
         """Prepare a process; what stands against it, whoever asks it first will hear."""
         one.due.wait(after_s)
         with suppress(Exception):
-            one.pool.submit(_call, self.warm, ()).result()
+            one.pool.submit(self.warm).result()
         one.warm.set_result(None)
         with suppress(Exception):
             for step in self.then:
                 while (left := self._left()) > 0 and not self._closing.wait(left):
                     pass
-                one.pool.submit(_call, step, ()).result()
+                one.pool.submit(step).result()
 
     def _left(self) -> float:
         """Return for how long a page is not yet taken to be content, as far as that is known. [s]."""
@@ -186,7 +186,7 @@ class Workers:
             self._answers.popitem(last=False)
 
     async def _answer(
-        self, function: Callable[..., Any] | str, arguments: tuple[Any, ...], latest: str, limit_s: float
+        self, function: Callable[..., Any], arguments: tuple[Any, ...], latest: str, limit_s: float
     ) -> Any:
         if self._free is None:
             self._free = asyncio.PriorityQueue()  # the first is the warmest
@@ -234,12 +234,10 @@ class Workers:
             for one in self._processes:
                 one.due.set()
 
-    async def _in(
-        self, number: int, function: Callable[..., Any] | str, arguments: tuple[Any, ...], limit_s: float
-    ) -> Any:
+    async def _in(self, number: int, function: Callable[..., Any], arguments: tuple[Any, ...], limit_s: float) -> Any:
         if self._closing.is_set():
             raise Busy("the server is about to end: start it again, then ask again")
-        future: Future[Any] = self._processes[number].pool.submit(_call, function, arguments)
+        future: Future[Any] = self._processes[number].pool.submit(function, *arguments)
         try:
             return await asyncio.wait_for(asyncio.wrap_future(future), limit_s)
         except TimeoutError:
@@ -260,16 +258,8 @@ class Workers:
 
 def planners() -> Workers:
     """Start the processes that plan what a page describes: each has all cores, for one question at a time."""
-    then = ("seen:warm_compiler", "seen:warm_surface", "jobs:warm_kernels")
-    return Workers(PLANNERS, threads=cores(), warm="jobs:warm", then=then)
-
-
-def _call(function: Callable[..., Any] | str, arguments: tuple[Any, ...]) -> Any:
-    """Call a function in a worker."""
-    if not isinstance(function, str):
-        return function(*arguments)
-    module, _, name = function.partition(":")
-    return getattr(import_module(f"turnwright.web.{module}"), name)(*arguments)
+    then = (seen.warm_compiler, seen.warm_surface, jobs.warm_kernels)
+    return Workers(PLANNERS, threads=cores(), warm=jobs.warm, then=then)
 
 
 def _size(answer: object) -> int:
