@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats
+from turnwright._arrays import Bools, Floats, robust_scatter
 from turnwright.diagnosis.causes import Column, Columns
 from turnwright.diagnosis.model import Cutting
 from turnwright.diagnosis.posterior import Posterior, Scaled, posterior
@@ -508,7 +508,7 @@ class Estimate:
         for m, look in enumerate(self.looks):
             off = self.left(m)
             off = np.abs(off - np.median(off))
-            out = off > max(OUTSIDE * 1.4826 * float(np.median(off)), OUTSIDE * FLOOR)
+            out = off > OUTSIDE * max(robust_scatter(off), FLOOR)
             self.sights[m].apart[np.flatnonzero(look.good)[out]] = True
             new |= bool(out.any())
         return new

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats
+from turnwright._arrays import Bools, Floats, robust_scatter
 from turnwright._validate import positive
 from turnwright.diagnosis.findings import Diagnosis, shown
 from turnwright.errors import InputError
@@ -177,7 +177,7 @@ def centre_defect(heights: HeightMap, part: Part, *, within: float, sense: int =
     rows = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=1)
     level = np.linalg.lstsq(rows[ring], error[ring], rcond=None)[0]
     off = error - rows @ level
-    scatter = 1.4826 * float(np.median(np.abs(off[ring])))
+    scatter = robust_scatter(off[ring])
     inner = near & (radius <= within / 2)
     core = inner & (np.isnan(off) | (np.abs(off) > max(STANDS * scatter, 1e-7)))
     if np.count_nonzero(core) < 3:

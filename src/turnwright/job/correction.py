@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from turnwright._arrays import robust_scatter
 from turnwright._io import write_whole
 from turnwright.diagnosis import Proof, prove
 from turnwright.errors import CorrectionError, InputError
@@ -450,7 +451,7 @@ def _without_outliers(left: HeightMap, cutoff: float) -> HeightMap:
     known = np.isfinite(z)
     x, y, z = x[known], y[known], z[known]
     off = np.abs(z - np.median(z))
-    out = off > OUTLIER_SIGMA * 1.4826 * np.median(off)
+    out = off > OUTLIER_SIGMA * robust_scatter(off)
     if out.any():
         near = cKDTree(np.stack([x[out], y[out]], axis=1)).query(np.stack([x, y], axis=1))[0] <= cutoff / 2
         x, y, z = x[~near], y[~near], z[~near]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from turnwright._arrays import Bools, Floats, Ints, is_even
+from turnwright._arrays import Bools, Floats, Ints, is_even, robust_scatter
 from turnwright._kernels.neighbours import prominent, second_differences, stand_out
 from turnwright._validate import positive
 from turnwright.errors import InputError
@@ -24,9 +24,6 @@ Rule: TypeAlias = Literal["robust", "kong"]
 
 THRESHOLDS: dict[str, float] = {"robust": 5.0, "kong": 3.0}
 """Standard deviations beyond which a point is a spike, unless others are asked for."""
-
-NORMAL = 1.4826
-"""Standard deviation of Gaussian noise over its median absolute deviation."""
 
 QUIET = 1e-9
 """Least deviation that counts as noise: a picometre, below what any instrument reads. [mm]"""
@@ -198,7 +195,7 @@ def _robust(
 ) -> tuple[Bools, tuple[float, ...], Bools]:
     """Return the spikes, the deviation of the noise and what was not judged; takes the spikes out of ``z``."""
     spread = [np.abs(d - np.median(d)) for values in _differences(z) if (d := values[~np.isnan(values)]).size]
-    scale = max(NORMAL * float(np.median(np.concatenate(spread))) / 6**0.5 if spread else 0.0, QUIET)
+    scale = max(robust_scatter(np.concatenate(spread)) / 6**0.5 if spread else 0.0, QUIET)
     least = 2 if min(z.shape) > 1 else 1
     amount = np.full(z.shape, np.nan)
     spikes = np.zeros(z.shape, dtype=bool)

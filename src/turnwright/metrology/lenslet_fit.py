@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from turnwright._arrays import Bools, Floats, Ints
+from turnwright._arrays import Bools, Floats, Ints, robust_scatter
 from turnwright._validate import positive
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
@@ -88,9 +88,6 @@ AGREE = 3.0
 
 FLAT = 1e-9
 """A slope, or a height over a length, that has no effect."""
-
-SIGMA = 1.4826
-"""Standard deviation of a normal scatter over the median of its magnitudes."""
 
 
 class Points(NamedTuple):
@@ -408,7 +405,7 @@ def find_roughly(points: Points, design: Design, k: int, inner: float) -> Floats
             error = departure - value
             keep = np.isfinite(error)
             off = np.abs(error - np.median(error[keep])) if keep.any() else error
-            keep &= off <= max(OUTLIER * SIGMA * float(np.median(off[keep])), GRAIN) if keep.any() else False
+            keep &= off <= max(OUTLIER * robust_scatter(off[keep]), GRAIN) if keep.any() else False
             if np.count_nonzero(keep) < FEWEST:
                 return None
             step = least_squares_step(slopes[keep], error[keep], weight[keep])
@@ -429,14 +426,14 @@ def fit_smooth(x: Floats, y: Floats, error: Floats) -> Smooth:
     terms = np.stack([along_x[:, i] * along_y[:, j] for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)
     off = np.abs(error - np.median(error))
     # Form itself may stand out this much; what it is, the first polynomial shows.
-    keep = off <= max(2 * OUTLIER * SIGMA * float(np.median(off)), GRAIN)
+    keep = off <= max(2 * OUTLIER * robust_scatter(off), GRAIN)
     normal, right, form = terms.T @ terms, terms.T @ error, error
     for _ in range(6):
         spikes = terms[~keep]
         solved = np.linalg.lstsq(normal - spikes.T @ spikes, right - spikes.T @ error[~keep], rcond=1e-12)[0]
         form = terms @ solved
         off = np.abs(error - form)
-        last, keep = keep, off <= max(OUTLIER * SIGMA * float(np.median(off)), GRAIN)
+        last, keep = keep, off <= max(OUTLIER * robust_scatter(off), GRAIN)
         if np.array_equal(last, keep):
             break
     return Smooth(keep, form, terms.shape[1])
