@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Collection, Mapping
 from functools import cache
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from pydantic_core import CoreSchema, ValidationError
 
 __all__ = [
-    "ByName", "Columns", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat", "forget_adapters", "named",
-    "read_by", "refuse", "types_of", "written",
+    "ByName", "Columns", "Loaded", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat", "forget_adapters",
+    "named", "read_by", "refuse", "types_of", "written",
 ]  # fmt: skip
 
 
@@ -158,6 +158,13 @@ def _at_keys(error: ValidationError, named: Mapping[str, str]) -> ValidationErro
         place = (named.get(str(first), first), *rest) if one["loc"] else ()
         found.append(InitErrorDetails(type=kind, loc=place, input=one["input"], ctx=one.get("ctx", {})))
     return ValidationError.from_exception_data(error.title, found) if named else error
+
+
+class Loaded(NamedTuple):
+    """What a value was loaded from: the name or the file, and what that states."""
+
+    name: str
+    value: Any
 
 
 class read_by:  # noqa: N801 - reads as a word inside Annotated[Gridded | None, read_by("correction")]

@@ -31,7 +31,7 @@ import numpy as np
 from turnwright._arrays import Bools, Floats, is_even
 from turnwright._faults import read_table
 from turnwright._io import read_toml
-from turnwright._tables import Stated
+from turnwright._tables import Loaded, Stated
 from turnwright._validate import between, check_numbers, positive, whole
 from turnwright.errors import InputError, shown
 from turnwright.heightmap import HeightMap
@@ -80,8 +80,8 @@ class Instrument(Stated):
         Standard deviation of each height, independent of its neighbours. [mm]
     name, source
         What it is called, and where its numbers come from.
-    loaded_from
-        Name or file that `load` was given; empty for an instrument that was put together.
+    loaded
+        What `load` was given, and what that states; ``None`` for an instrument that was put together.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class Instrument(Stated):
     [1.0, 0.868, 0.0]
     """
 
-    hidden = ("loaded_from",)
+    hidden = ("loaded",)
     pixel: Length | None = None
     numerical_aperture: Number | None = None
     wavelength: Length | None = None
@@ -103,7 +103,7 @@ class Instrument(Stated):
     noise: Length = 0.0
     name: Text = ""
     source: Text = ""
-    loaded_from: str = field(default="", compare=False, repr=False)
+    loaded: Loaded | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -281,9 +281,9 @@ def _presets() -> dict[str, dict[str, Any]]:
     return read_toml((resources.files("turnwright") / "instruments.toml").read_bytes(), "instruments.toml")
 
 
-def _read(table: dict[str, Any], name: str, loaded_from: str) -> Instrument:
+def _read(table: dict[str, Any], name: str, source: str) -> Instrument:
     found: Instrument = read_table(Instrument, {"name": name, **table}, f"instrument {name!r}")
-    return replace(found, loaded_from=loaded_from)
+    return replace(found, loaded=Loaded(source, found))
 
 
 def _overlap(distance: Floats, filling: float) -> Floats:

@@ -205,7 +205,7 @@ def place(tmp_path):
     generic = (Path(turnwright.__file__).parent / "machines" / "generic.toml").read_text(encoding="utf-8")
     (folder / "sign.toml").write_text(generic + "\n[convention]\nx_side = -1.0\n")
     (folder / "yes.toml").write_text(generic + "\n[convention]\nx_side = true\n")
-    (folder / "fast.toml").write_text(re.sub("(?m)^spindle_rpm = .*$", "spindle_rpm = 1" + "0" * 400, generic))
+    (folder / "fast.toml").write_text(re.sub("(?m)^spindle_rpm = [0-9].*$", "spindle_rpm = 1" + "0" * 400, generic))
     (folder / "broken.toml").write_text("[axes\n")
     (folder / "deep.toml").write_text("a = " + "[" * 5000)
     return folder

@@ -22,7 +22,7 @@ from turnwright.generation import generate_points
 from turnwright.heightmap import HeightMap
 from turnwright.job.contributions import pv_nm_of, rms_nm_of
 from turnwright.job.measurement import Measured, beyond_pose, cutoff_of, errors_at_candidates, same_part
-from turnwright.job.named import HeightFile, as_loaded
+from turnwright.job.named import HeightFile
 from turnwright.job.predicted_finish import across_feed, cut_by, feed_of, motion_of
 from turnwright.job.schema import Actual, Job
 from turnwright.job.text import edited
@@ -331,7 +331,7 @@ def _check_effect(one: Measured) -> None:
     former, in another size or without the latter.
     """
     job = one.job
-    own = as_loaded(job.machine)
+    own = job.machine.loaded.value if job.machine.loaded else job.machine
     plain = replace(
         job,
         tool=replace(job.tool, offset=(0.0, 0.0, 0.0), radius_error=0.0, waviness=()),

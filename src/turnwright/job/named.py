@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pydantic import ValidationInfo
 
 __all__ = [
-    "AnyInstrument", "AnyMachine", "ExistingFile", "HeightFile", "MachineDeviations", "as_loaded", "asking",
+    "AnyInstrument", "AnyMachine", "ExistingFile", "HeightFile", "MachineDeviations", "asking",
     "context_of", "with_keys",
 ]  # fmt: skip
 
@@ -245,11 +245,10 @@ class MachineTable(MachineDeviations):
         InputError
             If it was loaded from nothing, or differs in what a job does not state.
         """
-        if not machine.loaded_from:
+        if machine.loaded is None:
             raise InputError(f"a job names the file of a machine, and {machine.name!r} has none: write a machine file")
-        key = "file" if machine.loaded_from.endswith(".toml") else "name"
-        table: dict[str, Any] = {key: machine.loaded_from}
-        own = Machine.load(machine.loaded_from)
+        name, own = machine.loaded
+        table: dict[str, Any] = {"file" if File(name).suffix or File(name).is_absolute() else "name": name}
         if machine.controller != own.controller:
             table["interpolation"] = machine.controller.interpolation
             own = asking(own, machine.controller.interpolation)
@@ -317,8 +316,7 @@ class InstrumentTable(Table):
     @classmethod
     def table_of(cls, instrument: Instrument) -> dict[str, Any]:
         """Return how a job states an instrument: what it was loaded from, and what differs from that."""
-        source = instrument.loaded_from
-        own = Instrument.load(source) if source else Instrument()
+        source, own = instrument.loaded or ("", Instrument())
         table: dict[str, Any] = {"file" if source.endswith(".toml") else "name": source} if source else {}
         for one in fields(Instrument):
             value = getattr(instrument, one.name)
@@ -326,11 +324,6 @@ class InstrumentTable(Table):
                 length = one.name not in ("numerical_aperture", "filling")
                 table[one.name] = write(value, "mm") if length else value
         return table
-
-
-def as_loaded(machine: Machine) -> Machine:
-    """Return a machine as its file states it; one that was put together as it is."""
-    return Machine.load(machine.loaded_from) if machine.loaded_from else machine
 
 
 def asking(machine: Machine, interpolation: str) -> Machine:

@@ -14,7 +14,7 @@ import numpy as np
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._faults import read_table
 from turnwright._io import read_toml
-from turnwright._tables import Columns, Plausible, Sources, Stated, flat
+from turnwright._tables import Columns, Loaded, Plausible, Sources, Stated, flat
 from turnwright._validate import check_angle, check_numbers, plausible_sizes, positive
 from turnwright.errors import InputError, shown
 from turnwright.machine.axes import Axes, Axis
@@ -77,8 +77,8 @@ class Machine(Stated, Value):
         of a cut [mm], else as large as the maps allow.
     sources
         Where each fact comes from, by field ("axes.X.speed"); anything assumed says so.
-    loaded_from
-        Name or file that `load` was given; empty for a machine that was put together.
+    loaded
+        What `load` was given, and what that states; ``None`` for a machine that was put together.
 
     Raises
     ------
@@ -94,7 +94,7 @@ class Machine(Stated, Value):
     'assumed'
     """
 
-    hidden = ("loaded_from",)
+    hidden = ("loaded",)
     name: Text
     axes: Annotated[Mapping[str, Axis], Axes]
     spindle_rpm: Number
@@ -106,7 +106,7 @@ class Machine(Stated, Value):
     straightness: Annotated[tuple[Floats, Floats], Columns(x_mm=1.0, error_nm=1e-6)] | None = None
     plausible: Annotated[Mapping[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS)] = field(default_factory=dict)
     sources: Annotated[Mapping[str, str], Sources] = field(default_factory=dict)
-    loaded_from: str = field(default="", compare=False, repr=False)
+    loaded: Loaded | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -156,7 +156,7 @@ class Machine(Stated, Value):
         for key in found.sources:
             if key not in facts:
                 raise InputError(f"{what}: sources has {key!r}, which the file does not state: correct or drop it")
-        return replace(found, loaded_from=str(name))
+        return replace(found, loaded=Loaded(str(name), found))
 
     def interpolating(self, interpolation: str) -> Machine:
         """Return the machine with its controller asked for one of the interpolations that it offers.
