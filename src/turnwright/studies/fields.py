@@ -258,7 +258,7 @@ def _held(value: Any, step: str) -> Any:
 
 
 def _is_mapping(annotation: Any) -> bool:
-    return any(get_origin(_bare(one)) in (dict, Mapping, abc.Mapping) for one in _alternatives(annotation))
+    return any(get_origin(_bare(one)) in (dict, abc.Mapping) for one in _alternatives(annotation))
 
 
 def _element(annotation: Any, index: int) -> Any:
