@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field, fields, is_dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, is_dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress, cores
 from turnwright.studies.cases import finished, line, program_version
+from turnwright.studies.digests import digest_of
 from turnwright.studies.executors import require_reach
 from turnwright.studies.store import Store
 from turnwright.studies.tile_files import (
@@ -337,36 +337,11 @@ def _coarser(files: Files) -> None:
 
 def _key(ready: Prepared, layout: Layout, minus: Surface | None) -> str:
     """Return a digest of all that decides the heights."""
-    digest = hashlib.sha256(program_version().encode())
-    _digest(digest, ready.cut)
-    _digest(digest, layout)
-    _digest(digest, minus)
+    heights = None
     if minus is not None:  # whatever a surface of somebody else holds, its heights tell
         x, y = (axis[:: max(1, axis.size // 64)] for axis in layout.axes())
         x, y = (one.ravel() for one in np.meshgrid(x, y))
         inside = np.ones(x.shape, dtype=bool) if layout.radius is None else np.hypot(x, y) <= layout.radius
-        _digest(digest, minus.sag(x[inside], y[inside]))
-    return digest.hexdigest()
-
-
-def _digest(digest: Any, value: object) -> None:
-    """Add a value to a digest, down to plain numbers and texts."""
-    if isinstance(value, np.ndarray):
-        digest.update(f"{value.dtype.str}{value.shape}".encode())
-        digest.update(np.ascontiguousarray(value).view(np.uint8).data if value.size else b"")
-    elif is_dataclass(value):
-        digest.update(type(value).__qualname__.encode())
-        for one in fields(value):
-            if one.init:
-                digest.update(one.name.encode())
-                _digest(digest, getattr(value, one.name))
-    elif isinstance(value, Mapping):
-        _digest(digest, tuple(value.items()))
-    elif isinstance(value, list | tuple):
-        digest.update(f"({len(value)}".encode())
-        for item in value:
-            _digest(digest, item)
-    elif value is None or isinstance(value, str | int | float | np.generic):
-        digest.update(f"{value!r};".encode())
-    else:
-        digest.update(type(value).__qualname__.encode())
+        heights = minus.sag(x[inside], y[inside])
+    surface = minus if is_dataclass(minus) else type(minus)
+    return digest_of([program_version(), ready.cut, layout, surface, heights])
