@@ -162,6 +162,15 @@ def test_a_killed_worker_costs_only_the_case_in_its_hand(store, log):
     assert_once_but_for(1, 30, log)
 
 
+def test_a_worker_killed_while_it_waits_costs_nothing(log):
+    with local(1) as made:
+        conduct(ours.plain, cases(1), shared={"log": log}, executor=made)
+        os.kill(begun(log)[0][1], signal.SIGKILL)
+        until(lambda: not alive(begun(log)[0][1]))
+        assert conduct(ours.plain, cases(3), shared={"log": log}, executor=made) == [answer(n) for n in range(3)]
+    assert len(begun(log)) == 1 + 3
+
+
 def test_a_case_that_always_kills_is_a_row_and_the_others_finish(store, log):
     with local(2) as made:
         rows = conduct(ours.deadly, cases(12), shared={"log": log, "killer": 3}, executor=made, store=store)

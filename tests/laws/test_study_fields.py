@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import turnwright as tw
 from turnwright.errors import InputError, UnitError
 from turnwright.job import Job
 from turnwright.studies import study
@@ -53,8 +54,16 @@ def with_one(job, name, given):
         ("actual.machine.squareness", "2 um/m", lambda job: job.actual.machine.squareness == 2e-6),
         ("part.surface[1].conic", "-1.1", lambda job: job.part.surface.terms[0].conic == -1.1),
         ("part.surface.terms[1].radius", "40 mm", lambda job: job.part.surface.terms[0].radius == 40),
-        ("part.surface[2].terms.5", "3 um", lambda job: job.part.surface.terms[1].terms[5] == pytest.approx(0.003)),
-        ("part.surface[2].terms.9", "30 nm", lambda job: job.part.surface.terms[1].terms[9] == pytest.approx(3e-5)),
+        (
+            "part.surface[2].terms.5",
+            "3 um",
+            lambda job: dict(job.part.surface.terms[1].terms)[5] == pytest.approx(0.003),
+        ),
+        (
+            "part.surface[2].terms.9",
+            "30 nm",
+            lambda job: dict(job.part.surface.terms[1].terms)[9] == pytest.approx(3e-5),
+        ),
         ("passes.rough.feed", "30 um/rev", lambda job: job.passes[0].feed == 0.03),
         ("passes[2].points_per_rev", "720", lambda job: job.passes[1].points_per_rev == 720),
         ("simulation.patches.axis.centre[2]", "5 um", lambda job: job.simulation.patches[0].centre == (0, 0.005)),
@@ -64,7 +73,7 @@ def with_one(job, name, given):
         ("strategy.along", "normal", lambda job: job.strategy.along == "normal"),
         ("strategy.inside_out", "true", lambda job: job.strategy.inside_out),
         ("roughness.form", "3", lambda job: job.roughness.form == 3),
-        ("machine.name", "nanoform", lambda job: job.machine.name == "nanoform"),
+        ("machine.name", "nanoform", lambda job: job.machine == tw.Machine.load("nanoform")),
     ],
 )
 def test_any_field_of_the_job_can_be_varied(job, name, given, value):
@@ -79,7 +88,7 @@ def test_any_field_of_the_job_can_be_varied(job, name, given, value):
         ("passes.finsh.feed", "did you mean passes.finish?"),
         ("passes[7].feed", "passes has rough, finish, use one of them"),
         ("simulation.patches", "simulation.patches is a list: name one value in it, such as simulation.patches.axis"),
-        ("tool", "tool is a table: name one value in it, such as tool.waviness"),
+        ("tool", "tool is a table: name one value in it, such as tool.nose_radius"),
         ("tool.nose_radius[1]", "holds nothing further: vary tool.nose_radius itself"),
         ("actual.tool.offset[4]", "actual.tool.offset has [1] to [3], use one of them"),
         ("actual.tool.offset[0]", "actual.tool.offset has [1] to [3], use one of them"),

@@ -6,15 +6,15 @@ import ctypes
 import hashlib
 import json
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.metadata import version as version_of
 from os import environ
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from turnwright import _validate as validate
 from turnwright._io import read_toml
@@ -31,13 +31,16 @@ from turnwright.studies.executors import (
 )
 from turnwright.studies.store import FULL, Store
 
-__all__ = ["Case", "Row", "Work", "case_key", "conduct", "program_version"]
+__all__ = ["Case", "Row", "Work", "case_key", "conduct", "finished", "line", "program_version"]
 
 Row: TypeAlias = dict[str, Any]
 """Numbers, texts or None by name; a case that could not be carried out has only ``reason``, a sentence."""
 
 Work: TypeAlias = Callable[[Mapping[str, Any], Mapping[str, Any], Store | None], Mapping[str, Any]]
 """A function of a module, called as ``work(data, shared, store)``."""
+
+_Task = TypeVar("_Task")
+_Answer = TypeVar("_Answer")
 
 DEATHS = 3
 """Workers that a case may take with it among others, before it is tried alone."""
@@ -178,17 +181,42 @@ def conduct(
             return conduct(work, cases, shared=shared, executor=pool, store=store, progress=progress)
     if store is not None:
         require_reach(store.place, executor)
-    kept = set() if store is None else store.keys()
-    rows: dict[str, Row] = {}
-    todo: dict[str, Case] = {}
-    for case in cases:
-        row = store.row(case.key) if store is not None and case.key in kept else None
-        if row is not None:
+    rows = {} if store is None else _kept(cases, store)
+    todo = {case.key: case for case in cases if case.key not in rows}
+    ours = isinstance(executor, LocalPool)  # its workers run these very files, and reach every folder
+    threads = 1 if isinstance(executor, Cluster) else None  # Dask counts one thread for each of its own
+    order = (work, shared or {}, store, None if ours else program_version(), threads)
+    total = len(rows) + len(todo)
+
+    def tell() -> None:
+        if progress is not None:
+            progress(len(rows), total)
+
+    def lost(error: BaseException) -> StudyError:
+        kept = "kept" if store is not None else "lost, for want of a store"
+        return StudyError(
+            f"the executor carries out no more cases ({type(error).__name__}: {line(error)}), the "
+            f"{len(rows)} that are finished are {kept}: start again with another"
+        )
+
+    def send(case: Case) -> Future[tuple[Row, bool]]:
+        return executor.submit(_carry_out, case.key, dict(case.data), *order)
+
+    tell()
+    with closing(finished(send, todo.values(), executor, lost=lost, listen=tell)) as done:
+        for case, future, deaths in done:
+            row, lasting = _row(future, deaths)
+            if lasting and not ours and store is not None and store.row(case.key) is None:
+                store.put_row(case.key, row)
             rows[case.key] = row
-        else:
-            todo[case.key] = case
-    _Conductor(work, shared or {}, executor, store, rows, progress).carry_out(todo.values())
     return [rows[case.key] for case in cases]
+
+
+def _kept(cases: Sequence[Case], store: Store) -> dict[str, Row]:
+    """Return the rows of cases that are finished."""
+    there = store.keys()
+    rows = {case.key: store.row(case.key) for case in cases if case.key in there}
+    return {key: row for key, row in rows.items() if row is not None}
 
 
 def _require_kinds(work: object, cases: object, shared: object, executor: object, store: object) -> None:
@@ -208,110 +236,110 @@ def _require_kinds(work: object, cases: object, shared: object, executor: object
         validate.thing(store, Store, "the store")
 
 
-class _Conductor:
-    """Few cases in flight at a time, so that a stop is quick and a cluster's scheduler never full."""
+def finished(
+    submit: Callable[[_Task], Future[_Answer]],
+    tasks: Iterable[_Task],
+    executor: Executor,
+    *,
+    lost: Callable[[BaseException], StudyError],
+    listen: Callable[[], None] = lambda: None,
+) -> Generator[tuple[_Task, Future[_Answer], int], None, None]:
+    """Yield tasks as they are done, each with its future; one given up, with how many workers it took with it, else 0.
 
-    def __init__(
-        self,
-        work: Work,
-        shared: Mapping[str, Any],
-        executor: Executor,
-        store: Store | None,
-        rows: dict[str, Row],
-        progress: Progress | None,
-    ) -> None:
-        self.executor = executor
-        self.store = store
-        self.rows = rows
-        self.progress = progress
-        ours = isinstance(executor, LocalPool)  # its workers run these very files
-        threads = 1 if isinstance(executor, Cluster) else None  # Dask counts one thread for each of its own
-        self.order = (work, shared, store, None if ours else program_version(), threads)
-        self.running: dict[Future[tuple[Row, bool]], Case] = {}
-        self.deaths: Counter[str] = Counter()
+    Few are in flight at a time, so that a stop is quick and a cluster's scheduler never full. A task whose worker dies
+    is sent again; one that has taken `DEATHS` workers with it is tried alone when all else is done.
 
-    def carry_out(self, cases: Collection[Case]) -> None:
-        """Fill the rows."""
-        total = len(self.rows) + len(cases)
-        pending = deque(cases)
-        suspects: deque[Case] = deque()
-        try:
-            self._tell(total)
-            while pending or suspects or self.running:
-                while pending and len(self.running) < self._room():
-                    self._send(pending.popleft())
-                if suspects and not self.running:
-                    self._send(suspects.popleft())
-                done, _ = wait(self.running, timeout=_LISTEN_S, return_when=FIRST_COMPLETED)
-                for future in done:
-                    case = self.running.pop(future)
-                    row = self._judge(future, case)
-                    if row is not None:
-                        self.rows[case.key] = row
-                    elif self.deaths[case.key] < DEATHS:
-                        pending.appendleft(case)
-                    else:
-                        suspects.append(case)
-                self._tell(total)
-        finally:
-            for future in self.running:
-                future.cancel()
+    Parameters
+    ----------
+    submit
+        Sends a task to the executor.
+    tasks
+        What is to be done.
+    executor
+        Who does it.
+    lost
+        Makes the error to raise of what the executor says when it carries out nothing more.
+    listen
+        Called at least twice a second; raising in it stops the work.
+    """
+    waiting = _Waiting(enumerate(tasks))
+    running: dict[Future[_Answer], tuple[int, _Task]] = {}
+    usual = getattr(executor, "_max_workers", None) or cores()
+    try:
+        while True:
+            # Each worker has one task in hand and one waiting; those of a cluster come and go.
+            room = 2 * int(getattr(executor, "workers", usual))
+            while len(running) < room and (one := waiting.take(alone=not running)) is not None:
+                try:
+                    running[submit(one[1])] = one
+                except Exception as error:  # an executor of somebody else may end in any way
+                    raise lost(error) from error
+            if not running:
+                return
+            for future in wait(running, timeout=_LISTEN_S, return_when=FIRST_COMPLETED).done:
+                one = running.pop(future)
+                killed = _killed(future, lost)
+                if not waiting.back(one, killed):
+                    yield one[1], future, killed and waiting.deaths[one[0]]
+            listen()
+    finally:
+        for future in running:
+            future.cancel()
 
-    def _tell(self, total: int) -> None:
-        if self.progress is not None:
-            self.progress(len(self.rows), total)
 
-    def _room(self) -> int:
-        """Return how many cases may be in flight, so that each worker has one in hand and one waiting."""
-        workers = getattr(self.executor, "workers", None) or getattr(self.executor, "_max_workers", None) or cores()
-        return 2 * int(workers)
+class _Waiting(Generic[_Task]):
+    """Numbered tasks that are still to be sent, and what those that kill have killed."""
 
-    def _send(self, case: Case) -> None:
-        try:
-            future = self.executor.submit(_carry_out, case.key, dict(case.data), *self.order)
-        except Exception as error:  # an executor of somebody else may end in any way
-            raise self._lost(error) from error
-        self.running[future] = case
+    def __init__(self, following: Iterator[tuple[int, _Task]]) -> None:
+        self.following = following
+        self.again: deque[tuple[int, _Task]] = deque()
+        self.suspects: deque[tuple[int, _Task]] = deque()
+        self.deaths: Counter[int] = Counter()
 
-    def _judge(self, future: Future[tuple[Row, bool]], case: Case) -> Row | None:
-        """Return the row of a case, or None if it is to be tried again."""
-        try:
-            row, lasting = future.result()
-        except WorkerDied as death:
-            return self._died(case, str(death), 1)
-        except (StudyError, Stopped):
-            raise
-        except BrokenExecutor as error:
-            raise self._lost(error) from error
-        except CancelledError:
-            raise self._lost(ConnectionError("its cases were cancelled, as when a scheduler is gone")) from None
-        except Exception as error:
-            if type(error).__name__ == "KilledWorker":  # Dask has sent it again by itself, maybe beside the guilty one
-                return self._died(case, "as when the memory runs out", getattr(error, "allowed_failures", DEATHS) + 1)
-            raise StudyError(
-                f"a case cannot travel to a worker and back ({type(error).__name__}: {_line(error)}): the work must be "
-                "a function of a module that the workers can import, its data plain"
-            ) from error
-        foreign = not isinstance(self.executor, LocalPool)  # the folder of another machine may not be the one here
-        if lasting and foreign and self.store is not None and self.store.row(case.key) is None:
-            self.store.put_row(case.key, row)
-        return row
+    def take(self, *, alone: bool) -> tuple[int, _Task] | None:
+        """Return what is to be sent next, a suspect only where it is alone."""
+        one = self.again.popleft() if self.again else next(self.following, None)
+        return self.suspects.popleft() if one is None and alone and self.suspects else one
 
-    def _died(self, case: Case, how: str, deaths: int) -> Row | None:
-        alone = self.deaths[case.key] >= DEATHS
-        self.deaths[case.key] += deaths
-        if not alone:
-            return None
-        return {
-            "reason": f"its worker died {self.deaths[case.key]} times, the last time with nothing beside it ({how})"
-        }
+    def back(self, one: tuple[int, _Task], killed: int) -> bool:
+        """Take back a task if it is to be sent again, and say so."""
+        alone = self.deaths[one[0]] >= DEATHS
+        self.deaths[one[0]] += killed
+        if not killed or alone:
+            return False
+        if self.deaths[one[0]] < DEATHS:
+            self.again.appendleft(one)
+        else:
+            self.suspects.append(one)
+        return True
 
-    def _lost(self, error: BaseException) -> StudyError:
-        kept = "kept" if self.store is not None else "lost, for want of a store"
-        return StudyError(
-            f"the executor carries out no more cases ({type(error).__name__}: {_line(error)}), the "
-            f"{len(self.rows)} that are finished are {kept}: start again with another"
-        )
+
+def _killed(future: Future[Any], lost: Callable[[BaseException], StudyError]) -> int:
+    """Return how many workers a task took with it; raise if the executor is lost."""
+    if future.cancelled():
+        raise lost(ConnectionError("its cases were cancelled, as when a scheduler is gone"))
+    error = future.exception()
+    if isinstance(error, BrokenExecutor):
+        raise lost(error) from error
+    if type(error).__name__ == "KilledWorker":  # Dask has sent it again by itself, maybe beside the guilty one
+        return int(getattr(error, "allowed_failures", DEATHS)) + 1
+    return int(isinstance(error, WorkerDied))
+
+
+def _row(future: Future[tuple[Row, bool]], deaths: int) -> tuple[Row, bool]:
+    """Return the row of a case, and whether it would be the same another time."""
+    try:
+        return future.result()
+    except (StudyError, Stopped):
+        raise
+    except Exception as error:
+        if deaths:
+            how = str(error) if isinstance(error, WorkerDied) else "as when the memory runs out"
+            return {"reason": f"its worker died {deaths} times, the last time with nothing beside it ({how})"}, False
+        raise StudyError(
+            f"a case cannot travel to a worker and back ({type(error).__name__}: {line(error)}): the work must be "
+            "a function of a module that the workers can import, its data plain"
+        ) from error
 
 
 def _carry_out(
@@ -369,11 +397,11 @@ def _compute(work: Work, data: dict[str, Any], shared: Mapping[str, Any], store:
     except ImportError as error:
         return {"reason": f"the worker lacks a package ({error})"}, False
     except Exception as error:  # noqa: BLE001 - one case is never the end of the others
-        return {"reason": f"{type(error).__name__}: {_line(error)} (a defect, please report it)"}, True
+        return {"reason": f"{type(error).__name__}: {line(error)} (a defect, please report it)"}, True
     return row, True
 
 
-def _line(error: BaseException) -> str:
+def line(error: BaseException) -> str:
     """Return what an error says, in one line."""
     return " ".join(str(error).split()) or "it gives no reason"
 

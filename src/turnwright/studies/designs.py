@@ -80,24 +80,21 @@ class Varied:
 
     def at(self, share: Floats) -> list[Token]:
         """Return the values at some shares of probability, each between 0 and 1. (n,)."""
+        from scipy import stats  # noqa: PLC0415 - costly to import
+
+        share = np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)
+        whole = self.field.kind == "whole"
         if self.drawn is not None:
-            found = np.asarray(self.drawn.ppf(np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)), dtype=np.float64)
-        elif self.low is not None and self.high is not None:
-            low, high = self.low, self.high
-            if self.field.kind == "whole":  # half a step beyond, so that the ends come as often as what is between
-                low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
-            if self.log:
-                found = np.exp(math.log(low) + share * (math.log(high) - math.log(low)))
-            else:
-                found = low + share * (high - low)
-            if self.field.kind == "whole":
-                found = np.clip(found, low + 0.5, high - 0.5)  # at the very ends
+            drawn = self.drawn
+        elif self.low is None or self.high is None:
+            return [self.values[int(pick)] for pick in stats.randint(0, len(self.values)).ppf(share)]
         else:
-            picks = np.minimum((share * len(self.values)).astype(np.int64), len(self.values) - 1)
-            return [self.values[pick] for pick in picks]
-        if self.field.kind == "whole":
-            return [round(float(value)) for value in found]
-        return [float(value) for value in found]
+            low, high = self.low, self.high
+            if whole:  # half a step beyond, so that the ends come as often as what is between
+                low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
+            drawn = stats.loguniform(low, high) if self.log else stats.uniform(low, high - low)
+        found = drawn.ppf(share)
+        return [round(float(value)) if whole else float(value) for value in found]
 
 
 def read_varied(job: Job, name: str, given: Vary) -> Varied:

@@ -1,8 +1,8 @@
 """Who carries cases out: processes of this machine, or a Dask cluster.
 
-The pool of this machine is a `concurrent.futures.Executor` of its own, because the one of the standard library loses
-the cases of all its workers when one is killed and cannot say whose case killed it. Here each worker has a pipe of its
-own: one that dies takes one case with it, and the others do not notice.
+The process pool of the standard library loses the cases of all its workers when one is killed, and cannot say whose
+case killed it. So the pool of this machine has one of them for each worker: one that dies takes one case with it, and
+the others do not notice.
 """
 
 from __future__ import annotations
@@ -11,17 +11,18 @@ import asyncio
 import logging
 import multiprocessing
 import os
-import queue
 import signal
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from functools import partial
 from importlib import import_module
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+from multiprocessing.connection import wait
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import urlsplit
 
@@ -49,7 +50,6 @@ _GRACE_S = 0.7  # for a worker whose driver is gone: within a second so is it
 _FAREWELL_S = 5.0  # for a worker that is told to stop; nearly all go at once
 _ASK_AGAIN_S = 5.0
 _LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-_SPAWN = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang, and Windows has none
 _starting = threading.Lock()
 
 _P = ParamSpec("_P")
@@ -91,40 +91,28 @@ class LocalPool(Executor):
     def __init__(self, *, workers: int, threads: int) -> None:
         self.workers = workers
         self.threads = threads
-        self._tasks: queue.SimpleQueue[tuple[Future[Any], tuple[Any, ...]] | None] = queue.SimpleQueue()
-        self._processes: set[SpawnProcess] = set()
-        self._closed = False
+        self._lanes = ThreadPoolExecutor(workers)  # a thread for each worker
+        self._lane = threading.local()
+        self._running: set[_Worker] = set()
         self._ended = False
-        self._servers = [threading.Thread(target=self._serve, daemon=True) for _ in range(workers)]
-        for server in self._servers:
-            server.start()
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
         """Have a function of a module called in a worker; a worker that dies over it ends it with `WorkerDied`."""
-        if self._closed:
-            raise RuntimeError("the pool is closed")
-        future: Future[_T] = Future()
-        self._tasks.put((future, (fn, args, kwargs)))
-        return future
+        return self._lanes.submit(self._carry_out, partial(fn, *args, **kwargs))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Let the workers end when nothing waits any more."""
-        self._closed = True
-        if cancel_futures:
-            self._drop()
-        for _ in self._servers:
-            self._tasks.put(None)
+        self._lanes.shutdown(wait, cancel_futures=cancel_futures)
         if wait:
-            for server in self._servers:
-                server.join()
+            for worker in tuple(self._running):
+                worker.executor.shutdown()
 
     def kill(self) -> None:
         """End the workers now; one that has something to clean up gets a moment for it."""
-        self._closed = True
-        self._drop()
+        self._lanes.shutdown(wait=False, cancel_futures=True)
         with _starting:
             self._ended = True  # from here on none starts
-            processes = tuple(self._processes)
+            processes = [worker.process for worker in self._running]
         for process in processes:
             process.terminate()
         until = time.monotonic() + _FAREWELL_S
@@ -133,75 +121,59 @@ class LocalPool(Executor):
             process.kill()
         self.shutdown()
 
-    def _drop(self) -> None:
-        with suppress(queue.Empty):
-            while True:
-                task = self._tasks.get_nowait()
-                if task is not None:
-                    task[0].cancel()
+    def _carry_out(self, call: Callable[[], _T]) -> _T:
+        """Have a call answered by the worker of this thread."""
+        worker: _Worker | None = getattr(self._lane, "worker", None)
+        if worker is None or not worker.process.is_alive():  # killed while it waited: no case is to blame
+            worker = self._lane.worker = self._start(worker)
+        try:
+            return worker.executor.submit(call).result()
+        except BrokenProcessPool:
+            raise WorkerDied(worker.exitcode()) from None
 
-    def _serve(self) -> None:
-        """Keep one worker busy."""
-        worker: tuple[SpawnProcess, Connection] | None = None
-        while (task := self._tasks.get()) is not None:
-            future, call = task
-            if not future.set_running_or_notify_cancel():
-                continue
-            if worker is not None and not worker[0].is_alive():  # killed while it waited: no case is to blame
-                self._forget(*worker)
-                worker = None
-            try:
-                worker = worker or self._start()
-                done, value = _ask(*worker, call)
-            except BaseException as error:  # noqa: BLE001 - it belongs to whoever waits for the future
-                if isinstance(error, WorkerDied) and worker is not None:
-                    self._forget(*worker)
-                    worker = None
-                done, value = False, error
-            if done:
-                future.set_result(value)
-            else:
-                future.set_exception(value)
-        if worker is not None:
-            worker[1].close()
-            worker[0].join(_GRACE_S)
-            self._forget(*worker)
-
-    def _start(self) -> tuple[SpawnProcess, Connection]:
-        ours, theirs = _SPAWN.Pipe()
-        process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
+    def _start(self, dead: _Worker | None) -> _Worker:
         with _starting:
+            self._running.discard(dead)
             if self._ended:
                 raise WorkerDied(None)
-            # Libraries read these when they are loaded, before a line of ours runs in the worker.
-            names = (THREADS, *_LIBRARIES)
-            before = {name: os.environ.get(name) for name in names}
-            os.environ.update(dict.fromkeys(names, str(self.threads)))
-            try:
-                process.start()
-            except (OSError, RuntimeError) as error:  # Python starts none while it reads a worker's copy of the script
-                raise _none_starts(error) from error
-            finally:
-                for name, value in before.items():
-                    if value is None:
-                        del os.environ[name]
-                    else:
-                        os.environ[name] = value
-            self._processes.add(process)
-        theirs.close()
+            worker = _Worker(self.threads)
+            self._running.add(worker)
         try:
-            _receive(process, ours)  # it says that it is ready
-        except WorkerDied as death:
-            self._forget(process, ours)
-            raise _none_starts(death) from None
-        return process, ours
+            worker.ready.result()
+        except BrokenProcessPool:
+            raise _none_starts(WorkerDied(worker.exitcode())) from None
+        return worker
 
-    def _forget(self, process: SpawnProcess, connection: Connection) -> None:
-        connection.close()
-        process.kill()
-        process.join()
-        with _starting:
-            self._processes.discard(process)
+
+class _Worker(SpawnContext):
+    """An executor of the standard library with one process, which it starts in this context."""
+
+    process: SpawnProcess
+
+    def __init__(self, threads: int) -> None:
+        self.executor = ProcessPoolExecutor(1, mp_context=self, initializer=_begin)
+        # Libraries read these when they are loaded, before a line of ours runs in the worker.
+        names = (THREADS, *_LIBRARIES)
+        before = {name: os.environ[name] for name in names if name in os.environ}
+        os.environ.update(dict.fromkeys(names, str(threads)))
+        try:
+            self.ready = self.executor.submit(os.getpid)
+        except (OSError, RuntimeError) as error:  # Python starts none while it reads a worker's copy of the script
+            raise _none_starts(error) from error
+        finally:
+            for name in names:
+                del os.environ[name]
+            os.environ.update(before)
+
+    def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]  # noqa: N802 - there a class
+        """Make the process, and remember it: the executor tells nobody how it ended."""
+        self.process = SpawnProcess(*args, **kwargs)
+        return self.process
+
+    def exitcode(self) -> int | None:
+        """Return how a process that is gone has ended."""
+        self.executor.shutdown()  # it waits for the process
+        return self.process.exitcode
 
 
 def _none_starts(error: Exception) -> StudyError:
@@ -212,47 +184,10 @@ def _none_starts(error: Exception) -> StudyError:
     )
 
 
-def _ask(process: SpawnProcess, connection: Connection, call: tuple[Any, ...]) -> tuple[bool, Any]:
-    try:
-        connection.send(call)
-    except OSError:
-        process.join()
-        raise WorkerDied(process.exitcode) from None
-    answer: tuple[bool, Any] = _receive(process, connection)
-    return answer
-
-
-def _receive(process: SpawnProcess, connection: Connection) -> Any:
-    wait([connection, process.sentinel])
-    try:
-        if connection.poll():
-            return connection.recv()
-    except (EOFError, OSError):
-        pass
-    process.join()
-    raise WorkerDied(process.exitcode)
-
-
-def _work(connection: Connection) -> None:
-    """Carry out what comes through the pipe, until it closes or the driver is gone."""
+def _begin() -> None:
+    """Prepare a worker, before it carries out anything."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the driver too, which knows what to do
     threading.Thread(target=_end_with_driver, daemon=True).start()
-    with suppress(EOFError, OSError, KeyboardInterrupt):
-        connection.send(None)
-        while True:
-            try:
-                function, args, kwargs = connection.recv()
-                answer = True, function(*args, **kwargs)
-            except EOFError:
-                return
-            except Exception as error:  # noqa: BLE001 - the driver judges it
-                answer = False, error
-            try:
-                connection.send(answer)
-            except OSError:
-                return
-            except Exception as error:  # noqa: BLE001 - what cannot travel
-                connection.send((False, TypeError(f"the answer cannot be sent back ({error})")))
 
 
 def _end_with_driver() -> None:

@@ -279,8 +279,8 @@ def _joined(steps: list[str]) -> str:
     return ".".join(filter(None, steps)).replace(".[", "[")
 
 
-def _entry(value: Mapping[Any, Any], step: str) -> Any:
-    return next((one for key, one in value.items() if str(key) == step), None)
+def _entry(value: Any, step: str) -> Any:
+    return next((one for key, one in dict(value).items() if str(key) == step), None)
 
 
 def _index(name: str, before: str, step: str, value: Any, annotation: Any) -> int:
@@ -324,7 +324,7 @@ def _some(value: Any, annotation: Any) -> str:
     if table is not None:
         return next(iter(table))
     if _is_mapping(annotation):
-        return str(next(iter(value))) if value else "2"
+        return str(next(iter(dict(value)))) if value else "2"
     return str(getattr(value[0], "name", "[1]")) if value else "[1]"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from turnwright.errors import InputError, TurnwrightError
 from turnwright.job import Pipeline
 from turnwright.machine import ROTARY
-from turnwright.studies.measure_keys import sign_of
+from turnwright.studies.digests import digest_of
 
 if TYPE_CHECKING:
     from turnwright.job import Job
@@ -65,7 +65,7 @@ class Measure:
         """What a kept row depends on: the name, and of a measure of one's own its code and what it holds."""
         if self.own is None:
             return self.name
-        return f"{self.name} {getattr(self.own, '__module__', '')} {sign_of(self.own)}"
+        return f"{self.name} {getattr(self.own, '__module__', '')} {digest_of(self.own)}"
 
 
 def _margin(pipeline: Pipeline, name: str) -> float:

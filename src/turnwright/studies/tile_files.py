@@ -8,7 +8,6 @@ not at all.
 
 from __future__ import annotations
 
-import errno
 import math
 import os
 import shutil
@@ -23,6 +22,7 @@ import numpy as np
 from turnwright import _validate as validate
 from turnwright._arrays import Bools, Floats
 from turnwright.errors import InputError, StudyError
+from turnwright.studies.store import FULL
 from turnwright.studies.tile_layout import Layout
 
 if TYPE_CHECKING:
@@ -54,8 +54,6 @@ ASKED = PLANE
 
 EDGES = PLANE + 1
 """Where the first row of its heights begins, and after it the first column."""
-
-FULL = frozenset(getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name))
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field, fields, is_dataclass
-from itertools import islice
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, field, is_dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,8 +20,9 @@ from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress, cores
-from turnwright.studies.cases import program_version
-from turnwright.studies.executors import WorkerDied, require_reach
+from turnwright.studies.cases import finished, line, program_version
+from turnwright.studies.digests import digest_of
+from turnwright.studies.executors import require_reach
 from turnwright.studies.store import Store
 from turnwright.studies.tile_files import (
     ASKED,
@@ -45,9 +45,6 @@ if TYPE_CHECKING:
     from turnwright.surface import Surface
 
 __all__ = ["generate_tiled", "planned_layout"]
-
-TRIES = 3
-"""How often a tile is sent again when the process that has it dies."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,18 +208,15 @@ def generate_tiled(
         return TiledMap(files)
     there = files.finished()
     missing = [one for one in tiles if not there[one.j, one.i]]
-    done = _Count(len(tiles) - len(missing), len(tiles), progress)
     painter = _Painter(ready, files, minus, sides, layout.axes())
     if executor is None:
         # One thread more than cores: while one waits for the disk, the others compute.
         with ThreadPoolExecutor(cores() + 1) as pool:
-            _flow(lambda one: pool.submit(painter.paint, one), missing, cores() + 1, done, place)
+            _make(lambda one: pool.submit(painter.paint, one), missing, pool, place, len(tiles), progress)
     else:
-        task = _Task.of(place, key, motion, tool, machine, minus)
-        workers = getattr(executor, "workers", None) or getattr(executor, "_max_workers", None) or cores()
-        ahead = 2 * int(workers)  # one in hand, one on its way
-        _flow(lambda one: executor.submit(_paint, task, one.j, one.i), missing, ahead, done, place)
-    with told(place, done.done, done.total):
+        task, own = _Task.of(place, key, motion, tool, machine, minus), executor
+        _make(lambda one: own.submit(_paint, task, one.j, one.i), missing, own, place, len(tiles), progress)
+    with told(place, len(tiles), len(tiles)):
         _coarser(files)
         files.complete()
         if executor is not None:
@@ -249,57 +243,37 @@ def planned_layout(
     return layout
 
 
-class _Count:
-    """How many tiles are there, told to whoever wants to know."""
+def _make(
+    submit: Callable[[Tile], Future[None]],
+    missing: Sequence[Tile],
+    executor: Executor,
+    place: str,
+    total: int,
+    progress: Progress | None,
+) -> None:
+    """Have the tiles made that are missing of so many in all."""
+    tell = progress or (lambda _done, _total: None)
+    done = total - len(missing)
 
-    def __init__(self, done: int, total: int, progress: Progress | None) -> None:
-        self.done, self.total, self.progress = done, total, progress
-        self.add(0)
+    def lost(error: BaseException) -> StudyError:
+        return StudyError(
+            f"the executor broke with {done} of {total} tiles finished ({line(error)}), which stay: start again with a "
+            "new one"
+        )
 
-    def add(self, more: int) -> None:
-        self.done += more
-        if self.progress is not None:
-            self.progress(self.done, self.total)
-
-
-def _flow(submit: Callable[[Tile], Future[None]], tiles: Iterable[Tile], ahead: int, done: _Count, place: str) -> None:
-    """Have all tiles made, so many ahead, and send again those whose worker died."""
-    waiting = iter(tiles)
-    running = {submit(one): one for one in islice(waiting, ahead)}
-    tries: dict[tuple[int, int], int] = {}
-    try:
-        while running:
-            finished, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in finished:
-                tile = running.pop(future)
-                following: Tile | None = None
-                try:
-                    with told(place, done.done, done.total):
-                        future.result()
-                except WorkerDied as death:
-                    place_of = tile.j, tile.i
-                    tries[place_of] = tries.get(place_of, 0) + 1
-                    if tries[place_of] == TRIES:
-                        raise StudyError(
-                            f"the tile in row {tile.j + 1}, column {tile.i + 1} ended its worker {TRIES} times "
-                            f"({death}), the finished tiles "
-                            "stay: use fewer workers or smaller tiles, and start again"
-                        ) from None
-                    following = tile
-                except BrokenExecutor as error:
-                    raise StudyError(
-                        f"the executor broke with {done.done} of {done.total} tiles finished ({error}), which stay: "
-                        "start again with a new one"
-                    ) from None
-                else:
-                    done.add(1)
-                    following = next(waiting, None)
-                if following is not None:
-                    running[submit(following)] = following
-    except BaseException:
-        for future in running:
-            future.cancel()
-        raise
+    tell(done, total)
+    with closing(finished(submit, missing, executor, lost=lost)) as made:
+        for tile, future, deaths in made:
+            if deaths:
+                raise StudyError(
+                    f"the tile in row {tile.j + 1}, column {tile.i + 1} ended its worker {deaths} times "
+                    f"({future.exception()}), the finished tiles stay: use fewer workers or smaller tiles, and start "
+                    "again"
+                )
+            with told(place, done, total):
+                future.result()
+            done += 1
+            tell(done, total)
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,36 +337,11 @@ def _coarser(files: Files) -> None:
 
 def _key(ready: Prepared, layout: Layout, minus: Surface | None) -> str:
     """Return a digest of all that decides the heights."""
-    digest = hashlib.sha256(program_version().encode())
-    _digest(digest, ready.cut)
-    _digest(digest, layout)
-    _digest(digest, minus)
+    heights = None
     if minus is not None:  # whatever a surface of somebody else holds, its heights tell
         x, y = (axis[:: max(1, axis.size // 64)] for axis in layout.axes())
         x, y = (one.ravel() for one in np.meshgrid(x, y))
         inside = np.ones(x.shape, dtype=bool) if layout.radius is None else np.hypot(x, y) <= layout.radius
-        _digest(digest, minus.sag(x[inside], y[inside]))
-    return digest.hexdigest()
-
-
-def _digest(digest: Any, value: object) -> None:
-    """Add a value to a digest, down to plain numbers and texts."""
-    if isinstance(value, np.ndarray):
-        digest.update(f"{value.dtype.str}{value.shape}".encode())
-        digest.update(np.ascontiguousarray(value).view(np.uint8).data if value.size else b"")
-    elif is_dataclass(value):
-        digest.update(type(value).__qualname__.encode())
-        for one in fields(value):
-            if one.init:
-                digest.update(one.name.encode())
-                _digest(digest, getattr(value, one.name))
-    elif isinstance(value, Mapping):
-        _digest(digest, tuple(value.items()))
-    elif isinstance(value, list | tuple):
-        digest.update(f"({len(value)}".encode())
-        for item in value:
-            _digest(digest, item)
-    elif value is None or isinstance(value, str | int | float | np.generic):
-        digest.update(f"{value!r};".encode())
-    else:
-        digest.update(type(value).__qualname__.encode())
+        heights = minus.sag(x[inside], y[inside])
+    surface = minus if is_dataclass(minus) else type(minus)
+    return digest_of([program_version(), ready.cut, layout, surface, heights])

@@ -495,6 +495,10 @@ def study(
         "own": {one.name: one.own for one in measures if one.own is not None},
         "files": kept_files(files, place),
     }
+    columns = tuple(
+        Column(name=one.name, unit=one.unit, values=_array(_field_kind(one.field.kind), values), own=stated(job, one))
+        for one, values in zip(fields, zip(*rows, strict=True), strict=True)
+    )
     base, signs = data_of(job), [one.sign for one in measures]
     cases = []
     for row in rows:
@@ -507,12 +511,7 @@ def study(
     return Study(
         job=job,
         design=design if isinstance(design, str) else "list",
-        fields=tuple(
-            Column(
-                name=one.name, unit=one.unit, values=_array(_field_kind(one.field.kind), values), own=stated(job, one)
-            )
-            for one, values in zip(fields, zip(*rows, strict=True), strict=True)
-        ),
+        fields=columns,
         measures=tuple(_measured(one, found) for one in measures),
         reasons=tuple("; ".join(str(row.get(REASON) or row.get(REFUSED) or "").splitlines()) for row in found),
         seconds=_array("number", [row.get(SECONDS) for row in found]),

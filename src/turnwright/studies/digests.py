@@ -1,9 +1,10 @@
-"""What a function of one's own depends on, so that a kept row of it is never taken for that of another."""
+"""What a value or a function of one's own depends on, so that what is kept of it is never taken for that of another."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from functools import partial, singledispatch
 from types import BuiltinFunctionType, CodeType, EllipsisType, FunctionType, MethodType, ModuleType, NoneType
 from typing import Any
@@ -11,34 +12,37 @@ from uuid import uuid4
 
 import numpy as np
 
-__all__ = ["sign_of"]
+__all__ = ["digest_of"]
 
 
-def sign_of(function: Callable[..., Any]) -> str:
-    """Return a digest of a function: of its code, what it holds and what it names, the same in every process.
+def digest_of(value: object) -> str:
+    """Return a digest of a value, or of a function: its code, what it holds and what it names, alike in all processes.
 
-    Of the functions that it names, those of its own package count; the others are taken as they are. One that holds
-    what cannot be told, such as an open file, is another one each time.
+    Of a dataclass what it is made from counts. Of the functions that a function names, those of its own package count;
+    the others are taken as they are. What holds something that cannot be told, such as an open file, is another one
+    each time.
     """
-    parts: list[str] = []
-    _add(parts, {}, function)
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+    return _digest(value, {}).hex()
 
 
-def _add(parts: list[str], met: dict[int, Any], value: Any) -> None:
-    if not isinstance(value, str | bytes | int | float | NoneType):
-        if id(value) in met:
-            return
-        met[id(value)] = value  # kept, so that nothing else gets its number
+def _digest(value: Any, met: dict[int, tuple[Any, bytes]]) -> bytes:
+    if id(value) in met:
+        return met[id(value)][1]
+    met[id(value)] = value, b"above"  # a ring; and the value is kept, so that nothing else gets its number
+    digest = hashlib.sha256()
     for one in _told(value):
         if isinstance(one, _Said):
-            parts.append(one)
+            digest.update(f"{one}\n".encode())
+        elif isinstance(one, memoryview):
+            digest.update(one)
         else:
-            _add(parts, met, one)
+            digest.update(_digest(one, met))
+    met[id(value)] = value, digest.digest()
+    return digest.digest()
 
 
 class _Said(str):
-    """A word for the digest; whatever else `_told` yields is told in turn."""
+    """A word for the digest; whatever else `_told` yields, but for bytes as they are, is told in turn."""
 
     __slots__ = ()
 
@@ -48,6 +52,11 @@ def _told(value: Any) -> Iterator[Any]:
     """Yield words and further values that say what a value is."""
     kind = type(value)
     yield _Said(f"{kind.__module__}.{kind.__qualname__}")
+    if is_dataclass(value):
+        for one in fields(value):
+            if one.init:
+                yield from (_Said(one.name), getattr(value, one.name))
+        return
     if not hasattr(value, "__dict__"):
         yield _Said(uuid4().hex)
         return
@@ -125,4 +134,6 @@ def _(value: Any) -> Iterator[Any]:
 @_told.register(np.ndarray)
 def _(value: np.ndarray) -> Iterator[Any]:
     yield _Said(f"{value.dtype.str} {value.shape}")
-    yield from ([_Said(value.tobytes().hex())] if value.dtype.kind in "biufcSU" else [value.tolist()])
+    yield (
+        np.ascontiguousarray(value).reshape(-1).view(np.uint8).data if value.dtype.kind in "biufcSU" else value.tolist()
+    )
