@@ -365,8 +365,18 @@ def written(value: Any, *, whole: bool = False) -> dict[str, Any]:
         default = field.default if factory is dataclasses.MISSING else factory()
         if held is not None and (whole or not same(held, default)):
             key = value.file_keys.get(field.name, "") if getattr(held, "file", "") else ""
-            kind = adapter(types_of(type(value))[field.name])
+            kind = types_of(type(value))[field.name]
             table[key or value.key_names.get(field.name, field.name)] = (
-                named(held) if key else kind.dump_python(held, mode="json", exclude_unset=not whole)
+                named(held) if key else _dumped(kind, held, whole=whole)
             )
     return dict(value.to_table(table))
+
+
+def _dumped(kind: Any, value: Any, *, whole: bool) -> Any:
+    """Return a value as data; what it cannot be stated for is said as such, not as an error of pydantic."""
+    from pydantic_core import PydanticSerializationError  # noqa: PLC0415 - only files need it
+
+    try:
+        return adapter(kind).dump_python(value, mode="json", exclude_unset=not whole)
+    except PydanticSerializationError as error:
+        raise error.__cause__ or error from None

@@ -1,0 +1,112 @@
+"""What a file states is the class itself: it is written as it is read, and changed by its path."""
+
+import shutil
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import tomli_w
+from hypothesis import given, settings, strategies as st
+
+import turnwright as tw
+from job_files import changed, written
+from tests.laws.test_surface_laws import FAMILIES
+from turnwright.errors import InputError, JobError
+from turnwright.job import Job
+from turnwright.units import Length, Size
+
+
+@settings(max_examples=60)
+@given(st.data())
+def test_a_surface_is_stated_to_the_last_bit(data):
+    surface = data.draw(data.draw(st.sampled_from(list(FAMILIES.values()))))
+    moved = surface.placed(shift=(0.1, -0.2, 1e-3), rotation=0.3)
+    table = changed(("part.radius", "0.5 mm"), ("simulation", {}))
+    job = Job.read(table)
+    job = replace(job, part=replace(job.part, surface=moved + surface))
+    assert Job.read(job.table()) == job
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "place", "text"),
+    [
+        ("strategy.feed", 0.01, "strategy.feed", "10 um/rev"),
+        ("tool.offset[2]", 1e-3, "tool.offset", ["0 mm", "1 um", "0 mm"]),
+        ("part.surface.radius", 40.0, "part.surface.radius", "40 mm"),
+        ("simulation.patches.patch.pixel", 2e-3, "simulation.patches.0.pixel", "2 um"),
+        ("simulation.patches[1].pixel", 2e-3, "simulation.patches.0.pixel", "2 um"),
+        ("measurement.clocking", 0.0, "measurement.clocking", "0 deg"),
+    ],
+)
+def test_a_field_is_changed_by_its_path_as_the_file_changes_it(name, value, place, text):
+    """Oracle: the job of the file with this field changed."""
+    job = Job.read(changed()).replace(name, value)
+    assert job == Job.read(changed((place, text)))
+
+
+def test_what_follows_from_a_changed_field_is_worked_out_anew():
+    array = {
+        "family": "lens array", "layout": "square", "pitch": "0.5 mm", "rows": 2, "columns": 2,
+        "lenslet": {"family": "sphere", "radius": "3 mm"},
+    }  # fmt: skip
+    job = Job.read(changed(("part.surface", array))).replace("part.surface.pitch", 0.6)
+    np.testing.assert_allclose(np.ptp(job.part.surface.centres, axis=0), 0.6)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("strategy.fed", 0.01, "strategy.fed is not a field .*'feed'"),
+        ("part.surface.conic", 0.0, "part.surface.conic is not a field"),
+        ("tool.nose_radius", -1.0, "nose_radius is -1 mm"),
+        ("part.stock", -1.0, "stock is -1 mm"),
+        ("passes[1].allowance", 1.0, "allowance is 1 mm"),
+    ],
+)
+def test_a_change_that_cannot_be_is_refused(name, value, words):
+    with pytest.raises(InputError, match=words):
+        Job.read(changed()).replace(name, value)
+
+
+def test_a_machine_is_named_by_its_file_though_that_is_gone(tmp_path):
+    """A job that was read does not look for its machine again when it is written."""
+    shop = tmp_path / "shop"
+    shop.mkdir()
+    (shop / "lathe.toml").write_text('base = "generic"\nname = "shop"\nsquareness = "2 urad"\n')
+    job = Job.load(written(shop, ("machine", {"file": "lathe.toml", "squareness": "5 urad"})))
+    shutil.rmtree(shop)
+    assert job.table()["machine"] == {"file": str(shop / "lathe.toml"), "squareness": "5 urad"}
+
+
+def test_what_was_read_from_no_file_is_not_written():
+    heights = tw.Gridded(x=np.linspace(-2, 2, 9), y=np.linspace(-2, 2, 9), z=np.zeros((9, 9)))
+    job = Job.read(changed())
+    with pytest.raises(InputError, match="write its heights to a file"):
+        replace(job, part=replace(job.part, surface=heights)).to_toml()
+    machine = replace(job.machine, axes={**job.machine.axes, "X": tw.Axis(speed=1.0)})
+    with pytest.raises(InputError, match="otherwise than its file"):
+        replace(job, machine=machine).to_toml()
+
+
+def test_a_family_that_is_added_is_stated_at_once(tmp_path):
+    """One class in one file: no table beside it names its fields."""
+    _ = Job.read(changed())
+
+    @dataclass(frozen=True, slots=True, kw_only=True)
+    class Trough(tw.Surface):
+        family = "trough"
+        depth: Length
+        width: Size = 1.0
+
+        def evaluate(self, x, y, order):
+            half = self.depth / self.width**2
+            zero = np.zeros(x.shape)
+            return (half * x * x, 2 * half * x, zero, np.full(x.shape, 2 * half), zero, zero)[: (1, 3, 6)[order]]
+
+    path = tmp_path / "job.toml"
+    path.write_text(tomli_w.dumps(changed(("part.surface", {"family": "trough", "depth": "2 um"}))))
+    job = Job.load(path)
+    assert job.part.surface == Trough(depth=2e-3)
+    assert Job.read(job.table()) == job
+    with pytest.raises(JobError, match=r"part\.surface\.dept is not a known key: did you mean 'depth'"):
+        Job.read(changed(("part.surface", {"family": "trough", "dept": "2 um"})))
