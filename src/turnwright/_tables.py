@@ -6,6 +6,7 @@ import dataclasses
 import sys
 from collections.abc import Callable, Collection, Mapping
 from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, get_type_hints
 
@@ -67,7 +68,7 @@ class Stated:
         def read(value: Any, build: Callable[[Any], Any]) -> Any:
             if not isinstance(value, Mapping):
                 return build(value)
-            if unknown := [key for key in value if key in cls.hidden]:
+            if unknown := [key for key in value if key in cls.hidden or key in cls.key_names]:
                 wrong = [core.InitErrorDetails(type="extra_forbidden", loc=(key,), input=value) for key in unknown]
                 raise core.ValidationError.from_exception_data(cls.__name__, wrong)
             table = cls.from_table(dict(value))
@@ -75,6 +76,8 @@ class Stated:
             for name, key in named.items():
                 if table.get(name) is not None:
                     raise InputError(f"{name} and {key} are both given, only one can be right: remove one")
+                if isinstance(table[key], str):
+                    table[key] = Path(table[key])
             named |= cls.key_names
             table |= {name: table.pop(key) for name, key in named.items() if key in table}
             try:
@@ -155,6 +158,8 @@ def _at_keys(error: ValidationError, named: Mapping[str, str]) -> ValidationErro
         kind: Any = one["type"]
         if kind == "sentence":
             kind = PydanticCustomError("sentence", "{text}", one["ctx"])
+        elif kind == "path_type":
+            kind = PydanticCustomError("path_type", "it is not the name of a file")
         place = (named.get(str(first), first), *rest) if one["loc"] else ()
         found.append(InitErrorDetails(type=kind, loc=place, input=one["input"], ctx=one.get("ctx", {})))
     return ValidationError.from_exception_data(error.title, found) if named else error
@@ -181,9 +186,13 @@ class read_by:  # noqa: N801 - reads as a word inside Annotated[Gridded | None, 
 
     def read(self, value: Any, info: Any) -> Any:
         """Return what the reader makes of text, and any other value as it is."""
+        from pydantic_core import PydanticCustomError  # noqa: PLC0415 - only files need pydantic
+
+        if isinstance(value, int | float | list | tuple | Mapping):
+            raise PydanticCustomError("path_type", "it is not the name of a file")
         context = info.context or {}
         reader = context.get("readers", {}).get(self.kind)
-        return value if reader is None or not isinstance(value, str) else reader(value, context["folder"])
+        return value if reader is None or not isinstance(value, str | Path) else reader(str(value), context["folder"])
 
     def show(self, value: Any) -> Any:
         """Return the name that `read` takes back to the same value."""

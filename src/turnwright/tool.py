@@ -128,8 +128,12 @@ class _Waviness(read_by):
 
     def read(self, value: Any, info: Any) -> Any:
         """Return coefficients that a list states, or a certificate."""
+        from pydantic_core import PydanticKnownError  # noqa: PLC0415 - only files need pydantic
+
+        if isinstance(value, str | int | float):
+            raise PydanticKnownError("tuple_type")
         if not isinstance(value, list | tuple):
-            return super().read(value, info)
+            return read_by.read(self, value, info)
         problems: dict[tuple[str | int, ...], Exception | str] = {}
         coefficients = []
         for index, one in enumerate(value):

@@ -100,7 +100,7 @@ def test_a_family_that_is_added_is_stated_at_once(tmp_path):
 
         def evaluate(self, x, y, order):
             half = self.depth / self.width**2
-            zero = np.zeros(x.shape)
+            zero = np.zeros(y.shape)
             return (half * x * x, 2 * half * x, zero, np.full(x.shape, 2 * half), zero, zero)[: (1, 3, 6)[order]]
 
     path = tmp_path / "job.toml"

@@ -115,10 +115,8 @@ def _peak() -> int:
 class Inline:
     """Answers the server's questions in this process."""
 
-    async def ask(self, function: str | Callable[..., Any], *arguments: Any, **_options: Any) -> Any:
-        from turnwright.web.workers import _call
-
-        return _call(function, arguments)
+    async def ask(self, function: Callable[..., Any], *arguments: Any, **_options: Any) -> Any:
+        return function(*arguments)
 
     def close(self) -> None:
         """Nothing is open."""

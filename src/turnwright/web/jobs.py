@@ -154,7 +154,7 @@ def _read_as(path: Path, kind: str, more: Mapping[str, str]) -> None:
     else:
         stated = {
             "correction": str(path),
-            "waviness": str(path),
+            "waviness": path,
             "heights": {"family": "gridded", "file": str(path), **more},
             "straightness": {"straightness_file": str(path)},
         }[kind]
