@@ -64,6 +64,8 @@ SPECTRUM = np.linspace(0, 310, 32)
 EXAMPLES = [
     tw.Instrument(pixel=1e-3, numerical_aperture=0.3, wavelength=5e-4, filling=0.5, stylus_radius=1e-3, noise=1e-6),
     tw.Instrument(resolution=1e-3),
+    JOB,
+    tw.job.MachineDeviations(squareness=1e-6),
     PLANE,
     TOOL,
     MACHINE,
