@@ -44,6 +44,12 @@ def test_a_field_is_changed_by_its_path_as_the_file_changes_it(name, value, plac
     assert job == Job.read(changed((place, text)))
 
 
+def test_a_coefficient_is_changed_by_its_key():
+    terms = {"family": "xy polynomial", "units": "mm", "terms": {"2,0": 1e-3, "0,2": 2e-3}}
+    job = Job.read(changed(("part.surface", terms))).replace("part.surface.terms.0,2", 3e-3)
+    assert job.part.surface.terms == (((0, 2), 3e-3), ((2, 0), 1e-3))
+
+
 def test_what_follows_from_a_changed_field_is_worked_out_anew():
     array = {
         "family": "lens array", "layout": "square", "pitch": "0.5 mm", "rows": 2, "columns": 2,
@@ -61,6 +67,12 @@ def test_what_follows_from_a_changed_field_is_worked_out_anew():
         ("tool.nose_radius", -1.0, "nose_radius is -1 mm"),
         ("part.stock", -1.0, "stock is -1 mm"),
         ("passes[1].allowance", 1.0, "allowance is 1 mm"),
+        ("passes[2].allowance", 0.0, r"\[2\] is none of its 1 entries"),
+        ("passes.rough.allowance", 0.0, "rough is none of its 1 entries"),
+        ("machine.name", "nanoform", "chooses another machine"),
+        ("machine.loaded", None, "machine.loaded is not a field"),
+        ("strategy.feed", "8 um/rev", "feed is '8 um/rev'"),
+        ("part.radius.inner", 1.0, "part.radius.inner is not a field"),
     ],
 )
 def test_a_change_that_cannot_be_is_refused(name, value, words):

@@ -20,9 +20,10 @@ from turnwright._tables import Stated, adapter, read_by, types_of, written
 from turnwright._validate import check_numbers
 from turnwright.diagnosis import CAUSES
 from turnwright.errors import InputError, JobError
-from turnwright.job.named import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, context_of
+from turnwright.job.named import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, asking, context_of
 from turnwright.job.strategies import KINDS, AnyStrategy, Choices
 from turnwright.job.table import Table
+from turnwright.machine import Machine
 from turnwright.motion import require_variable
 from turnwright.part import Part
 from turnwright.pose import Pose
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from turnwright._arrays import Floats
-    from turnwright.machine import Machine
     from turnwright.strategy import Strategy
 
 __all__ = ["Job", "PassTable", "faults"]
@@ -672,17 +672,36 @@ def _replaced(held: Any, steps: list[str], value: Any, name: str) -> Any:
         return value
     step, *rest = steps
     if isinstance(held, tuple):
-        index = int(step[1:-1]) - 1 if step.startswith("[") else [getattr(one, "name", "") for one in held].index(step)
-        return (*held[:index], _replaced(held[index], rest, value, name), *held[index + 1 :])
+        return _replaced_entry(held, step, rest, value, name)
     if isinstance(held, Mapping):
-        return {**held, step: _replaced(held.get(step), rest, value, name)}
+        key = next((one for one in held if str(one) == step), step)
+        return {**held, key: _replaced(held.get(key), rest, value, name)}
+    if isinstance(held, Machine) and step in ("name", "file"):
+        raise JobError(f"{name} chooses another machine: replace machine by what Machine.load gives")
+    if isinstance(held, Machine) and step == "interpolation":
+        return asking(held, value)
     owner: Any = held.surface if isinstance(held, Placed) and step not in types_of(type(held)) else held
     known = types_of(type(owner)) if isinstance(owner, Stated) else {}
-    if step not in known:
+    if step not in known or step in owner.hidden:
         raise JobError(f"{name} is not a field of this job: {suggestion(step, known)}")
-    new = _replaced(getattr(owner, step), rest, value, name)
+    inner = getattr(owner, step)
+    series = owner.series.get(step) if isinstance(owner, Surface) else None
+    if series is not None and series.key is not None and rest:
+        key, *rest = series.key(rest[0]), *rest[1:]
+        new = {**dict(inner), key: _replaced(dict(inner).get(key), rest, value, name)}
+    else:
+        new = _replaced(inner, rest, value, name)
     made = replace(owner, **{**dict.fromkeys(owner.unstated), step: new})
     return made if owner is held else replace(held, surface=made)
+
+
+def _replaced_entry(held: tuple[Any, ...], step: str, rest: list[str], value: Any, name: str) -> Any:
+    """Return a list with one entry replaced, which is named or counted from 1."""
+    names = [getattr(one, "name", None) for one in held]
+    index = int(step[1:-1]) - 1 if step.startswith("[") else names.index(step) if step in names else -1
+    if not 0 <= index < len(held):
+        raise JobError(f"{name} is not a field of this job: {step} is none of its {len(held)} entries, count from [1]")
+    return (*held[:index], _replaced(held[index], rest, value, name), *held[index + 1 :])
 
 
 def faults(error: ValidationError) -> list[tuple[str, str]]:
