@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Callable, Collection, Mapping
+from datetime import date, time
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -188,7 +189,7 @@ class read_by:  # noqa: N801 - reads as a word inside Annotated[Gridded | None, 
         """Return what the reader makes of text, and any other value as it is."""
         from pydantic_core import PydanticCustomError  # noqa: PLC0415 - only files need pydantic
 
-        if isinstance(value, int | float | list | tuple | Mapping):
+        if isinstance(value, int | float | list | tuple | Mapping | date | time):
             raise PydanticCustomError("path_type", "it is not the name of a file")
         context = info.context or {}
         reader = context.get("readers", {}).get(self.kind)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import date, time
 from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
@@ -130,7 +131,7 @@ class _Waviness(read_by):
         """Return coefficients that a list states, or a certificate."""
         from pydantic_core import PydanticKnownError  # noqa: PLC0415 - only files need pydantic
 
-        if isinstance(value, str | int | float):
+        if value is None or isinstance(value, str | int | float | date | time):
             raise PydanticKnownError("tuple_type")
         if not isinstance(value, list | tuple):
             return read_by.read(self, value, info)

@@ -25,7 +25,7 @@ from turnwright.material import Material
 from turnwright.post import dialect_of
 from turnwright.surface import Family, Gridded, Scattered
 from turnwright.tool import WavinessTable
-from turnwright.units import Flag, Size, Slope, Text, Thickness, write
+from turnwright.units import Flag, Number, Size, Slope, Text, Thickness, write
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -289,10 +289,10 @@ class InstrumentTable(Table):
     name: Text | None = None
     file: ExistingFile | None = None
     pixel: Size | None = None
-    numerical_aperture: float | None = None
+    numerical_aperture: Number | None = None
     wavelength: Size | None = None
     resolution: Size | None = None
-    filling: float | None = None
+    filling: Number | None = None
     stylus_radius: Size | None = None
     noise: Thickness | None = None
 
