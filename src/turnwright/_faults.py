@@ -9,7 +9,7 @@ from itertools import islice
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Union, get_args, get_origin
 
-from turnwright._tables import ByName, Columns, Plausible, Stated, adapter
+from turnwright._tables import ByName, Keyed, Stated, adapter
 from turnwright.errors import InputError, shortened, shown
 
 if TYPE_CHECKING:
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["faults", "keys_of", "read_table", "sentences", "suggestion"]
 
 MOST_FAULTS = 30
-"""Of what is wrong with a job, this many sentences are written: whoever reads them begins with the first."""
-
+"""Of what is wrong with a job, this many sentences are written: they are corrected from the first on."""
 
 _KINDS = {
     "float_type": "a plain number without a unit or quotes",
@@ -44,7 +43,7 @@ def keys_of(annotation: Any) -> Mapping[str, Any] | None:
     """Return the keys of the table that a value of a type is read from, with their types; ``None`` if from none."""
     bare, *notes = get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
     for one in notes:
-        if isinstance(one, Plausible | ByName | Columns):
+        if isinstance(one, Keyed | ByName):
             return one.keys
     return bare.table_keys() if isinstance(bare, type) and issubclass(bare, Stated) and is_dataclass(bare) else None
 
@@ -218,7 +217,7 @@ def suggestion(key: str, known: Iterable[str]) -> str:
     return f"did you mean {close[0]!r}?" if close else f"the known ones are {', '.join(known)}, use one of them"
 
 
-def read_table(cls: Any, table: Mapping[str, Any], what: str, context: Mapping[str, Any] | None = None) -> Any:
+def read_table(cls: Any, table: Mapping[str, Any], what: str) -> Any:
     """Return what the table of a file describes.
 
     Parameters
@@ -229,8 +228,6 @@ def read_table(cls: Any, table: Mapping[str, Any], what: str, context: Mapping[s
         As TOML reads.
     what
         The file, as a message names it.
-    context
-        Given to pydantic.
 
     Raises
     ------
@@ -240,6 +237,6 @@ def read_table(cls: Any, table: Mapping[str, Any], what: str, context: Mapping[s
     from pydantic import ValidationError  # noqa: PLC0415 - only files need it
 
     try:
-        return adapter(cls).validate_python(table, context=context)
+        return adapter(cls).validate_python(table)
     except ValidationError as error:
         raise InputError("\n".join(f"{what}: {one}" for one in sentences(error, cls, {}))) from error

@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Callable, Collection, Mapping
-from datetime import date, time
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 
@@ -23,8 +22,8 @@ if TYPE_CHECKING:
     from pydantic_core import CoreSchema, ValidationError
 
 __all__ = [
-    "ByName", "Columns", "Loaded", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat", "forget_adapters",
-    "named", "read_by", "refuse", "types_of", "written",
+    "ByName", "Columns", "Keyed", "Loaded", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat",
+    "forget_adapters", "named", "read_by", "refuse", "types_of", "written", "written_by",
 ]  # fmt: skip
 
 
@@ -62,37 +61,44 @@ class Stated:
         return ()
 
     @classmethod
+    def _build(cls, table: dict[str, Any], build: Callable[[Any], Any], _context: Any) -> Any:
+        """Return what a table states; ``build`` makes it of a table whose keys are called as the fields."""
+        from pydantic_core import InitErrorDetails, ValidationError  # noqa: PLC0415 - only files need pydantic
+
+        if unknown := [key for key in table if key in cls.hidden or key in cls.key_names]:
+            wrong = [InitErrorDetails(type="extra_forbidden", loc=(key,), input=table) for key in unknown]
+            raise ValidationError.from_exception_data(cls.__name__, wrong)
+        table = cls.from_table(table)
+        named = {name: key for name, key in cls.file_keys.items() if table.get(key) is not None}
+        for name, key in named.items():
+            if table.get(name) is not None:
+                raise InputError(f"{name} and {key} are both given, only one can be right: remove one")
+            if isinstance(table[key], str):
+                table[key] = Path(table[key])
+        named |= cls.key_names
+        table |= {name: table.pop(key) for name, key in named.items() if key in table}
+        try:
+            return build(table)
+        except ValidationError as error:
+            raise _at_keys(error, named) from error
+
+    @classmethod
+    def _written(cls, value: Any, *, whole: bool) -> dict[str, Any]:
+        """Return the table that states a value."""
+        return written(value, whole=whole)
+
+    @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        import pydantic_core as core  # noqa: PLC0415 - only files need pydantic
-        from pydantic_core import core_schema  # noqa: PLC0415
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
 
-        def read(value: Any, build: Callable[[Any], Any]) -> Any:
-            if not isinstance(value, Mapping):
-                return build(value)
-            if unknown := [key for key in value if key in cls.hidden or key in cls.key_names]:
-                wrong = [core.InitErrorDetails(type="extra_forbidden", loc=(key,), input=value) for key in unknown]
-                raise core.ValidationError.from_exception_data(cls.__name__, wrong)
-            table = cls.from_table(dict(value))
-            named = {name: key for name, key in cls.file_keys.items() if table.get(key) is not None}
-            for name, key in named.items():
-                if table.get(name) is not None:
-                    raise InputError(f"{name} and {key} are both given, only one can be right: remove one")
-                if isinstance(table[key], str):
-                    table[key] = Path(table[key])
-            named |= cls.key_names
-            table |= {name: table.pop(key) for name, key in named.items() if key in table}
-            try:
-                return build(table)
-            except core.ValidationError as error:
-                raise _at_keys(error, named) from error
+        def read(value: Any, build: Callable[[Any], Any], info: Any) -> Any:
+            return cls._build(dict(value), build, info.context) if isinstance(value, Mapping) else build(value)
 
-        return core_schema.no_info_wrap_validator_function(
+        return core_schema.with_info_wrap_validator_function(
             read,
             handler(source),
             ref=f"{cls.__module__}.{cls.__qualname__}:{id(cls)}",
-            serialization=core_schema.plain_serializer_function_ser_schema(
-                lambda value, info: written(value, whole=not info.exclude_unset), info_arg=True
-            ),
+            serialization=written_by(cls._written),
         )
 
     @classmethod
@@ -101,6 +107,15 @@ class Stated:
         place = handler.resolve_ref_schema(found)
         place["properties"] |= {key: {"type": "string", "reads": name} for name, key in cls.file_keys.items()}
         return found
+
+
+def written_by(write: Callable[..., Any]) -> Any:
+    """Return how pydantic writes a value by a function of it and of whether its defaults are wanted, too."""
+    from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+    return core_schema.plain_serializer_function_ser_schema(
+        lambda value, info: write(value, whole=not info.exclude_unset), info_arg=True
+    )
 
 
 class ByName:
@@ -159,8 +174,8 @@ def _at_keys(error: ValidationError, named: Mapping[str, str]) -> ValidationErro
         kind: Any = one["type"]
         if kind == "sentence":
             kind = PydanticCustomError("sentence", "{text}", one["ctx"])
-        elif kind == "path_type":
-            kind = PydanticCustomError("path_type", "it is not the name of a file")
+        elif kind == "path_type":  # which pydantic's core does not know by its name
+            kind = PydanticCustomError("path_type", "it is of another type")
         place = (named.get(str(first), first), *rest) if one["loc"] else ()
         found.append(InitErrorDetails(type=kind, loc=place, input=one["input"], ctx=one.get("ctx", {})))
     return ValidationError.from_exception_data(error.title, found) if named else error
@@ -180,30 +195,39 @@ class read_by:  # noqa: N801 - reads as a word inside Annotated[Gridded | None, 
     """
 
     __slots__ = ("kind",)
+    texts: ClassVar[tuple[type, ...]] = (str,)
+    """What a file states and `read` takes, besides a path."""
+    wrong: ClassVar[Any] = "path_type"
+    """What pydantic calls it if a file states anything else."""
 
     def __init__(self, kind: str) -> None:
         """Take the name of the reader, which stands with the folder of the job in pydantic's context."""
         self.kind = kind
 
     def read(self, value: Any, info: Any) -> Any:
-        """Return what the reader makes of text, and any other value as it is."""
-        from pydantic_core import PydanticCustomError  # noqa: PLC0415 - only files need pydantic
-
-        if isinstance(value, int | float | list | tuple | Mapping | date | time):
-            raise PydanticCustomError("path_type", "it is not the name of a file")
+        """Return what the reader makes of text; without one text stays text."""
         context = info.context or {}
         reader = context.get("readers", {}).get(self.kind)
-        return value if reader is None or not isinstance(value, str | Path) else reader(str(value), context["folder"])
+        return value if reader is None else reader(str(value), context["folder"])
 
     def show(self, value: Any) -> Any:
         """Return the name that `read` takes back to the same value."""
         return named(value)
 
-    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
-        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+    def __get_pydantic_core_schema__(self, source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import PydanticCustomError, core_schema  # noqa: PLC0415 - only files need pydantic
+
+        kinds = tuple(one for one in get_args(source) or (source,) if isinstance(one, type))
+
+        def read(value: Any, info: Any) -> Any:
+            if isinstance(value, (*self.texts, Path)):
+                return self.read(value, info)
+            if isinstance(value, kinds):
+                return value
+            raise PydanticCustomError(self.wrong, "it is of another type")
 
         return core_schema.with_info_plain_validator_function(
-            self.read, serialization=core_schema.plain_serializer_function_ser_schema(self.show)
+            read, serialization=core_schema.plain_serializer_function_ser_schema(self.show)
         )
 
     def __get_pydantic_json_schema__(self, _core: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
@@ -220,7 +244,28 @@ class Numbers:
         return core_schema.list_schema(core_schema.float_schema(strict=True))
 
 
-class Columns:
+class Keyed:
+    """The annotation of a value that a file states as a table of its own keys, any of which may be left out."""
+
+    __slots__ = ()
+
+    @property
+    def keys(self) -> Mapping[str, Any]:
+        """The keys of the table, with their types."""
+        raise NotImplementedError
+
+    def table_schema(self, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return how pydantic reads the table."""
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+        fields = {
+            key: core_schema.typed_dict_field(handler.generate_schema(kind), required=False)
+            for key, kind in self.keys.items()
+        }
+        return core_schema.typed_dict_schema(fields, extra_behavior="forbid")
+
+
+class Columns(Keyed):
     """The annotation of arrays of one length that a file states as lists by their keys, each with its factor."""
 
     __slots__ = ("factors",)
@@ -236,17 +281,10 @@ class Columns:
     def __get_pydantic_core_schema__(self, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
 
-        fields = {
-            key: core_schema.typed_dict_field(handler.generate_schema(kind), required=False)
-            for key, kind in self.keys.items()
-        }
-
         def arrays(lists: Mapping[str, Any]) -> tuple[Floats, ...]:
             return tuple(np.array(lists.get(key, ()), dtype=np.float64) * one for key, one in self.factors.items())
 
-        return core_schema.no_info_after_validator_function(
-            arrays, core_schema.typed_dict_schema(fields, extra_behavior="forbid")
-        )
+        return core_schema.no_info_after_validator_function(arrays, self.table_schema(handler))
 
 
 class Sources:
@@ -270,7 +308,7 @@ def flat(table: Any, prefix: str = "") -> Any:
     return found
 
 
-class Plausible:
+class Plausible(Keyed):
     """Sizes of error sources, each one standard deviation: by the name of the source, in a file by its key.
 
     Parameters
@@ -287,21 +325,16 @@ class Plausible:
         self.units, self.texts = units, texts
 
     @property
-    def keys(self) -> dict[str, Any]:
+    def keys(self) -> Mapping[str, Any]:
         """The types of the sizes by their keys in a file."""
         return {key_of(name): Annotated[float, unit(one, above=0.0)] for name, one in self.units.items()}
 
     def __get_pydantic_core_schema__(self, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
 
-        fields = {
-            key: core_schema.typed_dict_field(handler.generate_schema(kind), required=False)
-            for key, kind in self.keys.items()
-        }
         names = {key_of(name): name for name in self.units}
-        table = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
         return core_schema.no_info_after_validator_function(
-            lambda sizes: {names[key]: size for key, size in sizes.items()}, table,
+            lambda sizes: {names[key]: size for key, size in sizes.items()}, self.table_schema(handler),
             serialization=core_schema.plain_serializer_function_ser_schema(
                 lambda sizes: {key_of(name): write(size, self.units[name]) for name, size in sizes.items()}
             ),
@@ -337,7 +370,7 @@ def adapter(annotation: Any) -> TypeAdapter[Any]:
 
 
 def forget_adapters() -> None:
-    """Let types be read anew, as after a surface family was added."""
+    """Have types read again, as after a surface family was added."""
     _adapter.cache_clear()
 
 
@@ -364,15 +397,17 @@ def _types(cls: Any) -> Mapping[str, Any]:
     return {name: types[name] for name in own}
 
 
-def written(value: Any, *, whole: bool = False) -> dict[str, Any]:
-    """Return a dataclass as a table, quantities as text: the fields that are not as by default, or the whole of it."""
+def written(value: Any, *, whole: bool = False, base: Any = None) -> dict[str, Any]:
+    """Return a dataclass as a table, quantities as text: the fields that are not as by default, or the whole of it.
+
+    With a ``base``, another value of the class, it has the fields that are not as there.
+    """
     table = {}
     for field in dataclasses.fields(value):
         if not field.init or field.name in value.unstated or field.name in value.hidden:
             continue
         held = getattr(value, field.name)
-        factory = field.default_factory
-        default = field.default if factory is dataclasses.MISSING else factory()
+        default = _default(field) if base is None else getattr(base, field.name)
         if held is not None and (whole or not same(held, default)):
             key = value.file_keys.get(field.name, "") if getattr(held, "file", "") else ""
             kind = types_of(type(value))[field.name]
@@ -380,6 +415,10 @@ def written(value: Any, *, whole: bool = False) -> dict[str, Any]:
                 named(held) if key else _dumped(kind, held, whole=whole)
             )
     return dict(value.to_table(table))
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
 
 
 def _dumped(kind: Any, value: Any, *, whole: bool) -> Any:

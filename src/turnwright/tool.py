@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import date, time
 from functools import lru_cache
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
@@ -126,14 +126,12 @@ class _Waviness(read_by):
     """Coefficients of sweep, sweep^2, ... each in its own unit, or what the file of a certificate holds."""
 
     __slots__ = ()
+    texts = (list, tuple)
+    wrong = "tuple_type"
 
     def read(self, value: Any, info: Any) -> Any:
         """Return coefficients that a list states, or a certificate."""
-        from pydantic_core import PydanticKnownError  # noqa: PLC0415 - only files need pydantic
-
-        if value is None or isinstance(value, str | int | float | date | time):
-            raise PydanticKnownError("tuple_type")
-        if not isinstance(value, list | tuple):
+        if isinstance(value, Path):
             return read_by.read(self, value, info)
         problems: dict[tuple[str | int, ...], Exception | str] = {}
         coefficients = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from turnwright._arrays import same
-from turnwright._tables import ByName, Plausible, types_of
+from turnwright._tables import ByName, Plausible, types_of, written
 from turnwright._validate import check_numbers, key_of
 from turnwright.errors import InputError, JobError, MapError, shown
 from turnwright.files import read_map
@@ -318,12 +318,8 @@ class InstrumentTable(Table):
         """Return how a job states an instrument: what it was loaded from, and what differs from that."""
         source, own = instrument.loaded or ("", Instrument())
         table: dict[str, Any] = {"file" if source.endswith(".toml") else "name": source} if source else {}
-        for one in fields(Instrument):
-            value = getattr(instrument, one.name)
-            if one.name in types_of(cls) and one.name != "name" and value != getattr(own, one.name):
-                length = one.name not in ("numerical_aperture", "filling")
-                table[one.name] = write(value, "mm") if length else value
-        return table
+        stated = written(instrument, base=own)
+        return table | {key: stated[key] for key in types_of(cls) if key in stated and key != "name"}
 
 
 def asking(machine: Machine, interpolation: str) -> Machine:

@@ -84,10 +84,17 @@ class Family(Stated):
             forget_adapters()
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        from turnwright.surface.stated import schema_of  # noqa: PLC0415 - only job files need pydantic
+    def _build(cls, table: dict[str, Any], build: Callable[[Any], Any], context: Any) -> Any:
+        from turnwright.surface.stated import built  # noqa: PLC0415 - only job files need pydantic
 
-        return schema_of(cls, source, handler)
+        above = super()._build
+        return built(cls, table, lambda fields: above(fields, build, context), context)
+
+    @classmethod
+    def _written(cls, value: Any, *, whole: bool) -> dict[str, Any]:
+        from turnwright.surface.stated import table_of  # noqa: PLC0415 - only job files need pydantic
+
+        return table_of(value, whole=whole)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
@@ -110,6 +117,14 @@ class Surface(Family, Value, ABC):
     """
 
     __slots__ = ()
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from turnwright.surface.stated import AnySurface  # noqa: PLC0415 - only job files need pydantic
+
+        if cls is Surface:
+            return handler.generate_schema(AnySurface)
+        return super().__get_pydantic_core_schema__(source, handler)
 
     @property
     def stated(self) -> Any:

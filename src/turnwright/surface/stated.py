@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from pydantic_core import InitErrorDetails, core_schema
 from typing_extensions import TypeAliasType, TypedDict
 
-from turnwright._tables import adapter, refuse, written
+from turnwright._tables import adapter, refuse, written, written_by
 from turnwright.errors import InputError, JobError, UnitError, shown
 from turnwright.pose import Pose
 from turnwright.surface.base import FAMILIES, Surface
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic_core import CoreSchema
 
-__all__ = ["json_schema_of", "schema_of", "table_of"]
+__all__ = ["AnySurface", "built", "json_schema_of", "table_of"]
 
 HIGHEST = 99
 """A coefficient of a higher power of 1/mm belongs to no series."""
@@ -37,37 +37,22 @@ class _Where(TypedDict):
     placed: Pose
 
 
-def schema_of(cls: type[Any], source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-    """Return how pydantic reads and writes a family, or for `Surface` itself whichever family a table names."""
-    if cls is Surface:
-        return handler.generate_schema(_AnySurface)
-
-    def read(value: Any, build: Callable[[Any], Any], info: Any) -> Any:
-        if not isinstance(value, Mapping):
-            return build(value)
-        table = {name: one for name, one in value.items() if name not in ("family", "placed")}
-        placement = None
-        if value.get("placed") is not None:
-            placement = adapter(_Where).validate_python({"placed": value["placed"]}, context=info.context)["placed"]
-        if cls.formula_units:
-            _check_units(cls, table)
-        missing = [InitErrorDetails(type="missing", loc=(key,), input=table) for key in cls.needed if key not in table]
-        if missing:
-            raise ValidationError.from_exception_data(cls.__name__, missing)
-        surface = build(cls.from_table(_with_coefficients(cls, table)))
-        surface = getattr(surface, "heights", surface)  # of a family whose heights are in a file
-        if placement is None:
-            return surface
-        return surface.placed(shift=placement.shift, rotation=placement.rotation, tilt=placement.tilt)
-
-    return core_schema.with_info_wrap_validator_function(
-        read,
-        handler(source),
-        ref=f"{cls.__module__}.{cls.__qualname__}:{id(cls)}",
-        serialization=core_schema.plain_serializer_function_ser_schema(
-            lambda surface, info: table_of(surface, whole=not info.exclude_unset), info_arg=True
-        ),
-    )
+def built(cls: type[Any], table: dict[str, Any], build: Callable[[Any], Any], context: Any) -> Any:
+    """Return the surface that a table states; ``build`` makes it of the fields of its class."""
+    placement = table.get("placed")
+    table = {name: one for name, one in table.items() if name not in ("family", "placed")}
+    if placement is not None:
+        placement = adapter(_Where).validate_python({"placed": placement}, context=context)["placed"]
+    if cls.formula_units:
+        _check_units(cls, table)
+    missing = [InitErrorDetails(type="missing", loc=(key,), input=table) for key in cls.needed if key not in table]
+    if missing:
+        raise ValidationError.from_exception_data(cls.__name__, missing)
+    surface = build(_with_coefficients(cls, table))
+    surface = getattr(surface, "heights", surface)  # of a family whose heights are in a file
+    if placement is None:
+        return surface
+    return surface.placed(shift=placement.shift, rotation=placement.rotation, tilt=placement.tilt)
 
 
 def json_schema_of(cls: type[Any], found: dict[str, Any], handler: GetJsonSchemaHandler) -> dict[str, Any]:
@@ -110,16 +95,11 @@ class _Family:
                 return value
             return build({"family": "sum", "terms": value} if isinstance(value, list | tuple) else value)
 
-        return core_schema.no_info_wrap_validator_function(
-            read,
-            tagged,
-            serialization=core_schema.plain_serializer_function_ser_schema(
-                lambda surface, info: table_of(surface, whole=not info.exclude_unset), info_arg=True
-            ),
-        )
+        return core_schema.no_info_wrap_validator_function(read, tagged, serialization=written_by(table_of))
 
 
-_AnySurface = TypeAliasType("_AnySurface", Annotated[Any, _Family])
+AnySurface = TypeAliasType("AnySurface", Annotated[Any, _Family])
+"""Whichever family a table names."""
 
 
 def table_of(surface: Surface, *, whole: bool = False) -> dict[str, Any]:
