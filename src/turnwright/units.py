@@ -25,6 +25,7 @@ __all__ = [
     "Count",
     "Feed",
     "Flag",
+    "Frequency",
     "Length",
     "Natural",
     "Number",
@@ -34,6 +35,7 @@ __all__ = [
     "Step",
     "Text",
     "Thickness",
+    "Time",
     "convert",
     "parse",
     "plain",
@@ -352,6 +354,8 @@ Thickness: TypeAlias = Annotated[float, unit("mm", least=0.0)]
 Angle: TypeAlias = Annotated[float, unit("rad")]
 Step: TypeAlias = Annotated[float, unit("rad", above=0.0)]
 Slope: TypeAlias = Annotated[float, unit("rad", "1")]
+Time: TypeAlias = Annotated[float, unit("s")]
+Frequency: TypeAlias = Annotated[float, unit("Hz")]
 Feed: TypeAlias = Annotated[float, unit("mm/rev", above=0.0)]
 Speed: TypeAlias = Annotated[float, unit("rpm", above=0.0)]
 # A coefficient may be of any unit; its powers must still be numbers.

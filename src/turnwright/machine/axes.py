@@ -13,8 +13,8 @@ from turnwright._arrays import Floats
 from turnwright._tables import Stated, refuse
 from turnwright._validate import between, check_numbers, positive
 from turnwright.errors import InputError, UnitError
-from turnwright.machine.responses import AnyResponse, Frequency, Response
-from turnwright.units import parse, unit
+from turnwright.machine.responses import AnyResponse, Response
+from turnwright.units import Frequency, Time, parse, unit
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -76,7 +76,7 @@ class Axis(Stated):
     bandwidth_hz: Frequency | None = None
     bandwidth_residual: Annotated[float, unit(*_UNITS["bandwidth_residual"])] | None = None
     response: Annotated[Response, AnyResponse] | None = None
-    dead_time: Annotated[float, unit("s")] | None = None
+    dead_time: Time | None = None
 
     def __post_init__(self) -> None:
         check_numbers(self)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from turnwright._arrays import Floats, Value, frozen
 from turnwright._tables import Numbers, Stated, adapter
 from turnwright._validate import between, check_numbers, positive
 from turnwright.errors import InputError
-from turnwright.units import Number, unit
+from turnwright.units import Frequency, Number
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pydantic_core import CoreSchema
 
 __all__ = [
-    "AnyResponse", "Frequency", "FrequencyResponse", "RationalResponse", "Response", "SecondOrder", "TransferFunction",
+    "AnyResponse", "FrequencyResponse", "RationalResponse", "Response", "SecondOrder", "TransferFunction",
 ]  # fmt: skip
 
 STATIC = 1e-6
@@ -40,9 +40,6 @@ MOST_POLES = 20
 
 LARGEST_FILE = 16 << 20
 """Bytes of the largest file that is a frequency response."""
-
-
-Frequency: TypeAlias = Annotated[float, unit("Hz")]
 
 
 @runtime_checkable

@@ -307,7 +307,7 @@ class InterruptedRows(EdgeRows):
     def design(self, used: Bools, split: Transition | None) -> tuple[Bools, Floats, int]:
         """Return rows and columns of the coefficients, with what places the cutter beside them. See the base.
 
-        Where it stands is told best by when the limit is crossed, so that all rows take part; how the forces depend on
+        Its place follows best from when the limit is crossed, so that all rows take part; how the forces depend on
         the limit is one more unknown.
         """
         if split is None or self.cuts.whole_turns:
@@ -509,7 +509,7 @@ def _transition(rows: EdgeRows, confidence: float) -> Transition | None:
     number, size = rows.force.size, columns.shape[2]
     free = max(number / tau - size - rows.drift.shape[1] * rows.force.shape[1], 1.0)
     answer, _, left = fit.solve(columns)
-    # Weights were made from what is left, so that a square counts as number over what is free.
+    # Weights were made from the residuals, so that a square counts as number over degrees of freedom.
     eta = tau * max(
         least / max(number - size, 1), 1.0 if rows.stated else 0.0, _told_by(fit, columns, answer, left, best)
     )

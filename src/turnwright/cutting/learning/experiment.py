@@ -34,7 +34,7 @@ from turnwright.cutting.learning.material_fit import learn_material
 from turnwright.cutting.learning.records import NEWTONS, bytes_of, read_forces, read_table
 from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
 from turnwright.errors import InputError, shown
-from turnwright.units import unit
+from turnwright.units import Angle, Feed, Frequency, Length, Size, Speed, Time
 
 if TYPE_CHECKING:
     from turnwright.cutting.learning.cuts import Passband
@@ -175,12 +175,6 @@ def learn_from_file(file: str | Path) -> Experiment:
 
 
 Text = Annotated[str, Field(min_length=1)]
-Length = Annotated[float, unit("mm")]
-Size = Annotated[float, unit("mm", above=0)]
-Feed = Annotated[float, unit("mm/rev", above=0)]
-Angle = Annotated[float, unit("rad")]
-Time = Annotated[float, unit("s")]
-Frequency = Annotated[float, unit("Hz")]
 
 
 class _Table(BaseModel):
@@ -255,7 +249,7 @@ class _Turned(_Cut):
 
 
 class _Pass(_Cut):
-    spindle: Annotated[float, unit("rpm", above=0)]
+    spindle: Speed
     times: list[Time] | None = None
 
 

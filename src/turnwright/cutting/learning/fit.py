@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 __all__ = ["CERTAIN", "TINY", "UNLIKELY", "Fit", "Solved", "hansen", "interval"]
 
 CERTAIN = 0.01
-"""A transition is told of if chance would make one as clear in less than this share of experiments."""
+"""A transition is reported if chance would make one as clear in less than this share of experiments."""
 
 UNLIKELY = 0.999
-"""A departure from proportion is told of outside this interval."""
+"""A departure from proportion is reported outside this interval."""
 
 MANY = 50
 """Rows in time from which on each brings its own noise."""
@@ -67,7 +67,7 @@ class Fit:
         return self.without_drift(columns[self.used] * self.weight[:, :, None])
 
     def solve(self, columns: Floats) -> tuple[Floats, float, Floats]:
-        """Return the parameters, the squares that are left, and what is left of each row. (k,), (n, components)."""
+        """Return the parameters, the residual squares, and the residual of each row. (k,), (n, components)."""
         table = self.table(columns)
         size = np.maximum(np.sqrt((table**2).sum(axis=(0, 1))), TINY)
         flat = (table / size).reshape(-1, size.size)
