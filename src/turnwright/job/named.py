@@ -257,7 +257,10 @@ class MachineTable(MachineDeviations):
         if machine.squareness != own.squareness:
             table["squareness"] = write(machine.squareness, "rad")
         if not same(machine.straightness, own.straightness):
-            table["straightness_file"] = machine.sources.get("straightness", "")
+            file = machine.sources.get("straightness", "")
+            if not File(file).is_absolute():
+                raise InputError(f"the straightness of {machine.name!r} is in no file, a job names one: write one")
+            table["straightness_file"] = file
         sizes = {name: size for name, size in machine.plausible.items() if own.plausible.get(name) != size}
         if sizes:
             table["plausible"] = {key_of(name): write(size, PLAUSIBLE[name]) for name, size in sizes.items()}
