@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["faults", "keys_of", "read_table", "sentences", "suggestion"]
 
 MOST_FAULTS = 30
-"""Of what is wrong with a job, this many sentences are written: they are corrected from the first on."""
+"""Of what is wrong with a file, this many sentences are written: they are corrected from the first on."""
 
 _KINDS = {
     "float_type": "a plain number without a unit or quotes",
@@ -101,7 +101,7 @@ def _of_several_kinds(annotation: Any) -> bool:
     return sum(one is not NoneType for one in get_args(annotation)) > 1
 
 
-def sentences(error: ValidationError, root: Any, tags: Mapping[str, Any]) -> list[str]:
+def sentences(error: ValidationError, root: Any, tags: Mapping[str, Any], what: str = "") -> list[str]:
     """Return one sentence for each thing that is wrong: the field, the value, what it must be, the remedy.
 
     Parameters
@@ -112,8 +112,12 @@ def sentences(error: ValidationError, root: Any, tags: Mapping[str, Any]) -> lis
         The table that was read.
     tags
         Tables by the key that chooses them, which pydantic puts into the place of an error.
+    what
+        The file, as each sentence is to name it.
     """
-    return list(dict.fromkeys(sentence for _, sentence in faults(error, root, tags)))
+    found = dict.fromkeys(sentence for _, sentence in faults(error, root, tags))
+    # One without a place, such as " is 3, it must be a table", is about all of the file.
+    return [f"{what or 'it'}{one}" if one.startswith(" ") else f"{what}: {one}" if what else one for one in found]
 
 
 def faults(error: ValidationError, root: Any, tags: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -132,11 +136,11 @@ def faults(error: ValidationError, root: Any, tags: Mapping[str, Any]) -> Iterat
     for one in found:
         yield from _nearest(one, choices[one]) if isinstance(one, str) else [one.said]
     if error.error_count() > MOST_FAULTS:
-        yield "", f"{error.error_count() - MOST_FAULTS} more places of the job are wrong: correct these first"
+        yield "", f"{error.error_count() - MOST_FAULTS} more places are wrong: correct these first"
 
 
 _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
-    "missing": lambda _, __: "is missing and has no default: add it to the job",
+    "missing": lambda _, __: "is missing and has no default: add it",
     "literal_error": lambda value, context: f"is {shown(value)}, it must be {context['expected']}: choose one of them",
     "union_tag_invalid": lambda _, context: (
         f"has the {context['discriminator'].strip(chr(39))} {context['tag']!r}, which is not known: "
@@ -213,7 +217,9 @@ def _nearest(path: str, kinds: Mapping[str, Sequence[_Fault]]) -> Iterator[tuple
 
 def suggestion(key: str, known: Iterable[str]) -> str:
     """Say which key was probably meant, else which there are."""
-    close = difflib.get_close_matches(key.lower(), known := list(known), n=1)
+    if not (known := list(known)):
+        return "there is none here, leave it out"
+    close = difflib.get_close_matches(key.lower(), known, n=1)
     return f"did you mean {close[0]!r}?" if close else f"the known ones are {', '.join(known)}, use one of them"
 
 
@@ -239,4 +245,4 @@ def read_table(cls: Any, table: Mapping[str, Any], what: str) -> Any:
     try:
         return adapter(cls).validate_python(table)
     except ValidationError as error:
-        raise InputError("\n".join(f"{what}: {one}" for one in sentences(error, cls, {}))) from error
+        raise InputError("\n".join(sentences(error, cls, {}, what))) from error

@@ -3,12 +3,16 @@
 import pickle  # noqa: TID251 - errors travel between processes
 
 import pytest
+from pydantic import ValidationError
 
 import turnwright as tw
 from turnwright import units
+from turnwright._faults import MOST_FAULTS, read_table, sentences, suggestion
 from turnwright._io import read_toml
+from turnwright._tables import adapter
 from turnwright.errors import InputError, JobError, MapError, UnitError
 from turnwright.job import Job
+from turnwright.material import Lobes
 
 
 @pytest.mark.parametrize("size", [1, 399, 400, 401, 5688, 45_978, 10**6])
@@ -31,6 +35,30 @@ def test_an_error_keeps_what_python_gives_it():
     assert isinstance(error, ValueError)
     assert error.args == ("'1 x' has no unit",)
     assert tw.errors.Stopped().args == ()
+
+
+def test_suggestion_names_a_near_key_or_all_or_that_there_is_none():
+    assert "'feed'" in suggestion("fed", ["feed", "depth"])
+    assert "feed, depth" in suggestion("angle", ["feed", "depth"])
+    assert "known ones" not in suggestion("angle", [])
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [({"count": 3}, ": amplitude is missing"), (3, " is 3, it must be a table"), ([], " is [], it must be a table")],
+)
+def test_read_table_names_any_file_not_the_job(table, words):
+    with pytest.raises(InputError) as caught:
+        read_table(Lobes, table, "lobes.toml")
+    assert str(caught.value).startswith(f"lobes.toml{words}")
+    assert "job" not in str(caught.value)
+
+
+def test_sentences_count_the_places_beyond_the_most():
+    with pytest.raises(ValidationError) as caught:
+        adapter(Lobes).validate_python({f"key {number}": number for number in range(100)})
+    *_, last = sentences(caught.value, Lobes, {})
+    assert last.startswith(f"{102 - MOST_FAULTS} more places are wrong")
 
 
 LONG = {

@@ -115,8 +115,7 @@ class Field:
         try:
             TypeAdapter(self.annotation).validate_python(self.written(token, units))
         except ValidationError as error:
-            said = sentences(error, Table, {})[0]
-            raise InputError(f"{self.name}{said}" if said.startswith(" ") else f"{self.name}: {said}") from error
+            raise InputError(sentences(error, Table, {}, self.name)[0]) from error
 
 
 class Data(NamedTuple):
