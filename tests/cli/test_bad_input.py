@@ -101,6 +101,9 @@ WRONG = {
     "a spindle faster than the lathe": ([("strategy.spindle_speed", "1e6 rpm")], r"spindle|rev/min"),
     "more blocks than the controller takes": ([("strategy.spindle_speed", "490 rpm"), ("strategy.points_per_rev", 720)], r"accept = \[\"limits\"\]"),
     "a sum of nothing": ([("part.surface", [])], r"part\.surface: .*sum"),
+    "nothing free": ([("measurement.free", [])], r"measurement: free is empty, it needs at least 1"),
+    "no cause": ([("measurement.causes", [])], r"measurement: causes is empty, it needs at least 1"),
+    "no wave": ([("measurement.waviness", [])], r"measurement: waviness is empty, it needs at least 1"),
     "no pass": ([("passes", [])], r"passes is empty"),
     "a pass that leaves stock": (
         [("part.stock", "10 um"), ("passes", [{"name": "rough", "allowance": "5 um"}])],

@@ -354,8 +354,9 @@ class MeasurementTable(Table):
                 f"{'missing' if self.departure_from is None else 'stated'}: a departure needs what it counts from, "
                 '"design" or a prescription, and a height counts from nothing'
             )
-        if not self.free or (self.causes is not None and not self.causes):
-            raise JobError("free and causes name nothing where they are empty: name at least 1, or leave them out")
+        for key in ("free", "causes", "waviness"):
+            if (given := getattr(self, key)) is not None and not given:
+                raise JobError(f"{key} is empty, it needs at least 1 entry: name one, or leave it out")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
