@@ -317,17 +317,22 @@ class Plausible(Keyed):
         Of each source.
     texts
         What a form says of it.
+    slopes
+        Sources whose size is an angle that may be given as a slope, too.
     """
 
-    __slots__ = ("texts", "units")
+    __slots__ = ("slopes", "texts", "units")
 
-    def __init__(self, units: Mapping[str, str], texts: Mapping[str, str]) -> None:
-        self.units, self.texts = units, texts
+    def __init__(self, units: Mapping[str, str], texts: Mapping[str, str], slopes: Collection[str] = ()) -> None:
+        self.units, self.texts, self.slopes = units, texts, slopes
 
     @property
     def keys(self) -> Mapping[str, Any]:
         """The types of the sizes by their keys in a file."""
-        return {key_of(name): Annotated[float, unit(one, above=0.0)] for name, one in self.units.items()}
+        return {
+            key_of(name): Annotated[float, unit(one, *(("1",) if name in self.slopes else ()), above=0.0)]
+            for name, one in self.units.items()
+        }
 
     def __get_pydantic_core_schema__(self, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic

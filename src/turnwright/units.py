@@ -289,8 +289,10 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
         """Return the number of ``text`` in the first of the units that measures the same."""
         for other in self.units[1:]:
             with suppress(UnitError):
-                return parse(text, other)
-        value = parse(text, self.units[0])
+                value = parse(text, other)
+                break
+        else:
+            value = parse(text, self.units[0])
         if abs(value) > MOST or (self.above == 0 and 0 < value < LEAST):
             limit = f"{MOST:g}" if abs(value) > MOST else f"{LEAST:g}"
             raise UnitError(

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from turnwright._tables import adapter
 from turnwright.errors import InputError
+from turnwright.job.named import AnyMachine
 from turnwright.machine import Axis, Controller, Convention, FrequencyResponse, Machine, SecondOrder
 
 NAMES = ["nanotech-350fg", "nanoform", "nanoform-fts-70", "nanoform-fts-500", "generic"]
@@ -69,9 +71,23 @@ def test_a_file_is_read_in_units(tmp_path):
     assert machine.sources["axes.X.speed"] == "name plate"
 
 
+@pytest.mark.parametrize("text", ["-35 um/m", "-35 urad", "-3.5e-5 rad"])
+def test_squareness_is_an_angle_or_a_slope(tmp_path, text):
+    file = tmp_path / "shop.toml"
+    size = text.removeprefix("-")
+    file.write_text(f"squareness = '{text}'\n{GOOD}[plausible]\nsquareness = '{size}'\n")
+    machine = Machine.load(file)
+    assert machine.squareness == pytest.approx(-35e-6)
+    assert dict(machine.plausible) == {"squareness": pytest.approx(35e-6)}
+    sizes = {"name": "generic", "plausible": {"squareness": size}}
+    assert adapter(AnyMachine).validate_python(sizes).plausible["squareness"] == machine.plausible["squareness"]
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        (("[axes.C]", "[plausible]\nservo_lag = '35 um/m'\n[axes.C]"), "plausible.servo_lag: '35 um/m' is"),
+        (("[axes.C]", "[plausible]\nsquareness = '-35 um/m'\n[axes.C]"), "plausible.squareness: '-35 um/m' is not"),
         (("spindle_rpm = 300", ""), "spindle_rpm is missing"),
         (("spindle_rpm = 300", "spindle_rpm = '300 rpm'"), "spindle_rpm is '300 rpm'"),
         (("spindle_rpm = 300", "spindle_rpm = 0"), "spindle_rpm is 0 rev/min"),

@@ -131,6 +131,8 @@ def test_a_pydantic_field_takes_text_only_and_goes_out_as_text():
     assert squareness.validate_python("-35 um/m") == -35e-6
     with pytest.raises(ValidationError, match="it must be an angle"):
         squareness.validate_python("35 um")
+    with pytest.raises(ValidationError, match="is not above 0"):
+        TypeAdapter(Annotated[float, unit("rad", "1", above=0.0)]).validate_python("-35 um/m")
 
 
 @given(st.floats(1e-6, 9.99e5), st.sampled_from((1, -1)))

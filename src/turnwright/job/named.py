@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path as File
@@ -14,13 +13,13 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from turnwright._arrays import same
-from turnwright._tables import ByName, Plausible, types_of, written
+from turnwright._tables import ByName, types_of, written
 from turnwright._validate import check_numbers, key_of
 from turnwright.errors import InputError, JobError, MapError, shown
 from turnwright.files import read_map
 from turnwright.instrument import Instrument
 from turnwright.job.table import Table, read_columns
-from turnwright.machine import PLAUSIBLE, PLAUSIBLE_TEXTS, Machine
+from turnwright.machine import PLAUSIBLE, ErrorSizes, Machine
 from turnwright.material import Material
 from turnwright.post import dialect_of
 from turnwright.surface import Family, Gridded, Scattered
@@ -214,7 +213,7 @@ class MachineTable(MachineDeviations):
     file: ExistingFile | None = None
     dialect: Text | None = None
     interpolation: Text | None = None
-    plausible: Annotated[Mapping[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS)] = field(default_factory=dict)
+    plausible: ErrorSizes = field(default_factory=dict)
 
     def build(self) -> Machine:
         """Return the machine."""

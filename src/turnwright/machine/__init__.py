@@ -2,18 +2,18 @@
 
 from turnwright.machine.axes import FAST, ROTARY, Axis
 from turnwright.machine.controller import INTERPOLATIONS, Controller, Convention
-from turnwright.machine.lathe import PLAUSIBLE, PLAUSIBLE_TEXTS, Machine
+from turnwright.machine.lathe import PLAUSIBLE, ErrorSizes, Machine
 from turnwright.machine.responses import FrequencyResponse, RationalResponse, Response, SecondOrder, TransferFunction
 
 __all__ = [
     "FAST",
     "INTERPOLATIONS",
     "PLAUSIBLE",
-    "PLAUSIBLE_TEXTS",
     "ROTARY",
     "Axis",
     "Controller",
     "Convention",
+    "ErrorSizes",
     "FrequencyResponse",
     "Machine",
     "RationalResponse",

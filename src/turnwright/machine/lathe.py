@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from turnwright._validate import check_angle, check_numbers, plausible_sizes, po
 from turnwright.errors import InputError, shown
 from turnwright.machine.axes import Axes, Axis
 from turnwright.machine.controller import Controller, Convention
-from turnwright.units import Angle, Number, Text
+from turnwright.units import Number, Slope, Text
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -41,6 +41,8 @@ PLAUSIBLE_TEXTS = MappingProxyType({
     "drift of X": "Over the time of a cut; as large as the maps allow if left out.",
     "drift of Z": "Over the time of a cut; as large as the maps allow if left out.",
 })  # fmt: skip
+
+ErrorSizes: TypeAlias = Annotated[Mapping[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS, slopes=("squareness",))]
 
 STEEPEST = 0.1
 """A squareness beyond this is a slip of the unit, not an error of a machine. [rad]"""
@@ -102,9 +104,9 @@ class Machine(Stated, Value):
     dialect: Text = "generic"
     convention: Convention = Convention()  # noqa: RUF009 - frozen
     controller: Controller = Controller()  # noqa: RUF009 - frozen
-    squareness: Angle = 0.0
+    squareness: Slope = 0.0
     straightness: Annotated[tuple[Floats, Floats], Columns(x_mm=1.0, error_nm=1e-6)] | None = None
-    plausible: Annotated[Mapping[str, float], Plausible(PLAUSIBLE, PLAUSIBLE_TEXTS)] = field(default_factory=dict)
+    plausible: ErrorSizes = field(default_factory=dict)
     sources: Annotated[Mapping[str, str], Sources] = field(default_factory=dict)
     loaded: Loaded | None = field(default=None, compare=False, repr=False)
 
