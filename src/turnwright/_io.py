@@ -15,7 +15,7 @@ from typing import IO, Any
 
 from turnwright.errors import InputError
 
-__all__ = ["answer_parent", "part_of", "read_isolated", "read_toml", "whole_file", "write_whole"]
+__all__ = ["answer_parent", "bytes_of", "part_of", "read_isolated", "read_toml", "whole_file", "write_whole"]
 
 LARGEST = 1 << 20
 """Bytes of a file: Python reads about a megabyte of TOML a second, and large tables have files of their own."""
@@ -74,6 +74,15 @@ def read_toml(data: bytes, what: str) -> dict[str, Any]:
 
 def _too_many_digits(what: str) -> InputError:
     return InputError(f"{what} holds a whole number of thousands of digits: shorten it")
+
+
+def bytes_of(path: Path, what: str) -> bytes:
+    """Return what a file holds."""
+    try:
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or "it is no name of a file"
+        raise InputError(f"{what} {str(path)!r} cannot be read ({why}): check its name") from error
 
 
 def part_of(path: Path) -> Path:

@@ -245,7 +245,7 @@ class Numbers:
 
 
 class Keyed:
-    """The annotation of a value that a file states as a table of its own keys, any of which may be left out."""
+    """The annotation of a value that a file states as a table of its own keys."""
 
     __slots__ = ()
 
@@ -254,12 +254,12 @@ class Keyed:
         """The keys of the table, with their types."""
         raise NotImplementedError
 
-    def table_schema(self, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return how pydantic reads the table."""
+    def table_schema(self, handler: GetCoreSchemaHandler, *, required: bool = False) -> CoreSchema:
+        """Return how pydantic reads the table, of which any key may be left out, or none."""
         from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
 
         fields = {
-            key: core_schema.typed_dict_field(handler.generate_schema(kind), required=False)
+            key: core_schema.typed_dict_field(handler.generate_schema(kind), required=required)
             for key, kind in self.keys.items()
         }
         return core_schema.typed_dict_schema(fields, extra_behavior="forbid")

@@ -164,58 +164,46 @@ def test_the_command_writes_a_table_and_a_page(tmp_path):
     assert sorted(one.name for one in (tmp_path / "out").iterdir()) == ["cases.csv", "report.html"]
 
 
+def entry(spread="normal(0, 1) nm", source="a"):
+    return {"spread": spread, "source": source}
+
+
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "words"),
     [
-        ({"errors": {}}, "a budget has 0 errors, it needs at least 1: say what cannot be set exactly"),
-        ({"error": {}}, "'error' is not a key of a budget, the keys are artefacts, errors, name, noise, settling: "),
-        ({"noise": "1"}, "noise or settling: '1' has no unit, it must be a length: write it such as '8 um'"),
-        ({"artefacts": ["cone"]}, "artefacts are ['cone'], they can be tilted flat, concave sphere: name each once"),
+        ({"errors": {}}, ".*0 errors.*at least 1"),
+        ({"errors": 3}, "errors is 3.*a table"),
+        ({"error": {}}, "error is not a known key.*'errors'"),
+        ({"noise": "1"}, "noise: '1' has no unit.*a length"),
+        ({"noise": "-1 nm"}, "noise: '-1 nm' is below 0 mm"),
+        ({"settling": "0 s"}, "settling is 0 s.*above 0 s"),
+        ({"settling": "3 mm"}, "settling: '3 mm' is a length.*a time"),
+        ({"name": 3}, "name is 3.*text"),
+        ({"artefacts": "cone"}, "artefacts is 'cone'.*a list"),
+        ({"artefacts": ["cone"]}, r"artefacts are \['cone'\].*tilted flat, concave sphere"),
+        ({"errors": {"tool ofset x": entry()}}, r"errors\.tool ofset x: .*'tool offset x'"),
+        ({"errors": {"drift z": 3}}, r"errors\.drift z is 3.*a table"),
+        ({"errors": {"drift z": {"spread": "normal(0, 1) nm"}}}, r"errors\.drift z\.source is missing"),
+        ({"errors": {"drift z": entry() | {"sauce": "a"}}}, r"errors\.drift z\.sauce is not a known key.*'source'"),
+        ({"errors": {"drift z": entry(3)}}, r"errors\.drift z\.spread is 3.*text"),
+        ({"errors": {"drift z": entry("normal(0, -1) nm")}}, r"errors\.drift z: normal\(0, -1e-06\).*above 0"),
+        ({"errors": {"drift z": entry("gauss(0, 1) nm")}}, r"errors\.drift z: .*'gauss' is not one of normal, uniform"),
+        ({"errors": {"drift z": entry("uniform(0, 1, 2) nm")}}, r"errors\.drift z: uniform has 3 .*2 \(low, high\)"),
+        ({"errors": {"drift z": entry("uniform(0, 1) deg")}}, r"errors\.drift z: '0 deg' is an angle.*a length"),
+        ({"errors": {"drift z": entry("1 nm")}}, r"errors\.drift z: '1 nm' is no distribution"),
+        ({"errors": {"drift z": entry(source=" ")}}, r"errors\.drift z: normal has no source"),
+        ({"errors": {"mounting Z2": entry()}}, "mounting Z2 is piston or tilt.*Z4"),
         (
-            {"errors": {"tool ofset x": {"spread": "normal(0, 1) um", "source": "a"}}},
-            "tool ofset x: a budget knows no error 'tool ofset x': did you mean 'tool offset x'?",
+            {"errors": {"waviness P3": entry(), "waviness c3": entry("normal(0, 1) nm/rad^3")}},
+            "the waviness is stated by P and by c",
         ),
-        (
-            {"errors": {"drift z": {"spread": "normal(0, -1) nm", "source": "a"}}},
-            "drift z: normal(0, -1e-06) cannot be, it needs a deviation above 0",
-        ),
-        (
-            {"errors": {"drift z": {"spread": "gauss(0, 1) nm", "source": "a"}}},
-            "drift z: the distribution 'gauss' is not one of normal, uniform, triangular, truncated normal: choose one",
-        ),
-        (
-            {"errors": {"drift z": {"spread": "uniform(0, 1, 2) nm", "source": "a"}}},
-            "drift z: uniform has 3 numbers, it needs 2 (low, high): complete or correct them",
-        ),
-        (
-            {"errors": {"drift z": {"spread": "uniform(0, 1) deg", "source": "a"}}},
-            "drift z: '0 deg' is an angle, it must be a length: write it such as '8 um'",
-        ),
-        ({"errors": {"drift z": {"spread": "1 nm", "source": "a"}}}, "drift z: '1 nm' is no distribution: "),
-        (
-            {"errors": {"drift z": {"spread": "normal(0, 1) nm", "source": " "}}},
-            "drift z: normal has no source: say where it is known from, or 'assumed: ...' and why",
-        ),
-        (
-            {"errors": {"mounting Z2": {"spread": "normal(0, 1) nm", "source": "a"}}},
-            "mounting Z2 is piston or tilt, the first fringe term that counts is Z4: leave it out",
-        ),
-        (
-            {
-                "errors": {
-                    "waviness P3": {"spread": "normal(0, 1) nm", "source": "a"},
-                    "waviness c3": {"spread": "normal(0, 1) nm/rad^3", "source": "a"},
-                }
-            },
-            "the waviness is stated by P and by c, one of both can be right: leave the other out",
-        ),
-        ({"errors": {"drift z": 3}}, "drift z is 3, it needs a spread and its source: write"),
     ],
-)  # fmt: skip
-def test_a_budget_that_cannot_be_is_a_sentence(changed, said):
-    with pytest.raises(InputError) as caught:
-        ErrorBudget.read(table(**changed))
-    assert str(caught.value).startswith(said)
+)
+def test_a_budget_that_cannot_be_is_a_sentence(tmp_path, changed, words):
+    file = tmp_path / "shop.toml"
+    file.write_text(tomli_w.dumps(table(**changed)))
+    with pytest.raises(InputError, match=rf"^budget file '.*shop\.toml': {words}") as caught:
+        ErrorBudget.load(file)
     assert "\n" not in str(caught.value)
 
 
@@ -231,13 +219,13 @@ def test_a_budget_file_that_cannot_be_read(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         ErrorBudget.load(tmp_path / "none.toml")
     (tmp_path / "bad.toml").write_text("errors = [")
-    with pytest.raises(InputError, match=r"bad\.toml: .* is not TOML"):
+    with pytest.raises(InputError, match=r"bad\.toml.* is not TOML"):
         ErrorBudget.load(tmp_path / "bad.toml")
 
 
 def test_a_budget_reads_back_what_it_writes(tmp_path):
     typical = ErrorBudget.typical()
-    (tmp_path / "again.toml").write_text(tomli_w.dumps(typical.to_table()))
+    (tmp_path / "again.toml").write_text(tomli_w.dumps(typical.table()))
     assert ErrorBudget.load(tmp_path / "again.toml") == typical
     assert all(one.source for one in typical.errors.values())
     assert set(typical.only("drift").errors) == {"drift x", "drift z"}

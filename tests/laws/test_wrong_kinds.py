@@ -92,7 +92,7 @@ CALLS = {
     "tolerance of": lambda _at, it: tw.studies.tolerance(it),
     "budget": lambda at, it: tw.studies.tolerance(at["job"], budget=it, count=10, store="nosuch://there"),
     "budget file": lambda _at, it: ErrorBudget.load(it),
-    "budget table": lambda _at, it: ErrorBudget.read(it),
+    "budget table": lambda _at, it: ErrorBudget.read({"noise": "1 nm", "errors": it}),
     "noise": lambda _at, it: ErrorBudget(errors=ErrorBudget.typical().errors, noise=it),
     "groups": lambda _at, it: ErrorBudget.typical().only(it),
     "draws": lambda _at, it: ErrorBudget.typical().draw(it, seed=0, correction=False),

@@ -5,26 +5,30 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
 from turnwright import _validate as validate
-from turnwright._io import read_toml
+from turnwright._faults import read_table
+from turnwright._io import bytes_of, read_toml
+from turnwright._tables import Keyed, Stated, refuse, written
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.surface import zernike_order
-from turnwright.units import parse, write
+from turnwright.units import Text, Thickness, Time, parse
 
 if TYPE_CHECKING:
     from os import PathLike
 
     from numpy.typing import ArrayLike
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
 
     from turnwright._arrays import Floats
 
@@ -227,8 +231,41 @@ def group_of(name: str) -> str:
     return f"{of}: {group}" if rest else group
 
 
+class Errors(Keyed):
+    """The annotation of distributions by the names of errors, each of which a file states with its source."""
+
+    keys: Mapping[str, Any] = MappingProxyType({"spread": Text, "source": Text})
+
+    def __get_pydantic_core_schema__(self, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+        return core_schema.no_info_after_validator_function(
+            _spreads,
+            core_schema.dict_schema(core_schema.str_schema(), self.table_schema(handler, required=True)),
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda held: {
+                    name: {"spread": one.text(unit_of(name)), "source": one.source} for name, one in held.items()
+                }
+            ),
+        )
+
+
+def _spreads(entries: Mapping[str, Mapping[str, str]]) -> dict[str, Spread]:
+    """Return the distributions that a file states by the names of errors, each in the unit of its error."""
+    found: dict[str, Spread] = {}
+    problems: dict[tuple[str | int, ...], Exception | str] = {}
+    for name, one in entries.items():
+        try:
+            found[name] = Spread.read(one["spread"], unit_of(name), source=one["source"])
+        except InputError as error:
+            problems[name,] = error
+    if problems:
+        raise refuse("errors", problems, entries)
+    return found
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ErrorBudget:
+class ErrorBudget(Stated):
     r"""What tool, machine and mount may be off by, when a part is cut.
 
     Parameters
@@ -260,20 +297,19 @@ class ErrorBudget:
     Drift, mounting and chuck tilt are drawn anew for every cut; tool, slides and servos stay between artefact and part.
     """
 
-    errors: Mapping[str, Spread]
-    noise: float
-    settling: float | None = None
-    artefacts: tuple[str, ...] = ARTEFACTS
-    name: str = ""
-    _units: Mapping[str, str] = field(init=False, repr=False, compare=False)
+    errors: Annotated[Mapping[str, Spread], Errors()]
+    noise: Thickness
+    settling: Time | None = None
+    artefacts: tuple[Text, ...] = ARTEFACTS
+    name: Text = ""
 
     def __post_init__(self) -> None:
         check_numbers(self)
         validate.thing(self.errors, Mapping, "the errors of a budget")
         if not self.errors:
             raise InputError("a budget has 0 errors, it needs at least 1: say what cannot be set exactly")
-        units = {name: unit_of(name) for name in self.errors}
         for name in self.errors:
+            _ = unit_of(name)
             if name.startswith(("mounting", "instrument")):
                 term = int(name.rpartition("Z")[2])
                 if term < LEAST_TERM:
@@ -297,44 +333,15 @@ class ErrorBudget:
             raise InputError(f"artefacts are {named}, they can be {', '.join(ARTEFACTS)}: name each once")
         object.__setattr__(self, "errors", MappingProxyType(dict(self.errors)))
         object.__setattr__(self, "artefacts", tuple(self.artefacts))
-        object.__setattr__(self, "_units", MappingProxyType(units))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return ErrorBudget.read, (self.to_table(),)
+        return ErrorBudget.read, (self.table(),)
 
     @classmethod
     def read(cls, table: Mapping[str, Any]) -> ErrorBudget:
         """Return the budget that a mapping describes, with quantities as text, as a TOML file reads."""
-        validate.thing(table, Mapping, "a budget")
-        known = {"name", "noise", "settling", "artefacts", "errors"}
-        for key in table:
-            if key not in known:
-                raise InputError(f"{key!r} is not a key of a budget, the keys are {', '.join(sorted(known))}: drop it")
-        errors = table.get("errors")
-        if not isinstance(errors, Mapping) or "noise" not in table:
-            raise InputError('a budget needs the table [errors] and noise = "1 nm" or the like: add what is missing')
-        artefacts = table.get("artefacts", ARTEFACTS)
-        if not isinstance(artefacts, list | tuple) or not all(isinstance(one, str) for one in artefacts):
-            raise InputError(f"artefacts is {artefacts!r}, it must be a list of names: write it so")
-        spreads: dict[str, Spread] = {}
-        for name, one in errors.items():
-            if not isinstance(one, Mapping) or set(one) != {"spread", "source"} or not isinstance(one["source"], str):
-                raise InputError(
-                    f'{name} is {one!r}, it needs a spread and its source: write {{ spread = "normal(0, 1) um", '
-                    'source = "..." }'
-                )
-            try:
-                spreads[name] = Spread.read(one["spread"], unit_of(name), source=one["source"])
-            except InputError as error:
-                raise InputError(f"{name}: {error}") from error
-        try:
-            noise = parse(table["noise"], "mm")
-            settling = None if table.get("settling") is None else parse(table["settling"], "s")
-        except InputError as error:
-            raise InputError(f"noise or settling: {error}") from error
-        return cls(
-            errors=spreads, noise=noise, settling=settling, artefacts=tuple(artefacts), name=str(table.get("name", ""))
-        )
+        found: ErrorBudget = read_table(cls, table, "the budget")
+        return found
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> ErrorBudget:
@@ -346,15 +353,9 @@ class ErrorBudget:
             If the file cannot be read, is not TOML, or describes no budget.
         """
         path = Path(validate.path(path, "the budget file"))
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            why = error.strerror
-            raise InputError(f"the budget file {str(path)!r} cannot be read ({why}): check its name") from error
-        try:
-            return cls.read(read_toml(data, f"the budget file {str(path)!r}"))
-        except InputError as error:
-            raise InputError(f"{path.name}: {error}") from error
+        what = f"budget file {str(path)!r}"
+        found: ErrorBudget = read_table(cls, read_toml(bytes_of(path, "budget file"), what), what)
+        return found
 
     @classmethod
     def typical(cls) -> ErrorBudget:
@@ -362,23 +363,15 @@ class ErrorBudget:
         file = resources.files("turnwright") / "budgets" / "typical.toml"
         return cls.read(read_toml(file.read_bytes(), "the typical budget"))
 
-    def to_table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, Any]:
         """Return the budget as `read` takes it, every digit kept."""
-        table: dict[str, Any] = {"name": self.name, "noise": write(self.noise, "mm"), "artefacts": list(self.artefacts)}
-        if self.settling is not None:
-            table["settling"] = write(self.settling, "s")
-        table["errors"] = {
-            name: {"spread": spread.text(self._units[name]), "source": spread.source}
-            for name, spread in self.errors.items()
-        }
-        return table
+        return written(self, whole=True)
 
     def unit(self, name: str) -> str:
         """Return the unit of an error, that of an artefact's own too."""
-        found = self._units.get(name.rpartition(": ")[2]) if isinstance(name, str) else None
-        if found is None:
+        if not isinstance(name, str) or (plain := name.rpartition(": ")[2]) not in self.errors:
             raise InputError(f"the budget has no error {name!r}, it has {', '.join(self.errors)}: name one of them")
-        return found
+        return unit_of(plain)
 
     def only(self, *groups: str) -> ErrorBudget:
         """Return the budget with the errors of some groups alone, such as ``"tool offset"`` and ``"drift"``."""

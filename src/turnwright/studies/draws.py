@@ -211,7 +211,7 @@ def laid_out(
         }
         del plan
     files = files_of(job)
-    return {"budget": budget.to_table(), "cuts": cuts, "files": files, "kept": kept_files(files, store)}
+    return {"budget": budget.table(), "cuts": cuts, "files": files, "kept": kept_files(files, store)}
 
 
 def _put(plan: Planned, scene: Scene, reach: Reach, store: Store) -> dict[str, Any]:

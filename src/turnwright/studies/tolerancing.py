@@ -346,7 +346,7 @@ def _limits(job: Job) -> dict[str, float]:
 def _shared(job: Job, budget: ErrorBudget, store: Store, *, correction: bool, told: StageProgress) -> dict[str, Any]:
     """Return what all cases share, planned now or by an earlier study in the same store."""
     planned = {"job": job.to_toml(), "files": files_of(job)}
-    key = case_key({"planned": planned, "budget": budget.to_table(), "correction": correction})
+    key = case_key({"planned": planned, "budget": budget.table(), "correction": correction})
     row = store.row(key)
     if row is None:
         row = laid_out(

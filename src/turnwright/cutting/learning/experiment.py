@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from turnwright._arrays import Complexes, Floats, Ints
-from turnwright._io import read_toml
+from turnwright._io import bytes_of, read_toml
 from turnwright.cutting.forces import FlyCut, SlotMill
 from turnwright.cutting.learning.cuts import (
     MILLED,
@@ -31,7 +31,7 @@ from turnwright.cutting.learning.cuts import (
 from turnwright.cutting.learning.dynamometer import CLOSES, Dynamometer, TapTest
 from turnwright.cutting.learning.learned import LearnedMaterial
 from turnwright.cutting.learning.material_fit import learn_material
-from turnwright.cutting.learning.records import NEWTONS, bytes_of, read_forces, read_table
+from turnwright.cutting.learning.records import NEWTONS, read_forces, read_table
 from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
 from turnwright.errors import InputError, shown
 from turnwright.units import Angle, Feed, Frequency, Length, Size, Speed, Time

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from turnwright._arrays import Floats, rows_of_numbers
-from turnwright._io import answer_parent, read_isolated
+from turnwright._io import answer_parent, bytes_of, read_isolated
 from turnwright._validate import positive
 from turnwright.cutting.learning.saturation import require_unsaturated
 from turnwright.cutting.learning.signals import ForceRecord
 from turnwright.errors import InputError
 
-__all__ = ["NEWTONS", "bytes_of", "read_forces", "read_table"]
+__all__ = ["NEWTONS", "read_forces", "read_table"]
 
 NEWTONS = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "uN": 1e-6, "µN": 1e-6, "μN": 1e-6}
 """What forces may be in."""
@@ -179,15 +179,6 @@ def _rate(path: Path, raw: _Raw, name: str) -> float:
             f"{UNEVEN:.0%} of a step: resample it, or leave the times out and state the rate"
         )
     return float(1 / step)
-
-
-def bytes_of(path: Path, what: str) -> bytes:
-    """Return what a file holds."""
-    try:
-        return path.read_bytes()
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or "it is no name of a file"
-        raise InputError(f"{what} {str(path)!r} cannot be read ({why}): check its name") from error
 
 
 _NAME = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
