@@ -157,6 +157,7 @@ _SAID: dict[str, Callable[[Any, Mapping[str, Any]], str]] = {
     "too_short": lambda _, context: (
         f"has {context['actual_length']} values, it needs {context['min_length']}: add some"
     ),
+    "string_too_short": lambda _, __: "is empty, it must be text in quotes: write it so",
     "string_pattern_mismatch": lambda value, _: (
         f"is {shown(value)}, it may hold up to 30 letters, digits, - and _: rename it"
     ),

@@ -347,7 +347,9 @@ class plain:  # noqa: N801 - reads as a word inside Annotated[int, plain(1, 10)]
             return core_schema.float_schema(strict=True, allow_inf_nan=False, **limits)
         if source is int:
             return core_schema.int_schema(strict=True, **limits)
-        return core_schema.bool_schema(strict=True) if source is bool else core_schema.str_schema(strict=True)
+        if source is bool:
+            return core_schema.bool_schema(strict=True)
+        return core_schema.str_schema(strict=True, min_length=int(self.least or 0))
 
 
 Length: TypeAlias = Annotated[float, unit("mm")]

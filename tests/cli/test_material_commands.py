@@ -1,5 +1,6 @@
 """Materials at the command line: list, show, and fit from records of every format; what is wrong is one sentence."""
 
+import re
 import tomllib
 
 import h5py
@@ -182,12 +183,15 @@ def test_show_says_where_each_number_is_from(capsys):
 WRONG = {
     "times that fall": (
         ('ramp = ["50 nm", "1200 nm"]', 'ramp = ["50 nm", "1200 nm"]\ntimes = ["1 s", "0.1 s"]'),
-        "has times [1.0, 0.1]",
+        r"cuts\[1\]: times are \[1\.0, 0\.1\] s",
     ),
-    "no width": (('width = "0.2 mm"\n', ""), "cuts number 1 lacks width"),
-    "a width of angle": (('"0.2 mm"', '"0.2 deg"'), "'0.2 deg' is an angle, it must be a length"),
-    "no thickness": (('ramp = ["50 nm", "1200 nm"]\n', ""), "no thickness: give one of thickness, ramp, steps"),
-    "an unknown key": (("drift = 1", "drift = 1\ndrfit = 2"), "'drfit' in record is not known"),
+    "no width": (('width = "0.2 mm"\n', ""), r"cuts\[1\]\.width is missing"),
+    "a width of angle": (('"0.2 mm"', '"0.2 deg"'), r"cuts\[1\]\.width: '0\.2 deg' is an angle, it must be a length"),
+    "no thickness": (
+        ('ramp = ["50 nm", "1200 nm"]\n', ""),
+        r"cuts\[1\]: it has no thickness: give one of thickness, ramp, steps",
+    ),
+    "an unknown key": (("drift = 1", "drift = 1\ndrfit = 2"), r"record\.drfit is not a known key.*'drift'"),
     "no such channel": (('"Fy"', '"Fq"'), "has no channel 'Fq', it has"),
     "a range that ends below the forces": (
         ("drift = 1", "drift = 1\nrange_n = 0.15"),
@@ -195,7 +199,10 @@ WRONG = {
     ),
     "a range of no force": (("drift = 1", "drift = 1\nrange_n = 0"), "range_n"),
     "too high a drift": (("drift = 1", "drift = 9"), "degree of the drift is 9, the limits are 0 to 6"),
-    "no file": (('file = "forces.csv"', 'file = "none.csv"'), "cannot be read (No such file or directory)"),
+    "no file": (
+        ('file = "forces.csv"', 'file = "none.csv"'),
+        r"cuts\[1\]: .*cannot be read \(No such file or directory\)",
+    ),
     "the wrong sign": (('"-Fz"', '"Fz"'), "thrust coefficient comes out as -8"),
     "the cutting force turned round": (('"Fy"', '"-Fy"'), "or the other sign of the channel"),
     "steps that are not those of the record": (
@@ -204,7 +211,7 @@ WRONG = {
     ),
     "a long block": (('block = "2 ms"', 'block = "2 s"'), "no stretch of 2 s fits in a cut"),
     "no TOML": (("[record]", "[record"), "is not TOML"),
-    "nothing that was cut": (("[[cuts]]", "[[passes]]"), "'passes' in the experiment is not known"),
+    "nothing that was cut": (("[[cuts]]", "[[passes]]"), "passes is not a known key.*cuts"),
 }
 
 
@@ -218,7 +225,7 @@ def test_a_wrong_experiment_is_one_sentence(tmp_path, capsys, case):
     out = tmp_path / "glass.toml"
     assert main(["material", "fit", str(tmp_path / "experiment.toml"), "--out", str(out)]) == 2
     said = capsys.readouterr().err
-    assert sentence in said
+    assert re.search(sentence, said)
     assert len([line for line in said.splitlines() if line.startswith("turnwright:")]) == 1
     assert not out.exists()
 

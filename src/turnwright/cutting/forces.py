@@ -25,9 +25,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright._arrays import Floats, frozen
+from turnwright._tables import Stated
 from turnwright._validate import between, check_angle, check_numbers, positive, whole as whole_number
 from turnwright.cutting.chip import OrthogonalChip, RoundChip
 from turnwright.errors import InputError
+from turnwright.units import Angle, Count, Feed, Length
 
 if TYPE_CHECKING:
     from turnwright.material import Material
@@ -238,7 +240,7 @@ def _turning(acting: Callable[[Floats], Acting], spindle_rpm: float, turns: floa
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SlotMill:
+class SlotMill(Stated):
     r"""Milling around an axis normal to the part: a slot of full width, or any arc of it.
 
     A tooth at the angle :math:`\varphi` from where the full slot begins stands at :math:`(-\cos\varphi, \sin\varphi)`
@@ -272,13 +274,13 @@ class SlotMill:
         If a length is not positive, or the arc of engagement does not lie within half a turn.
     """
 
-    radius: float
-    feed_per_tooth: float
-    depth: float
-    teeth: int = 1
-    corner_radius: float = 0.0
-    entry: float = 0.0
-    exit: float = np.pi
+    radius: Length
+    feed_per_tooth: Length
+    depth: Length
+    teeth: Count = 1
+    corner_radius: Length = 0.0
+    entry: Angle = 0.0
+    exit: Angle = np.pi
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -356,7 +358,7 @@ def _edge_forces(material: Material, t: Floats, sweep: float, width: float) -> t
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FlyCut:
+class FlyCut(Stated):
     r"""Fly-cutting: one round nose on a swing, fed along the cut, line by line beside each other.
 
     At the angle :math:`\varphi` of the swing past its lowest point the nose has risen by :math:`S (1 - \cos\varphi)`
@@ -386,11 +388,11 @@ class FlyCut:
         If a length is not positive, or lines do not meet below the stock.
     """
 
-    swing: float
-    nose_radius: float
-    feed: float
-    step: float
-    depth: float
+    swing: Length
+    nose_radius: Length
+    feed: Feed
+    step: Length
+    depth: Length
 
     def __post_init__(self) -> None:
         check_numbers(self)

@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from turnwright._arrays import Complexes, Floats, Ints
+from turnwright._faults import read_table as read_stated
 from turnwright._io import bytes_of, read_toml
+from turnwright._tables import Stated
 from turnwright.cutting.forces import FlyCut, SlotMill
 from turnwright.cutting.learning.cuts import (
     MILLED,
@@ -33,8 +35,8 @@ from turnwright.cutting.learning.learned import LearnedMaterial
 from turnwright.cutting.learning.material_fit import learn_material
 from turnwright.cutting.learning.records import NEWTONS, read_forces, read_table
 from turnwright.cutting.learning.signals import ForceRecord, engagements, in_air, low_pass, remove_drift
-from turnwright.errors import InputError, shown
-from turnwright.units import Angle, Feed, Frequency, Length, Size, Speed, Time
+from turnwright.errors import InputError
+from turnwright.units import Angle, Count, Feed, Flag, Frequency, Length, Number, Size, Speed, Text, Time, plain
 
 if TYPE_CHECKING:
     from turnwright.cutting.learning.cuts import Passband
@@ -57,14 +59,6 @@ UNCERTAINTIES = ("cutting uncertainty", "thrust uncertainty")
 NOSE_COLUMNS = {"nose radius": "nose_radius", "depth": "depth", "feed": "feed"}
 NOSE_FORCES = {"axial force": "axial", "feed force": "feed_force", "cutting force": "cutting"}
 """What a CSV of averaged cuts with a round nose has; each with its unit, and forces as far as they were measured."""
-
-CHANNELS = {
-    "orthogonal": ("cutting", "thrust"),
-    "round nose": ("cutting", "axial", "feed"),
-    "slot": ("x", "y", "z"),
-    "fly-cut": ("y", "z", "x"),
-}
-"""Kinds of experiments and their components of the force; the first that is measured tells when the tool cuts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -161,237 +155,277 @@ def learn_from_file(file: str | Path) -> Experiment:
         If a file cannot be read or the experiment is too small; the message says where.
     """
     path = Path(file)
-    data = bytes_of(path, "the experiment")
+    data, what = bytes_of(path, "the experiment"), f"the experiment {str(file)!r}"
     if path.suffix.lower() == ".toml":
-        table = read_toml(data, f"the experiment {str(file)!r}")
+        table = read_toml(data, what)
     else:
         table = {"name": path.stem, "source": path.name, "averages": {"file": path.name}}
         if b"nose radius" in data.split(b"\n", 1)[0]:
             table["kind"] = "round nose"
+    plan = read_stated(KINDS.get(str(table.get("kind", "orthogonal")), _Plan), table, what)
     try:
-        return _learned(_Stated.read(table, "the experiment"), path.parent)
+        return _learned(plan, path.parent)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{what}: {error}") from error
 
 
-Text = Annotated[str, Field(min_length=1)]
+Named: TypeAlias = Annotated[str, plain(1)]
+"""A text that is not empty."""
 
 
-class _Table(BaseModel):
-    """A table of the file; a key that it has not is an error."""
+@dataclass(frozen=True, kw_only=True)
+class _Cut(Stated):
+    """A record, and what was cut in it."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-    @classmethod
-    def read(cls, table: Mapping[str, Any], where: str) -> Self:
-        """Return the table, or say in a sentence what is wrong with it."""
-        try:
-            return cls.model_validate(table)
-        except ValidationError as error:
-            found = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
-            key, *number = (f"number {one + 1}" if isinstance(one, int) else one for one in found["loc"])
-            name, reason = " ".join((key, *number)), found["msg"].removeprefix("Value error, ")
-            said = f"{where} has {name} = {shown(found['input'])}, {reason[:1].lower()}{reason[1:]}: correct it"
-            if found["type"] == "value_error":
-                said = f"{where}, {name}: {reason}"
-            elif found["type"] == "missing":
-                said = f"{where} lacks {name}: add it"
-            elif found["type"] == "extra_forbidden":
-                said = f"{name!r} in {where} is not known, the keys are {', '.join(cls.model_fields)}: correct it"
-            raise InputError(said) from error
-
-
-class _Stated(_Table):
-    name: Text
-    source: Text
-    kind: str = "orthogonal"
-    rake: Angle = 0.0
-    inclination: Angle = 0.0
-    confidence: float = 0.95
-    edge_force: bool = False
-    size_effect: bool = False
-    width_uncertainty: float = 0.0
-    area_uncertainty: float = 0.0
-    thickness_uncertainty: Length = 0.0
-    averages: dict[str, Any] | None = None
-    cuts: list[dict[str, Any]] = []
-    record: dict[str, Any] | None = None
-    dynamometer: dict[str, Any] | None = None
-
-
-class _LowPass(_Table):
-    cutoff: Frequency
-    order: int
-
-
-class _File(_Table):
-    file: Text
-
-
-class _Cut(_File):
+    __slots__ = ()
+    file: Named
     rake: Angle | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Straight(_Cut):
     width: Length
     thickness: Length | None = None
-    ramp: list[Length] | None = None
-    steps: list[Length] | None = None
-    times: list[Time] | None = None
+    ramp: tuple[Length, Length] | None = None
+    steps: tuple[Length, ...] | None = None
+    times: tuple[Time, Time] | None = None
+
+    def __post_init__(self) -> None:
+        given = [key for key in ("thickness", "ramp", "steps") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise InputError(f"it has {', '.join(given) or 'no thickness'}: give one of thickness, ramp, steps")
+        if self.ramp is not None and self.times is not None and not self.times[0] < self.times[1]:
+            raise InputError(f"times are {list(self.times)} s, those of a ramp ascend: give begin and end")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Turned(_Cut):
     nose_radius: Size
     depth: Size | None = None
-    depths: list[Size] | None = None
+    depths: tuple[Size, ...] | None = None
     feed: Feed | None = None
-    feeds: list[Feed] | None = None
+    feeds: tuple[Feed, ...] | None = None
+
+    def __post_init__(self) -> None:
+        for key in ("depth", "feed"):
+            each = getattr(self, key)
+            if (each is None) == (getattr(self, f"{key}s") is None):
+                given = f"{key} and {key}s" if each else f"no {key}"
+                raise InputError(f"it has {given}: give {key}, or {key}s of its cuts")
+
+    def of_each(self, key: str, count: int) -> Sequence[float]:
+        """Return the depth or the feed of each cut of the record."""
+        each = getattr(self, key)
+        return _of_each(getattr(self, f"{key}s"), f"{key}s", count) if each is None else [each] * count
 
 
+@dataclass(frozen=True, kw_only=True)
 class _Pass(_Cut):
+    __slots__ = ()
     spindle: Speed
-    times: list[Time] | None = None
+    times: tuple[Time, Time] | None = None
 
 
-class _Slot(_Pass):
-    radius: Length
-    feed_per_tooth: Length
-    depth: Length
-    teeth: int
-    corner_radius: Length = 0.0
-    entry: Angle = 0.0
-    exit: Angle = np.pi
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _SlotPass(_Pass, SlotMill):
+    teeth: Count
 
 
-class _FlyCut(_Pass):
-    swing: Length
-    nose_radius: Length
-    step: Length
-    depth: Length
-    feed: Feed
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _FlyCutPass(_Pass, FlyCut):
+    pass
 
 
-KINDS: dict[str, type[_Cut]] = {"orthogonal": _Straight, "round nose": _Turned, "slot": _Slot, "fly-cut": _FlyCut}
-"""What says what was cut in a record, for each kind of experiment."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _LowPass(Stated):
+    cutoff: Frequency
+    order: Annotated[int, plain()]
 
 
-class _Tap(_File):
-    direction: list[float]
-
-
-class _Sensor(_Table):
-    hammer: Text
-    bandwidth: Frequency
-    noise_to_signal: float
-    unit: Text | None = None
-    rate: Frequency | None = None
-    flat: Frequency | None = None
-    taps: list[dict[str, Any]]
-
-
-class _Record(_Table):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Record(Stated):
     """How the records are to be read and cleaned."""
 
-    cutting: Text | None = None
-    thrust: Text | None = None
-    axial: Text | None = None
-    feed: Text | None = None
-    x: Text | None = None
-    y: Text | None = None
-    z: Text | None = None
-    found_by: Text | None = None
-    channels: list[str] | None = None
-    unit: Text | None = None
+    found_by: Named | None = None
+    channels: tuple[Text, ...] | None = None
+    unit: Named | None = None
     rate: Frequency | None = None
-    range_n: float | None = None
-    drift: int
+    range_n: Number | None = None
+    drift: Annotated[int, plain()]
     shortest: Time
     lead: Time = 0.0
-    whole_turns: bool = False
     block: Time | None = None
     guard: Time
-    low_pass: dict[str, Any] | None = None
+    low_pass: _LowPass | None = None
 
-    def named(self, kind: str) -> dict[str, str]:
-        """Return the channels of the components that were measured, the one first by which the tool cuts."""
-        every = [one for names in CHANNELS.values() for one in names if getattr(self, one) is not None]
-        wrong = [one for one in every if one not in CHANNELS[kind]]
-        if wrong or not every or (kind == "orthogonal" and len(every) < len(CHANNELS[kind])):
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _StraightRecord(_Record):
+    cutting: Named
+    thrust: Named
+    block: Time
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TurnedRecord(_Record):
+    cutting: Named | None = None
+    axial: Named | None = None
+    feed: Named | None = None
+    block: Time
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _MilledRecord(_Record):
+    x: Named | None = None
+    y: Named | None = None
+    z: Named | None = None
+    whole_turns: Flag = False
+
+    def __post_init__(self) -> None:
+        if (self.block is None) != self.whole_turns:
+            raise InputError("it has neither block nor whole_turns = true, or both: give one of them")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Tap(Stated):
+    file: Named
+    direction: tuple[Number, Number, Number]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Sensor(Stated):
+    hammer: Named
+    bandwidth: Frequency
+    noise_to_signal: Number
+    unit: Named | None = None
+    rate: Frequency | None = None
+    flat: Frequency | None = None
+    taps: tuple[_Tap, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Averages(Stated):
+    file: Named
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Plan(Stated):
+    """What the file of an experiment states; those of its kind say of what sort its record and its cuts are."""
+
+    components: ClassVar[tuple[str, ...]] = ()
+    """Of the force; the first that is measured tells when the tool cuts."""
+
+    name: Named
+    source: Named
+    kind: Literal["orthogonal", "round nose", "slot", "fly-cut"] = "orthogonal"
+    rake: Angle = 0.0
+    inclination: Angle = 0.0
+    confidence: Number = 0.95
+    edge_force: Flag = False
+    size_effect: Flag = False
+    area_uncertainty: Number = 0.0
+    thickness_uncertainty: Length = 0.0
+    averages: _Averages | None = None
+    record: Any = None
+    dynamometer: _Sensor | None = None
+    cuts: tuple[Any, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.inclination:
             raise InputError(
-                f"record names {', '.join(dict.fromkeys(every)) or 'no channel'}, it needs "
-                f"{'both' if kind == 'orthogonal' else 'at least 1'} of {', '.join(CHANNELS[kind])}: correct it"
+                f"inclination is {np.rad2deg(self.inclination):g} deg, the limit is 0 deg: an oblique cut also presses "
+                "along its edge, for which no coefficient is learned, so set the edge square to the cut"
             )
-        return {one: getattr(self, one) for one in CHANNELS[kind] if one in every}
+        if (self.averages is None) == (not self.cuts):
+            raise InputError("the experiment has neither averages nor cuts, or both: give [averages] or [[cuts]]")
+        if self.averages is None and self.record is None:
+            raise InputError("the experiment lacks record: say in [record] which channel is which")
+        if self.record is not None and not self.named:
+            raise InputError(f"record names no channel, it needs at least 1 of {', '.join(self.components)}: name one")
+        for i, one in enumerate(self.cuts):
+            _require_rake(self.rake if one.rake is None else one.rake, self.rake, f"cuts[{i + 1}]")
+
+    @property
+    def named(self) -> dict[str, str]:
+        """The channels of the components that were measured."""
+        return {one: name for one in self.components if (name := getattr(self.record, one)) is not None}
 
 
-def _learned(stated: _Stated, folder: Path) -> Experiment:
-    """Learn from the tables of an experiment."""
-    kind, rake = stated.kind, stated.rake
-    if kind not in CHANNELS:
-        raise InputError(f"kind is {kind!r}, the known ones are {', '.join(CHANNELS)}: choose one")
-    if stated.inclination:
-        raise InputError(
-            f"the edge is inclined by {np.rad2deg(stated.inclination):g} deg, the limit is 0 deg: an oblique cut also "
-            "presses along its edge, for which no coefficient is learned, so set the edge square to the cut"
-        )
-    right, wrong = ("width", "area") if kind == "orthogonal" else ("area", "width")
-    if getattr(stated, f"{wrong}_uncertainty"):
-        raise InputError(f"{wrong}_uncertainty is given of the kind {kind!r}, which has {right}_uncertainty: rename it")
-    if (stated.averages is None) == (not stated.cuts):
-        raise InputError("the experiment has neither averages nor cuts, or both: give [averages] or [[cuts]]")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Orthogonal(_Plan):
+    components = ("cutting", "thrust")
+    key_names = MappingProxyType({"area_uncertainty": "width_uncertainty"})
+    record: _StraightRecord | None = None
+    cuts: tuple[_Straight, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _RoundNose(_Plan):
+    components = ("cutting", "axial", "feed")
+    record: _TurnedRecord | None = None
+    cuts: tuple[_Turned, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Slot(_Plan):
+    components = ("x", "y", "z")
+    hidden = ("averages",)
+    record: _MilledRecord
+    cuts: tuple[_SlotPass, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _FlyCutting(_Plan):
+    components = ("y", "z", "x")
+    hidden = ("averages",)
+    record: _MilledRecord
+    cuts: tuple[_FlyCutPass, ...]
+
+
+KINDS: dict[str, type[_Plan]] = {
+    "orthogonal": _Orthogonal, "round nose": _RoundNose, "slot": _Slot, "fly-cut": _FlyCutting,
+}  # fmt: skip
+
+COMPONENTS = (*TURNED, "thrust", *MILLED)
+"""Of the force, in the order of what is learned from them."""
+
+
+def _learned(plan: _Plan, folder: Path) -> Experiment:
+    """Learn from what an experiment states."""
+    rake = plan.rake
     drift: int | None = None
     shares: list[float] | None = None
     rows: Cuts | NoseCuts | InterruptedCuts
-    if stated.averages is not None:
-        file = folder / _File.read(stated.averages, "averages").file
-        if kind in ("slot", "fly-cut"):
-            raise InputError(
-                f"averages were given of the kind {kind!r}, averages can be of orthogonal or round nose: give records"
-            )
-        if kind == "orthogonal":
-            rows = _averages(file)
-        else:
-            rows, rake = _nose_averages(file, rake)
-    elif stated.record is None:
-        raise InputError("the experiment lacks record: say in [record] which channel is which")
-    else:
-        how = _Reading(_Record.read(stated.record, "record"), stated, folder)
+    if plan.averages is None:
+        how = _Reading(plan, folder)
         rows, drift, shares = how.rows(), how.record.drift, how.shares()
+    elif isinstance(plan, _Orthogonal):
+        rows = _averages(folder / plan.averages.file)
+    else:
+        rows, rake = _nose_averages(folder / plan.averages.file, rake)
     learned = learn_material(
-        rows,
-        drift=drift,
-        edge_force=stated.edge_force,
-        size_effect=stated.size_effect,
-        calibration=shares,
-        area_uncertainty=getattr(stated, f"{right}_uncertainty"),
-        thickness_uncertainty=stated.thickness_uncertainty,
-        confidence=stated.confidence,
-    )
-    return Experiment(name=stated.name, source=stated.source, learned=learned, cuts=rows, rake=rake)
+        rows, drift=drift, edge_force=plan.edge_force, size_effect=plan.size_effect, calibration=shares,
+        area_uncertainty=plan.area_uncertainty, thickness_uncertainty=plan.thickness_uncertainty,
+        confidence=plan.confidence,
+    )  # fmt: skip
+    return Experiment(name=plan.name, source=plan.source, learned=learned, cuts=rows, rake=rake)
 
 
 class _Reading:
     """Reads the records of an experiment, takes the dynamometer's share and fast changes out, and averages them."""
 
-    def __init__(self, record: _Record, stated: _Stated, folder: Path) -> None:
-        """Take how the records are to be read, and what was cut in them."""
-        self.record, self.stated, self.folder, self.kind = record, stated, folder, stated.kind
-        self.turns = self.kind in ("slot", "fly-cut")
-        if (record.block is None) != record.whole_turns or (record.whole_turns and not self.turns):
-            raise InputError(
-                "record lacks block, or has whole_turns beside it or of a kind that does not turn: give one of both"
-            )
-        self.named = record.named(self.kind)
-        self.by = record.found_by or next(iter(self.named.values()))
-        self.channels = record.channels or list(
+    def __init__(self, plan: _Plan, folder: Path) -> None:
+        """Take what the experiment states, and where its files lie."""
+        self.record: _Record = plan.record
+        self.cuts, self.folder, self.named = plan.cuts, folder, plan.named
+        self.by = self.record.found_by or next(iter(self.named.values()))
+        self.channels = self.record.channels or tuple(
             dict.fromkeys(one.removeprefix("-") for one in (*self.named.values(), self.by))
         )
-        smooth = None if record.low_pass is None else _LowPass.read(record.low_pass, "low_pass")
-        self.smooth = None if smooth is None else (smooth.cutoff, smooth.order)
         self.sensor: Dynamometer | None = None
         self.filter = {"bandwidth_hz": 0.0, "noise_to_signal": 0.0}
-        if stated.dynamometer is not None:
-            self._tap(_Sensor.read(stated.dynamometer, "dynamometer"))
+        if plan.dynamometer is not None:
+            self._tap(plan.dynamometer)
         self.steady = np.zeros(len(self.channels))
 
     def _tap(self, keys: _Sensor) -> None:
@@ -399,55 +433,55 @@ class _Reading:
         if len(self.channels) != 3:
             raise InputError(f"record has {len(self.channels)} channels, with a dynamometer it needs 3: name all three")
         taps = []
-        for i, table in enumerate(keys.taps):
-            one = _Tap.read(table, f"taps number {i + 1}")
+        for one in keys.taps:
             said = read_forces(
-                self.folder / one.file,
-                channels=[keys.hammer, *self.channels],
-                unit=keys.unit or self.record.unit,
-                rate_hz=keys.rate or self.record.rate,
-            )
-            hammer, response = said.force[:, 0], said.force[:, 1:]
-            taps.append(
-                TapTest(hammer=hammer, response=response, direction=np.array(one.direction), rate_hz=said.rate_hz)
-            )
+                self.folder / one.file, channels=[keys.hammer, *self.channels],
+                unit=keys.unit or self.record.unit, rate_hz=keys.rate or self.record.rate,
+            )  # fmt: skip
+            direction, force = np.array(one.direction), said.force
+            taps.append(TapTest(hammer=force[:, 0], response=force[:, 1:], direction=direction, rate_hz=said.rate_hz))
         self.sensor = Dynamometer.from_taps(taps, flat_hz=keys.flat)
         self.filter = {"bandwidth_hz": keys.bandwidth, "noise_to_signal": keys.noise_to_signal}
 
     def rows(self) -> Cuts | NoseCuts | InterruptedCuts:
         """Return the averages of all records."""
-        how = self.record
-        parts: list[Cuts | NoseCuts | InterruptedCuts] = []
-        for i, table in enumerate(self.stated.cuts):
-            where = f"cuts number {i + 1}"
-            one = KINDS[self.kind].read(table, where)
-            _require_rake(self.stated.rake if one.rake is None else one.rake, self.stated.rake, where)
-            record = read_forces(
-                self.folder / one.file, channels=self.channels, unit=how.unit, rate_hz=how.rate, range_n=how.range_n
-            )
-            passed = self._passband(record.rate_hz)
-            if self.sensor is not None:
-                record = self.sensor.forces(record, **self.filter)
-            if self.smooth is not None:
-                record = low_pass(record, *self.smooth)
-            found = self._found(one, record, where)
-            parts.append(self._averaged(one, record, found, passed, where))
-            air = in_air(record.samples, found)
-            self.steady += remove_drift(record, air, degree=how.drift).force[~air].mean(axis=0)
+        parts = []
+        for i, one in enumerate(self.cuts):
+            try:
+                parts.append(self._rows_of(one))
+            except InputError as error:
+                raise InputError(f"cuts[{i + 1}]: {error}") from error
         return _together(parts)
+
+    def _rows_of(self, one: _Cut) -> Cuts | NoseCuts | InterruptedCuts:
+        """Return the averages of one record, and count its mean force."""
+        how = self.record
+        record = read_forces(
+            self.folder / one.file, channels=self.channels, unit=how.unit, rate_hz=how.rate, range_n=how.range_n
+        )
+        passed = self._passband(record.rate_hz)
+        if self.sensor is not None:
+            record = self.sensor.forces(record, **self.filter)
+        if how.low_pass is not None:
+            record = low_pass(record, how.low_pass.cutoff, how.low_pass.order)
+        found = self._found(one, record)
+        rows = self._averaged(one, record, found, passed)
+        air = in_air(record.samples, found)
+        self.steady += remove_drift(record, air, degree=how.drift).force[~air].mean(axis=0)
+        return rows
 
     def shares(self) -> list[float] | None:
         """Return by what share the dynamometer leaves each component uncertain."""
         if self.sensor is None:
             return None
         of_channel = np.minimum(self.sensor.relative_uncertainty(self.steady), 1.0)
-        order = {"round nose": TURNED, "orthogonal": CHANNELS[self.kind]}.get(self.kind, MILLED)
-        named = [self.named[key].removeprefix("-") for key in order if key in self.named]
+        named = [self.named[key].removeprefix("-") for key in COMPONENTS if key in self.named]
         return [float(of_channel[self.channels.index(one)]) for one in named]
 
     def _passband(self, rate: float) -> Passband | None:
         """Return what the filters leave of forces at some frequencies, or ``None`` for all."""
-        if self.sensor is None and self.smooth is None:
+        smooth = self.record.low_pass
+        if self.sensor is None and smooth is None:
             return None
 
         def left(frequency: Floats) -> Complexes:
@@ -456,23 +490,22 @@ class _Reading:
                 heard = frequency <= CLOSES * self.filter["bandwidth_hz"]
                 found[~heard] = 0
                 found[heard] = self.sensor.resolution(frequency[heard], **self.filter)
-            if self.smooth is not None:
-                cutoff, order = self.smooth
-                ratio = np.tan(np.pi * np.minimum(frequency / rate, 0.499)) / np.tan(np.pi * cutoff / rate)
-                found *= (1 / (1 + ratio ** (2 * order)))[:, None, None]
+            if smooth is not None:
+                ratio = np.tan(np.pi * np.minimum(frequency / rate, 0.499)) / np.tan(np.pi * smooth.cutoff / rate)
+                found *= (1 / (1 + ratio ** (2 * smooth.order)))[:, None, None]
             return found
 
         return left
 
-    def _found(self, one: _Cut, record: ForceRecord, where: str) -> Ints:
+    def _found(self, one: _Cut, record: ForceRecord) -> Ints:
         """Return first samples of the cuts of a record, and first ones after them. (m, 2)."""
         how = self.record
         if isinstance(one, _Pass):
             if one.times is not None:
                 ends = [round(at * record.rate_hz) for at in one.times]
-                if len(ends) != 2 or not 0 <= ends[0] < ends[1] <= record.samples:
+                if not 0 <= ends[0] < ends[1] <= record.samples:
                     raise InputError(
-                        f"{where} has times {one.times}, a pass needs 2 that ascend within the record of "
+                        f"times are {list(one.times)} s, those of a pass ascend within the record of "
                         f"{record.samples / record.rate_hz:.4g} s: give begin and end"
                     )
                 return np.array([ends], dtype=np.int64)
@@ -480,32 +513,32 @@ class _Reading:
             if how.shortest < LEAST_TURNS * turn * (1 - OFF_SPEED):
                 raise InputError(
                     f"shortest is {how.shortest:g} s, a pass is found by means over turns of {turn:.3g} s and the "
-                    f"limit is {LEAST_TURNS} of these: raise it, or give the times of {where}"
+                    f"limit is {LEAST_TURNS} of these: raise it, or give the times of the pass"
                 )
         return engagements(record, self.by, shortest=how.shortest, drift=how.drift, lead=how.lead)
 
     def _averaged(
-        self, one: _Cut, record: ForceRecord, found: Ints, passed: Passband | None, where: str
+        self, one: _Cut, record: ForceRecord, found: Ints, passed: Passband | None
     ) -> Cuts | NoseCuts | InterruptedCuts:
         """Return the averages of one record."""
         block, guard = self.record.block, self.record.guard
-        if isinstance(one, _Straight) and block is not None:
+        if isinstance(one, _SlotPass | _FlyCutPass):
+            return interrupted_cuts(
+                record, found, geometry=one, spindle_rpm=one.spindle, block=block, guard=guard, passband=passed,
+                **self.named,
+            )  # fmt: skip
+        assert block is not None  # noqa: S101 - records of the other kinds state it
+        if isinstance(one, _Straight):
             return measured_cuts(
-                record, found, thickness=_thickness(one, found / record.rate_hz, where), width=one.width,
+                record, found, thickness=_thickness(one, found / record.rate_hz), width=one.width,
                 block=block, guard=guard, **self.named,
             )  # fmt: skip
-        if isinstance(one, _Turned) and block is not None:
-            channels = {"feed_force" if key == "feed" else key: channel for key, channel in self.named.items()}
-            depth, feed = (_of_each(one, key, len(found), where) for key in ("depth", "feed"))
-            return turning_cuts(
-                record, found, nose_radius=one.nose_radius, depth=depth, feed=feed, block=block, guard=guard, **channels
-            )
-        assert isinstance(one, _Pass)  # noqa: S101 - the other kinds have a block
-        stated = {key: getattr(one, key) for key in type(one).model_fields if key not in _Pass.model_fields}
-        return interrupted_cuts(
-            record, found, geometry=(SlotMill if isinstance(one, _Slot) else FlyCut)(**stated),
-            spindle_rpm=one.spindle, block=block, guard=guard, passband=passed, **self.named,
-        )  # fmt: skip
+        assert isinstance(one, _Turned)  # noqa: S101 - the last kind
+        channels = {"feed_force" if key == "feed" else key: channel for key, channel in self.named.items()}
+        depth, feed = (one.of_each(key, len(found)) for key in ("depth", "feed"))
+        return turning_cuts(
+            record, found, nose_radius=one.nose_radius, depth=depth, feed=feed, block=block, guard=guard, **channels
+        )
 
 
 def _require_rake(mine: float, common: float, where: str) -> None:
@@ -516,17 +549,12 @@ def _require_rake(mine: float, common: float, where: str) -> None:
         )
 
 
-def _of_each(one: _Turned, key: str, count: int, where: str) -> list[float]:
-    """Return a depth or feed of each cut of a record."""
-    each, many = getattr(one, key), getattr(one, f"{key}s")
-    if (each is None) == (many is None):
-        given = f"{key} and {key}s" if each else f"no {key}"
-        raise InputError(f"{where} has {given}: give {key}, or {key}s of its cuts")
-    values = [each] * count if many is None else many
+def _of_each(values: Sequence[float], name: str, count: int) -> Sequence[float]:
+    """Return values if there is one for each cut of a record."""
     if len(values) != count:
         raise InputError(
-            f"{where} has {len(values)} {key}s, and {count} cuts are found in its record: give one for each cut, or "
-            "another value of shortest"
+            f"it has {len(values)} {name}, and {count} cuts are found in its record: give one for each cut, or another "
+            "value of shortest"
         )
     return values
 
@@ -565,28 +593,15 @@ def _together(parts: Sequence[Cuts | NoseCuts | InterruptedCuts]) -> Cuts | Nose
     )
 
 
-def _thickness(one: _Straight, spans: Floats, where: str) -> Callable[[Floats], Floats]:
+def _thickness(one: _Straight, spans: Floats) -> Callable[[Floats], Floats]:
     """Return the thickness over time: one for all, a ramp from first entry to last exit, or one for each cut."""
-    given = [key for key in ("thickness", "ramp", "steps") if getattr(one, key) is not None]
-    if len(given) != 1:
-        raise InputError(f"{where} has {', '.join(given) or 'no thickness'}: give one of thickness, ramp, steps")
     if one.thickness is not None:
         steady = one.thickness
         return lambda at: np.full(at.shape, steady)
     if one.ramp is not None:
         ramp, ends = one.ramp, one.times or [spans[0, 0], spans[-1, 1]]
-        if len(ramp) != 2 or len(ends) != 2 or not ends[0] < ends[1]:
-            raise InputError(
-                f"{where} has times {ends} and a ramp of {len(ramp)} thicknesses, it needs 2 times that ascend and 2 "
-                "thicknesses: give first and last"
-            )
         return lambda at: np.interp(at, ends, ramp)
-    steps = one.steps or []
-    if len(steps) != len(spans):
-        raise InputError(
-            f"{where} has {len(steps)} steps, and {len(spans)} cuts are found in its record: give one for each cut, or "
-            "another value of shortest"
-        )
+    steps = _of_each(one.steps or (), "steps", len(spans))
     return lambda at: np.asarray(steps)[np.clip(np.searchsorted(spans[:, 0], at, side="right") - 1, 0, None)]
 
 
