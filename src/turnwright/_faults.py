@@ -7,7 +7,7 @@ import re
 from dataclasses import is_dataclass
 from itertools import islice
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_origin
 
 from turnwright._tables import ByName, Keyed, Stated, adapter
 from turnwright.errors import InputError, shortened, shown
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 __all__ = ["faults", "keys_of", "read_table", "sentences", "suggestion"]
+
+T = TypeVar("T")
 
 MOST_FAULTS = 30
 """Of what is wrong with a file, this many sentences are written: they are corrected from the first on."""
@@ -224,7 +226,7 @@ def suggestion(key: str, known: Iterable[str]) -> str:
     return f"did you mean {close[0]!r}?" if close else f"the known ones are {', '.join(known)}, use one of them"
 
 
-def read_table(cls: Any, table: Mapping[str, Any], what: str) -> Any:
+def read_table(cls: type[T], table: Mapping[str, Any], what: str) -> T:
     """Return what the table of a file describes.
 
     Parameters
@@ -244,6 +246,7 @@ def read_table(cls: Any, table: Mapping[str, Any], what: str) -> Any:
     from pydantic import ValidationError  # noqa: PLC0415 - only files need it
 
     try:
-        return adapter(cls).validate_python(table)
+        found: T = adapter(cls).validate_python(table)
     except ValidationError as error:
         raise InputError("\n".join(sentences(error, cls, {}, what))) from error
+    return found

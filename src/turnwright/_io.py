@@ -76,13 +76,13 @@ def _too_many_digits(what: str) -> InputError:
     return InputError(f"{what} holds a whole number of thousands of digits: shorten it")
 
 
-def bytes_of(path: Path, what: str) -> bytes:
-    """Return what a file holds."""
+def bytes_of(path: Path, what: str, remedy: str = "check its name and place") -> bytes:
+    """Return what a file holds, or say that it cannot be read, and the remedy."""
     try:
         return path.read_bytes()
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or "it is no name of a file"
-        raise InputError(f"{what} {str(path)!r} cannot be read ({why}): check its name") from error
+        raise InputError(f"{what} {str(path)!r} cannot be read ({why}): {remedy}") from error
 
 
 def part_of(path: Path) -> Path:

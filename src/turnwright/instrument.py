@@ -30,7 +30,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, is_even
 from turnwright._faults import read_table
-from turnwright._io import read_toml
+from turnwright._io import bytes_of, read_toml
 from turnwright._tables import Loaded, Stated
 from turnwright._validate import between, check_numbers, positive, whole
 from turnwright.errors import InputError, shown
@@ -150,11 +150,8 @@ class Instrument(Stated):
                 f"there is no instrument {shown(str(name))}, the known ones are {', '.join(presets)}: choose one, or "
                 "name a .toml file"
             )
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise InputError(f"{path} cannot be read ({error.strerror}): check its name and place") from error
-        return _read(read_toml(data, f"instrument file {str(path)!r}"), path.stem, str(name))
+        table = read_toml(bytes_of(path, "instrument file"), f"instrument file {str(path)!r}")
+        return _read(table, path.stem, str(name))
 
     @property
     def summary(self) -> str:
@@ -282,7 +279,7 @@ def _presets() -> dict[str, dict[str, Any]]:
 
 
 def _read(table: dict[str, Any], name: str, source: str) -> Instrument:
-    found: Instrument = read_table(Instrument, {"name": name, **table}, f"instrument {name!r}")
+    found = read_table(Instrument, {"name": name, **table}, f"instrument {name!r}")
     return replace(found, loaded=Loaded(source, found))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._faults import read_table
-from turnwright._io import read_toml
+from turnwright._io import bytes_of, read_toml
 from turnwright._tables import Columns, Sources, Stated
 from turnwright._validate import between, check_angle, check_numbers, positive, whole as whole_number
 from turnwright.errors import InputError
@@ -30,9 +30,6 @@ __all__ = ["CriticalThickness", "CuttingCoefficient", "Lobes", "Material"]
 
 MOST_LOBES = 24
 """Lobes beyond what the symmetry of a crystal gives."""
-
-SHOWN = 60
-"""Letters of a name that a message repeats."""
 
 STEEPEST = np.deg2rad(80)
 """Rake beyond which nothing is measured. [rad]"""
@@ -380,18 +377,10 @@ class Material(Stated, Value):
         if named is not None:
             data = _shipped(named)
         else:
-            try:
-                data = Path(name).read_bytes()
-            except (OSError, ValueError) as error:
-                why = getattr(error, "strerror", None) or "it is no name of a file"
-                shown = str(name) if len(str(name)) <= SHOWN else f"{str(name)[:SHOWN]}..."
-                raise InputError(
-                    f"material {shown!r} is not one of the known ones and cannot be read as a file ({why}): "
-                    f"{cls.suggest(str(name))}; name one of them, or give the path of a .toml file"
-                ) from error
+            remedy = f"{cls.suggest(str(name))}; name one of them, or give the path of a .toml file"
+            data = bytes_of(Path(name), "material file", remedy)
         table = read_toml(data, f"material file {str(name)!r}")
-        found: Material = read_table(cls, table, f"material file {str(name)!r}")
-        return found
+        return read_table(cls, table, f"material file {str(name)!r}")
 
     def caution(self, thickness: float) -> str:
         """Return what to know before relying on forces at a chip thickness [mm]; empty where the source covers it.

@@ -45,7 +45,7 @@ WRONG = {
     "an unknown table": ([("toool", {})], r"toool is not a known key: did you mean 'tool'\?"),
     "an unknown family": ([("part.surface.family", "sfere")], r"part\.surface has the family 'sfere'.*'sphere'"),
     "no family": ([("part.surface", {"radius": "5 mm"})], r"part\.surface lacks the key family"),
-    "an unknown machine": ([("machine.name", "lathe")], r"machine: machine 'lathe' is not one of generic"),
+    "an unknown machine": ([("machine.name", "lathe")], r"machine: machine file 'lathe' cannot be read.*generic"),
     "a missing machine file": (
         [("machine", {"file": "none.toml"})],
         r"machine\.file: the file 'none\.toml' does not exist",

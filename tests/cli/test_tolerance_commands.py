@@ -180,7 +180,7 @@ def entry(spread="normal(0, 1) nm", source="a"):
         ({"settling": "3 mm"}, "settling: '3 mm' is a length.*a time"),
         ({"name": 3}, "name is 3.*text"),
         ({"artefacts": "cone"}, "artefacts is 'cone'.*a list"),
-        ({"artefacts": ["cone"]}, r"artefacts are \['cone'\].*tilted flat, concave sphere"),
+        ({"artefacts": ["cone"]}, r"artefacts is \('cone',\).*tilted flat, concave sphere"),
         ({"errors": {"tool ofset x": entry()}}, r"errors\.tool ofset x: .*'tool offset x'"),
         ({"errors": {"drift z": 3}}, r"errors\.drift z is 3.*a table"),
         ({"errors": {"drift z": {"spread": "normal(0, 1) nm"}}}, r"errors\.drift z\.source is missing"),

@@ -15,7 +15,7 @@ from annotated_types import Ge, Le
 from pydantic import Field, PlainValidator, Strict, ValidationError
 
 from turnwright._faults import faults as faults_of, sentences, suggestion
-from turnwright._io import read_toml, write_whole
+from turnwright._io import bytes_of, read_toml, write_whole
 from turnwright._tables import Stated, adapter, read_by, types_of, written
 from turnwright._validate import check_numbers
 from turnwright.diagnosis import CAUSES
@@ -623,11 +623,7 @@ class Job(Table):
         """
         path = File(path)
         try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise JobError(f"the job file {str(path)!r} cannot be read ({error.strerror}): check its name") from error
-        try:
-            table = read_toml(data, f"the job file {str(path)!r}")
+            table = read_toml(bytes_of(path, "the job file"), f"the job file {str(path)!r}")
         except InputError as error:
             raise JobError(str(error)) from error
         return cls.read(table, folder=path.parent)

@@ -13,7 +13,7 @@ import numpy as np
 
 from turnwright._arrays import Floats, Value, frozen
 from turnwright._faults import read_table
-from turnwright._io import read_toml
+from turnwright._io import bytes_of, read_toml
 from turnwright._tables import Columns, Loaded, Plausible, Sources, Stated, flat
 from turnwright._validate import check_angle, check_numbers, plausible_sizes, positive
 from turnwright.errors import InputError, shown
@@ -153,7 +153,7 @@ class Machine(Stated, Value):
             If there is no such machine, or its file is wrong; the message names the key.
         """
         table, what = _read(name, ()), f"machine file {str(name)!r}"
-        found: Machine = read_table(cls, table, what)
+        found = read_table(cls, table, what)
         facts = flat({key: value for key, value in table.items() if key != "sources"})
         for key in found.sources:
             if key not in facts:
@@ -215,14 +215,8 @@ def _read(name: str | Path, above: tuple[str | Path, ...]) -> dict[str, Any]:
     if name in known:
         data, beside = (folder / f"{name}.toml").read_bytes(), Path()
     else:
-        try:
-            data, beside = Path(name).read_bytes(), Path(name).parent
-        except (OSError, ValueError) as error:
-            why = getattr(error, "strerror", None) or "it is no name of a file"
-            raise InputError(
-                f"machine {str(name)!r} is not one of {', '.join(known)} and cannot be read as a file ({why}): "
-                "name one of these, or give the path of a .toml file"
-            ) from error
+        remedy = f"name one of {', '.join(known)}, or give the path of a .toml file"
+        data, beside = bytes_of(Path(name), "machine file", remedy), Path(name).parent
     table = read_toml(data, f"machine file {str(name)!r}")
     axes = table.get("axes")
     for axis in axes.values() if isinstance(axes, dict) else ():

@@ -19,7 +19,7 @@ from turnwright._faults import read_table
 from turnwright._io import bytes_of, read_toml
 from turnwright._tables import Keyed, Stated, refuse, written
 from turnwright._validate import check_numbers, positive
-from turnwright.errors import InputError
+from turnwright.errors import InputError, shown
 from turnwright.surface import zernike_order
 from turnwright.units import Text, Thickness, Time, parse
 
@@ -325,12 +325,12 @@ class ErrorBudget(Stated):
         if self.settling is not None:
             positive(self.settling, "settling", "s")
         validate.thing(self.name, str, "the name of a budget")
-        if isinstance(self.artefacts, str):  # which as a tuple would be one of letters
-            raise InputError(f"artefacts is {self.artefacts!r}, it must be a list of names: write it so")
-        stated = self.artefacts if isinstance(self.artefacts, list | tuple) else (self.artefacts,)
-        named = [str(one) for one in stated]
+        named = [str(one) for one in self.artefacts] if isinstance(self.artefacts, list | tuple) else []
         if not named or sorted(named) != sorted(one for one in ARTEFACTS if one in named):
-            raise InputError(f"artefacts are {named}, they can be {', '.join(ARTEFACTS)}: name each once")
+            raise InputError(
+                f"artefacts is {shown(self.artefacts)}, it must be a list of names, of {', '.join(ARTEFACTS)}: name "
+                "each once"
+            )
         object.__setattr__(self, "errors", MappingProxyType(dict(self.errors)))
         object.__setattr__(self, "artefacts", tuple(self.artefacts))
 
@@ -340,8 +340,7 @@ class ErrorBudget(Stated):
     @classmethod
     def read(cls, table: Mapping[str, Any]) -> ErrorBudget:
         """Return the budget that a mapping describes, with quantities as text, as a TOML file reads."""
-        found: ErrorBudget = read_table(cls, table, "the budget")
-        return found
+        return read_table(cls, table, "the budget")
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> ErrorBudget:
@@ -354,8 +353,7 @@ class ErrorBudget(Stated):
         """
         path = Path(validate.path(path, "the budget file"))
         what = f"budget file {str(path)!r}"
-        found: ErrorBudget = read_table(cls, read_toml(bytes_of(path, "budget file"), what), what)
-        return found
+        return read_table(cls, read_toml(bytes_of(path, "budget file"), what), what)
 
     @classmethod
     def typical(cls) -> ErrorBudget:

@@ -628,8 +628,7 @@ def _averages(path: Path) -> Cuts:
     known = {name: LENGTHS if name in COLUMNS[:2] else NEWTONS for name in (*COLUMNS, *UNCERTAINTIES)}
     columns = _columns(path, known, COLUMNS)
     rows = Cuts(**{name: columns[name] for name in COLUMNS})
-    stated = [name for name in UNCERTAINTIES if name in columns]
-    if stated:
+    if any(name in columns for name in UNCERTAINTIES):
         rows = replace(rows, uncertainty=_stated(path, columns, UNCERTAINTIES))
     return rows
 
