@@ -69,9 +69,9 @@ class _Place(NamedTuple):
     kind: str = ""  # which of them this is about
 
 
-def _place(root: Any, loc: tuple[str | int, ...], tags: Mapping[str, Any]) -> _Place:
-    """Return the place of a field, counting from 1 in lists."""
-    path, several = "", False
+def _place(root: Any, loc: tuple[str | int, ...], tags: Mapping[str, Any], path: str) -> _Place:
+    """Return the place of a field below the path of the root, counting from 1 in lists."""
+    several = False
     choice = kind = ""
     keys = owner = keys_of(root) or {}
     for step in loc:
@@ -103,7 +103,9 @@ def _of_several_kinds(annotation: Any) -> bool:
     return sum(one is not NoneType for one in get_args(annotation)) > 1
 
 
-def sentences(error: ValidationError, root: Any, tags: Mapping[str, Any], what: str = "") -> list[str]:
+def sentences(
+    error: ValidationError, root: Any, tags: Mapping[str, Any], *, what: str = "", path: str = ""
+) -> list[str]:
     """Return one sentence for each thing that is wrong: the field, the value, what it must be, the remedy.
 
     Parameters
@@ -116,18 +118,20 @@ def sentences(error: ValidationError, root: Any, tags: Mapping[str, Any], what: 
         Tables by the key that chooses them, which pydantic puts into the place of an error.
     what
         The file, as each sentence is to name it.
+    path
+        Where the root stands.
     """
-    found = dict.fromkeys(sentence for _, sentence in faults(error, root, tags))
+    found = dict.fromkeys(sentence for _, sentence in faults(error, root, tags, path))
     # One without a place, such as " is 3, it must be a table", is about all of the file.
     return [f"{what or 'it'}{one}" if one.startswith(" ") else f"{what}: {one}" if what else one for one in found]
 
 
-def faults(error: ValidationError, root: Any, tags: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def faults(error: ValidationError, root: Any, tags: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
     """Yield the place of each thing that is wrong, such as ``passes[1].feed``, and its sentence. See `sentences`."""
     choices: dict[str, dict[str, list[_Fault]]] = {}
     found: list[_Fault | str] = []
     for problem in islice(error.errors(include_url=False), MOST_FAULTS):
-        fault = _Fault(_place(root, problem["loc"], tags), problem)
+        fault = _Fault(_place(root, problem["loc"], tags, path), problem)
         choice, kind = fault.place.choice, fault.place.kind
         if not choice:
             found.append(fault)

@@ -254,6 +254,10 @@ class Keyed:
         """The keys of the table, with their types."""
         raise NotImplementedError
 
+    def name_of(self, key: str) -> str:
+        """Return what the value calls a key of the table."""
+        return key
+
     def table_schema(self, handler: GetCoreSchemaHandler, *, required: bool = False) -> CoreSchema:
         """Return how pydantic reads the table, of which any key may be left out, or none."""
         from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
@@ -333,6 +337,10 @@ class Plausible(Keyed):
             key_of(name): Annotated[float, unit(one, *(("1",) if name in self.slopes else ()), above=0.0)]
             for name, one in self.units.items()
         }
+
+    def name_of(self, key: str) -> str:
+        """Return the name of the source that has a key."""
+        return next(name for name in self.units if key_of(name) == key)
 
     def __get_pydantic_core_schema__(self, _source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic

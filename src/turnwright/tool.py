@@ -18,7 +18,7 @@ from turnwright._kernels.edge import sweeps_at
 from turnwright._tables import Plausible, Stated, read_by, refuse
 from turnwright._validate import between, check_angle, check_numbers, finite_tuple, plausible_sizes, positive
 from turnwright.errors import InputError, UnitError
-from turnwright.units import Angle, Length, Size, Text, parse
+from turnwright.units import Angle, Length, Size, Text, unit
 
 if TYPE_CHECKING:
     from pydantic import GetJsonSchemaHandler
@@ -137,7 +137,7 @@ class _Waviness(read_by):
         coefficients = []
         for index, one in enumerate(value):
             try:
-                coefficients.append(parse(one, f"mm/rad^{index + 1}"))
+                coefficients.append(unit(f"mm/rad^{index + 1}").validate(one, info))
             except UnitError as error:
                 problems[index,] = error
         if problems:

@@ -12,6 +12,7 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from numbers import Real
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from turnwright.errors import UnitError, shown
@@ -273,6 +274,8 @@ def say_length(length: float, digits: int = 3) -> str:
 class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
     """A pydantic field that takes text with a unit only, and holds the number in this unit.
 
+    With ``plain`` true in the context it takes the number itself, too.
+
     >>> from typing import Annotated
     >>> from pydantic import TypeAdapter
     >>> TypeAdapter(Annotated[float, unit("mm/rev")]).validate_python("8 um/rev")
@@ -293,16 +296,27 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
                 break
         else:
             value = parse(text, self.units[0])
+        return self.within(value, text)
+
+    def validate(self, value: object, info: Any) -> float:
+        """Return the number of text, or a number as it is where pydantic's context allows plain ones."""
+        if (info.context or {}).get("plain") and isinstance(value, Real) and not isinstance(value, bool):
+            return self.within(float(value), value)
+        return self.read(value)
+
+    def within(self, value: float, given: object) -> float:
+        """Return a number in the first of the units if it keeps the limits; a message names what was given."""
+        if math.isnan(value):
+            raise UnitError(f"{given!r} is not a number: give one in {self.units[0]}")
         if abs(value) > MOST or (self.above == 0 and 0 < value < LEAST):
-            limit = f"{MOST:g}" if abs(value) > MOST else f"{LEAST:g}"
+            limit = f"below {LEAST:g}" if abs(value) < LEAST else f"above {MOST:g}"
             raise UnitError(
-                f"{text!r} is {'above' if abs(value) > MOST else 'below'} {limit} {self.units[0]}, the limit for any "
-                "size: check its exponent and its unit"
+                f"{given!r} is {limit} {self.units[0]}, the limit for any size: check its exponent and its unit"
             )
         if not value > self.above:
-            raise UnitError(f"{text!r} is not above {self.above:g} {self.units[0]}: give a larger value")
+            raise UnitError(f"{given!r} is not above {self.above:g} {self.units[0]}: give a larger value")
         if not value >= self.least:
-            raise UnitError(f"{text!r} is below {self.least:g} {self.units[0]}: give a value from there on")
+            raise UnitError(f"{given!r} is below {self.least:g} {self.units[0]}: give a value from there on")
         return value
 
     def show(self, value: float | None) -> str | None:
@@ -312,8 +326,8 @@ class unit:  # noqa: N801 - reads as a word inside Annotated[float, unit("mm")]
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         from pydantic_core import core_schema  # noqa: PLC0415 - only job files need pydantic
 
-        return core_schema.no_info_plain_validator_function(
-            self.read,
+        return core_schema.with_info_plain_validator_function(
+            self.validate,
             serialization=core_schema.plain_serializer_function_ser_schema(self.show),
         )
 

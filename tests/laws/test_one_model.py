@@ -44,6 +44,51 @@ def test_a_field_is_changed_by_its_path_as_the_file_changes_it(name, value, plac
     assert job == Job.read(changed((place, text)))
 
 
+def _leaves(table, path=""):
+    """Every field of a table of a job with its path, as the file writes it."""
+    if isinstance(table, dict):
+        for key, value in table.items():
+            yield from _leaves(value, f"{path}.{key}" if path else key)
+    elif isinstance(table, list):
+        for number, value in enumerate(table, 1):
+            yield from _leaves(value, f"{path}[{number}]")
+    else:
+        yield path, table
+
+
+WHOLE = Job.read(
+    changed(
+        ("measurement.instrument", "zygo-nexview-20x"),
+        ("tool.waviness", ["0.1 um/rad", "-0.2 um/rad^2"]),
+        ("tool.plausible", {"offset_x": "1 um"}),
+        ("part.surface.placed", {"shift": ["0.1 mm", "0 mm", "0 mm"]}),
+    )
+)
+FIELDS = [
+    one
+    for one in _leaves(WHOLE.table(whole=True))
+    if one[0] not in ("machine.name", "measurement.instrument.name", "part.surface.family")
+]
+
+
+@pytest.mark.parametrize(("name", "value"), FIELDS)
+def test_every_field_is_replaced_by_what_the_file_states_of_it(name, value):
+    assert WHOLE.replace(name, value) == WHOLE
+
+
+@pytest.mark.parametrize(
+    "value", [None, "nix", 3, -1e9, True, float("nan"), float("inf"), (), {}, ("nix",), {"nix": 1}, b"nix"], ids=repr
+)
+def test_a_value_of_any_kind_makes_a_job_or_one_sentence(value):
+    """No error of another kind, and no job that could not be written and read again."""
+    for name in [name for name, _ in FIELDS] + ["part", "part.surface", "tool", "machine", "passes"]:
+        try:
+            job = WHOLE.replace(name, value)
+        except JobError:
+            continue
+        assert Job.read(job.table()) == job, name
+
+
 def test_a_coefficient_is_changed_by_its_key():
     terms = {"family": "xy polynomial", "units": "mm", "terms": {"2,0": 1e-3, "0,2": 2e-3}}
     job = Job.read(changed(("part.surface", terms))).replace("part.surface.terms.0,2", 3e-3)
@@ -64,15 +109,31 @@ def test_what_follows_from_a_changed_field_is_worked_out_anew():
     [
         ("strategy.fed", 0.01, "strategy.fed is not a field .*'feed'"),
         ("part.surface.conic", 0.0, "part.surface.conic is not a field"),
-        ("tool.nose_radius", -1.0, "nose_radius is -1 mm"),
-        ("part.stock", -1.0, "stock is -1 mm"),
+        ("tool.nose_radius", -1.0, r"tool\.nose_radius: -1\.0 is not above 0 mm"),
+        ("part.stock", -1.0, r"part\.stock: -1\.0 is below 0 mm"),
         ("passes[1].allowance", 1.0, "allowance is 1 mm"),
         ("passes[2].allowance", 0.0, r"\[2\] is none of its 1 entries"),
         ("passes.rough.allowance", 0.0, "rough is none of its 1 entries"),
         ("machine.name", "nanoform", "chooses another machine"),
         ("machine.loaded", None, "machine.loaded is not a field"),
-        ("strategy.feed", "8 um/rev", "feed is '8 um/rev'"),
+        ("machine.dialect", "nix", "speaks the dialect 'nix'"),
+        ("machine.interpolation", "nix", "offers linear"),
+        ("strategy.feed", "8 um", r"strategy\.feed: '8 um' is a length"),
+        ("strategy.feed", float("nan"), r"strategy\.feed: nan is not a number"),
+        ("strategy.feed", True, r"strategy\.feed: True has no unit"),
+        ("strategy.kind", "fast tool servo", "strategy.kind is 'fast tool servo'"),
+        ("roughness.form", "banana", "roughness.form: 'banana' is neither"),
+        ("measurement.loss", "cubic", "measurement.loss is 'cubic', it must be 'linear'"),
+        ("program.name", "a b", "program.name is 'a b'"),
+        ("accept", ("nix",), r"accept\[1\] is 'nix'"),
+        ("tool.plausible.nix", 1e-3, "tool.plausible.nix is not a field"),
+        ("simulation.patches[1].pixel", 1.0, r"simulation\.patches\[1\]\.pixel: pixel is 1 mm"),
+        ("machine.axes.X.speed", -1.0, r"machine\.axes\.X\.speed: .* is -1 mm/s"),
+        ("measurement.instrument.pixel", 1e-3, "belongs to what the job does not state"),
         ("part.radius.inner", 1.0, "part.radius.inner is not a field"),
+        ("", 1.0, "'' names no field"),
+        ("strategy..feed", 1.0, "names no field"),
+        ("passes.[1].feed", 1.0, "names no field"),
     ],
 )
 def test_a_change_that_cannot_be_is_refused(name, value, words):

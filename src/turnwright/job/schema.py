@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, cast
@@ -14,21 +13,21 @@ import tomli_w
 from annotated_types import Ge, Le
 from pydantic import Field, PlainValidator, Strict, ValidationError
 
-from turnwright._faults import faults as faults_of, sentences, suggestion
+from turnwright._faults import faults as faults_of, sentences
 from turnwright._io import bytes_of, read_toml, write_whole
-from turnwright._tables import Stated, adapter, read_by, types_of, written
+from turnwright._tables import adapter, read_by, written
 from turnwright._validate import check_numbers
 from turnwright.diagnosis import CAUSES
 from turnwright.errors import InputError, JobError
-from turnwright.job.named import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, asking, context_of
+from turnwright.job.named import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, context_of
 from turnwright.job.strategies import KINDS, AnyStrategy, Choices
 from turnwright.job.table import Table
 from turnwright.machine import Machine
 from turnwright.motion import require_variable
 from turnwright.part import Part
 from turnwright.pose import Pose
-from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED
-from turnwright.surface import FAMILIES, Placed, Surface
+from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, dialect_of
+from turnwright.surface import FAMILIES, Surface
 from turnwright.tool import Tool, Waviness, WavinessTable
 from turnwright.units import Angle, Flag, Length, Size, Text, Thickness, unit
 
@@ -505,6 +504,10 @@ class Job(Table):
 
     def __post_init__(self) -> None:
         check_numbers(self)
+        try:
+            dialect_of(self.machine)
+        except InputError as error:
+            raise JobError(f"machine: {error}") from error
         self._check_passes()
         self._check_servos()
 
@@ -637,15 +640,16 @@ class Job(Table):
             Of the field as the job file writes it, such as ``strategy.feed``, ``passes.finish.feed`` or
             ``simulation.patches[1].pixel``; entries of a list by their name, or counted from 1.
         value
-            As the field holds it: lengths in mm, angles in rad.
+            As the field holds it, lengths in mm and angles in rad, or as the job file states it.
 
         Raises
         ------
         JobError
             If there is no such field, or the job cannot be with this value.
         """
-        found: Job = _replaced(self, _STEP.findall(name), value, name)
-        return found
+        from turnwright.job.replacing import replaced  # noqa: PLC0415 - which reads the classes of this file
+
+        return replaced(self, name, value)
 
     def table(self, *, whole: bool = False) -> dict[str, Any]:
         """Return the job as a TOML file states it: what is not as by default, or the whole of it."""
@@ -658,47 +662,6 @@ class Job(Table):
     def dump(self, path: str | PathLike[str]) -> None:
         """Write the job as a file, which appears when it is whole. See `to_toml`."""
         write_whole(File(path), self.to_toml())
-
-
-_STEP = re.compile(r"\[[0-9]{1,9}\]|[^.\[\]]+")
-
-
-def _replaced(held: Any, steps: list[str], value: Any, name: str) -> Any:
-    """Return a value with one inside it replaced, by the steps that lead there."""
-    if not steps:
-        return value
-    step, *rest = steps
-    if isinstance(held, tuple):
-        return _replaced_entry(held, step, rest, value, name)
-    if isinstance(held, Mapping):
-        key = next((one for one in held if str(one) == step), step)
-        return {**held, key: _replaced(held.get(key), rest, value, name)}
-    if isinstance(held, Machine) and step in ("name", "file"):
-        raise JobError(f"{name} chooses another machine: replace machine by what Machine.load gives")
-    if isinstance(held, Machine) and step == "interpolation":
-        return asking(held, value)
-    owner: Any = held.surface if isinstance(held, Placed) and step not in types_of(type(held)) else held
-    known = types_of(type(owner)) if isinstance(owner, Stated) else {}
-    if step not in known or step in owner.hidden:
-        raise JobError(f"{name} is not a field of this job: {suggestion(step, known)}")
-    inner = getattr(owner, step)
-    series = owner.series.get(step) if isinstance(owner, Surface) else None
-    if series is not None and series.key is not None and rest:
-        key, *rest = series.key(rest[0]), *rest[1:]
-        new = {**dict(inner), key: _replaced(dict(inner).get(key), rest, value, name)}
-    else:
-        new = _replaced(inner, rest, value, name)
-    made = replace(owner, **{**dict.fromkeys(owner.unstated), step: new})
-    return made if owner is held else replace(held, surface=made)
-
-
-def _replaced_entry(held: tuple[Any, ...], step: str, rest: list[str], value: Any, name: str) -> Any:
-    """Return a list with one entry replaced, which is named or counted from 1."""
-    names = [getattr(one, "name", None) for one in held]
-    index = int(step[1:-1]) - 1 if step.startswith("[") else names.index(step) if step in names else -1
-    if not 0 <= index < len(held):
-        raise JobError(f"{name} is not a field of this job: {step} is none of its {len(held)} entries, count from [1]")
-    return (*held[:index], _replaced(held[index], rest, value, name), *held[index + 1 :])
 
 
 def faults(error: ValidationError) -> list[tuple[str, str]]:

@@ -66,6 +66,10 @@ class _Radius(unit):
         """Return the radius. [mm]."""
         return float("inf") if text == "flat" else super().read(text)
 
+    def within(self, value: float, given: object) -> float:
+        """Return a radius that a file could state."""
+        return value if value == float("inf") else super().within(value, given)
+
     def show(self, value: float | None) -> str | None:
         """Return text that `read` takes back to the same number."""
         return "flat" if value == float("inf") else super().show(value)

@@ -1,0 +1,152 @@
+"""A job with one field changed, which is named as the job file names it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, Union, get_args, get_origin
+
+import numpy as np
+from pydantic import ValidationError
+
+from turnwright._faults import sentences, suggestion
+from turnwright._tables import Keyed, Stated, adapter, types_of
+from turnwright.errors import InputError, JobError, shown
+from turnwright.job.named import asking, context_of
+from turnwright.job.strategies import KINDS
+from turnwright.machine import Machine
+from turnwright.pose import Pose
+from turnwright.surface import FAMILIES, Placed, Surface
+from turnwright.units import Number, Text
+
+if TYPE_CHECKING:
+    from turnwright.job.schema import Job
+
+__all__ = ["replaced"]
+
+_STEP = re.compile(r"([^.\[\]]+)((?:\[[0-9]{1,9}\])*)")
+"""A key, and places in the list or lists that it holds."""
+
+
+def replaced(job: Job, name: str, value: Any) -> Job:
+    """Return the job with one field changed. See `turnwright.job.Job.replace`."""
+    change = _Change(name, value)
+    step, *rest = _steps(name)
+    try:
+        new = change.field(job, step, rest)
+    except InputError as error:
+        raise JobError(str(error) if str(error).startswith(name) else f"{name}: {error}") from error
+    except (TypeError, ValueError, AttributeError) as error:  # of arrays and series, which no file states as such
+        raise JobError(f"{name} is {shown(value)}, which it cannot hold ({error}): give another value") from error
+    return replace(job, **{step: new})
+
+
+def _steps(name: str) -> list[str]:
+    """Return the keys and places that a path leads by."""
+    parts = [_STEP.fullmatch(part) for part in name.split(".")]
+    if None in parts:
+        raise JobError(f"{shown(name)} names no field of a job: write it such as strategy.feed or passes[1].feed")
+    return [step for part in parts if part for step in (part[1], *re.findall(r"\[[0-9]+\]", part[2]))]
+
+
+class _Change:
+    """One field, and the value that it shall have."""
+
+    def __init__(self, name: str, value: Any) -> None:
+        self.name, self.value = name, value
+
+    def _within(self, held: Any, kind: Any, steps: list[str]) -> Any:
+        """Return what the field of a type holds, changed at the place that the steps lead to."""
+        if not steps:
+            return self._read(kind, self.value, self.name)
+        step, *rest = steps
+        if isinstance(held, tuple):
+            return self._entry(held, kind, step, rest)
+        if isinstance(held, Mapping):
+            return self._keyed(held, kind, step, rest)
+        return self._changed(held, step, rest)
+
+    def _changed(self, held: Any, step: str, rest: list[str]) -> Any:
+        """Return a thing with one of its fields changed."""
+        if held is None:
+            raise JobError(f"{self.name} belongs to what the job does not state: replace that as a whole")
+        if isinstance(held, Machine) and step in ("name", "file"):
+            raise JobError(f"{self.name} chooses another machine: replace machine by what Machine.load gives")
+        if isinstance(held, Machine) and step == "interpolation":
+            return asking(held, self._within(held.controller.interpolation, Text, rest))
+        if isinstance(held, Surface) and step == "placed":
+            inner, pose = (held.surface, held.pose) if isinstance(held, Placed) else (held, Pose())
+            pose = self._within(pose, Pose, rest)
+            return inner.placed(shift=pose.shift, rotation=pose.rotation, tilt=pose.tilt)
+        if isinstance(held, Placed):
+            return replace(held, surface=self._changed(held.surface, step, rest))
+        new = self.field(held, step, rest)
+        return replace(held, **{**dict.fromkeys(held.unstated), step: new})
+
+    def field(self, owner: Any, step: str, rest: list[str]) -> Any:
+        """Return what a field of a thing holds then."""
+        if not isinstance(owner, Stated):
+            raise JobError(f"{self.name} is not a field of this job: what is before {step} has none")
+        known = types_of(type(owner))
+        if step not in known or step in owner.hidden:
+            self._unknown(step, [one for one in known if one not in owner.hidden])
+        held = getattr(owner, step)
+        series = owner.series.get(step) if isinstance(owner, Surface) else None
+        if series is None or (series.key is None and rest):
+            return self._within(held, known[step], rest)
+        if series.key is None or not rest:
+            return self.value
+        return {**dict(held), series.key(rest[0]): self._within(None, Number, rest[1:])}
+
+    def _keyed(self, held: Mapping[Any, Any], kind: Any, step: str, rest: list[str]) -> Any:
+        """Return a mapping with the value of one key changed."""
+        note = next((one for one in get_args(kind) if isinstance(one, Keyed)), None)
+        if note is not None:
+            if step not in note.keys:
+                self._unknown(step, note.keys)
+            return {**held, note.name_of(step): self._within(None, note.keys[step], rest)}
+        if step not in held:
+            self._unknown(step, map(str, held))
+        inner = next((get_args(one)[1] for one in _kinds(kind) if get_origin(one) is Mapping), Any)
+        return {**held, step: self._within(held[step], inner, rest)}
+
+    def _entry(self, held: tuple[Any, ...], kind: Any, step: str, rest: list[str]) -> Any:
+        """Return a list with one entry changed, which is named or counted from 1."""
+        names = [getattr(one, "name", None) for one in held]
+        index = int(step[1:-1]) - 1 if step.startswith("[") else names.index(step) if step in names else -1
+        if not 0 <= index < len(held):
+            raise JobError(
+                f"{self.name} is not a field of this job: {step} is none of its {len(held)} entries, count from [1]"
+            )
+        if not rest:  # the list says of which kind its entries are
+            above = self.name.removesuffix(step).removesuffix(".")
+            return self._read(kind, (*held[:index], self.value, *held[index + 1 :]), above)
+        kinds = next((get_args(one) for one in _kinds(kind) if get_origin(one) is tuple), (Any, ...))
+        new = self._within(held[index], kinds[0] if kinds[-1] is ... else kinds[index], rest)
+        return (*held[:index], new, *held[index + 1 :])
+
+    def _read(self, kind: Any, value: Any, path: str) -> Any:
+        """Return a value as a field of this type holds it."""
+        by_keys = any(isinstance(one, Keyed) for part in (kind, *get_args(kind)) for one in get_args(part))
+        if isinstance(value, np.ndarray) or (by_keys and not isinstance(value, Mapping)):
+            return value  # arrays, which no file states as they are held: their thing checks them
+        try:
+            return adapter(kind).validate_python(value, context=context_of(".") | {"plain": True})
+        except ValidationError as error:
+            raise JobError("\n".join(sentences(error, kind, {**FAMILIES, **KINDS}, path=path))) from error
+
+    def _unknown(self, step: str, known: Any) -> NoReturn:
+        raise JobError(f"{self.name} is not a field of this job: {suggestion(step, known)}")
+
+
+def _kinds(kind: Any) -> Iterator[Any]:
+    """Yield the types that a field may be of, without what stands beside them."""
+    if get_origin(kind) is Annotated:
+        yield from _kinds(get_args(kind)[0])
+    elif get_origin(kind) in (Union, UnionType):
+        for one in get_args(kind):
+            yield from _kinds(one)
+    else:
+        yield kind
