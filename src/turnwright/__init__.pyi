@@ -77,7 +77,6 @@ from .metrology import (
     roughness as roughness,
 )
 from .motion import (
-    SpeedProfile as SpeedProfile,
     check_limits as check_limits,
     drive as drive,
 )
@@ -104,6 +103,7 @@ from .post import (
 from .profile import (
     Profile as Profile,
 )
+from .speed_profile import SpeedProfile as SpeedProfile
 from .strategy import (
     AdaptiveToolServo as AdaptiveToolServo,
     FastToolServo as FastToolServo,

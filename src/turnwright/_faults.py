@@ -104,7 +104,7 @@ def _of_several_kinds(annotation: Any) -> bool:
 
 
 def sentences(
-    error: ValidationError, root: Any, tags: Mapping[str, Any], *, what: str = "", path: str = ""
+    error: ValidationError, root: Any, tags: Mapping[str, Any], what: str = "", path: str = ""
 ) -> list[str]:
     """Return one sentence for each thing that is wrong: the field, the value, what it must be, the remedy.
 

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from pydantic_core import CoreSchema, ValidationError
 
 __all__ = [
-    "ByName", "Columns", "Keyed", "Loaded", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat",
-    "forget_adapters", "named", "read_by", "refuse", "types_of", "written", "written_by",
+    "ByName", "Columns", "Keyed", "Loaded", "Merged", "Numbers", "Plausible", "Sources", "Stated", "adapter", "flat",
+    "forget_adapters", "merged", "named", "read_by", "refuse", "types_of", "written", "written_by",
 ]  # fmt: skip
 
 
@@ -43,8 +43,13 @@ class Stated:
     @classmethod
     def table_keys(cls) -> Mapping[str, Any]:
         """Return the keys that a file can state, with their types."""
-        own = {cls.key_names.get(name, name): kind for name, kind in types_of(cls).items() if name not in cls.hidden}
-        return own | dict.fromkeys(cls.file_keys.values(), str)
+        found: dict[str, Any] = {}
+        for name, kind in types_of(cls).items():
+            if name in merged(cls):
+                found |= merged(cls)[name].table_keys()
+            elif name not in cls.hidden:
+                found[cls.key_names.get(name, name)] = kind
+        return found | dict.fromkeys(cls.file_keys.values(), str)
 
     @classmethod
     def from_table(cls, table: dict[str, Any]) -> dict[str, Any]:
@@ -65,7 +70,7 @@ class Stated:
         """Return what a table states; ``build`` makes it of a table whose keys are called as the fields."""
         from pydantic_core import InitErrorDetails, ValidationError  # noqa: PLC0415 - only files need pydantic
 
-        if unknown := [key for key in table if key in cls.hidden or key in cls.key_names]:
+        if unknown := [key for key in table if key in {*cls.hidden, *cls.key_names, *merged(cls)}]:
             wrong = [InitErrorDetails(type="extra_forbidden", loc=(key,), input=table) for key in unknown]
             raise ValidationError.from_exception_data(cls.__name__, wrong)
         table = cls.from_table(table)
@@ -77,10 +82,12 @@ class Stated:
                 table[key] = Path(table[key])
         named |= cls.key_names
         table |= {name: table.pop(key) for name, key in named.items() if key in table}
+        for name, one in merged(cls).items():
+            table[name] = {key: table.pop(key) for key in one.table_keys() if key in table and key not in types_of(cls)}
         try:
             return build(table)
         except ValidationError as error:
-            raise _at_keys(error, named) from error
+            raise _at_keys(error, named, merged(cls)) from error
 
     @classmethod
     def _written(cls, value: Any, *, whole: bool) -> dict[str, Any]:
@@ -105,8 +112,49 @@ class Stated:
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         found = handler(core)
         place = handler.resolve_ref_schema(found)
-        place["properties"] |= {key: {"type": "string", "reads": name} for name, key in cls.file_keys.items()}
+        fields = place["properties"]
+        fields |= {key: {"type": "string", "reads": name} for name, key in cls.file_keys.items()}
+        fields = {cls.key_names.get(name, name): kind for name, kind in fields.items() if name not in cls.hidden}
+        place["properties"] = fields
+        for name, one in merged(cls).items():
+            inner = handler.resolve_ref_schema(handler(adapter(one).core_schema))
+            place["properties"] = inner["properties"] | {key: kind for key, kind in fields.items() if key != name}
+            place["required"] = [*inner["required"], *(key for key in place.get("required", ()) if key != name)]
         return found
+
+
+class Merged:
+    """The annotation of a field whose own keys a file states among those of its owner.
+
+    Parameters
+    ----------
+    stated
+        The class of what a file states there.
+    """
+
+    __slots__ = ("stated",)
+
+    def __init__(self, stated: type[Stated]) -> None:
+        self.stated = stated
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        from pydantic_core import core_schema  # noqa: PLC0415 - only files need pydantic
+
+        return core_schema.no_info_wrap_validator_function(
+            lambda value, build: value if isinstance(value, source) else build(value),
+            handler.generate_schema(self.stated),
+        )
+
+
+def merged(cls: Any) -> Mapping[str, Any]:
+    """Return the fields whose keys a file states among those of the class, with what it states there."""
+    return _merged(cls)
+
+
+@cache
+def _merged(cls: Any) -> Mapping[str, Any]:
+    notes = {name: get_args(kind)[1:] for name, kind in types_of(cls).items()}
+    return {name: one.stated for name, found in notes.items() for one in found if isinstance(one, Merged)}
 
 
 def written_by(write: Callable[..., Any]) -> Any:
@@ -164,7 +212,7 @@ def refuse(title: str, problems: Mapping[tuple[str | int, ...], Exception | str]
     )
 
 
-def _at_keys(error: ValidationError, named: Mapping[str, str]) -> ValidationError:
+def _at_keys(error: ValidationError, named: Mapping[str, str], merged: Collection[str]) -> ValidationError:
     """Return an error whose places are the keys of a file, where these are not those of the fields."""
     from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError  # noqa: PLC0415 - only files need it
 
@@ -176,9 +224,9 @@ def _at_keys(error: ValidationError, named: Mapping[str, str]) -> ValidationErro
             kind = PydanticCustomError("sentence", "{text}", one["ctx"])
         elif kind == "path_type":  # which pydantic's core does not know by its name
             kind = PydanticCustomError("path_type", "it is of another type")
-        place = (named.get(str(first), first), *rest) if one["loc"] else ()
+        place = (named.get(str(first), first), *rest) if one["loc"] and first not in merged else tuple(rest)
         found.append(InitErrorDetails(type=kind, loc=place, input=one["input"], ctx=one.get("ctx", {})))
-    return ValidationError.from_exception_data(error.title, found) if named else error
+    return ValidationError.from_exception_data(error.title, found) if named or merged else error
 
 
 class Loaded(NamedTuple):
@@ -402,10 +450,10 @@ def types_of(cls: Any) -> Mapping[str, Any]:
 @cache
 def _types(cls: Any) -> Mapping[str, Any]:
     types: dict[str, Any] = {}
-    own = {field.name: field for field in dataclasses.fields(cls) if field.init}
+    own = [field.name for field in dataclasses.fields(cls) if field.init]
     for base in reversed(cls.__mro__):
-        names = [name for name in vars(base).get("__annotations__", {}) if name in own]
-        stated = SimpleNamespace(__annotations__={name: own[name].type for name in names})
+        mine = {name: kind for name, kind in vars(base).get("__annotations__", {}).items() if name in own}
+        stated = SimpleNamespace(__annotations__=mine)
         types |= get_type_hints(stated, vars(sys.modules[base.__module__]), include_extras=True)
     return {name: types[name] for name in own}
 
@@ -415,7 +463,7 @@ def written(value: Any, *, whole: bool = False, base: Any = None) -> dict[str, A
 
     With a ``base``, another value of the class, it has the fields that are not as there.
     """
-    table = {}
+    table: dict[str, Any] = {}
     for field in dataclasses.fields(value):
         if not field.init or field.name in value.unstated or field.name in value.hidden:
             continue
@@ -424,10 +472,23 @@ def written(value: Any, *, whole: bool = False, base: Any = None) -> dict[str, A
         if held is not None and (whole or not same(held, default)):
             key = value.file_keys.get(field.name, "") if getattr(held, "file", "") else ""
             kind = types_of(type(value))[field.name]
+            if field.name in merged(type(value)):
+                table |= _inner(value, field.name, whole=whole)
+                continue
             table[key or value.key_names.get(field.name, field.name)] = (
                 named(held) if key else _dumped(kind, held, whole=whole)
             )
     return dict(value.to_table(table))
+
+
+def _inner(value: Any, name: str, *, whole: bool) -> dict[str, Any]:
+    """Return the keys of a field that a file states among those of its owner."""
+    held, stated = getattr(value, name), merged(type(value))[name]
+    if type(held) is not stated:
+        raise InputError(
+            f"a job file has no {type(value).__name__} over a {type(held).__name__}: take a {stated.__name__}"
+        )
+    return written(held, whole=whole)
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:

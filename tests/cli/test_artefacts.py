@@ -49,7 +49,7 @@ def test_what_nobody_states_is_found():
     assert made.part.radius == 1.0
     assert np.rad2deg(np.arctan(made.part.surface.slope[0])) == pytest.approx(3.0)
     # 500 blocks a second, 360 a turn
-    assert made.strategy.spindle_speed == pytest.approx(60 * 500 / 360, abs=1e-2)
+    assert made.strategy.spindle_rpm == pytest.approx(60 * 500 / 360, abs=1e-2)
 
 
 @pytest.mark.parametrize(

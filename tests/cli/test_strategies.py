@@ -91,8 +91,8 @@ def test_a_two_axis_fast_tool_leaves_what_the_slides_would(tmp_path):
             "choose a machine with a fast",
         ),
         ([("strategy.kind", "adaptive tool servo")], "strategy.feed is not a known key"),
-        ([("strategy", {**ADAPTIVE, "along": "normal"})], 'the adaptive tool servo plans for "z"'),
-        ([("strategy", {**SWINGING, "along": "normal"})], 'the quasi-elliptical tool servo plans for "z"'),
+        ([("strategy", {**ADAPTIVE, "along": "normal"})], "strategy.along is 'normal', it must be 'z'"),
+        ([("strategy", {**SWINGING, "along": "normal"})], "strategy.along is 'normal', it must be 'z'"),
         (
             [*FAST, ("strategy", {"kind": "fast tool servo", **SPIRAL, "along": "normal"})],
             'the fast tool servo plans for "z"',

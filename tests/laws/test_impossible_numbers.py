@@ -5,7 +5,7 @@ import pytest
 
 import turnwright as tw
 from turnwright.metrology import line_profile
-from turnwright.motion import SpeedProfile
+from turnwright.speed_profile import SpeedProfile
 
 FLAT = tw.Plane()
 X = np.linspace(-1, 1, 5)

@@ -11,9 +11,11 @@ from hypothesis import given, settings, strategies as st
 import turnwright as tw
 from job_files import changed, written
 from tests.laws.test_surface_laws import FAMILIES
+from turnwright._tables import forget_adapters
 from turnwright.errors import InputError, JobError
-from turnwright.job import Job
-from turnwright.units import Length, Size
+from turnwright.job import Job, Pipeline
+from turnwright.strategy import STRATEGIES
+from turnwright.units import Feed, Length, Size, Speed
 
 
 @settings(max_examples=60)
@@ -31,6 +33,8 @@ def test_a_surface_is_stated_to_the_last_bit(data):
     ("name", "value", "place", "text"),
     [
         ("strategy.feed", 0.01, "strategy.feed", "10 um/rev"),
+        ("strategy.spindle_speed", 100.0, "strategy.spindle_speed", "100 rpm"),
+        ("passes.finish.spindle_speed", 100.0, "passes", [{"name": "finish", "spindle_speed": "100 rpm"}]),
         ("tool.offset[2]", 1e-3, "tool.offset", ["0 mm", "1 um", "0 mm"]),
         ("part.surface.radius", 40.0, "part.surface.radius", "40 mm"),
         ("simulation.patches.patch.pixel", 2e-3, "simulation.patches.0.pixel", "2 um"),
@@ -67,7 +71,7 @@ WHOLE = Job.read(
 FIELDS = [
     one
     for one in _leaves(WHOLE.table(whole=True))
-    if one[0] not in ("machine.name", "measurement.instrument.name", "part.surface.family")
+    if one[0] not in ("machine.name", "measurement.instrument.name", "part.surface.family", "strategy.kind")
 ]
 
 
@@ -87,6 +91,18 @@ def test_a_value_of_any_kind_makes_a_job_or_one_sentence(value):
         except JobError:
             continue
         assert Job.read(job.table()) == job, name
+
+
+def test_a_field_of_the_plan_of_a_fast_tool_is_changed_as_one_of_the_strategy():
+    """Oracle: the job of the file with this field changed; its keys stand in one table."""
+    fast = {"kind": "hybrid tool servo", "feed": "10 um/rev", "points_per_rev": 360}
+    rest = [("machine", {"name": "nanoform-fts-70"}), ("program", {"fast_tool": "position"})]
+    job = Job.read(changed(("strategy", fast), *rest))
+    assert Job.read(job.table(whole=True)) == job
+    for name, value, stated in (("feed", 0.02, "20 um/rev"), ("blocks_per_rev", 32, 32), ("sense", -1, -1)):
+        again = Job.read(changed(("strategy", {**fast, name: stated}), *rest))
+        assert job.replace(f"strategy.{name}", value) == again
+    assert job.replace("strategy.feed", 0.02).strategy.plan == tw.SlowToolServo(feed=0.02, points_per_rev=360)
 
 
 def test_a_coefficient_is_changed_by_its_key():
@@ -121,7 +137,9 @@ def test_what_follows_from_a_changed_field_is_worked_out_anew():
         ("strategy.feed", "8 um", r"strategy\.feed: '8 um' is a length"),
         ("strategy.feed", float("nan"), r"strategy\.feed: nan is not a number"),
         ("strategy.feed", True, r"strategy\.feed: True has no unit"),
-        ("strategy.kind", "fast tool servo", "strategy.kind is 'fast tool servo'"),
+        ("strategy.kind", "fast tool servo", "strategy.kind says what it is: replace strategy as a whole"),
+        ("part.surface.family", "plane", r"part\.surface\.family says what it is: replace part\.surface as a whole"),
+        ("strategy.spindle_rpm", 100.0, "did you mean 'spindle_speed'"),
         ("roughness.form", "banana", "roughness.form: 'banana' is neither"),
         ("measurement.loss", "cubic", "measurement.loss is 'cubic', it must be 'linear'"),
         ("program.name", "a b", "program.name is 'a b'"),
@@ -186,3 +204,32 @@ def test_a_family_that_is_added_is_stated_at_once(tmp_path):
     assert Job.read(job.table()) == job
     with pytest.raises(JobError, match=r"part\.surface\.dept is not a known key: did you mean 'depth'"):
         Job.read(changed(("part.surface", {"family": "trough", "dept": "2 um"})))
+
+
+def test_a_strategy_that_is_added_is_stated_at_once():
+    """One class in one file: no table beside it names its fields. Oracle: the slow tool servo at half the feed."""
+
+    @dataclass(frozen=True, slots=True, kw_only=True)
+    class Halved(tw.strategy.Strategy):
+        kind = "halved"
+        pitch: Feed
+        spindle_rpm: Speed | None = None
+
+        def spiral(self, part, tool, *, progress=None):
+            return tw.SlowToolServo(feed=self.pitch / 2, points_per_rev=120).spiral(part, tool, progress=progress)
+
+        def axes(self, path):
+            return {"C": path.angle, "X": path.radius, "Z": path.z}
+
+    try:
+        job = Job.read(changed(("strategy", {"kind": "halved", "pitch": "40 um/rev", "spindle_speed": "100 rpm"})))
+        assert job.strategy == Halved(pitch=0.04, spindle_rpm=100.0)
+        assert Job.read(job.table()) == job
+        slow = job.replace("strategy", tw.SlowToolServo(feed=0.02, points_per_rev=120, spindle_rpm=100.0))
+        found, wanted = (Pipeline(one).motion for one in (job, slow))
+        assert found == wanted
+        with pytest.raises(JobError, match=r"strategy\.pich is not a known key: did you mean 'pitch'"):
+            Job.read(changed(("strategy", {"kind": "halved", "pich": "40 um/rev"})))
+    finally:
+        del STRATEGIES["halved"]
+        forget_adapters()

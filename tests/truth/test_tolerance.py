@@ -336,7 +336,7 @@ def test_drift_leaves_its_own_history(tmp_path, settling):
     )  # fmt: skip
     # Passes come in at an even feed, and each radius is as low as the last pass over it.
     strategy, head = job.strategy, cut.views[0].head
-    lead = head["duration"] * strategy.spindle_speed / 60 * strategy.feed
+    lead = head["duration"] * strategy.spindle_rpm / 60 * strategy.feed
     share = (lead - cut.views[0].scene.columns) / lead
     if settling is not None:
         share = (1 - np.exp(-share * head["duration"] / settling)) / (1 - math.exp(-head["duration"] / settling))

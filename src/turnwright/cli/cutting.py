@@ -241,7 +241,7 @@ def _read(program: Path, recipe: Job, cut: str | None, progress: StageProgress, 
         if cut is None and program.with_name(f"{program.stem}.fast.csv").is_file():
             return read_fast_tool(program, machine, progress=told)
         return read_nc(program, machine, name=cut, block_delete=block_delete, progress=told)
-    speed = recipe.strategy.spindle_speed
+    speed = recipe.strategy.spindle_rpm
     if speed is not None:
         return read_table(program, machine, spindle_rpm=speed)
     return read_table(program, machine, block_rate_hz=machine.block_rate_hz)

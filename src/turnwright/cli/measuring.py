@@ -95,7 +95,7 @@ def artefact(
             progress=progress,
         )
     write_whole(out, edited(text, recipe, made, folder=job.absolute().parent, into=out.absolute().parent))
-    door.say(f"{made.part.name}: radius {made.part.radius:g} mm, {made.strategy.spindle_speed:.4g} rpm")
+    door.say(f"{made.part.name}: radius {made.part.radius:g} mm, {made.strategy.spindle_rpm:.4g} rpm")
     door.say(f"job: {out}")
 
 

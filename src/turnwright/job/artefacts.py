@@ -12,8 +12,8 @@ from turnwright.access import check_access
 from turnwright.errors import JobError
 from turnwright.job.pass_plan import plan_pass
 from turnwright.job.schema import SimulationTable, Tolerances
-from turnwright.job.strategies import HybridTable
 from turnwright.motion import check_limits
+from turnwright.strategy import HybridToolServo
 from turnwright.surface import Plane, Sphere, Surface
 
 if TYPE_CHECKING:
@@ -93,10 +93,10 @@ def artefact(
         surface = Sphere(radius=curve)
         name = f"concave sphere R {curve:.4g} mm"
     strategy = job.strategy
-    if isinstance(strategy, HybridTable):
+    if isinstance(strategy, HybridToolServo):
         strategy = replace(strategy, base=None)  # the share of the slide belongs to the part
-    if strategy.spindle_speed is None and strategy.spindle_speeds is None:
-        strategy = replace(strategy, spindle_speed=_speed(job, progress))
+    if strategy.spindle_rpm is None and strategy.spindle_speeds is None:
+        strategy = strategy.stating(spindle_rpm=_speed(job, progress))
     flat = replace(part, surface=surface, radius=radius, name=f"{name}, artefact", correction=None, blank=None)
     return replace(job, part=flat, strategy=strategy, simulation=SimulationTable(), tolerances=Tolerances())
 

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from turnwright._tables import types_of, written
+from turnwright._tables import written
 from turnwright.errors import Stopped, TurnwrightError
 from turnwright.job.contributions import Shares, shares
-from turnwright.job.strategies import KINDS
 from turnwright.motion import Limits, check_limits, drive
 from turnwright.placing import place
 from turnwright.post import read_fast_tool, read_nc, write_fast_tool, write_nc
@@ -40,15 +39,6 @@ if TYPE_CHECKING:
 __all__ = ["Candidate", "Comparison", "compare", "strategies_of"]
 
 TURN = 2 * math.pi
-
-KIND_OF: dict[type, str] = {
-    SlowToolServo: "slow tool servo",
-    FastToolServo: "fast tool servo",
-    HybridToolServo: "hybrid tool servo",
-    AdaptiveToolServo: "adaptive tool servo",
-    QuasiEllipticalToolServo: "quasi-elliptical tool servo",
-}
-"""What a job file calls a strategy."""
 
 AS_IT_STANDS = "the job as it stands"
 """What the job's own strategy is called next to the others."""
@@ -119,26 +109,17 @@ class Comparison:
     def stated(self, candidate: Candidate) -> dict[str, Any]:
         """Return a strategy as the table ``strategy`` of a job file states it; empty if it could not be set up.
 
-        What the job says of the speed of the spindle and the sense stays as it is.
-
         Parameters
         ----------
         candidate
             One of `candidates`.
         """
-        servo, own = candidate.servo, self.job.strategy
         if candidate.name == AS_IT_STANDS:
-            return written(own)
-        if servo is None:
+            return written(self.job.strategy)
+        if candidate.servo is None:
             return {}
-        kind = KIND_OF[type(servo)]
-        table = KINDS[kind]
-        values = {name: getattr(own, name) for name in ("spindle_speed", "spindle_speeds", "sense", "inside_out")}
-        for one in (getattr(servo, "plan", servo), servo):
-            values |= {name: getattr(one, name) for name in types_of(table) if hasattr(one, name)}
         # The slide under a fast tool follows what the limits of that tool leave to it, as the job file finds by itself.
-        values.pop("base", None)
-        return written(table(**{**values, "kind": kind}))
+        return written(candidate.servo)
 
 
 def compare(job: Job, *, progress: StageProgress | None = None) -> Comparison:
@@ -196,7 +177,7 @@ def _plain(own: Strategy) -> Strategy:
     if isinstance(own, QuasiEllipticalToolServo):
         names = {one.name for one in fields(SlowToolServo)} & {one.name for one in fields(own)}
         return SlowToolServo(**{name: getattr(own, name) for name in names})
-    return own.plan if isinstance(own, FastToolServo | HybridToolServo) else own
+    return own.lays_out
 
 
 def _ways(
@@ -204,9 +185,10 @@ def _ways(
 ) -> Iterator[tuple[str, Callable[[], Strategy]]]:
     """Yield every strategy by its name, to be set up when its turn comes."""
     part, tool, machine = job.part.aimed, job.tool, job.machine
-    rpm, sense, inside_out = own.spindle_rpm, job.strategy.sense, job.strategy.inside_out
     linear = machine.controller.interpolation != "hermite"
-    shared: dict[str, Any] = {"spindle_rpm": rpm, "sense": sense, "inside_out": inside_out}
+    shared: dict[str, Any] = {
+        name: getattr(own, name) for name in ("spindle_rpm", "spindle_speeds", "sense", "inside_out")
+    }
     plain = _plain(own)
     ends: dict[str, Any] = {}
     if isinstance(plain, SlowToolServo):
@@ -265,9 +247,7 @@ def _tried(name: str, way: Callable[[], Strategy], job: Job, report: StageProgre
     try:
         servo = way()
         spiral = servo.spiral(part, tool, progress=third(0))
-        profile = job.strategy.profile(job.passes[-1])
-        along = job.strategy.along if name == AS_IT_STANDS else "z"
-        motion = drive(place(spiral, part, tool, along=along, progress=third(1)), servo, machine, profile=profile)
+        motion = drive(place(spiral, part, tool, along=servo.along, progress=third(1)), servo, machine)
         with TemporaryDirectory(prefix="turnwright-") as folder:
             again = _written(motion, machine, File(folder))
             size = sum(file.stat().st_size for file in File(folder).iterdir())

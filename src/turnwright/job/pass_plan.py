@@ -71,7 +71,7 @@ def plan_pass(job: Job, cut: PassTable, watch: Watch | None = None) -> PassPlan:
     feed = spiral.feed
     del spiral
     with watch.stage("drive") as tell:
-        motion = drive(path, servo, machine, profile=job.strategy.profile(cut))
+        motion = drive(path, servo, machine)
         if job.program.precorrect:
             return PassPlan(feed, path, precorrect(motion, progress=tell), motion)
     return PassPlan(feed, path, motion, None)

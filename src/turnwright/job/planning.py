@@ -9,7 +9,6 @@ from pathlib import Path as File
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from turnwright._tables import types_of
 from turnwright.errors import JobError, LimitError, Stopped, TurnwrightError
 from turnwright.generation import generate_polar
 from turnwright.job.contributions import (
@@ -26,10 +25,10 @@ from turnwright.job.interpolated import interpolated
 from turnwright.job.named import asking
 from turnwright.job.running import predict, read_back, written
 from turnwright.job.speed import NEAR, ROUNDS, Servos, at_speed, few_lines, guess, largest, plain
-from turnwright.job.strategies import Choices
 from turnwright.job.verdict import Verdict, judge, missed
-from turnwright.motion import Limits, SpeedProfile, check_limits, drive
+from turnwright.motion import Limits, check_limits, drive
 from turnwright.placing import place
+from turnwright.speed_profile import SpeedProfile
 from turnwright.units import write
 
 if TYPE_CHECKING:
@@ -178,7 +177,7 @@ def plan(job: Job, *, progress: StageProgress | None = None) -> Plan:
     form, sq = job.tolerances.form_pv, job.tolerances.sq
     if form is None or sq is None:
         raise JobError("the job states no tolerances.form_pv or no tolerances.sq: a plan needs both, add them")
-    if not hasattr(job.strategy, "chord"):
+    if not hasattr(job.strategy.lays_out, "chord"):
         raise JobError(f"a plan sets a chord, which the {job.strategy.kind} does not have: choose another kind")
     report = progress or (lambda _stage, _done, _total: None)
     controller = job.machine.controller
@@ -303,7 +302,7 @@ class _Search:
             self.machine = replace(machine, controller=replace(machine.controller, variable_speed=False))
         self.servos: Servos | None = None
         # Cubics bend with the path, so that steps may be as long where it does; by chord they are longest where not.
-        self.evenly = machine.controller.interpolation == "hermite" and hasattr(job.strategy, "arc_length")
+        self.evenly = machine.controller.interpolation == "hermite" and hasattr(job.strategy.lays_out, "arc_length")
         self.evenly &= not job.strategy.moves_fast_tool
         self.spacings: list[tuple[float, float]] = []  # (chord or arc length, what the points really add) [mm]
 
@@ -422,25 +421,21 @@ class _Points:
 
 def _key(job: Job) -> tuple[str, str]:
     """Return what sets the height of the cusps, and its unit."""
-    return ("scallop", "mm") if hasattr(job.strategy, "scallop") else ("feed", "mm/rev")
+    return ("scallop", "mm") if hasattr(job.strategy.lays_out, "scallop") else ("feed", "mm/rev")
 
 
 def _filled(job: Job, across: float, ways: Mapping[str, float], speed: float | SpeedProfile | None = None) -> Job:
     """Return the job with what was chosen, and nothing that it said itself of feed, points and speed."""
-    shared, last = types_of(type(job.strategy)), job.passes[-1]
-    freed: dict[str, Any] = dict.fromkeys(types_of(Choices).keys() - {"lead_in"})
-    key, _ = _key(job)
-    chosen: dict[str, Any] = {**{name: None for name in freed if name in shared}, key: across, **ways}
-    if isinstance(speed, SpeedProfile):
-        chosen["spindle_speeds"] = tuple(zip(speed.radius.tolist(), speed.spindle_rpm.tolist(), strict=True))
-    elif speed is not None:
-        chosen["spindle_speed"] = speed
+    last, (key, _) = job.passes[-1], _key(job)
+    freed: dict[str, Any] = dict.fromkeys(last.choices.keys() - {"lead_in"})
+    several = isinstance(speed, SpeedProfile)
+    strategy = job.strategy.stating(**{key: across, **ways}, **{"spindle_speeds" if several else "spindle_rpm": speed})
     simulation = job.simulation
     if has_servos(job.actual_machine):  # they count in the proof, so they do in a run
         simulation = replace(simulation, tracking=True)
     return replace(
         job,
-        strategy=replace(job.strategy, **chosen),
+        strategy=strategy,
         passes=(*job.passes[:-1], replace(last, **freed)),
         simulation=simulation,
     )

@@ -22,7 +22,7 @@ ACROSS = 8
 
 def feed_of(job: Job) -> float:
     """Return the feed that a job states for its finishing pass, or 0. [mm/rev]."""
-    return getattr(job.passes[-1], "feed", None) or getattr(job.strategy, "feed", None) or 0.0
+    return job.passes[-1].feed or getattr(job.strategy.lays_out, "feed", None) or 0.0
 
 
 def motion_of(job: Job) -> Motion:

@@ -12,12 +12,12 @@ import numpy as np
 from pydantic import ValidationError
 
 from turnwright._faults import sentences, suggestion
-from turnwright._tables import Keyed, Stated, adapter, types_of
+from turnwright._tables import Keyed, Stated, adapter, merged, types_of
 from turnwright.errors import InputError, JobError, shown
 from turnwright.job.named import asking, context_of
-from turnwright.job.strategies import KINDS
 from turnwright.machine import Machine
 from turnwright.pose import Pose
+from turnwright.strategy import STRATEGIES, Strategy
 from turnwright.surface import FAMILIES, Placed, Surface
 from turnwright.units import Number, Text
 
@@ -35,12 +35,12 @@ def replaced(job: Job, name: str, value: Any) -> Job:
     change = _Change(name, value)
     step, *rest = _steps(name)
     try:
-        new = change.field(job, step, rest)
+        field, new = change.field(job, step, rest)
     except InputError as error:
         raise JobError(str(error) if str(error).startswith(name) else f"{name}: {error}") from error
     except (TypeError, ValueError, AttributeError) as error:  # of arrays and series, which no file states as such
         raise JobError(f"{name} is {shown(value)}, which it cannot hold ({error}): give another value") from error
-    return replace(job, **{step: new})
+    return replace(job, **{field: new})
 
 
 def _steps(name: str) -> list[str]:
@@ -80,25 +80,32 @@ class _Change:
             inner, pose = (held.surface, held.pose) if isinstance(held, Placed) else (held, Pose())
             pose = self._within(pose, Pose, rest)
             return inner.placed(shift=pose.shift, rotation=pose.rotation, tilt=pose.tilt)
+        if isinstance(held, Surface | Strategy) and step in ("family", "kind"):
+            raise JobError(f"{self.name} says what it is: replace {self.name.removesuffix('.' + step)} as a whole")
+        for name, inner in merged(type(held)).items() if isinstance(held, Stated) else ():
+            if step in inner.table_keys() and step not in types_of(type(held)):
+                return replace(held, **{name: self._changed(getattr(held, name), step, rest)})
         if isinstance(held, Placed):
             return replace(held, surface=self._changed(held.surface, step, rest))
-        new = self.field(held, step, rest)
-        return replace(held, **{**dict.fromkeys(held.unstated), step: new})
+        name, new = self.field(held, step, rest)
+        return replace(held, **{**dict.fromkeys(held.unstated), name: new})
 
-    def field(self, owner: Any, step: str, rest: list[str]) -> Any:
-        """Return what a field of a thing holds then."""
+    def field(self, owner: Any, step: str, rest: list[str]) -> tuple[str, Any]:
+        """Return the name of a field of a thing by its key, and what it holds then."""
         if not isinstance(owner, Stated):
             raise JobError(f"{self.name} is not a field of this job: what is before {step} has none")
-        known = types_of(type(owner))
-        if step not in known or step in owner.hidden:
-            self._unknown(step, [one for one in known if one not in owner.hidden])
-        held = getattr(owner, step)
-        series = owner.series.get(step) if isinstance(owner, Surface) else None
+        kinds = {name: kind for name, kind in types_of(type(owner)).items() if name not in owner.hidden}
+        names = {owner.key_names.get(name, name): name for name in kinds}
+        if step not in names:
+            self._unknown(step, names)
+        name = names[step]
+        held = getattr(owner, name)
+        series = owner.series.get(name) if isinstance(owner, Surface) else None
         if series is None or (series.key is None and rest):
-            return self._within(held, known[step], rest)
+            return name, self._within(held, kinds[name], rest)
         if series.key is None or not rest:
-            return self.value
-        return {**dict(held), series.key(rest[0]): self._within(None, Number, rest[1:])}
+            return name, self.value
+        return name, {**dict(held), series.key(rest[0]): self._within(None, Number, rest[1:])}
 
     def _keyed(self, held: Mapping[Any, Any], kind: Any, step: str, rest: list[str]) -> Any:
         """Return a mapping with the value of one key changed."""
@@ -135,7 +142,7 @@ class _Change:
         try:
             return adapter(kind).validate_python(value, context=context_of(".") | {"plain": True})
         except ValidationError as error:
-            raise JobError("\n".join(sentences(error, kind, {**FAMILIES, **KINDS}, path=path))) from error
+            raise JobError("\n".join(sentences(error, kind, {**FAMILIES, **STRATEGIES}, path=path))) from error
 
     def _unknown(self, step: str, known: Any) -> NoReturn:
         raise JobError(f"{self.name} is not a field of this job: {suggestion(step, known)}")

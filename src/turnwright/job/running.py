@@ -333,8 +333,7 @@ def preview(job: Job, *, progress: StageProgress | None = None) -> Preview:
             size, spiral = servo.extent(part, tool, progress=tell)
             _require_sense(cut, servo, part, tool)
             place(_outermost(spiral), part, tool, along=job.strategy.along)  # raises where the surface has an end
-        profile = job.strategy.profile(cut)
-        stated = servo.spindle_rpm
+        profile, stated = servo.spindle_speeds, servo.spindle_rpm
         if stated is not None and stated > machine.spindle_rpm:
             sentence = (
                 f"pass {cut.name}: spindle_speed is {stated:g} rpm, the limit of {machine.name} is "
@@ -581,7 +580,7 @@ def _accepted_gouge(job: Job, path: Path) -> list[str]:
 
 def _require_sense(cut: PassTable, servo: Strategy, part: Part, tool: Tool) -> None:
     """Raise where C turns by half a turn or more from point to point: no program tells which way."""
-    plan = getattr(servo, "plan", servo)
+    plan = servo.lays_out
     if not isinstance(plan, SlowToolServo) or plan.arc_length is None or plan.max_step is not None:
         return
     step = float(np.abs(np.diff(plan.spiral(part, tool).angle)).max(initial=0.0))

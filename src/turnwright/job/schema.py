@@ -6,6 +6,7 @@ import math
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path as File
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, cast
 
 import numpy as np
@@ -15,27 +16,27 @@ from pydantic import Field, PlainValidator, Strict, ValidationError
 
 from turnwright._faults import faults as faults_of, sentences
 from turnwright._io import bytes_of, read_toml, write_whole
-from turnwright._tables import adapter, read_by, written
+from turnwright._tables import adapter, read_by, types_of, written
 from turnwright._validate import check_numbers
 from turnwright.diagnosis import CAUSES
 from turnwright.errors import InputError, JobError
 from turnwright.job.named import AnyInstrument, AnyMachine, ExistingFile, MachineDeviations, context_of
-from turnwright.job.strategies import KINDS, AnyStrategy, Choices
 from turnwright.job.table import Table
 from turnwright.machine import Machine
 from turnwright.motion import require_variable
 from turnwright.part import Part
 from turnwright.pose import Pose
 from turnwright.post import FASTEST_PLUNGE, PLUNGE_FEED, dialect_of
+from turnwright.speed_profile import Speeds
+from turnwright.strategy import STRATEGIES, Strategy
 from turnwright.surface import FAMILIES, Surface
 from turnwright.tool import Tool, Waviness, WavinessTable
-from turnwright.units import Angle, Flag, Length, Size, Text, Thickness, unit
+from turnwright.units import Angle, Count, Feed, Flag, Length, Size, Speed, Step, Text, Thickness, unit
 
 if TYPE_CHECKING:
     from os import PathLike
 
     from turnwright._arrays import Floats
-    from turnwright.strategy import Strategy
 
 __all__ = ["Job", "PassTable", "faults"]
 
@@ -94,13 +95,31 @@ class ToolDeviations(Table):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PassTable(Choices):
+class PassTable(Table):
     """One pass: what it states otherwise than the strategy, and how much it leaves and takes off.
 
     Parameters
     ----------
     name
         What the pass is called, in the program and in all results.
+    feed
+        Advance of X per revolution of the spindle, in this pass. [mm/rev]
+    spindle_rpm
+        Spindle speed in this pass; that of the strategy if left out. [rpm]
+    spindle_speeds
+        Speeds, each with the radius at which it is reached, in this pass.
+    points_per_rev
+        Program points in a revolution, in this pass.
+    arc_length
+        Distance between program points along the spiral, in this pass. [mm]
+    max_step
+        Largest angle between program points, in this pass. [rad]
+    chord
+        Largest height between the exact path and straight lines between the points, in this pass. [mm]
+    lead_in
+        How far beyond the clear radius the tip starts, in this pass. [mm]
+    scallop
+        Largest height of cusps, in this pass. [mm]
     allowance
         Material that is left above the finished surface when the pass is done; the last pass leaves none. [mm]
     depth
@@ -108,9 +127,30 @@ class PassTable(Choices):
         all at once if left out. [mm]
     """
 
+    key_names = MappingProxyType({"spindle_rpm": "spindle_speed"})
     name: Name
+    feed: Feed | None = None
+    spindle_rpm: Speed | None = None
+    spindle_speeds: Speeds | None = None
+    points_per_rev: Count | None = None
+    arc_length: Size | None = None
+    max_step: Step | None = None
+    chord: Size | None = None
+    lead_in: Thickness | None = None
+    scallop: Size | None = None
     allowance: Thickness = 0.0
     depth: Size | None = None
+
+    @property
+    def choices(self) -> dict[str, Any]:
+        """What the pass states otherwise than the strategy."""
+        own = (name for name in types_of(PassTable) if name not in ("name", "allowance", "depth"))
+        return {name: value for name in own if (value := getattr(self, name)) is not None}
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        if self.spindle_rpm is not None and self.spindle_speeds is not None:
+            raise JobError("spindle_speed and spindle_speeds are both given, only one can be right: remove one")
 
     def repeats(self, stock: float) -> int:
         """Return how often the pass is cut, each time deeper, to take ``stock`` [mm] down to its allowance."""
@@ -476,7 +516,7 @@ class Job(Table):
     part: Part
     tool: Tool
     machine: AnyMachine
-    strategy: AnyStrategy
+    strategy: Strategy
     passes: tuple[PassTable, ...] = (PassTable(name="finish"),)
     simulation: SimulationTable = SimulationTable()
     actual: Actual = Actual()
@@ -534,7 +574,7 @@ class Job(Table):
             except InputError as error:
                 raise JobError(f"strategy of the pass {cut.name!r}: {error}") from error
         _all_different("passes", names)
-        if self.strategy.along not in self.strategy.placed_along:
+        if self.strategy.along != "z" and self.strategy.moves_fast_tool:
             raise JobError(
                 f'strategy.along is {self.strategy.along!r}, the {self.strategy.kind} plans for "z": choose that, or a '
                 "slow tool servo"
@@ -583,10 +623,11 @@ class Job(Table):
             )
 
     def servo(self, cut: PassTable) -> Strategy:
-        """Return the strategy of one pass."""
-        if self.strategy.profile(cut) is not None:
+        """Return the strategy of one pass: what the pass states, else what all passes share."""
+        servo = self.strategy.stating(**cut.choices).on(self.tool, self.machine)
+        if servo.spindle_speeds is not None:
             require_variable(self.machine)
-        return self.strategy.servo(cut, self.tool, self.machine)
+        return servo
 
     @property
     def actual_tool(self) -> Tool:
@@ -612,7 +653,7 @@ class Job(Table):
         try:
             found: Job = adapter(cls).validate_python(data, context=context_of(folder))
         except ValidationError as error:
-            raise JobError("\n".join(sentences(error, cls, {**FAMILIES, **KINDS}))) from error
+            raise JobError("\n".join(sentences(error, cls, {**FAMILIES, **STRATEGIES}))) from error
         return found
 
     @classmethod
@@ -672,4 +713,4 @@ def faults(error: ValidationError) -> list[tuple[str, str]]:
     error
         What pydantic found, as reading a `Job` raises it.
     """
-    return list(dict.fromkeys(faults_of(error, Job, {**FAMILIES, **KINDS})))
+    return list(dict.fromkeys(faults_of(error, Job, {**FAMILIES, **STRATEGIES})))

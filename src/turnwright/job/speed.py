@@ -14,7 +14,8 @@ import numpy as np
 from turnwright.errors import LimitError
 from turnwright.generation import generate_polar
 from turnwright.job.contributions import FEWEST_ANGLES, lines, without_servos
-from turnwright.motion import SpeedProfile, check_limits, drive
+from turnwright.motion import check_limits, drive
+from turnwright.speed_profile import SpeedProfile
 from turnwright.tracking import precorrect, track
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ widened until it holds.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from turnwright.job.running import predict
 from turnwright.motion import drive
 from turnwright.path import Spiral
 from turnwright.placing import place
+from turnwright.strategy import FastToolServo, SlowToolServo
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats, Ints
@@ -86,12 +87,12 @@ def can_be_parted(job: Job) -> bool:
     by chord or scallop finds on its way in, depends on the rest of the path; a path along the normal may gouge; a raked
     tool or one off centre cuts beside its own azimuth.
     """
-    plan, cut = job.strategy, job.passes[-1]
-    chord = getattr(plan, "chord", None) if cut.chord is None else cut.chord
+    plan = job.servo(job.passes[-1])
+    chord = getattr(plan.lays_out, "chord", None)
     machines = (job.machine, job.actual_machine)
     upright = all(not one.rake and not one.offset[1] for one in (job.tool, job.actual_tool))
     return bool(
-        plan.kind in ("slow tool servo", "fast tool servo")
+        isinstance(plan, SlowToolServo | FastToolServo)
         and plan.along == "z"
         and chord is None
         and upright
@@ -153,6 +154,10 @@ class _Steady(NamedTuple):
     def spindle_rpm(self) -> float:
         """Spindle speed. [rev/min]."""
         return self.servo.spindle_rpm or 1.0
+
+    @property
+    def spindle_speeds(self) -> None:
+        """Nothing: it keeps one speed."""
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes of the strategy."""
@@ -223,9 +228,9 @@ def _azimuths(job: Job, spiral: Spiral, reach: float) -> Ints:
     Only where the same azimuths return in every turn, the map's among them: then the tool stands there at a point of
     its path. Points on either side of other azimuths are scattered, and cost more to place than all that are even.
     """
-    plan, angles = job.strategy, job.simulation.whole_part.angles
-    per_turn = job.passes[-1].points_per_rev or getattr(plan, "points_per_rev", None)
-    even = per_turn is not None and per_turn % angles == 0 and job.passes[-1].arc_length is None
+    plan: Any = job.servo(job.passes[-1]).lays_out
+    per_turn, angles = plan.points_per_rev, job.simulation.whole_part.angles
+    even = per_turn is not None and per_turn % angles == 0
     keep = np.zeros(spiral.angle.size, dtype=np.bool_)
     keep[:: per_turn // angles if even and per_turn else 1] = True
     keep[-1] = True

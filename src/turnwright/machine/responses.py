@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from numpy.typing import ArrayLike, NDArray
-    from pydantic import GetCoreSchemaHandler
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic_core import CoreSchema
 
 __all__ = [
@@ -303,9 +303,15 @@ class AnyResponse:
 
         return core_schema.no_info_plain_validator_function(_read_response)
 
+    @classmethod
+    def __get_pydantic_json_schema__(cls, _core: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"type": "object"}
+
 
 def _read_response(table: Any) -> Any:
     """Return the response that a table states."""
+    if isinstance(table, SecondOrder | TransferFunction | FrequencyResponse):
+        return table
     if isinstance(table, Mapping) and table.keys() == {"file"}:
         return FrequencyResponse.load(table["file"])
     polynomials = isinstance(table, Mapping) and table.keys() & {"numerator", "denominator"}

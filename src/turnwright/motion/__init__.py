@@ -1,7 +1,7 @@
 """The axes in time: at which speed, and whether the machine can follow."""
 
-from turnwright.motion.driving import SpeedProfile, drive, require_variable
+from turnwright.motion.driving import drive, require_variable
 from turnwright.motion.limits import Limits, check_limits
 from turnwright.motion.pvt import from_rest_to_rest
 
-__all__ = ["Limits", "SpeedProfile", "check_limits", "drive", "from_rest_to_rest", "require_variable"]
+__all__ = ["Limits", "check_limits", "drive", "from_rest_to_rest", "require_variable"]

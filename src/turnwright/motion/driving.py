@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from turnwright._arrays import frozen, same_length
-from turnwright._validate import check_numbers
-from turnwright.errors import InputError, LimitError
+from turnwright.errors import LimitError
 from turnwright.machine import FAST
 from turnwright.motion.limits import TURN, Course, highest_pace
 from turnwright.motion.pvt import fastest_course, reach_stated_speed, slowed_to_limits
@@ -21,8 +18,9 @@ if TYPE_CHECKING:
 
     from turnwright._arrays import Floats
     from turnwright.machine import Machine
+    from turnwright.speed_profile import SpeedProfile
 
-__all__ = ["SpeedProfile", "drive", "require_variable"]
+__all__ = ["drive", "require_variable"]
 
 MOST_PIECES = 1000
 """Pieces of a motion that have a spindle speed of their own."""
@@ -35,58 +33,15 @@ class Servo(Protocol):
     def spindle_rpm(self) -> float | None:
         """Spindle speed, or ``None`` for the highest that keeps every limit. [rev/min]."""
 
+    @property
+    def spindle_speeds(self) -> SpeedProfile | None:
+        """Spindle speed over the radius, in place of one speed."""
+
     def axes(self, path: Path) -> Mapping[str, Floats]:
         """Return the position of every axis at the points of a path."""
 
     def rates(self, path: Path) -> Mapping[str, Floats] | None:
         """Return the derivatives by the angle of all these axes, or ``None`` if the path states none."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SpeedProfile:
-    r"""Spindle speed over the radius, for a controller that may vary it.
-
-    Between two radii :math:`\omega^2` runs straight over the radius, so that at a steady feed the spindle speeds up
-    steadily in time; beyond the ends the speed is held.
-
-    Parameters
-    ----------
-    radius
-        Where X stands, ascending. (n,) [mm]
-    spindle_rpm
-        Spindle speed there. (n,) [rev/min]
-
-    Raises
-    ------
-    InputError
-        If the radii do not ascend, or a speed is not positive.
-
-    >>> profile = SpeedProfile(radius=[1.0, 2.0], spindle_rpm=[500.0, 100.0])
-    >>> (profile.at(np.array([0.0, 1.0, 1.5, 3.0])) * 60 / TURN).round(3).tolist()
-    [500.0, 500.0, 360.555, 100.0]
-    """
-
-    radius: Floats
-    spindle_rpm: Floats
-
-    def __post_init__(self) -> None:
-        check_numbers(self)
-        for name in ("radius", "spindle_rpm"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
-        same_length([("radius", self.radius), ("spindle_rpm", self.spindle_rpm)])
-        if not self.radius.size:
-            raise InputError("a speed profile has 0 radii, it needs at least 1: give a radius and its spindle speed")
-        if not (self.radius[1:] > self.radius[:-1]).all():
-            raise InputError("the radii of a speed profile do not ascend: sort them, and give each one speed")
-        if not (self.spindle_rpm > 0).all():
-            raise InputError(
-                f"a speed of the profile is {self.spindle_rpm.min():g} rev/min, it must be above 0 rev/min: increase it"
-            )
-
-    def at(self, radius: Floats) -> Floats:
-        """Return the spindle speed where X stands at some radii. (n,) [rad/s]."""
-        omega: Floats = np.sqrt(np.interp(radius, self.radius, (self.spindle_rpm * (TURN / 60)) ** 2))
-        return omega
 
 
 def require_variable(machine: Machine) -> None:
@@ -172,6 +127,7 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     slopes = {letter: path.sense * rate for letter, rate in (rates or {}).items()}
     course = Course(turned, axes, slopes)
     omega: float | Floats
+    profile = servo.spindle_speeds if profile is None else profile
     if profile is not None:
         require_variable(machine)
         omega = profile.at(path.radius)

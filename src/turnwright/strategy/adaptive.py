@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -15,10 +15,14 @@ from turnwright._validate import check_numbers, positive
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
 from turnwright.placing import touch
+from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy
+from turnwright.strategy.fast import FastToolServo
+from turnwright.units import Flag, Size, Speed
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats, Ints
+    from turnwright.machine import Machine
     from turnwright.part import Part
     from turnwright.path import Path
     from turnwright.progress import Progress
@@ -150,7 +154,7 @@ class AdaptiveToolServo(Strategy):
         Largest height between the exact path and what the controller makes of the points. [mm]
     interpolation
         What the controller makes of them: "linear" in the axes, or "hermite" (PVT), cubics through positions and
-        velocities; those of a steady spindle.
+        velocities; those of a steady spindle. In a job it is what the machine's controller does.
     off_path
         Whether the points of a linear program may stand off the exact path. Cubics always pass through it.
     x_motion
@@ -159,6 +163,10 @@ class AdaptiveToolServo(Strategy):
         adapt, and X needs no servo. `FastToolServo` takes either of the last two as its plan.
     spindle_rpm
         Spindle speed; ``None`` for the highest one that keeps every limit of the machine. [rev/min]
+    spindle_speeds
+        Spindle speed over the radius, in place of one speed: each with the radius at which it is reached.
+    along
+        The tool is placed along "z".
     inside_out
         Cut from the centre to the rim.
     sense
@@ -184,17 +192,22 @@ class AdaptiveToolServo(Strategy):
     True
     """
 
-    scallop: float
-    chord: float
-    interpolation: Literal["linear", "hermite"]
-    off_path: bool = True
+    kind = "adaptive tool servo"
+    hidden = ("interpolation",)
+    scallop: Size
+    chord: Size
+    interpolation: Literal["linear", "hermite"] | None = None
+    off_path: Flag = True
     x_motion: Literal["servo", "split", "steady"] = "servo"
-    spindle_rpm: float | None = None
-    inside_out: bool = False
-    sense: int = 1
+    spindle_rpm: Speed | None = None
+    spindle_speeds: Speeds | None = None
+    inside_out: Flag = False
+    sense: Literal[1, -1] = 1
+    along: Literal["z"] = "z"
 
     def __post_init__(self) -> None:
         check_numbers(self)
+        self._check_speed()
         for name, unit in (("scallop", "mm"), ("chord", "mm"), ("spindle_rpm", "rev/min")):
             value = getattr(self, name)
             if value is not None or name != "spindle_rpm":
@@ -205,7 +218,7 @@ class AdaptiveToolServo(Strategy):
                 "check its unit and make it larger"
             )
         for name, choices in (("interpolation", ("linear", "hermite")), ("x_motion", ("servo", "split", "steady"))):
-            if getattr(self, name) not in choices:
+            if getattr(self, name) not in (*choices, *([None] if name == "interpolation" else [])):
                 listed = " or ".join(f'"{choice}"' for choice in choices)
                 raise InputError(f"{name} is {getattr(self, name)!r}, it must be {listed}: choose one")
         if self.sense not in (-1, 1):
@@ -223,6 +236,10 @@ class AdaptiveToolServo(Strategy):
         LimitError
             If there are more points than any controller takes.
         """
+        if self.interpolation is None:
+            raise InputError(
+                'interpolation is not stated, it must be "linear" or "hermite": state what the controller does'
+            )
         way = self.sense if self.inside_out else -self.sense
         steady = self.x_motion == "steady"
         steps = _Steps(part, tool, self.scallop if steady else AIM * self.scallop, self.sense, way)
@@ -239,6 +256,17 @@ class AdaptiveToolServo(Strategy):
             radius, rate, lift = radius[::-1], rate[::-1], None if lift is None else lift[::-1]
         linear = self.interpolation == "linear"
         return Spiral(angle=angle, radius=radius, radius_rate=None if linear else way * rate, lift=lift)
+
+    @property
+    def moves_fast_tool(self) -> bool:
+        """Whether a fast tool takes its own table: that of its two axes."""
+        return self.x_motion == "split"
+
+    def on(self, tool: Tool, machine: Machine) -> Strategy:  # noqa: ARG002 - as its siblings
+        """Return the plan for the machine's interpolation; a two-axis fast tool makes the height of a split motion."""
+        interpolation: Any = machine.controller.interpolation  # one that it does not plan for is refused in words
+        servo = replace(self, interpolation=self.interpolation or interpolation)
+        return FastToolServo(plan=servo) if self.x_motion == "split" else servo
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: C the azimuth [rad], X the radius, Z the height [mm].

@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypedDict
 
 import numpy as np
 
@@ -43,8 +43,10 @@ from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError, LimitError
 from turnwright.path import Spiral
 from turnwright.placing import follow, touch
+from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy
 from turnwright.strategy.slow import SlowToolServo
+from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness, unit
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats, Ints
@@ -169,8 +171,10 @@ class QuasiEllipticalToolServo(Strategy):
 
     Parameters
     ----------
-    feed, spindle_rpm, points_per_rev, arc_length, max_step, inside_out, sense, lead_in
+    feed, spindle_rpm, spindle_speeds, points_per_rev, arc_length, max_step, inside_out, sense, lead_in
         As for a `SlowToolServo`; "slow" needs ``spindle_rpm``.
+    along
+        The tool is placed along "z".
     short
         Policy for short intervals between valleys: "merge", "skip" or "slow".
     shortest
@@ -197,20 +201,25 @@ class QuasiEllipticalToolServo(Strategy):
     'merge'
     """
 
-    feed: float
+    kind = "quasi-elliptical tool servo"
+    ways = ("points_per_rev", "arc_length", "max_step")
+    feed: Feed
     short: Literal["merge", "skip", "slow"]
-    shortest: float | None = None
-    y_acceleration: float | None = None
-    spindle_rpm: float | None = None
-    points_per_rev: int | None = None
-    arc_length: float | None = None
-    max_step: float | None = None
-    inside_out: bool = False
-    sense: int = 1
-    lead_in: float | None = None
+    shortest: Size | None = None
+    y_acceleration: Annotated[float, unit("mm/s^2", above=0.0)] | None = None
+    spindle_rpm: Speed | None = None
+    spindle_speeds: Speeds | None = None
+    points_per_rev: Count | None = None
+    arc_length: Size | None = None
+    max_step: Step | None = None
+    inside_out: Flag = False
+    sense: Literal[1, -1] = 1
+    along: Literal["z"] = "z"
+    lead_in: Thickness | None = None
 
     def __post_init__(self) -> None:
         check_numbers(self)
+        self._check_speed()
         self._base()
         if self.short not in ("merge", "skip", "slow"):
             raise InputError(f'short is {self.short!r}, it must be "merge", "skip" or "slow": choose one')

@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
 from turnwright._arrays import rounding
-from turnwright._validate import check_numbers, whole as whole_number
+from turnwright._validate import whole as whole_number
 from turnwright.errors import InputError
 from turnwright.machine import Axis
 from turnwright.placing import touch
-from turnwright.strategy.base import Strategy
-from turnwright.strategy.fast import planned, speed_of
+from turnwright.strategy.fast import OverPlan
 from turnwright.strategy.split import smoothest
 from turnwright.surface import Surface
 from turnwright.tool import Tool
+from turnwright.units import Count
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
+    from turnwright.machine import Machine
     from turnwright.part import Part
     from turnwright.path import Path, Spiral
     from turnwright.progress import Progress
+    from turnwright.strategy.base import Strategy
 
 __all__ = ["HybridToolServo"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HybridToolServo(Strategy):
+class HybridToolServo(OverPlan):
     r"""A fast tool on the axis W that rides on the slide Z: together they stand where the path says.
 
     The tool is placed once, on the whole surface. To compensate the nose on a base and on its lenses apart and to add
@@ -51,9 +53,9 @@ class HybridToolServo(Strategy):
     base
         The slow share of the surface.
     tool
-        The tool that is placed on it, with ``base`` only.
+        The tool that is placed on it, with ``base`` only; in a job that of the job.
     fast
-        The limits of the fast tool, ``machine.axes["W"]``, with both ends of its travel.
+        The limits of the fast tool, ``machine.axes["W"]``, with both ends of its travel; in a job those of its machine.
     blocks_per_rev
         Blocks of the lathe in a turn, at least: Z then moves straight from one to the next, as a controller with linear
         interpolation moves it, W takes what that leaves, and the program of the lathe is as short. If not given, Z is
@@ -62,7 +64,7 @@ class HybridToolServo(Strategy):
     Raises
     ------
     InputError
-        Unless it is either base and tool, or fast; if the plan is not a strategy, or the blocks are too few.
+        If it is both base or tool and fast; if the plan is not a strategy, or the blocks are too few.
     LimitError
         Of `axes`, if no motion of Z keeps the limits.
 
@@ -71,22 +73,18 @@ class HybridToolServo(Strategy):
     [Kong2019]_ for the arrangement, with both parts compensated apart.
     """
 
-    plan: Strategy
+    kind = "hybrid tool servo"
+    hidden = ("tool", "fast")
     base: Surface | None = None
     tool: Tool | None = None
     fast: Axis | None = None
-    blocks_per_rev: int | None = None
-    spindle_rpm: float | None = field(init=False)
+    blocks_per_rev: Count | None = None
 
     def __post_init__(self) -> None:
-        check_numbers(self)
-        object.__setattr__(self, "spindle_rpm", speed_of(self.plan))
-        ways = [name for name in ("base", "tool", "fast") if getattr(self, name) is not None]
-        if ways not in (["base", "tool"], ["fast"]):
-            raise InputError(
-                f"the motion is split by {' and '.join(ways) or 'nothing'}, it takes base and tool, or fast alone: "
-                "give the slow share of the surface, or the limits of the fast tool"
-            )
+        OverPlan.__post_init__(self)
+        # In a job tool and axis come with `on`, so that either may be missing here, but nothing may be too much.
+        if self._given not in ([], ["base"], ["base", "tool"], ["fast"]):
+            self._refuse()
         for name, kind in (("base", Surface), ("tool", Tool), ("fast", Axis)):
             value = getattr(self, name)
             if value is not None and not isinstance(value, kind):
@@ -99,21 +97,51 @@ class HybridToolServo(Strategy):
         if self.blocks_per_rev is not None:
             object.__setattr__(self, "blocks_per_rev", whole_number(self.blocks_per_rev, "blocks_per_rev", 8))
 
+    @property
+    def _given(self) -> list[str]:
+        return [name for name in ("base", "tool", "fast") if getattr(self, name) is not None]
+
+    def _refuse(self) -> NoReturn:
+        raise InputError(
+            f"the motion is split by {' and '.join(self._given) or 'nothing'}, it takes base and tool, or fast alone: "
+            "give the slow share of the surface, or the limits of the fast tool"
+        )
+
+    def on(self, tool: Tool, machine: Machine) -> Strategy:
+        """Return the strategy with the tool that is placed on its base, else with the limits of the machine's W axis.
+
+        Raises
+        ------
+        InputError
+            If it has no base, and the machine no W axis.
+        """
+        plan = self.plan.on(tool, machine)
+        if self.fast is not None:
+            return replace(self, plan=plan)
+        if self.base is not None:
+            return replace(self, plan=plan, tool=self.tool or tool)
+        if "W" not in machine.axes:
+            raise InputError(
+                f"a hybrid tool servo needs the limits of axis W, {machine.name} has "
+                f"{', '.join(sorted(machine.axes))}: choose a machine with a fast tool"
+            )
+        return replace(self, plan=plan, fast=machine.axes["W"])
+
     def spiral(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> Spiral:
-        """Return the spiral of the plan."""
-        return self.plan.spiral(part, tool, progress=progress)
+        """Return the spiral of the plan.
 
-    def glimpse(self, part: Part, tool: Tool, *, turns: int, per_turn: int) -> Spiral:
-        """Return some of the points of the spiral of the plan."""
-        return self.plan.glimpse(part, tool, turns=turns, per_turn=per_turn)
-
-    def extent(self, part: Part, tool: Tool, *, progress: Progress | None = None) -> tuple[int, Spiral]:
-        """Return the size of the spiral of the plan, and its ends."""
-        return self.plan.extent(part, tool, progress=progress)
+        Raises
+        ------
+        InputError
+            If nothing says how the motion is split.
+        """
+        if self._given not in (["base", "tool"], ["fast"]):
+            self._refuse()
+        return OverPlan.spiral(self, part, tool, progress=progress)
 
     def axes(self, path: Path) -> dict[str, Floats]:
         """Return the axes at the points of a path: those of the plan, with its Z split into Z and W. [mm]."""
-        axes = planned(self.plan, path)
+        axes = self._planned(path)
         slow, _ = self._slow(path, axes["Z"])
         if self.blocks_per_rev is not None:
             turned = np.abs(path.angle - path.angle[0])

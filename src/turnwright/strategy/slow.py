@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
 from turnwright.placing import tip_height
 from turnwright.progress import require_memory
+from turnwright.speed_profile import Speeds
 from turnwright.strategy.base import Strategy, glimpsed
+from turnwright.units import Count, Feed, Flag, Size, Speed, Step, Thickness
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -91,6 +93,10 @@ class SlowToolServo(Strategy):
         Advance of X per spindle revolution. [mm/rev]
     spindle_rpm
         Spindle speed; ``None`` for the highest one that keeps every limit of the machine. [rev/min]
+    spindle_speeds
+        Spindle speed over the radius, in place of one speed: each with the radius at which it is reached.
+    along
+        How the tool is brought into contact: by moving its height alone, "z", or along the "normal" of the surface.
     points_per_rev
         Program points per revolution.
     arc_length
@@ -134,19 +140,24 @@ class SlowToolServo(Strategy):
     (1080001, 300.0)
     """
 
-    feed: float
-    spindle_rpm: float | None = None
-    points_per_rev: int | None = None
-    arc_length: float | None = None
-    max_step: float | None = None
-    chord: float | None = None
-    inside_out: bool = False
-    sense: int = 1
-    lead_in: float | None = None
-    overrun: float = 0.0
+    kind = "slow tool servo"
+    ways = ("points_per_rev", "arc_length", "max_step", "chord")
+    feed: Feed
+    spindle_rpm: Speed | None = None
+    spindle_speeds: Speeds | None = None
+    points_per_rev: Count | None = None
+    arc_length: Size | None = None
+    max_step: Step | None = None
+    chord: Size | None = None
+    inside_out: Flag = False
+    sense: Literal[1, -1] = 1
+    along: Literal["z", "normal"] = "z"
+    lead_in: Thickness | None = None
+    overrun: Thickness = 0.0
 
     def __post_init__(self) -> None:
         check_numbers(self)
+        self._check_speed()
         positive(self.feed, "feed", "mm/rev")
         for name, unit in (("spindle_rpm", "rev/min"), ("arc_length", "mm"), ("max_step", "rad"), ("chord", "mm")):
             value = getattr(self, name)

@@ -423,7 +423,7 @@ def stated(job: Job, varied: Varied) -> Token | None:
     if not isinstance(data, str):  # a coefficient of a series, which is in the house's unit once it is read
         return convert(float(data), varied.field.units[0], varied.unit or "1")
     if varied.field.over_time(varied.unit):
-        speed = job.strategy.spindle_speed
+        speed = job.strategy.spindle_rpm
         return None if speed is None else convert(parse(data, "mm/rev") * speed, "mm/min", varied.unit)
     for known in varied.field.units:
         try:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import turnwright
-from turnwright._tables import Stated, adapter
+from turnwright._tables import Stated, adapter, merged
 from turnwright.instrument import Instrument
 from turnwright.job import Job
 from turnwright.material import Material
@@ -45,6 +45,7 @@ KNOWN_NAMES: dict[str, Callable[[], list[str]]] = {
 
 TEXTS = {
     "family": "Which kind of surface it is.",
+    "kind": "Which way of cutting it is.",
     "placed": "Where it is put in the part frame; about the axis if left out.",
     "units": "Which unit of length the formula is written in, so that its coefficients can be plain numbers; without "
     "it each of them is text with its own unit.",
@@ -52,9 +53,6 @@ TEXTS = {
     "coefficients.",
 }
 """What is said of the keys of a file that are no fields of their class."""
-
-SAME = {"spindle_speed": "spindle_rpm"}
-"""Fields of a table by the name of the parameter that they become."""
 
 
 def job_schema() -> dict[str, Any]:
@@ -135,7 +133,7 @@ def _units(field: dict[str, Any], name: str) -> None:
         field["default"] = [write(float(one), item["unit"]) if "unit" in item else one for one, item in pairs]
 
 
-def texts_of(table: type[Any]) -> dict[str, str]:
+def texts_of(table: type[Stated]) -> dict[str, str]:
     """Return the explanation of each field of a table.
 
     Parameters
@@ -149,10 +147,9 @@ def texts_of(table: type[Any]) -> dict[str, str]:
         for name in re.findall(r"`turnwright\.([A-Za-z]+)`", doc):
             texts |= _parameters(getattr(turnwright, name, None))
         texts |= _parameters(owner)
-    for field, parameter in SAME.items():
-        if parameter in texts:
-            texts.setdefault(field, texts[parameter])
-    return texts
+    for inner in merged(table).values():
+        texts = texts_of(inner) | texts
+    return texts | {key: texts[name] for name, key in table.key_names.items() if name in texts}
 
 
 def _parameters(owner: object) -> dict[str, str]:

@@ -140,7 +140,8 @@ def _chips(job: Job, part: Part, x: Floats, y: Floats) -> _Colours:
 
 def _stated_feed(servo: Strategy) -> float | None:
     """Return how far a pass advances in every turn, ``None`` where that varies. [mm/rev]."""
-    return getattr(servo, "feed", None) or getattr(getattr(servo, "plan", None), "feed", None)
+    feed: float | None = getattr(servo.lays_out, "feed", None)
+    return feed
 
 
 def _feed(job: Job) -> float:
@@ -215,7 +216,7 @@ def section(
     designed = _along(part, angle, near, y)
     passes = np.stack([_height(tool, sense, near - radii[k]) + found.z[k] for k in range(radii.size)])
     # An edge that came from outside has already cut what lies outside of it.
-    inward = not getattr(job.strategy, "inside_out", False)
+    inward = not job.strategy.inside_out
     earlier = passes[ranks > 0] if inward else passes[ranks < 0]
     left = np.fmin(np.fmin.reduce(earlier, axis=0), passes[here])
     with np.errstate(invalid="ignore"):
