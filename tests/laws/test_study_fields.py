@@ -68,7 +68,7 @@ def with_one(job, name, given):
         ("passes[2].points_per_rev", "720", lambda job: job.passes[1].points_per_rev == 720),
         ("simulation.patches.axis.centre[2]", "5 um", lambda job: job.simulation.patches[0].centre == (0, 0.005)),
         ("simulation.whole_part.radii", "100", lambda job: job.simulation.whole_part.radii == 100),
-        ("strategy.spindle_speed", "70 rpm", lambda job: job.strategy.spindle_speed == 70),
+        ("strategy.spindle_speed", "70 rpm", lambda job: job.strategy.spindle_rpm == 70),
         ("strategy.sense", "-1", lambda job: job.strategy.sense == -1),
         ("strategy.along", "normal", lambda job: job.strategy.along == "normal"),
         ("strategy.inside_out", "true", lambda job: job.strategy.inside_out),
