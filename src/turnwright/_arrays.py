@@ -62,10 +62,10 @@ def frozen(values: ArrayLike, name: str, *, ndim: int | None = 1, finite: bool =
     return view
 
 
-class Value:
-    """A dataclass whose instances are equal where what they state is, nan like nan, and that can be hashed.
+class Compared:  # noqa: PLW1641 - of large arrays
+    """A dataclass whose instances are equal where what they state is, nan like nan; too large to be hashed.
 
-    What an instance works out from its fields itself is neither compared nor hashed.
+    What an instance works out from its fields itself is not compared.
     """
 
     __slots__ = ()
@@ -75,6 +75,12 @@ class Value:
         if self is other or type(self) is not type(other):
             return self is other or NotImplemented
         return all(same(mine, theirs) for mine, theirs in zip(_stated(self), _stated(other), strict=True))
+
+
+class Value(Compared):
+    """A dataclass that can be hashed, too: what a user states."""
+
+    __slots__ = ()
 
     def __hash__(self) -> int:
         """Return a number that equal instances share."""

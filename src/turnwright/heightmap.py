@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._arrays import Floats, frozen
+from turnwright._arrays import Compared, Floats, frozen
 from turnwright._validate import check_azimuths, check_numbers, positive, whole
 from turnwright.errors import InputError
 
@@ -21,7 +21,7 @@ __all__ = ["HeightMap"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HeightMap:
+class HeightMap(Compared):
     """Heights over a rectangular grid (``x``, ``y``), over a polar one (``radius``, ``angle``), or at scattered points.
 
     Parameters

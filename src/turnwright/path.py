@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from turnwright._arrays import Floats, Ints, freeze, frozen, rounding, same_length
+from turnwright._arrays import Compared, Floats, Ints, freeze, frozen, rounding, same_length
 from turnwright._validate import check_cumulative, check_numbers
 from turnwright.errors import InputError
 from turnwright.machine import FAST, ROTARY, Machine
@@ -40,7 +40,7 @@ def _sense(angle: Floats, what: str) -> int:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Spiral:
+class Spiral(Compared):
     """Where the tool is sent, in plan view.
 
     Parameters
@@ -96,7 +96,7 @@ class Spiral:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Path:
+class Path(Compared):
     """Where the tool stands, in contact with the surface.
 
     Parameters
@@ -140,7 +140,7 @@ class Path:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Motion:
+class Motion(Compared):
     """How the axes move in time, in Turnwright's own convention whatever the controller's.
 
     C is the azimuth of the part under the tool [rad], cumulative; X the commanded distance of the tip from the axis,

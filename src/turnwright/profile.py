@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from turnwright._arrays import Floats, frozen, is_even, same_length
+from turnwright._arrays import Compared, Floats, frozen, is_even, same_length
 from turnwright._validate import check_numbers
 from turnwright.errors import InputError
 
@@ -23,7 +23,7 @@ MAX_DEGREE = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Profile:
+class Profile(Compared):
     """Heights along a straight line, see `line_profile` and `read_profile`.
 
     Parameters

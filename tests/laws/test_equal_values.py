@@ -70,6 +70,33 @@ def test_equal_contents_are_equal_and_hash_alike(make, change):
     assert one != "something else"
 
 
+SPIRAL = tw.SlowToolServo(feed=0.05, points_per_rev=24, spindle_rpm=9.0).spiral
+
+
+def motion():
+    part, bare = tw.Part(surface=tw.Plane(), radius=0.5), tw.Tool(nose_radius=0.5)
+    path = tw.place(SPIRAL(part, bare), part, bare)
+    return tw.drive(path, tw.SlowToolServo(feed=0.05, points_per_rev=24, spindle_rpm=9.0), tw.Machine.load("generic"))
+
+
+@pytest.mark.parametrize(
+    ("make", "change"),
+    [
+        (lambda: SPIRAL(tw.Part(surface=tw.Plane(), radius=0.5), tool()), {"radius_rate": None}),
+        (lambda: tw.HeightMap(x=X, y=X, z=table().z), {"z": np.zeros((9, 9))}),
+        (lambda: tw.Profile(distance=X, x=X, y=X, z=X**2), {"z": X**3}),
+        (motion, {"machine": tw.Machine.load("nanoform")}),
+    ],
+    ids=["spiral", "map", "profile", "motion"],
+)
+def test_large_values_compare_and_are_not_hashed(make, change):
+    one, same = make(), make()
+    assert one == same
+    assert one != dataclasses.replace(one, **change)
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(one)
+
+
 def test_jobs_are_equal_where_their_tables_are():
     text = {
         "part": {"surface": {"family": "plane"}, "radius": "0.5 mm"},
