@@ -348,7 +348,7 @@ def close(case, entry, figures, name):
 def run(cases, seed, figures):
     """Write the programs of random jobs and follow each."""
     from turnwright.errors import TurnwrightError
-    from turnwright.job import Job, plan_pass
+    from turnwright.job import Job, PassPlan
     from turnwright.job.running import repeated, require_depths, written
 
     random = np.random.default_rng(seed)
@@ -365,7 +365,7 @@ def run(cases, seed, figures):
                 require_depths(job)
                 motions, stock, allowances = {}, job.part.stock, {}
                 for cut in job.passes:
-                    motion = plan_pass(job, cut).commanded
+                    motion = PassPlan(job, cut).commanded
                     for name, _, left, lifted in repeated(cut, motion, stock):
                         motions[name], allowances[name] = lifted, left
                     stock = cut.allowance

@@ -8,7 +8,7 @@ import copy
 import numpy as np
 import pytest
 
-from turnwright.job import Job, Pipeline, plan_pass, predict, run
+from turnwright.job import Job, PassPlan, Pipeline, predict, run
 from turnwright.job.window import can_be_parted, predict_parted
 
 GRID = {"family": "sine grid", "amplitude": ["3 um", "2 um"], "period": ["0.9 mm", "1.3 mm"]}
@@ -77,7 +77,7 @@ def job_with(changes):
 def test_its_share_of_the_path_leaves_the_surface_of_the_whole_path(name):
     job = job_with(CASES[name])
     assert can_be_parted(job)
-    motion = plan_pass(job, job.passes[-1]).commanded
+    motion = PassPlan(job).commanded
     parted = 0
     for one in predict(job, motion):
         share = predict_parted(job, one.name)

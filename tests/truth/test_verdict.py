@@ -9,7 +9,7 @@ import turnwright as tw
 from proof_verdict import judged, random_job
 from tolerance_jobs import SERVO, job_of
 from turnwright.generation import generate_polar
-from turnwright.job import finishing_motion, judge, judge_form, missed, plan, plan_pass, unjudged
+from turnwright.job import PassPlan, finishing_motion, judge, judge_form, missed, plan, unjudged
 from turnwright.job.extremes import find_extremes
 from turnwright.studies import ErrorBudget, Store
 from turnwright.studies.draws import Bench, laid_out
@@ -27,7 +27,7 @@ def test_the_cusp_on_the_axis_counts_as_closed_form_has_it():
     """The middle of the last turn is a quarter of a feed aside, its cusp 9/4 of f^2/(8 R (1 - R/radius))."""
     job = tw.Job.read(DISH | {"tolerances": {"form_pv": "40 nm"}})
     cusp = 0.01**2 / (8 * 0.5) * (1 - 0.5 / 20) ** -1 * 9 / 4 * 1e6
-    exact = plan_pass(job, job.passes[-1]).commanded
+    exact = PassPlan(job).commanded
     assert find_extremes(exact, job.tool, job.part).pv_nm == pytest.approx(cusp, rel=2e-4)
     _, result = finishing_motion(job)
     whole = result.predictions[0]

@@ -18,18 +18,13 @@ from turnwright.job.correction import Correction, correct
 from turnwright.job.finish_terms import Finish, finish
 from turnwright.job.measurement import Measured, diagnose, measure, read_measurement
 from turnwright.job.named import HeightFile, MachineDeviations, context_of, with_keys
-from turnwright.job.pass_plan import PassPlan, plan_pass
+from turnwright.job.pass_plan import PassPlan
 from turnwright.job.pipeline import Pipeline
 from turnwright.job.planning import Plan, Trial, plan
+from turnwright.job.predicting import predict
+from turnwright.job.programs import predicted_motion, program_shares
 from turnwright.job.result import Pass, Prediction, Preview, Result
-from turnwright.job.running import (
-    finishing_motion,
-    predict,
-    predicted_motion,
-    preview,
-    program_shares,
-    run,
-)
+from turnwright.job.running import finishing_motion, preview, run
 from turnwright.job.schema import Job, faults
 from turnwright.job.shape import PartShape, part_shape
 from turnwright.job.table import Table
@@ -76,7 +71,6 @@ __all__ = [
     "missed",
     "part_shape",
     "plan",
-    "plan_pass",
     "predict",
     "predicted_motion",
     "preview",

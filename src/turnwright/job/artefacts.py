@@ -10,7 +10,7 @@ import numpy as np
 
 from turnwright.access import check_access
 from turnwright.errors import JobError
-from turnwright.job.pass_plan import plan_pass
+from turnwright.job.pass_plan import PassPlan
 from turnwright.job.schema import SimulationTable, Tolerances
 from turnwright.motion import check_limits
 from turnwright.strategy import HybridToolServo
@@ -105,7 +105,7 @@ def _speed(job: Job, progress: StageProgress | None) -> float:
     """Return the speed that the finishing pass of a part comes to. [rev/min]."""
     told = progress or (lambda _stage, _done, _total: None)
     told("speed of the part", 0, 1)
-    rpm = check_limits(plan_pass(job, job.passes[-1]).wanted, job.machine).spindle_rpm
+    rpm = check_limits(PassPlan(job).wanted, job.machine).spindle_rpm
     told("speed of the part", 1, 1)
     # Not a digit faster than the machine's limits let the part go.
     return math.floor(rpm * 1000) / 1000

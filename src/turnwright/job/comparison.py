@@ -7,8 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from pathlib import Path as File
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -16,9 +14,9 @@ import numpy as np
 from turnwright._tables import written
 from turnwright.errors import Stopped, TurnwrightError
 from turnwright.job.contributions import Shares, shares
+from turnwright.job.pipeline import Pipeline
 from turnwright.motion import Limits, check_limits, drive
 from turnwright.placing import place
-from turnwright.post import read_fast_tool, read_nc, write_fast_tool, write_nc
 from turnwright.strategy import (
     AdaptiveToolServo,
     FastToolServo,
@@ -32,8 +30,7 @@ if TYPE_CHECKING:
     from turnwright.job.schema import Job
     from turnwright.machine import Machine
     from turnwright.part import Part
-    from turnwright.path import Motion
-    from turnwright.progress import Progress, StageProgress
+    from turnwright.progress import StageProgress
     from turnwright.tool import Tool
 
 __all__ = ["Candidate", "Comparison", "compare", "strategies_of"]
@@ -234,30 +231,38 @@ def strategies_of(job: Job) -> list[str]:
     return [name for name, _ in _ways(job, job.servo(job.passes[-1]), 1.0, 1.0, 1.0)]
 
 
+def _stating(job: Job, servo: Strategy) -> Job:
+    """Return the job of a strategy: its finishing pass alone, with a table of heights where that moves a fast tool."""
+    last = job.passes[-1]
+    freed: dict[str, Any] = dict.fromkeys(last.choices)
+    alone = replace(last, depth=None, **freed)
+    program = replace(
+        job.program, fast_tool="position" if servo.moves_fast_tool else None, fast_tool_rate=None, name="part"
+    )
+    return replace(job, strategy=servo, passes=(alone,), program=program)
+
+
 def _tried(name: str, way: Callable[[], Strategy], job: Job, report: StageProgress) -> Candidate:
     """Return what a strategy makes of a part, or why it does not."""
     start = time.perf_counter()
-    part, tool, machine = job.part.aimed, job.tool, job.machine
     servo = None
+    stages = ("plan", "place", "shares")  # each a third of the bar
 
-    def third(number: int) -> Progress:
-        """Plan, place and simulate: each a third of the bar."""
-        return lambda done, total: report(name, 100 * number + 99 * done // max(total, 1), 300)
+    def told(stage: str, done: int, total: int) -> None:
+        if stage in stages:
+            report(name, 100 * stages.index(stage) + 99 * done // max(total, 1), 300)
 
     try:
         servo = way()
-        spiral = servo.spiral(part, tool, progress=third(0))
-        motion = drive(place(spiral, part, tool, along=servo.along, progress=third(1)), servo, machine)
-        with TemporaryDirectory(prefix="turnwright-") as folder:
-            again = _written(motion, machine, File(folder))
-            size = sum(file.stat().st_size for file in File(folder).iterdir())
+        line = Pipeline(_stating(job, servo), progress=told)
+        limits = check_limits(line.motion, job.machine)
         return Candidate(
             name=name,
             servo=servo,
-            turns=spiral.turns,
-            size_bytes=size,
-            limits=check_limits(motion, machine),
-            shares=shares(part, tool, spiral, motion, again=again, progress=third(2)),
+            turns=line.spiral.turns,
+            size_bytes=line.program.bytes,
+            limits=limits,
+            shares=line.shares,
             wall_s=time.perf_counter() - start,
         )
     except (Stopped, OSError):  # a full disk fails every strategy
@@ -269,12 +274,3 @@ def _tried(name: str, way: Callable[[], Strategy], job: Job, report: StageProgre
             f"a defect of Turnwright, not of the job ({type(error).__name__}: {str(error)[:100]}): please report it"
         )
     return Candidate(name=name, servo=servo, refused=reason, wall_s=time.perf_counter() - start)
-
-
-def _written(motion: Motion, machine: Machine, folder: File) -> Motion:
-    """Return a motion as its program on disk says it."""
-    path = folder / "part.nc"
-    if "W" in motion.axes:
-        write_fast_tool(motion, machine, path, by="position")
-        return read_fast_tool(path, machine)
-    return read_nc(write_nc(motion, machine, path).files[0], machine)

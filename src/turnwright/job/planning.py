@@ -23,11 +23,12 @@ from turnwright.job.contributions import (
 )
 from turnwright.job.interpolated import interpolated
 from turnwright.job.named import asking
-from turnwright.job.running import predict, read_back, written
+from turnwright.job.pass_plan import PassPlan
+from turnwright.job.predicting import predict
+from turnwright.job.programs import read_back, written
 from turnwright.job.speed import NEAR, ROUNDS, Servos, at_speed, few_lines, guess, largest, plain
 from turnwright.job.verdict import Verdict, judge, missed
 from turnwright.motion import Limits, check_limits, drive
-from turnwright.placing import place
 from turnwright.speed_profile import SpeedProfile
 from turnwright.units import write
 
@@ -400,11 +401,8 @@ class _Search:
         """Return points at a chord, or at an arc length [mm], at the highest speed within the limits."""
         ways = {"arc_length": spacing, "max_step": WIDEST} if self.evenly else {"chord": spacing}
         filled = _filled(self.job, self.across, ways)
-        servo = filled.servo(filled.passes[-1])
-        spiral = servo.spiral(self.part, self.tool)
-        path = place(spiral, self.part, self.tool)
-        top = drive(path, servo, self.machine)
-        return _Points(ways=ways, filled=filled, servo=servo, spiral=spiral, path=path, top=top)
+        plan = PassPlan(replace(filled, machine=self.machine))
+        return _Points(ways=ways, filled=filled, servo=plan.servo, spiral=plan.spiral, path=plan.path, top=plan.wanted)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -451,7 +449,7 @@ def _across(job: Job, form: float, sq: float) -> tuple[float, float]:
         across = math.sqrt(8 * tool.actual_radius * across)
     for _ in range(ROUNDS):
         filled = _filled(job, across, {"chord": pv_limit} if scallop else {"points_per_rev": FEWEST})
-        spiral = filled.servo(filled.passes[-1]).spiral(part, tool)
+        spiral = PassPlan(filled).spiral
         error, pv_nm = exact_cusps(spiral, part, tool, machine)
         pv, finish = pv_nm / NM, finish_nm(error, spiral.feed) / NM
         share = max(pv / pv_limit, finish / sq_limit)

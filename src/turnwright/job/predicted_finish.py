@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from turnwright.generation import generate_points
-from turnwright.job.pass_plan import plan_pass
+from turnwright.job.pass_plan import PassPlan
 
 if TYPE_CHECKING:
     from turnwright._arrays import Floats
@@ -27,7 +27,7 @@ def feed_of(job: Job) -> float:
 
 def motion_of(job: Job) -> Motion:
     """Return the motion of a job's finishing pass."""
-    return plan_pass(job, job.passes[-1]).wanted
+    return PassPlan(job).wanted
 
 
 def cut_by(motion: Motion, real: Job, x: Floats, y: Floats) -> Floats:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from turnwright.job.running import predict
+from turnwright.job.predicting import predict
 from turnwright.motion import drive
 from turnwright.path import Spiral
 from turnwright.placing import place

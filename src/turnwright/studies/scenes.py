@@ -16,7 +16,7 @@ import numpy as np
 
 from turnwright.access import check_access
 from turnwright.generation import generate, generate_points, generate_polar
-from turnwright.job import has_servos, plan_pass, without_servos
+from turnwright.job import PassPlan, has_servos, without_servos
 from turnwright.path import Motion
 from turnwright.tracking import track
 
@@ -339,7 +339,7 @@ def planned(job: Job, reach: Reach, progress: Progress | None = None) -> Planned
     told = progress or (lambda _done, _total: None)
     tool, machine = job.tool, job.machine
     told(0, 2)
-    plan = plan_pass(job, job.passes[-1])
+    plan = PassPlan(job)
     path, commanded, meant = plan.path, plan.commanded, plan.wanted
     told(1, 2)
     real, actual = meant, job.actual_machine

@@ -1,0 +1,152 @@
+"""What a motion leaves of a part: the maps of a job, with what controller and servos make of the motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from turnwright.errors import InputError
+from turnwright.generation import generate, generate_polar
+from turnwright.job.contributions import finish_nm, lines, require_servos, without_servos
+from turnwright.job.extremes import find_extremes
+from turnwright.job.interpolated import interpolated, off_curves
+from turnwright.job.pass_plan import Watch
+from turnwright.job.result import Prediction
+from turnwright.metrology import roughness
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+
+    from turnwright._arrays import Floats
+    from turnwright.heightmap import HeightMap
+    from turnwright.job.schema import Job
+    from turnwright.path import Motion
+    from turnwright.progress import Progress, StageProgress
+
+__all__ = ["WHOLE", "followed", "predict"]
+
+WHOLE = "whole part"
+"""What the map of the whole part is called."""
+
+
+def predict(
+    job: Job,
+    motion: Motion,
+    *,
+    tracking: bool | None = None,
+    meant: Motion | None = None,
+    only: Collection[str] | None = None,
+    extremes: bool = True,
+    watch: Watch | None = None,
+    progress: StageProgress | None = None,
+) -> tuple[Prediction, ...]:
+    """Predict what a motion leaves of the job's part, on the job's grids and with its actual tool and machine.
+
+    What the controller makes of the motion between its points always counts, how the servos answer only if asked.
+
+    Parameters
+    ----------
+    job
+        Says what was designed and where to look.
+    motion
+        From a program read back, the job's own or anybody's.
+    tracking
+        Whether the axes move as the machine's servos let them, and what that adds is told; as the job says if not
+        given.
+    meant
+        Where the axes shall really pass, if ``motion`` is corrected for the servos: what these add is against that.
+    only
+        Names of the places to predict, of the patches and "whole part"; all of them if not given.
+    extremes
+        Whether the highest and the lowest place of the whole part are found; a motion of some azimuths has none.
+    watch, progress
+        Who keeps the time, or who is told (stage, done, total).
+
+    Raises
+    ------
+    InputError
+        If tracking is asked of a machine that does not state how any axis answers, or a place is not cut at all.
+    """
+    watch = watch or Watch(progress)
+    part, tool, machine = job.part, job.actual_tool, job.actual_machine
+    motion, real = followed(job, motion, job.simulation.tracking if tracking is None else tracking, meant, watch)
+    straight = machine.controller.interpolation == "linear"
+    off = 0.0 if straight else max(off_curves(one) for one in (motion, real) if one is not None)
+
+    def predicted(name: str, form: int | str, made: Callable[[Motion, Progress], HeightMap]) -> Prediction:
+        with watch.stage(f"simulate {name}") as tell:
+            error = replace(made(motion, tell).minus(part.surface), name=name)
+        added = None
+        if real is not None:
+            with watch.stage(f"simulate {name} with servos") as tell:
+                planned, error = error, replace(made(real, tell).minus(part.surface), name=name)
+            added = replace(error, z=error.z - planned.z, name=f"{name}: servos")
+        if np.isnan(error.z).all():
+            raise InputError(
+                f"none of the {error.z.size:,} points of {name} is cut, so it has no finish: the motion turns by "
+                f"{np.ptp(motion.axes['C']) / (2 * np.pi):.4g} rev, look whether the program is complete"
+            )
+        above = int(np.count_nonzero(error.z > part.stock)) if part.stock > 0 else 0
+        with watch.stage("roughness"):
+            finish = roughness(error, form=form)
+        return Prediction(name=name, error=error, roughness=finish, tracking=added, above_stock=above, off_curves=off)
+
+    grid = job.simulation.whole_part
+    radius, angle = np.linspace(0, part.radius, grid.radii), np.linspace(0, 2 * np.pi, grid.angles, endpoint=False)
+
+    def whole(one: Motion, tell: Progress) -> HeightMap:
+        return generate_polar(one, tool, radius=radius, angle=angle, machine=machine, progress=tell)
+
+    def wanted(name: str) -> bool:
+        return only is None or name in only
+
+    predictions = [predicted(WHOLE, "none", whole)] if wanted(WHOLE) else []
+    if extremes and predictions:
+        predictions = [_with_extremes(job, predictions[0], real or motion, watch)]
+    for patch in filter(lambda one: wanted(one.name), job.simulation.patches):
+
+        def rectangle(one: Motion, tell: Progress, axes: tuple[Floats, Floats] = patch.axes) -> HeightMap:
+            return generate(one, tool, x=axes[0], y=axes[1], machine=machine, progress=tell)
+
+        predictions.append(predicted(patch.name, job.roughness.form, rectangle))
+    return tuple(predictions)
+
+
+def _with_extremes(job: Job, whole: Prediction, motion: Motion, watch: Watch) -> Prediction:
+    """Return the whole part with its highest and lowest place, and the finish where no patch shows it."""
+    tool, part, machine = job.actual_tool, job.part, job.actual_machine
+    with watch.stage("highest and lowest place") as tell:
+        form = find_extremes(motion, tool, part, machine=machine, known=whole.error, progress=tell)
+    ring = None
+    if job.tolerances.sq is not None and not job.simulation.patches:
+        with watch.stage("roughest ring"):
+            ring = _ring_sq_nm(job, motion)
+    return replace(whole, form=form, finish_nm=ring)
+
+
+def _ring_sq_nm(job: Job, motion: Motion) -> float:
+    """Return the Sq of the roughest ring of the whole part."""
+    part = job.part
+    radius, angle = lines(part, motion.feed, motion.axes["C"])
+    made = generate_polar(motion, job.actual_tool, radius=radius, angle=angle, machine=job.actual_machine)
+    return finish_nm(made.minus(part.surface), motion.feed)
+
+
+def followed(
+    job: Job, motion: Motion, tracking: bool, meant: Motion | None, watch: Watch
+) -> tuple[Motion, Motion | None]:
+    """Return what the controller makes of a motion, and what the servos make of it if that is asked."""
+    machine = job.actual_machine
+    real = None
+    if tracking:
+        require_servos(machine)
+        with watch.stage("track") as tell:
+            real = interpolated(motion, machine, tell)
+        motion = meant or motion
+    ideal = without_servos(machine, corrected=meant is not None)
+    if ideal.controller.interpolation != "linear":
+        with watch.stage("interpolate") as tell:
+            motion = interpolated(motion, ideal, tell)
+    return motion, real
