@@ -307,7 +307,8 @@ def test_a_speed_over_the_radius_lets_every_ring_use_its_share(corrected, steady
     chosen = plan(job)
     assert chosen.limits.cycle_time_s < 0.8 * steady.limits.cycle_time_s
     assert chosen.limits.ok
-    radius, rpm = np.array(chosen.job.strategy.spindle_speeds).T
+    profile = chosen.job.strategy.spindle_speeds
+    radius, rpm = profile.radius, profile.spindle_rpm
     assert rpm[0] > 1.3 * rpm[-1]
     chosen.job.dump(tmp_path / "planned.toml")
     again = Job.load(tmp_path / "planned.toml")

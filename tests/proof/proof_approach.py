@@ -348,8 +348,7 @@ def close(case, entry, figures, name):
 def run(cases, seed, figures):
     """Write the programs of random jobs and follow each."""
     from turnwright.errors import TurnwrightError
-    from turnwright.job import Job, PassPlan
-    from turnwright.job.running import repeated, require_depths, written
+    from turnwright.job import Job, Pipeline
 
     random = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as place:
@@ -362,18 +361,19 @@ def run(cases, seed, figures):
             case, dialect = case_of(random, folder)
             try:
                 job = Job.read(case.table)
-                require_depths(job)
-                motions, stock, allowances = {}, job.part.stock, {}
-                for cut in job.passes:
-                    motion = PassPlan(job, cut).commanded
-                    for name, _, left, lifted in repeated(cut, motion, stock):
-                        motions[name], allowances[name] = lifted, left
-                    stock = cut.allowance
-                program = written(job, motions, folder)
-            except TurnwrightError as error:
+                line = Pipeline(job, out=folder)
+                deep = [one.sentence for one in line.depths if not one.ok]
+                motions, allowances = {}, {}
+                for cut in line.cuts() if not deep else ():
+                    motions[cut.name], allowances[cut.name] = cut.motion, cut.left
+                program = None if deep else line.write(motions)
+                error = deep
+            except TurnwrightError as refused:
+                program, error = None, refused
+            if program is None:
                 figures.refused += 1
                 if figures.refused > 20 * cases + 100:
-                    raise AssertionError(f"nearly every job is refused: {error}") from error
+                    raise AssertionError(f"nearly every job is refused: {error}")
                 continue
             case.allowances = allowances
             judge(case, dialect, program.files[0], figures)
