@@ -11,7 +11,7 @@ logging.getLogger("traitlets").setLevel(logging.WARNING)
 project = "Turnwright"
 author = "The Turnwright developers"
 copyright = author  # noqa: A001 - Sphinx reads this name
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "job_reference", "mathml"]
 exclude_patterns = ["_build", "jupyter_execute"]
 
 # Pages are executed each time, and one that raises fails the build.

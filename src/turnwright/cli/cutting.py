@@ -85,6 +85,25 @@ def run(
 
 
 @app.command()
+def new(
+    context: typer.Context,
+    family: Annotated[
+        str, typer.Argument(metavar="FAMILY", help='Of the surface, such as "even asphere".', show_default=False)
+    ],
+    out: Annotated[Path, typer.Option(metavar="JOB.toml", help="The job file.", show_default=False)],
+    strategy: Annotated[str, typer.Option(metavar="KIND", help="How it is cut.")] = "slow tool servo",
+) -> None:
+    """Write a job file to start from, every key explained."""
+    door: Door = context.obj
+    from turnwright._io import write_whole  # noqa: PLC0415
+    from turnwright.job import job_template  # noqa: PLC0415 - costly
+
+    require_new(out)
+    write_whole(out, job_template(family, strategy))
+    door.say(f"job: {out}")
+
+
+@app.command()
 def check(context: typer.Context, job: JobFile) -> None:
     """Read a job and say whether the tool reaches the part, and how long the program will be."""
     door: Door = context.obj

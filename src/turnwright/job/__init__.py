@@ -23,11 +23,13 @@ from turnwright.job.pipeline import Pipeline
 from turnwright.job.planning import Plan, Trial, plan
 from turnwright.job.predicting import predict
 from turnwright.job.programs import predicted_motion, program_shares
+from turnwright.job.reference import job_schema
 from turnwright.job.result import Pass, Prediction, Preview, Result
 from turnwright.job.running import finishing_motion, preview, run
 from turnwright.job.schema import Job, faults
 from turnwright.job.shape import PartShape, part_shape
 from turnwright.job.table import Table
+from turnwright.job.template import job_template, reference_tables
 from turnwright.job.text import as_tables, edited, written
 from turnwright.job.verdict import Verdict, judge, judge_form, missed, unjudged
 
@@ -65,6 +67,8 @@ __all__ = [
     "finish",
     "finishing_motion",
     "has_servos",
+    "job_schema",
+    "job_template",
     "judge",
     "judge_form",
     "measure",
@@ -76,6 +80,7 @@ __all__ = [
     "preview",
     "program_shares",
     "read_measurement",
+    "reference_tables",
     "run",
     "shares",
     "steps_of_comparison",

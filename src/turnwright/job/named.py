@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path as File
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
@@ -118,6 +119,7 @@ class HeightFile(Family):
     """
 
     family = "gridded"
+    example = MappingProxyType({"file": "heights.csv", "units": "mm", "sag_units": "mm"})
     file: ExistingFile
     units: Literal["m", "mm", "um", "in"] | None = None
     sag_units: Literal["m", "mm", "um", "nm", "in"] | None = None
@@ -288,6 +290,7 @@ class InstrumentTable(Table):
         A ``.toml`` file of an instrument of one's own, in place of the name.
     """
 
+    like = Instrument
     name: Text | None = None
     file: ExistingFile | None = None
     pixel: Size | None = None

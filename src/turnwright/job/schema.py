@@ -259,7 +259,13 @@ def _form(value: object) -> int | str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RoughnessTable(Table):
-    """What is removed before the roughness of a patch is computed: see `turnwright.roughness`."""
+    """What is removed before the roughness of a patch is computed: see `turnwright.roughness`.
+
+    Parameters
+    ----------
+    form
+        "none", "mean", "plane", "sphere", or the degree of a polynomial, 0 to 10.
+    """
 
     form: Annotated[int | str, PlainValidator(_form)] = "plane"
 

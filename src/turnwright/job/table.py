@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -26,6 +26,8 @@ class Table(Stated, Value):
     """A table of a job file that is no thing of its own."""
 
     __slots__ = ()
+    like: ClassVar[Any] = None
+    """What has fields of the same names, whose texts explain them."""
 
 
 def read_columns(file: Path, columns: Mapping[str, str]) -> Iterator[Floats]:

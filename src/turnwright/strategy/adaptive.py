@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -193,6 +194,7 @@ class AdaptiveToolServo(Strategy):
     """
 
     kind = "adaptive tool servo"
+    example = MappingProxyType({"scallop": "10 nm", "chord": "10 nm"})
     hidden = ("interpolation",)
     scallop: Size
     chord: Size

@@ -66,6 +66,8 @@ class Strategy(Stated, ABC):
     kind: ClassVar[str] = ""
     ways: ClassVar[Collection[str]] = ()
     """Fields that set the points together: a pass that states one of them states them all."""
+    example: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    """How a job file may state one."""
     key_names: ClassVar[Mapping[str, str]] = MappingProxyType({"spindle_rpm": "spindle_speed"})
 
     spindle_rpm: float | None

@@ -34,6 +34,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypedDict
 
 import numpy as np
@@ -202,6 +203,7 @@ class QuasiEllipticalToolServo(Strategy):
     """
 
     kind = "quasi-elliptical tool servo"
+    example = MappingProxyType({"feed": "8 um/rev", "points_per_rev": 1440, "short": "skip", "shortest": "10 um"})
     ways = ("points_per_rev", "arc_length", "max_step")
     feed: Feed
     short: Literal["merge", "skip", "slow"]

@@ -146,6 +146,7 @@ class FastToolServo(OverPlan):
     """
 
     kind = "fast tool servo"
+    example = MappingProxyType({"feed": "8 um/rev", "points_per_rev": 3600, "spindle_speed": "100 rpm"})
 
     def on(self, tool: Tool, machine: Machine) -> Strategy:
         """Return the strategy with what its plan takes from tool and machine."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
@@ -74,6 +75,7 @@ class HybridToolServo(OverPlan):
     """
 
     kind = "hybrid tool servo"
+    example = MappingProxyType({"feed": "8 um/rev", "points_per_rev": 3600, "spindle_speed": "100 rpm"})
     hidden = ("tool", "fast")
     base: Surface | None = None
     tool: Tool | None = None

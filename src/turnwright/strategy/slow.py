@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -141,6 +142,7 @@ class SlowToolServo(Strategy):
     """
 
     kind = "slow tool servo"
+    example = MappingProxyType({"feed": "8 um/rev", "points_per_rev": 360})
     ways = ("points_per_rev", "arc_length", "max_step", "chord")
     feed: Feed
     spindle_rpm: Speed | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -62,7 +63,8 @@ class Family(Stated):
     """What a job file can name as the ``family`` of a surface: a surface, or the file of its heights.
 
     ``series`` says which fields are coefficients of a formula, ``formula_units`` in which unit a formula is that a job
-    file must confirm, ``needed`` which keys it must state though their fields have defaults.
+    file must confirm, ``needed`` which keys it must state though their fields have defaults, ``example`` how it may do
+    so.
     """
 
     __slots__ = ()
@@ -70,6 +72,7 @@ class Family(Stated):
     series: ClassVar[Mapping[str, Series]] = {}
     formula_units: ClassVar[str] = ""
     needed: ClassVar[Collection[str]] = ()
+    example: ClassVar[Mapping[str, Any]] = MappingProxyType({})
 
     @classmethod
     def table_keys(cls) -> Mapping[str, Any]:

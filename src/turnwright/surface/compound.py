@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,6 +47,7 @@ class Sum(Surface):
     """
 
     family = "sum"
+    example = MappingProxyType({"terms": [{"family": "sphere", "radius": "50 mm"}, {"family": "plane"}]})
     terms: tuple[Surface, ...]
 
     def __post_init__(self) -> None:

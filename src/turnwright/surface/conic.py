@@ -66,7 +66,7 @@ class Sphere(OnConic):
     Parameters
     ----------
     radius
-        Radius R: positive for a bowl, negative for a dome, inf for a flat. [mm]
+        Radius R: positive concave, negative convex, inf ("flat" in a file) a plane. [mm]
 
     Raises
     ------
@@ -80,6 +80,7 @@ class Sphere(OnConic):
     """
 
     family = "sphere"
+    example = MappingProxyType({"radius": "50 mm"})
     radius: Radius
 
     def __post_init__(self) -> None:
@@ -103,7 +104,7 @@ class Conic(OnConic):
     Parameters
     ----------
     radius
-        Vertex radius R: positive for a bowl, negative for a dome, inf for a flat. [mm]
+        Vertex radius R: positive concave, negative convex, inf ("flat" in a file) a plane. [mm]
     conic
         Conic constant k: 0 a sphere, -1 a paraboloid, below -1 a hyperboloid, else an ellipsoid.
 
@@ -114,6 +115,7 @@ class Conic(OnConic):
     """
 
     family = "conic"
+    example = MappingProxyType({"radius": "50 mm", "conic": -1.0})
     radius: Radius
     conic: Number
 
@@ -150,7 +152,7 @@ class EvenAsphere(OnConic):
     Parameters
     ----------
     radius
-        Vertex radius R = 1/c of the conic: positive for a bowl, negative for a dome, inf for a flat. [mm]
+        Vertex radius R = 1/c of the conic: positive concave, negative convex, inf ("flat" in a file) a plane. [mm]
     conic
         Conic constant k.
     terms
@@ -169,6 +171,7 @@ class EvenAsphere(OnConic):
     """
 
     family = "even asphere"
+    example = MappingProxyType({"radius": "50 mm", "conic": -1.0, "units": "mm", "terms": {"4": 1e-6, "6": 1e-9}})
     series = MappingProxyType({"terms": Series(power=lambda power: 1 - power, key=index_of)})
     radius: Radius
     conic: Number

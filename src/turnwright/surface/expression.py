@@ -9,6 +9,7 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import KW_ONLY, dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
 
 import numpy as np
@@ -157,6 +158,7 @@ class Expression(Surface):
     """
 
     family = "expression"
+    example = MappingProxyType({"formula": "1e-3 * sin(x) * cos(y)", "units": "mm"})
     formula_units = "mm"
     formula: Text
     _: KW_ONLY

@@ -113,7 +113,7 @@ class Forbes(OnConic):
     Parameters
     ----------
     radius
-        Vertex radius 1/c of the conic: positive for a bowl, negative for a dome, inf for a flat. [mm]
+        Vertex radius 1/c of the conic: positive concave, negative convex, inf ("flat" in a file) a plane. [mm]
     conic
         Conic constant k.
     norm_radius
@@ -143,6 +143,16 @@ class Forbes(OnConic):
     """
 
     family = "forbes"
+    example = MappingProxyType(
+        {
+            "radius": "50 mm",
+            "conic": 0.0,
+            "norm_radius": "5 mm",
+            "kind": "qbfs",
+            "units": "mm",
+            "terms": {"0": 1e-4, "1": 2e-5},
+        }
+    )
     series = MappingProxyType(
         {"terms": Series(power=lambda _: 1, key=lambda key: indices_of(key) if "," in key else index_of(key))}
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
@@ -142,6 +143,15 @@ class LensArray(Surface):
     """
 
     family = "lens array"
+    example = MappingProxyType(
+        {
+            "layout": "square",
+            "pitch": "1 mm",
+            "rows": 3,
+            "columns": 3,
+            "lenslet": {"family": "sphere", "radius": "5 mm"},
+        }
+    )
     needed = ("layout",)
     lenslet: Surface
     centres: Annotated[Floats, _Centres] = None  # type: ignore[assignment] # None asks for those of a layout

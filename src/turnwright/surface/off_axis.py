@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,6 +62,7 @@ class OffAxis(Surface):
     """
 
     family = "off-axis"
+    example = MappingProxyType({"parent": {"family": "conic", "radius": "200 mm", "conic": -1.0}, "distance": "30 mm"})
     parent: Surface
     distance: Thickness
     azimuth: Angle = 0.0

@@ -60,6 +60,7 @@ class XYPolynomial(Surface):
     """
 
     family = "xy polynomial"
+    example = MappingProxyType({"units": "mm", "terms": {"2,0": 1e-3, "0,2": 2e-3}})
     series = MappingProxyType({"terms": Series(power=lambda powers: 1 - sum(powers), key=indices_of)})
     terms: Terms[tuple[int, int]]
     _table: Floats = field(init=False, repr=False, compare=False)
@@ -127,6 +128,7 @@ class RadialPolynomial(Surface):
     """
 
     family = "radial polynomial"
+    example = MappingProxyType({"units": "mm", "radial": [1e-3]})
     series = MappingProxyType(
         {"radial": Series(power=lambda place: -1 - 2 * place), "slope": Series(power=lambda place: -2 - 2 * place)}
     )

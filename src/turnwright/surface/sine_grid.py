@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -45,6 +46,7 @@ class SineGrid(Surface):
     """
 
     family = "sine grid"
+    example = MappingProxyType({"amplitude": ["2 um", "2 um"], "period": ["2.5 mm", "2.5 mm"]})
     amplitude: tuple[Length, Length]
     period: tuple[Size, Size]
     phase: tuple[Angle, Angle] = (0.0, 0.0)

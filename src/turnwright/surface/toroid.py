@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +34,7 @@ class Toroid(Surface):
     Parameters
     ----------
     radius_x
-        Radius of the arc, the vertex radius along x: positive for a bowl, negative for a dome, inf for straight. [mm]
+        Radius of the arc along x: positive concave, negative convex, inf ("flat" in a file) straight. [mm]
     radius_y
         Distance from the vertex to the line, the vertex radius along y. [mm]
 
@@ -50,6 +51,7 @@ class Toroid(Surface):
     """
 
     family = "toroid"
+    example = MappingProxyType({"radius_x": "60 mm", "radius_y": "40 mm"})
     radius_x: Radius
     radius_y: Radius
 
@@ -93,7 +95,7 @@ class Biconic(Surface):
     Parameters
     ----------
     radius_x, radius_y
-        Vertex radii 1/c: positive for a bowl, negative for a dome, inf for straight. [mm]
+        Vertex radii 1/c: positive concave, negative convex, inf ("flat" in a file) straight. [mm]
     conic_x, conic_y
         Conic constants k.
 
@@ -104,6 +106,7 @@ class Biconic(Surface):
     """
 
     family = "biconic"
+    example = MappingProxyType({"radius_x": "60 mm", "radius_y": "40 mm", "conic_x": -1.0, "conic_y": -0.5})
     radius_x: Radius
     radius_y: Radius
     conic_x: Number

@@ -106,6 +106,7 @@ class Zernike(Surface):
     """
 
     family = "zernike"
+    example = MappingProxyType({"radius": "5 mm", "indexing": "fringe", "units": "mm", "terms": {"5": 1e-4, "8": 5e-5}})
     series = MappingProxyType({"terms": Series(power=lambda _: 1, key=index_of)})
     terms: Terms[int]
     radius: Size
