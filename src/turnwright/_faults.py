@@ -103,9 +103,7 @@ def _of_several_kinds(annotation: Any) -> bool:
     return sum(one is not NoneType for one in get_args(annotation)) > 1
 
 
-def sentences(
-    error: ValidationError, root: Any, tags: Mapping[str, Any], what: str = "", path: str = ""
-) -> list[str]:
+def sentences(error: ValidationError, root: Any, tags: Mapping[str, Any], what: str = "", path: str = "") -> list[str]:
     """Return one sentence for each thing that is wrong: the field, the value, what it must be, the remedy.
 
     Parameters

@@ -197,13 +197,17 @@ def test_a_family_that_is_added_is_stated_at_once(tmp_path):
             zero = np.zeros(y.shape)
             return (half * x * x, 2 * half * x, zero, np.full(x.shape, 2 * half), zero, zero)[: (1, 3, 6)[order]]
 
-    path = tmp_path / "job.toml"
-    path.write_text(tomli_w.dumps(changed(("part.surface", {"family": "trough", "depth": "2 um"}))))
-    job = Job.load(path)
-    assert job.part.surface == Trough(depth=2e-3)
-    assert Job.read(job.table()) == job
-    with pytest.raises(JobError, match=r"part\.surface\.dept is not a known key: did you mean 'depth'"):
-        Job.read(changed(("part.surface", {"family": "trough", "dept": "2 um"})))
+    try:
+        path = tmp_path / "job.toml"
+        path.write_text(tomli_w.dumps(changed(("part.surface", {"family": "trough", "depth": "2 um"}))))
+        job = Job.load(path)
+        assert job.part.surface == Trough(depth=2e-3)
+        assert Job.read(job.table()) == job
+        with pytest.raises(JobError, match=r"part\.surface\.dept is not a known key: did you mean 'depth'"):
+            Job.read(changed(("part.surface", {"family": "trough", "dept": "2 um"})))
+    finally:
+        del tw.surface.FAMILIES["trough"]
+        forget_adapters()
 
 
 def test_a_strategy_that_is_added_is_stated_at_once():
