@@ -1,5 +1,5 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve fmt check lint types layers test proof fuzz docs screenshots bench clean
+.PHONY: help setup demo serve dist fmt check lint types layers test proof fuzz docs screenshots bench clean
 
 PYTHON ?= python3
 VENV := .venv
@@ -72,6 +72,14 @@ screenshots: $(VENV)/.testing ## take the pictures of the workbench that docs an
 	TURNWRIGHT_SCREENSHOTS=docs/images/workbench $(BIN)/python -m pytest tests/web/test_web_page.py -q -k picture
 
 check: setup lint types layers test docs ## everything CI runs
+
+# A wheel must work without the checkout: it is installed and used in an environment of its own.
+dist: setup ## build wheel and sdist, install the wheel in a clean environment and use it
+	rm -rf dist build/clean
+	$(BIN)/python -m build --outdir dist .
+	$(PYTHON) -m venv build/clean
+	build/clean/bin/python -m pip install --quiet --disable-pip-version-check $(LOCK) dist/*.whl
+	cd build/clean && bin/turnwright new "even asphere" --out job.toml && bin/turnwright check job.toml
 
 bench: setup ## ratios measured in one run
 	$(BIN)/python benchmarks/run.py
