@@ -1,5 +1,5 @@
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve dist fmt check lint types layers test proof fuzz docs screenshots bench clean
+.PHONY: help setup demo serve dist fmt check lint types layers test proof fuzz docs drawings screenshots bench clean
 
 PYTHON ?= python3
 VENV := .venv
@@ -67,6 +67,9 @@ layers: setup
 docs: setup ## build the documentation; every page is run
 	$(BIN)/sphinx-build -q -W --keep-going -j auto -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
+
+drawings: $(VENV)/.installed ## write the drawings of the documentation, docs/images/drawings
+	$(BIN)/python -m docs.drawings
 
 screenshots: $(VENV)/.testing ## take the pictures of the workbench that docs and README show; needs Chromium
 	TURNWRIGHT_SCREENSHOTS=docs/images/workbench $(BIN)/python -m pytest tests/web/test_web_page.py -q -k picture
