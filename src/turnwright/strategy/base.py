@@ -214,6 +214,7 @@ class Strategy(Stated, ABC):
         found = super().__get_pydantic_json_schema__(core, handler) if cls is not Strategy else handler(core)
         if cls.kind:
             place = handler.resolve_ref_schema(found)
-            place["properties"] = {"kind": {"type": "string", "const": cls.kind}, **place["properties"]}
+            fields = {key: one for key, one in place["properties"].items() if key != "kind"}
+            place["properties"] = {"kind": {"type": "string", "const": cls.kind}, **fields}
             place["required"] = ["kind", *(key for key in place.get("required", ()) if key != "kind")]
         return found
