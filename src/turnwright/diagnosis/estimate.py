@@ -95,6 +95,9 @@ ALIKE = 0.3
 HANGS = 1.5
 """From so many points that count as one on it is no chance of the sample."""
 
+PANEL = 64
+"""Columns at a time of the triangle of a map."""
+
 TERMS = sum(group.relative.size for group in GROUPS)
 PLACES = tuple(
     slice(end - group.relative.size, end)
@@ -206,7 +209,8 @@ class Estimate:
             self.looks = [self._look(m) for m in range(len(self.sights))]
             if step == 0:
                 self.seen = self._seen()
-                self.looks = [self._look(m) for m in range(len(self.sights))]
+                if not self.seen.all():
+                    self.looks = [self._look(m) for m in range(len(self.sights))]
                 for m, look in enumerate(self.looks):
                     self.scale[m] = max(ROUGH * float(np.std(look.rows[:, -1])), FLOOR, self.stated[m])
                 self.loose = [self._loose(m) for m in range(len(self.sights))]
@@ -245,7 +249,7 @@ class Estimate:
         if sight.stands is not None:  # the instrument's noise is along the normal
             counts = 1 / np.sqrt(1 + cutting.zx[good] ** 2 + cutting.zy[good] ** 2)
             rows *= counts[:, None]
-        return Look(rows, np.asarray(np.linalg.qr(rows, mode="r")), numbers, good, turned[good], counts)
+        return Look(rows, _triangle(rows), numbers, good, turned[good], counts)
 
     def marks(
         self, m: int, sight: Sight, cutting: Cutting, form: Floats | None = None
@@ -350,7 +354,8 @@ class Estimate:
         """Find noise and sizes of the terms under which the maps are most probable."""
         for _ in range(SEARCHES):
             self.posterior = self._posterior()
-            changes = [*self._scales(), *self._sizes()]
+            variances = [self.posterior.variances(m) for m in range(len(self.sights))]
+            changes = [*self._scales(variances), *self._sizes(variances)]
             if max(changes, default=0.0) < SIZED and not self._pooled():
                 break
 
@@ -387,29 +392,27 @@ class Estimate:
             likely = np.flatnonzero(np.array(evidence) >= max(evidence) - EXCLUDED)
             sizes[g] = max(found, min(DRIFTS[likely[-1]], group.most) ** 2)
 
-    def _scales(self) -> list[float]:
+    def _scales(self, variances: Sequence[Floats]) -> list[float]:
         """Set the noise of each map to what is left; return by how much that changes its logarithm."""
         changes = []
         for m, look in enumerate(self.looks):
             left = self.target(m) - look.root[:, :-1] @ self.numbers(m)
             points = look.rows.shape[0] / self.together[m]
-            free = max(points - self._spent(m), 1.0)
+            free = max(points - self._spent(variances[m]), 1.0)
             scale = max(float(np.sqrt(left @ left / free)), FLOOR, float(self.stated[m]))
             changes.append(abs(float(np.log(scale / self.scale[m]))))
             self.scale[m] = scale
         return changes
 
-    def _spent(self, m: int) -> float:
+    def _spent(self, variances: Floats) -> float:
         """Return how many numbers a map has told of its own."""
-        roots = self.posterior.roots(m)
         shared = self.posterior.shared.size
-        told = 1 - (roots**2).sum(axis=1)
+        told = 1 - variances
         return float(told[:-shared].sum() + told[-shared:].sum() / len(self.sights))
 
-    def _sizes(self) -> list[float]:
+    def _sizes(self, variances: Sequence[Floats]) -> list[float]:
         """Set the sizes of the groups to what the terms are; return by how much that changes their logarithms."""
         changes: list[float] = []
-        roots = [self.posterior.roots(m) for m in range(len(self.sights))]
         own = [self.posterior.own(m) for m in range(len(self.sights))]
         k = self.typical.size
         for g, (group, place) in enumerate(zip(GROUPS, PLACES, strict=True)):
@@ -417,9 +420,7 @@ class Estimate:
             if group.ramp and len(self.sights) == 1:
                 place = slice(place.start + 1, place.stop)  # noqa: PLW2901 - the ramp has a size of its own
             values = np.stack([one[-TERMS:][place] for one in own])
-            spread = np.stack(
-                [(root[: one.size][-TERMS:][place] ** 2).sum(axis=1) for root, one in zip(roots, own, strict=True)]
-            )
+            spread = np.stack([each[: one.size][-TERMS:][place] for each, one in zip(variances, own, strict=True)])
             # How a cut differs from another of the same part hides in nothing, so that its size is always found.
             least = SAME**2 * group.size**2 if self.several else limits[0]
             known = self._known(group)
@@ -440,7 +441,7 @@ class Estimate:
                 numbers = self.of_cause(cause)
                 at = [look.poses + np.array(numbers) for look in self.looks]
                 values = np.stack([one[where] for one, where in zip(own, at, strict=True)])
-                spread = np.stack([(root[where] ** 2).sum(axis=1) for root, where in zip(roots, at, strict=True)])
+                spread = np.stack([each[where] for each, where in zip(variances, at, strict=True)])
                 self.between[c], change = _resized(self.between[c], values, spread, (BETWEEN[1] ** 2, BETWEEN[2] ** 2))
                 changes.append(change)
         return changes
@@ -460,7 +461,7 @@ class Estimate:
             spread = np.hstack([split.own, split.shared]) @ roots
             sight = self.sights[m]
             self.together[m] = _together(
-                self.left(m), look.rows[:, :-1], spread / self.scale[m], sight.x[look.good], sight.y[look.good]
+                self.left(m), look, spread / self.scale[m], sight.x[look.good], sight.y[look.good]
             )
         for kind in {one for one in self.kinds if one is not None}:
             alike = [m for m, one in enumerate(self.kinds) if one == kind]
@@ -527,7 +528,16 @@ def _resized(
     return new, abs(float(np.log(new / size))) / 2
 
 
-def _together(left: Floats, rows: Floats, spread: Floats, x: Floats, y: Floats) -> float:
+def _triangle(rows: Floats) -> Floats:
+    """Return the triangle of few rows with the same products. (n, c) in, (min(n, c), c)."""
+    from scipy.linalg.lapack import dgeqrt  # noqa: PLC0415 - costly to import
+
+    # Panels that are factored recursively take half the time of those of `numpy.linalg.qr`.
+    packed = dgeqrt(min(PANEL, *rows.shape), np.asfortranarray(rows))[0]
+    return np.triu(packed[: rows.shape[1]])
+
+
+def _together(left: Floats, look: Look, spread: Floats, x: Floats, y: Floats) -> float:
     """Return how many points count as one.
 
     If the residual were independent from point to point, means over cells of n points would scatter by 1/sqrt(n); by
@@ -535,7 +545,8 @@ def _together(left: Floats, rows: Floats, spread: Floats, x: Floats, y: Floats) 
     """
     from scipy.sparse import csr_array  # noqa: PLC0415 - costly to import
 
-    taken_all = float(((rows.T @ rows @ spread) * spread).sum())
+    rows = look.rows[:, :-1]
+    taken_all = float(((look.root[:, :-1] @ spread) ** 2).sum())
     variance = max(float(left @ left) / max(left.size - taken_all, 1.0), FLOOR**2)
     radius, angle = np.hypot(x, y), np.arctan2(y, x)
     order = np.argsort(np.argsort(radius)) / radius.size  # rings of equal numbers of points

@@ -61,6 +61,13 @@ class Posterior:
         lower = np.hstack([np.zeros((self.shared.size, size)), self.root])
         return np.vstack([upper, lower])
 
+    def variances(self, m: int) -> Floats:
+        """Return the variances of a map's numbers and, behind them, of those of all maps: 1 where nothing is known."""
+        one = self.owns[m]
+        by_shared = one.inverse @ (one.by_shared @ self.root)
+        own = np.einsum("ij,ij->i", one.inverse, one.inverse) + np.einsum("ij,ij->i", by_shared, by_shared)
+        return np.concatenate([own, np.einsum("ij,ij->i", self.root, self.root)])
+
     def draws(self, count: int, random: np.random.Generator) -> tuple[Floats, list[Floats]]:
         """Return draws of the numbers of all maps (count, s), and of those of each. (count, o) each."""
         shared = self.shared + random.normal(size=(count, self.shared.size)) @ self.root.T
