@@ -190,8 +190,9 @@ def correct(
     report("prove the correction", 0, 2)
     plan = _proved(job, found, own)
     report("prove the correction", 1, 2)
+    motions = _Motions()
     if any(own):
-        _check_linear(every[plan.map].job, plan.draws)
+        _check_linear(every[plan.map].job, plan.draws, motions)
     report("prove the correction", 2, 2)
     text, beside = ("", File()) if source is None else (File(source).read_bytes().decode(), File(source).parent)
     out = File(out).resolve()  # the job names its files beside itself, wherever it is read from
@@ -200,7 +201,7 @@ def correct(
     )
     names = names if plan.sources else ()
     report("simulate", 0, 2)
-    maps = _simulated(job, found, plan, every if any(own) else ())
+    maps = _simulated(job, found, plan, every if any(own) else (), motions)
     report("simulate", 1, 2)
     out.mkdir(parents=True, exist_ok=True)
     better = _better(job, found, plan, [(one, _entry(one, names, plan)) for one in every], out)
@@ -235,8 +236,24 @@ class _Maps(NamedTuple):
     simulated: HeightMap
 
 
+class _Motions:
+    """The motions of some jobs' finishing passes, each of them planned once."""
+
+    def __init__(self) -> None:
+        self._known: list[tuple[Job, Motion]] = []
+
+    def of(self, job: Job) -> Motion:
+        """Return the motion of a job's finishing pass."""
+        for other, motion in self._known:
+            if other == job:
+                return motion
+        motion = motion_of(job)
+        self._known.append((job, motion))
+        return motion
+
+
 def _simulated(
-    job: Job, found: Diagnosis, plan: _Plan, every: Sequence[Measured]
+    job: Job, found: Diagnosis, plan: _Plan, every: Sequence[Measured], motions: _Motions
 ) -> _Maps:  # fmt: skip
     """Return what a correction makes of the part, and raise where that is not what is claimed.
 
@@ -248,14 +265,14 @@ def _simulated(
     with TemporaryDirectory(prefix="turnwright-") as folder:
         real = _better(job, found, plan._replace(likely=True, sources=True, smooth=None), (), File(folder))
         better = _better(job, found, plan, (), File(folder))
-        new = motion_of(better)
+        new = motions.of(better)
         if not every:
             x, y = evenly(job.part, SHOWN)
             off = cut_by(new, real, x, y) - job.part.surface.sag(x, y)
             simulated = HeightMap(x=x, y=y, z=beyond_pose(job, x, y, off), name="simulated error")
             return _Maps(None, None, simulated)
-        _check_simulated(job, better, plan)
-    old, error, field = motion_of(job), every[plan.map].error, found.fields[plan.map]
+        _check_simulated(job, better, plan, motions)
+    old, error, field = motions.of(job), every[plan.map].error, found.fields[plan.map]
 
     def change(x: Floats, y: Floats) -> Floats:
         """Return what the real tool leaves by the corrected job, less what it left by the old one."""
@@ -517,10 +534,10 @@ def _refusal(found: Diagnosis, plan: _Plan, parts: int) -> str:
     return f"{why}. {hidden.why if hidden else 'Measure more points, or more parts'}"
 
 
-def _check_linear(job: Job, draws: Draws) -> None:
+def _check_linear(job: Job, draws: Draws, motions: _Motions) -> None:
     """Raise if some draws, simulated in full, are not what the linear model makes of them."""
     some, places = _cuspless(job, draws)
-    motion = replace(motion_of(job), velocity=None)
+    motion = replace(motions.of(job), velocity=None)
     tool, machine = job.tool, job.machine
     clean = _means(motion, tool, machine, places)
     for case in draws.cases:
@@ -537,11 +554,11 @@ def _check_linear(job: Job, draws: Draws) -> None:
             )
 
 
-def _check_simulated(job: Job, better: Job, plan: _Plan) -> None:
+def _check_simulated(job: Job, better: Job, plan: _Plan, motions: _Motions) -> None:
     """Raise if the corrected job does not change the part as it is meant to."""
     draws = plan.draws
     some, places = _cuspless(job, draws)
-    after, before = (_means(motion_of(one), one.tool, one.machine, places) for one in (better, job))
+    after, before = (_means(motions.of(one), one.tool, one.machine, places) for one in (better, job))
     now, then = (_added(one, draws.x[some], draws.y[some]) for one in (better, job))
     known = np.isfinite(after - before)
     rest = replace(draws, pose=draws.pose[some][known])
