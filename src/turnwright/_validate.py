@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -73,13 +74,27 @@ def check_numbers(one: Any, *, inf: Collection[str] = (), nan: Collection[str] =
     InputError
         With the field and the number.
     """
-    for field in dataclasses.fields(one):
-        if field.init:
-            kind, value = str(field.type), getattr(one, field.name)
-            if PLAIN.fullmatch(kind) and not (value is None and (field.default is None or "None" in kind)):
-                number(value, field.name)
-            rule = _Rule(whole=bool(WHOLE.fullmatch(kind)), inf=field.name in inf, nan=field.name in nan)
-            rule.check(value, field.name)
+    for name, plain, may_lack, whole in _fields_of(type(one)):
+        value = getattr(one, name)
+        if plain and not (value is None and may_lack):
+            number(value, name)
+        _Rule(whole=whole, inf=name in inf, nan=name in nan).check(value, name)
+
+
+@cache
+def _fields_of(kind: type) -> list[tuple[str, bool, bool, bool]]:
+    """Return the fields that a caller gives: name, whether of one number, or of none, and whether whole."""
+    return [
+        (
+            one.name,
+            bool(PLAIN.fullmatch(stated)),
+            one.default is None or "None" in stated,
+            bool(WHOLE.fullmatch(stated)),
+        )
+        for one in dataclasses.fields(kind)
+        if one.init
+        for stated in [str(one.type)]
+    ]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -91,6 +106,8 @@ class _Rule:
     nan: bool = False
 
     def check(self, value: object, name: str, verb: str = "is") -> None:
+        if type(value) is float and not self.whole and math.isfinite(value):  # as most are
+            return
         if isinstance(value, numbers.Real) and not isinstance(value, bool):
             self._check_number(value, f"{name} {verb}")
         elif isinstance(value, np.ndarray):
@@ -224,6 +241,8 @@ def check_cumulative(angle: NDArray[np.float64], name: str) -> None:
 
 def number(value: object, name: str) -> float:
     """Return a number as one of Python, which may be infinite or nan."""
+    if type(value) is float:  # as most are
+        return value
     if isinstance(value, numbers.Real) and not isinstance(value, bool):
         try:
             return float(value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ from turnwright._tables import Stated
 from turnwright._validate import check_angle, check_numbers, finite_tuple
 from turnwright.units import Angle, Length
 
-__all__ = ["Pose"]
+__all__ = ["Pose", "rotation_matrix"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,11 +74,7 @@ class Pose(Stated):
     @property
     def matrix(self) -> Floats:
         """The rotation matrix. (3, 3)."""
-        (ca, cb, cr), (sa, sb, sr) = (part([*self.tilt, self.rotation]) for part in (np.cos, np.sin))
-        about_x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
-        about_y = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]])
-        about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
-        return np.asarray(about_z @ about_x @ about_y)
+        return rotation_matrix(self.rotation, *self.tilt)
 
     @property
     def inverse(self) -> Pose:
@@ -94,3 +91,15 @@ class Pose(Stated):
         x, y, z = (np.asarray(one, dtype=np.float64) for one in (x, y, z))
         at = [row[0] * x + row[1] * y + row[2] * z + shift for row, shift in zip(self.matrix, self.shift, strict=True)]
         return at[0], at[1], at[2]
+
+
+def rotation_matrix(rotation: float, about_x: float, about_y: float) -> Floats:
+    """Return the matrix of a rotation and the two tilts before it. (3, 3)."""
+    sr, cr, sa, ca, sb, cb = (part(angle) for angle in (rotation, about_x, about_y) for part in (math.sin, math.cos))
+    return np.array(
+        [
+            [cr * cb - sr * sa * sb, -sr * ca, cr * sb + sr * sa * cb],
+            [sr * cb + cr * sa * sb, cr * ca, sr * sb - cr * sa * cb],
+            [-ca * sb, sa, ca * cb],
+        ]
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias
@@ -10,7 +11,7 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, robust_scatter
 from turnwright._kernels.registration import bend
-from turnwright.pose import Pose
+from turnwright.pose import Pose, rotation_matrix
 from turnwright.progress import run_chunks
 from turnwright.surface import Surface
 
@@ -133,10 +134,10 @@ class _Sums(NamedTuple):
 
 def turns(state: Floats) -> tuple[Floats, Floats]:
     """Return the rotation matrix of a state, and the axes that its three angles turn about, as rows. (3, 3) each."""
-    pose = Pose.within_a_turn((0.0, 0.0, 0.0), state[3], state[4:6])
-    c, s = np.cos(state[3]), np.sin(state[3])
-    ca, sa = np.cos(state[4]), np.sin(state[4])
-    return pose.matrix, np.array([[0, 0, 1], [c, s, 0], [-s * ca, c * ca, sa]])
+    rotation, about_x, about_y = (float(angle) for angle in state[3:6])
+    c, s = math.cos(rotation), math.sin(rotation)
+    ca, sa = math.cos(about_x), math.sin(about_x)
+    return rotation_matrix(rotation, about_x, about_y), np.array([[0, 0, 1], [c, s, 0], [-s * ca, c * ca, sa]])
 
 
 def pose_of(state: Floats, pivot: Floats) -> Pose:
