@@ -15,26 +15,37 @@ from dish import DISH, OFFSET, seen
 from job_files import written
 from turnwright._signals import Stop
 from turnwright.cli import main
-from turnwright.job import Job, measurement as _measure
+from turnwright.job import Job, correction as _correct, measurement as _measure
 
 DIAGNOSE = _measure._diagnosed
 
 
-@pytest.fixture(scope="module", autouse=True)
-def diagnosed_once():
-    """The same maps of the same jobs have one diagnosis: most of these tests only go on from it."""
-    known, diagnosed = [], _measure._diagnosed
+def once(stage, key):
+    """Return a stage of the program that takes what has an equal key from the first time."""
+    known = []
 
-    def once(every, report):
-        key = [(one.job, one.fingerprint) for one in every]
-        for other, found in known:
-            if other == key:
-                return found
-        known.append((key, diagnosed(every, report)))
+    def found(*given):
+        wanted = key(*given)
+        for other, answer in known:
+            if other == wanted:
+                return answer
+        known.append((wanted, stage(*given)))
         return known[-1][1]
 
+    return found
+
+
+@pytest.fixture(scope="module", autouse=True)
+def computed_once():
+    """The same maps of the same jobs have one diagnosis and one proof: most of these tests only go on from them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_measure, "_diagnosed", once)
+        patch.setattr(
+            _measure, "_diagnosed", once(DIAGNOSE, lambda every, _: [(one.job, one.fingerprint) for one in every])
+        )
+        patch.setattr(_correct, "_proved", once(_correct._proved, lambda job, found, own: (job, id(found), own)))
+        patch.setattr(
+            _correct, "_check_linear", once(_correct._check_linear, lambda job, draws, _: (job, id(draws)))
+        )
         yield
 
 
