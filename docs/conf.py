@@ -1,10 +1,14 @@
 """The documentation: every page is executed while it is built, and nothing is fetched."""
 
 import logging
+import os
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+EXTENSIONS = str(Path(__file__).parent / "_ext")
+sys.path.insert(0, EXTENSIONS)
+# The pages run in processes of their own, which import `console` from there.
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [EXTENSIONS, os.environ.get("PYTHONPATH")]))
 
 logging.getLogger("traitlets").setLevel(logging.WARNING)
 
