@@ -4,7 +4,7 @@ from pathlib import Path
 
 from turnwright.job import reference_tables
 
-HEAD = """# Job-file reference
+HEAD = """# Every key of a job file
 
 Every table and key of a job file. Quantities are text with a unit (`"8 um/rev"`); a bare number is refused where a unit
 is needed. Keys in **bold** must be stated. `turnwright new sphere --out my_job.toml` writes a file to start from, with
