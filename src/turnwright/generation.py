@@ -21,14 +21,14 @@ from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, only_read
 from turnwright._kernels import generation as kernel
-from turnwright._kernels.edge import DX, DY, DZ, RAKE_SIN
 from turnwright._validate import check_azimuths
+from turnwright.edge import Edge
 from turnwright.errors import InputError
 from turnwright.heightmap import HeightMap
 from turnwright.machine import Machine
 from turnwright.path import Motion
 from turnwright.progress import Progress, run_chunks
-from turnwright.tool import EdgeProfile, Tool
+from turnwright.tool import Tool
 
 __all__ = ["generate", "generate_points", "generate_polar"]
 
@@ -47,10 +47,7 @@ class _Cut:
     sense: int
     starts: Ints
     bounds: Floats
-    row: Floats
-    profile: Floats
-    table: Floats
-    convex: bool
+    edge: Edge
     gap: float  # the most that the edge sinks back on its way out from the tip [mm]
     bend: float  # the most that its slope falls back on its way toward +X
 
@@ -62,7 +59,7 @@ class _Cut:
     @property
     def upright(self) -> bool:
         """Whether the whole edge moves in the plane through the axis."""
-        return bool(self.row[RAKE_SIN] == 0 and self.row[DY] == 0 and self.y.size == 0)
+        return bool(self.edge.upright and self.y.size == 0)
 
 
 def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
@@ -83,27 +80,25 @@ def _cut(motion: Motion, tool: Tool, machine: Machine | None) -> _Cut:
     starts = np.empty(turns + 1, dtype=np.int64)
     kernel.turn_starts(c, motion.sense, starts)
     bounds = np.empty((7, turns))
-    edge = tool.table(motion.sense)
-    kernel.turn_bounds(c, x, y, z, motion.sense, starts, edge.row[DX], bounds)
-    profile = tool.profile()
-    gap, bend = (0.0, 0.0) if profile.table.size == 0 else _falls(profile)
-    return _Cut(c, x, y, z, motion.sense, starts, bounds, edge.row, *profile, gap, bend)
+    edge = tool.cutting_edge(motion.sense)
+    kernel.turn_bounds(c, x, y, z, motion.sense, starts, edge.dx, bounds)
+    gap, bend = (0.0, 0.0) if edge.perfect else _falls(edge)
+    return _Cut(c, x, y, z, motion.sense, starts, bounds, edge, gap, bend)
 
 
-def _falls(profile: EdgeProfile) -> tuple[float, float]:
+def _falls(edge: Edge) -> tuple[float, float]:
     """Return the most that a wavy edge sinks back on its way out, and that its slope falls back toward +X."""
-    _, low, _, slope_low, high, _, slope_high, *_ = profile.row
-    if slope_low > 0 or slope_high < 0:
+    if edge.low_slope > 0 or edge.high_slope < 0:
         return kernel.FAR, kernel.FAR
     gap, bend = 0.0, 0.0
-    for end in (low, high):
+    for end in (edge.low_u, edge.high_u):
         u = np.linspace(0.0, end, 20_001)
-        w, slope = kernel.sampled(*profile[:2], u)
+        w, slope = edge.profile(u)
         # Between two samples it is off their chord by a fourth of what its slope changes.
         gap = max(gap, float((np.maximum.accumulate(w) - w).max() + abs(u[1] * np.diff(slope)).max() / 2))
         slope = slope if end > 0 else slope[::-1]
         bend = max(bend, float((np.maximum.accumulate(slope) - slope).max()))
-    return gap, 0.0 if profile.convex else 2 * bend
+    return gap, 0.0 if edge.convex else 2 * bend
 
 
 def _ascending(values: ArrayLike, name: str) -> Floats:
@@ -204,17 +199,12 @@ class Prepared:
         """Return how many points of a grid with such steps [mm] go in one tile, along rows and columns."""
         return _tile_side(self.cut, steps[0]), _tile_side(self.cut, steps[1])
 
-    def edge(self, u: Floats) -> tuple[Floats, Floats]:
-        """Return height and slope of the edge, in its own plane, at places ``u`` from its tip. Each (n,)."""
-        w, slope = kernel.sampled(self.cut.profile, self.cut.table, u)
-        return w, slope
-
     def fill(self, x: Floats, y: Floats, tiles: Tiles, span: tuple[int, int], out: Floats) -> None:
         """Fill ``out`` at the points (x, y) of the groups of ``span``, on this thread. Each (n,) [mm]."""
         cut = self.cut
         kernel.tiles(
             cut.c, cut.x, cut.y, cut.z, cut.sense, cut.starts, cut.bounds, self.blocks, self.rings, self.useful,
-            self.core, cut.row, cut.profile, cut.table, cut.gap, cut.bend, self.most_y, only_read(x), only_read(y),
+            self.core, cut.edge, cut.gap, cut.bend, self.most_y, only_read(x), only_read(y),
             tiles.offsets, tiles.groups, *span, out,
         )  # fmt: skip
 
@@ -223,18 +213,18 @@ def _prepared(cut: _Cut, low: float, high: float, most_rings: int) -> Prepared:
     """Settle once for each of some hundred rings which turns can matter at all."""
     high = high * (1 + 1e-9) + 1e-9
     low = min(low, high) * (1 - 1e-9)
-    most = RINGS if cut.upright and cut.convex else 10 * RINGS
+    most = RINGS if cut.upright and cut.edge.convex else 10 * RINGS
     count = int(np.clip(2 * (high - low) / max(cut.feed, 1e-9), 1, max(min(most, most_rings), 1)))
     rings = np.linspace(low, high, count + 1)
     useful, core = np.empty((count, 2, 2), dtype=np.int64), np.zeros(count, dtype=np.bool_)
     most_y = float(np.abs(cut.y).max(initial=0.0))
     blocks = np.empty((5, 0 if cut.upright else -(-(cut.c.size - 1) // kernel.BLOCK)))
-    kernel.block_bounds(cut.x, cut.y, cut.z, cut.row[DX], blocks)
-    if cut.upright and cut.convex:
-        kernel.useful_by_ring(cut.bounds, cut.profile, cut.table, rings, useful)
+    kernel.block_bounds(cut.x, cut.y, cut.z, cut.edge.dx, blocks)
+    if cut.upright and cut.edge.convex:
+        kernel.useful_by_ring(cut.bounds, cut.edge, rings, useful)
     else:
         kernel.useful_aside(
-            cut.bounds, cut.row, cut.profile, cut.table, cut.gap, cut.bend, most_y, rings, useful, core
+            cut.bounds, cut.edge, cut.gap, cut.bend, most_y, rings, useful, core
         )  # fmt: skip
     return Prepared(cut, blocks, rings, useful, core, most_y)
 
@@ -256,7 +246,7 @@ def _in_tiles(cut: _Cut, x: Floats, y: Floats, tiles: Tiles, progress: Progress 
 
 def _tile_side(cut: _Cut, pixel: float) -> int:
     """Return how many points a tile should be wide: one or two passes, up to where their slopes differ much."""
-    width = min(np.sqrt(8 * cut.profile[0] * 2e-5), max(2 * cut.feed, 4 * pixel))
+    width = min(np.sqrt(8 * cut.edge.base * 2e-5), max(2 * cut.feed, 4 * pixel))
     return int(np.clip(width / pixel, 1, 32)) if pixel > 0 else 1
 
 
@@ -351,7 +341,7 @@ def generate_polar(
     if z.shape != shape or z.dtype != np.float64 or not z.flags.c_contiguous:
         raise InputError(f"out is {z.shape} of {z.dtype}, it must be contiguous, {shape} of float64: make it so")
     cut = _cut(motion, tool, machine)
-    if cut.upright and cut.convex:
+    if cut.upright and cut.edge.convex:
         _envelopes(cut, radius, angle, z, progress)
     else:
         steps = (
@@ -368,7 +358,7 @@ def generate_polar(
 def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Progress | None) -> None:
     def work(start: int, stop: int) -> None:
         kernel.polar_block(
-            cut.c, cut.x, cut.z, cut.sense, cut.starts, cut.bounds, cut.row[DX], cut.row[DZ], cut.profile, cut.table,
+            cut.c, cut.x, cut.z, cut.sense, cut.starts, cut.bounds, cut.edge,
             radius, angle[start:stop], z[start:stop],
         )  # fmt: skip
 
@@ -376,6 +366,4 @@ def _envelopes(cut: _Cut, radius: Floats, angle: Floats, z: Floats, progress: Pr
     run_chunks(work, angle.size, int(np.clip(angle.size // 32, 16, 128)), progress)
     if radius[0] == 0:
         # The axis is one point, whichever azimuth it is approached along.
-        z[:, 0] = kernel.axis_height(
-            cut.x, cut.z, cut.starts, cut.bounds, cut.row[DX], cut.row[DZ], cut.profile, cut.table, cut.gap
-        )
+        z[:, 0] = kernel.axis_height(cut.x, cut.z, cut.starts, cut.bounds, cut.edge, cut.gap)

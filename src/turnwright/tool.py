@@ -7,16 +7,15 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats, Value, frozen, only_read
-from turnwright._kernels import edge as kernel
-from turnwright._kernels.edge import sweeps_at
+from turnwright._arrays import Bools, Floats, Value, frozen
 from turnwright._tables import Plausible, Stated, read_by, refuse
 from turnwright._validate import between, check_angle, check_numbers, finite_tuple, plausible_sizes, positive
+from turnwright.edge import Edge, edge_of_arc
 from turnwright.errors import InputError, UnitError
 from turnwright.units import Angle, Length, Size, Text, unit
 
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from pydantic_core import CoreSchema
     from scipy.interpolate import CubicSpline
 
-__all__ = ["LARGEST_ERROR", "EdgeProfile", "EdgeTable", "Tool", "WavinessTable"]
+__all__ = ["LARGEST_ERROR", "Tool", "WavinessTable"]
 
 HALF_CIRCLE = np.pi / 2 - 1e-3
 """Half of the included angle of a nose whose maker states none: the arc ends just before its wall is vertical. [rad]"""
@@ -48,9 +47,6 @@ PLAUSIBLE_TEXTS = MappingProxyType({
     "radius error": "Of the nose.",
     "waviness": "Of the edge where it is used farthest from the tip.",
 })  # fmt: skip
-
-PIECES = 8192
-"""Cubic pieces that the profile of a wavy edge has, or a few more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,27 +90,6 @@ class WavinessTable(Value):
                 f"a waviness table covers {np.ptp(self.sweep):.3g} rad, the limit is {NARROW:g} rad: give its sweeps "
                 "in rad, over the arc that was measured"
             )
-
-
-class EdgeTable(NamedTuple):
-    """The edge as plain arrays for the kernels. Read it with `Tool.edge`."""
-
-    row: Floats  # radius [mm], sweep at the arc's two ends [rad], rake cosine, rake sine, offset dx, dy, dz [mm]
-    breaks: Floats  # (m + 1,) sweep at the ends of the waviness pieces [rad]
-    coefficients: Floats  # (k + 1, m) waviness polynomials, highest power first, in sweep - breaks[i] [mm/rad^k]
-
-
-class EdgeProfile(NamedTuple):
-    """The edge as a height over the distance from its tip, w(u) in the rake plane, for the kernels.
-
-    A perfect nose is a circle inside the arc. A wavy one is a table of cubic pieces there, over the tangent x of half
-    the slope angle on the circle that is as steep as the edge at both ends: over x an edge stays smooth however steep
-    its walls are. Beyond the arc are flat flanks.
-    """
-
-    row: Floats  # radius, (u, w, slope) where the arc ends toward -X and +X, pieces per x, least x, u of the centre
-    table: Floats  # (n, 4) coefficients of the pieces, lowest power first; (0, 0) for a perfect nose
-    convex: bool  # whether the edge curves upward everywhere: then two placings of it cross at most once
 
 
 def _before(over: Bools) -> int:
@@ -277,21 +252,9 @@ class Tool(Stated, Value):
         """Nominal radius plus its error. [mm]."""
         return self.nose_radius + self.radius_error
 
-    def table(self, sense: int = 1) -> EdgeTable:
-        """Return the edge as plain arrays; ``sense`` is +1 where the spindle angle under the tool grows, else -1."""
-        return _table(self, sense)
-
-    def profile(self) -> EdgeProfile:
-        """Return the edge as a height over the distance from its tip, for the kernels.
-
-        It is exact for a perfect nose. With waviness it is within 1e-12 mm of `edge` per mm of nose radius where the
-        edge is less steep than 89.5 deg, for deviations of 0.1 um within 1e-10 mm up to 89.9 deg, and for those of 5 um
-        within 1e-8 mm up to vertical walls.
-        A ragged certificate, whose third derivative jumps by up to J mm/rad³ from point to point, adds up to
-        J · 6e-13 mm on half a circle and a tenth of that within 100 deg, where scatter of 20 nm at every degree makes
-        it 1e-11 mm.
-        """
-        return _profile(self)
+    def cutting_edge(self, sense: int = 1) -> Edge:
+        """Return the edge as one value; ``sense`` is +1 where the spindle angle under the tool grows, else -1."""
+        return _edge(self, sense)
 
     def deviation(self, sweep: ArrayLike) -> Floats:
         """Waviness at ``sweep``, held constant beyond the arc (and beyond a certificate's ends). [mm]."""
@@ -326,10 +289,7 @@ class Tool(Stated, Value):
         u, v, e
             Distance toward +X, distance toward growing spindle angle, height. Each (n,) [mm]
         """
-        sweep = np.asarray(sweep, dtype=np.float64)
-        out = np.empty((3, sweep.size))
-        kernel.edge_points(*self.table(sense), sweep.ravel(), out)
-        u, v, e = (part.reshape(sweep.shape) for part in out)
+        u, v, e = self.cutting_edge(sense).points(sweep)
         return u, v, e
 
 
@@ -341,9 +301,11 @@ def _spline(certificate: WavinessTable) -> CubicSpline:
 
 
 @lru_cache(maxsize=64)
-def _table(tool: Tool, sense: int) -> EdgeTable:
-    """Return the edge of a tool as plain arrays; the last tools are kept."""
-    low, high = tool.arc
+def _edge(tool: Tool, sense: int) -> Edge:
+    """Return the edge of a tool; the last tools are kept."""
+    if sense < 0:
+        edge = _edge(tool, 1)
+        return edge._replace(rake_sin=-edge.rake_sin)
     if isinstance(tool.waviness, WavinessTable):
         spline = _spline(tool.waviness)
         breaks, coefficients = spline.x, spline.c
@@ -351,76 +313,7 @@ def _table(tool: Tool, sense: int) -> EdgeTable:
         # One piece, expanded about sweep 0: sum of c_k sweep^k, with no constant (that is the radius error).
         breaks = np.array([0.0, 1.0])
         coefficients = np.array([*reversed(tool.waviness), 0.0])[:, None]
-    lean = -sense * np.sin(tool.rake)
-    return EdgeTable(
-        row=only_read(np.array([tool.actual_radius, low, high, np.cos(tool.rake), lean, *tool.offset])),
-        breaks=only_read(np.asarray(breaks, dtype=np.float64)),
-        coefficients=only_read(np.asarray(coefficients, dtype=np.float64)),
-    )
-
-
-@lru_cache(maxsize=32)
-def _profile(tool: Tool) -> EdgeProfile:
-    """Return the edge of a tool as `Tool.profile` describes it; the last tools are kept."""
-    table = tool.table()
-
-    def trace(sweep: ArrayLike) -> Floats:
-        out = np.empty((4, np.size(sweep)))
-        kernel.trace(*table, np.asarray(sweep, dtype=np.float64), out)
-        return out
-
-    u, w, du, dw = trace(tool.arc)
-    slope = dw / du
-    sine = np.sin(np.arctan(slope))
-    if sine[1] - sine[0] < np.sin(tool.arc[1]):  # waves outweigh the arc: half of what it rises by
-        sine = np.sin(tool.arc)
-    base = tool.actual_radius if tool.perfect else (u[1] - u[0]) / (sine[1] - sine[0])
-    row = [base, u[0], w[0], slope[0], u[1], w[1], slope[1]]
-    if tool.perfect:
-        return EdgeProfile(
-            row=only_read(np.array([*row, 0.0, 0.0, 0.0])), table=only_read(np.empty((0, 0))), convex=True
-        )
-    centre = u[0] - base * sine[0]
-
-    # Nodes at equal steps of x, two of them where a certificate ends inside the arc: there the slope jumps.
-    breaks = tool.waviness.sweep[[0, -1]] if isinstance(tool.waviness, WavinessTable) else np.empty(0)
-    kinks = breaks[(breaks > tool.arc[0]) & (breaks < tool.arc[1])]
-    joints = np.concatenate([tool.arc[:1], kinks, tool.arc[1:]])
-    across = trace(joints)[0] - centre
-    at = across / (base + np.sqrt(base * base - across * across))
-    first = 1 if kinks.size == 2 else int(np.argmax(np.diff(at)))
-    span = at[first + 1] - at[first]
-    count = int(np.ceil(PIECES * span / (at[-1] - at[0])))
-    step = span / count
-    before, after = (int(np.ceil(rest / step - 1e-3)) for rest in (at[first] - at[0], at[-1] - at[first + 1]))
-    x = at[first] + step * np.arange(-before, count + after + 1)
-    node = np.clip(x, at[0], at[-1])
-    sweep = np.empty(node.size)
-    sweeps_at(*table, centre + 2 * base * node / (1 + node * node), sweep)
-    sweep[[before, before + count]] = joints[first : first + 2]
-    sweep = np.clip(sweep, *tool.arc)
-    rate = 2 * base * (1 - node * node) / (1 + node * node) ** 2  # du/dx
-    # Each piece from its own side of its nodes.
-    _, a, du, dw = trace(np.nextafter(sweep[:-1], np.inf))
-    c = dw / du * rate[:-1] * np.diff(node)
-    _, b, du, dw = trace(np.nextafter(sweep[1:], -np.inf))
-    d = dw / du * rate[1:] * np.diff(node)
-    square, cube = 3 * (b - a) - 2 * c - d, 2 * (a - b) + c + d
-    # The first and the last piece are cut off by the ends of the arc; all count their place in whole steps.
-    scale, shift = step / np.diff(node), (x - node)[:-1] / np.diff(node)
-    pieces = [
-        a + shift * (c + shift * (square + shift * cube)),
-        scale * (c + shift * (2 * square + shift * 3 * cube)),
-        scale**2 * (square + shift * 3 * cube),
-        scale**3 * cube,
-    ]
-
-    _, _, du, dw = trace(np.linspace(*tool.arc, 4 * PIECES))
-    convex = bool((du > 0).all() and (np.diff(dw / du) > 0).all())
-    (_, _, du, dw), (_, _, du_after, dw_after) = (trace(np.nextafter(kinks, way)) for way in (-np.inf, np.inf))
-    convex = convex and bool((dw_after / du_after - dw / du > -1e-12).all())
-    return EdgeProfile(
-        row=only_read(np.array([*row, 1 / step, x[0], centre])),
-        table=only_read(np.transpose(pieces)),
-        convex=convex,
-    )
+    return edge_of_arc(
+        radius=tool.actual_radius, arc=tool.arc, rake=tool.rake, offset=tool.offset, breaks=breaks,
+        coefficients=coefficients,
+    )  # fmt: skip

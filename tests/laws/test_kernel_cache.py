@@ -7,6 +7,7 @@ import pickle  # noqa: TID251 - a damaged file may be one
 import shutil
 import subprocess
 import sys
+from collections import namedtuple
 from pathlib import Path
 
 import numba
@@ -110,6 +111,21 @@ def test_the_code_of_another_signature_is_not_run(kept):
     one.write_bytes(other.read_bytes())
     other.write_bytes(data)
     assert linear_again() == 0
+
+
+def first(pair):
+    return pair.first
+
+
+def test_a_kernel_of_a_named_tuple_is_kept_by_its_fields(tmp_path, monkeypatch):
+    """numba's type of a named tuple has its name and the types of its fields, so that exchanged ones look alike."""
+    monkeypatch.setattr(compiling, "_cache_folder", lambda _module: tmp_path)
+    for fields, hits in (("first second", 0), ("first second", 1), ("second first", 0)):
+        pair = namedtuple("Pair", fields)  # noqa: PYI024 - two of one name, in turn
+        monkeypatch.setattr(sys.modules[__name__], "Pair", pair, raising=False)
+        kernel = _kernels.jit(first)
+        assert kernel(pair(first=1.5, second=2.5)) == 1.5
+        assert sum(kernel.dispatcher.stats.cache_hits.values()) == hits
 
 
 def test_a_place_that_takes_no_file_costs_only_time(tmp_path, monkeypatch):

@@ -85,14 +85,14 @@ def test_rake_tilts_the_edge_about_the_tip(sense):
     ids=["strong", "wide"],
 )
 def test_profile_over_the_distance_equals_the_edge(tool):
-    profile = tool.profile()
+    edge = tool.cutting_edge()
     s = np.random.default_rng(2).uniform(*tool.arc, 500)
     u, _, e = tool.edge(s)
-    height = np.array([kernel.height(profile.row, profile.table, at) for at in u])
+    height = np.array([kernel.height(edge, at) for at in u])
     assert np.abs(height - e).max() < 1e-12
     step = 1e-6
-    slope = np.array([kernel.slope(profile.row, profile.table, at) for at in u])
-    near = [np.array([kernel.height(profile.row, profile.table, at + sign * step) for at in u]) for sign in (1, -1)]
+    slope = np.array([kernel.slope(edge, at) for at in u])
+    near = [np.array([kernel.height(edge, at + sign * step) for at in u]) for sign in (1, -1)]
     inside = np.abs(s) < tool.arc[1] - 1e-4
     assert np.abs(slope - (near[0] - near[1]) / (2 * step))[inside].max() < 1e-8
 
@@ -107,10 +107,8 @@ def table_and_formula(tool, sweep, deviation, rate):
     radius = tool.nose_radius + deviation
     u, w = radius * np.sin(sweep), tool.nose_radius - radius * np.cos(sweep)
     angle = sweep - np.arctan(rate / radius)
-    profile = tool.profile()
-    height, slope = (
-        np.array([lookup(profile.row, profile.table, at) for at in u]) for lookup in (kernel.height, kernel.slope)
-    )
+    edge = tool.cutting_edge()
+    height, slope = (np.array([lookup(edge, at) for at in u]) for lookup in (kernel.height, kernel.slope))
     return np.abs(height - w), np.abs(np.arctan(slope) - angle), angle
 
 
@@ -176,14 +174,14 @@ def test_the_least_dent_where_a_certificate_begins_is_seen(rate, convex):
     # The slope falls by rate / nose_radius where the deviation begins to rise, and by less at its quiet end.
     sweep = np.linspace(-0.3, 0.9, 25)
     table = WavinessTable(sweep=sweep, deviation=rate * np.clip(sweep + 0.3, 0, None))
-    assert Tool(nose_radius=0.5, included=60 * DEG, waviness=table).profile().convex is convex
+    assert Tool(nose_radius=0.5, included=60 * DEG, waviness=table).cutting_edge().convex is convex
 
 
 def test_convexity_is_seen():
-    assert Tool(nose_radius=0.2, included=60 * DEG).profile().convex
+    assert Tool(nose_radius=0.2, included=60 * DEG).cutting_edge().convex
     waves = np.linspace(-0.6, 0.6, 400)
     table = WavinessTable(sweep=waves, deviation=2e-4 * np.sin(60 * waves))
-    assert not Tool(nose_radius=0.2, included=60 * DEG, waviness=table).profile().convex
+    assert not Tool(nose_radius=0.2, included=60 * DEG, waviness=table).cutting_edge().convex
 
 
 @pytest.mark.parametrize(

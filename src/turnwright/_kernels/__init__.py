@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["jit", "jit_sums"]
+__all__ = ["jit", "jit_inline", "jit_sums"]
 
 _LOCK = threading.RLock()
 
@@ -19,10 +19,11 @@ _LOCK = threading.RLock()
 class Kernel:
     """A function of plain arrays that numba compiles at its first call; other kernels may call it."""
 
-    def __init__(self, function: Callable[..., Any], fastmath: set[str]) -> None:
+    def __init__(self, function: Callable[..., Any], fastmath: set[str], *, inline: bool = False) -> None:
         functools.update_wrapper(self, function)
         self._function = function
         self._fastmath = fastmath
+        self._inline = inline
         self._dispatcher: Any = None
 
     @property
@@ -32,7 +33,7 @@ class Kernel:
             from turnwright._kernels.compiling import compiled  # noqa: PLC0415 - numba is costly to import
 
             with _LOCK:
-                self._dispatcher = self._dispatcher or compiled(self._function, self._fastmath)
+                self._dispatcher = self._dispatcher or compiled(self._function, self._fastmath, inline=self._inline)
         return self._dispatcher
 
     @property
@@ -47,6 +48,11 @@ class Kernel:
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a kernel: cached on disk, without the interpreter lock, fused multiply-adds, NumPy's error model."""
     return Kernel(function, {"contract"})
+
+
+def jit_inline(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a kernel as `jit` does, into its callers: a small one, for which passing an `Edge` on costs more."""
+    return Kernel(function, {"contract"}, inline=True)
 
 
 def jit_sums(function: Callable[..., Any]) -> Callable[..., Any]:

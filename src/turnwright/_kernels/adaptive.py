@@ -8,7 +8,7 @@ array is (n,), and ``path`` (7, n) holds t, z, dz, x, dx, s and aside.
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import DY, DZ, RAKE_COS, RAKE_SIN, height, slope
+from turnwright._kernels.edge import height, slope
 
 LOOK = 2  # a point is looked for up to so many times as far as the furthest that was found, and some samples
 MORE = 8
@@ -248,16 +248,16 @@ def tips_at(first, step, z, rate, row, radius, tip, along):
 
 
 @jit
-def under(row, profile, table, cosine, sine, radius, at, x, y):
+def under(edge, cosine, sine, radius, at, x, y):
     """Fill where in plan the edge of a tip at ``radius`` stands over ``at``, both distances along the rake plane."""
     for i in range(radius.size):
-        across = row[DY] + row[RAKE_SIN] * height(profile, table, at[i] - radius[i])
+        across = edge.dy + edge.rake_sin * height(edge, at[i] - radius[i])
         x[i] = at[i] * cosine[i] - across * sine[i]
         y[i] = at[i] * sine[i] + across * cosine[i]
 
 
 @jit
-def crest_step(row, profile, table, cosine, sine, scallop, radius, tip, f, fx, fy, at, low, high):
+def crest_step(edge, cosine, sine, scallop, radius, tip, f, fx, fy, at, low, high):
     """Take a Newton step towards where, outside its contact, the edge stands ``scallop`` above the surface.
 
     ``at`` is the place, [low, high] its bracket; return the largest step taken.
@@ -265,12 +265,12 @@ def crest_step(row, profile, table, cosine, sine, scallop, radius, tip, f, fx, f
     most = 0.0
     for i in range(at.size):
         u = at[i] - radius[i]
-        steep = slope(profile, table, u)
-        over = tip[i] + row[DZ] + row[RAKE_COS] * height(profile, table, u) - f[i] - scallop
+        steep = slope(edge, u)
+        over = tip[i] + edge.dz + edge.rake_cos * height(edge, u) - f[i] - scallop
         rise = (
-            row[RAKE_COS] * steep
+            edge.rake_cos * steep
             - (fx[i] * cosine[i] + fy[i] * sine[i])
-            - row[RAKE_SIN] * steep * (fy[i] * cosine[i] - fx[i] * sine[i])
+            - edge.rake_sin * steep * (fy[i] * cosine[i] - fx[i] * sine[i])
         )
         if over < 0.0:
             low[i] = max(low[i], at[i])
@@ -285,7 +285,7 @@ def crest_step(row, profile, table, cosine, sine, scallop, radius, tip, f, fx, f
 
 
 @jit
-def next_step(row, profile, table, goal, at, tip, along, radius, low, high):
+def next_step(edge, goal, at, tip, along, radius, low, high):
     """Take a Newton step towards the radius outside from which the edge passes the crest ``goal`` at ``at``.
 
     As a function of the radius its height there is convex and comes through the goal twice; the outer time counts.
@@ -293,8 +293,8 @@ def next_step(row, profile, table, goal, at, tip, along, radius, low, high):
     most = 0.0
     for i in range(at.size):
         u = at[i] - radius[i]
-        over = tip[i] + row[DZ] + row[RAKE_COS] * height(profile, table, u) - goal[i]
-        rise = along[i] - row[RAKE_COS] * slope(profile, table, u)
+        over = tip[i] + edge.dz + edge.rake_cos * height(edge, u) - goal[i]
+        rise = along[i] - edge.rake_cos * slope(edge, u)
         if over < 0.0 or rise <= 0.0:
             low[i] = max(low[i], radius[i])
         else:

@@ -7,8 +7,8 @@ is a lower envelope built with a stack. The chip is what the edge takes off belo
 
 import numpy as np
 
-from turnwright._kernels import jit
-from turnwright._kernels.edge import BASE, HIGH_U, LOW_U, height, slope
+from turnwright._kernels import jit, jit_inline
+from turnwright._kernels.edge import height, slope
 from turnwright._kernels.generation import TURN, guess_index, locate
 
 FAR = 1e300
@@ -29,38 +29,35 @@ ROWS = 11
 
 
 @jit
-def _edge(profile, table, upright, u):
+def _rise(edge, u):
     """Return the height of the edge in the plane, that of a leaning rake face foreshortened."""
-    return upright * height(profile, table, u)
+    return edge.rake_cos * height(edge, u)
 
 
 @jit
-def _crossing(profile, table, upright, p1, z1, m1, p2, z2, m2, low, high):
+def _crossing(edge, p1, z1, m1, p2, z2, m2, low, high):
     """Return where the piece 1 (p1 < p2) stops being the lower one, within [low, high]."""
-    if table.shape[1] == 0 and upright == 1.0:
-        radius = profile[BASE]
+    if edge.pieces.shape[1] == 0 and edge.rake_cos == 1.0:
+        radius = edge.base
         dp, dz = p2 - p1, z2 - z1
         square = dp * dp + dz * dz
         x = 0.5 * (p1 + p2)
         if square < 4.0 * radius * radius:
             x += dz * np.sqrt(radius * radius / square - 0.25)
             if (
-                x - p1 > profile[LOW_U]
-                and x - p1 < profile[HIGH_U]
-                and x - p2 > profile[LOW_U]
-                and x - p2 < profile[HIGH_U]
+                x - p1 > edge.low_u and x - p1 < edge.high_u and x - p2 > edge.low_u and x - p2 < edge.high_u
             ):  # the arc of a perfect nose is symmetric
                 return min(max(x, low), high)
     a, b = low, high
-    fa = z1 + _edge(profile, table, upright, m1 * (a - p1)) - z2 - _edge(profile, table, upright, m2 * (a - p2))
+    fa = z1 + _rise(edge, m1 * (a - p1)) - z2 - _rise(edge, m2 * (a - p2))
     if fa >= 0.0:
         return a
-    fb = z1 + _edge(profile, table, upright, m1 * (b - p1)) - z2 - _edge(profile, table, upright, m2 * (b - p2))
+    fb = z1 + _rise(edge, m1 * (b - p1)) - z2 - _rise(edge, m2 * (b - p2))
     if fb <= 0.0:
         return b
     for _ in range(100):
         x = 0.5 * (a + b)
-        f = z1 + _edge(profile, table, upright, m1 * (x - p1)) - z2 - _edge(profile, table, upright, m2 * (x - p2))
+        f = z1 + _rise(edge, m1 * (x - p1)) - z2 - _rise(edge, m2 * (x - p2))
         if f < 0.0:
             a = x
         else:
@@ -80,7 +77,7 @@ def _tip(c, x, z, sense, starts, t):
 
 
 @jit
-def _earlier(c, x, z, sense, starts, t, tip, bottom, low, high, reach, profile, table, upright, p, zs, mirror):
+def _earlier(c, x, z, sense, starts, t, tip, bottom, low, high, reach, edge, p, zs, mirror):
     """Fill in the turns of the same motion before ``t`` that can bound the chip; return how many, and low and high.
 
     The last turn bounds the chip where both edges cross. A turn before it that is higher there is so all through the
@@ -95,20 +92,18 @@ def _earlier(c, x, z, sense, starts, t, tip, bottom, low, high, reach, profile, 
         count = 1
         side = p[0] - tip
         if side > 0.0:
-            high = min(
-                high, _crossing(profile, table, upright, tip, bottom, 1.0, p[0], zs[0], 1.0, low, max(low, high))
-            )
+            high = min(high, _crossing(edge, tip, bottom, 1.0, p[0], zs[0], 1.0, low, max(low, high)))
         elif side < 0.0:
-            low = max(low, _crossing(profile, table, upright, p[0], zs[0], 1.0, tip, bottom, 1.0, min(low, high), high))
+            low = max(low, _crossing(edge, p[0], zs[0], 1.0, tip, bottom, 1.0, min(low, high), high))
         end = high if side > 0.0 else low
-        least = zs[0] + _edge(profile, table, upright, end - p[0])
+        least = zs[0] + _rise(edge, end - p[0])
         above, before = 0, 0.0
         while at - TURN >= begin and count < OWN:
             at -= TURN
             where, rise = _tip(c, x, z, sense, starts, at)
             if abs(where - tip) > reach:
                 break
-            over = rise + _edge(profile, table, upright, end - where) - least
+            over = rise + _rise(edge, end - where) - least
             if over < 0.0 or side == 0.0:
                 p[count], zs[count], mirror[count] = where, rise, 1.0
                 count += 1
@@ -186,7 +181,7 @@ def _sort(p, z, mirror, count):
 
 
 @jit
-def _envelope(profile, table, upright, p, z, mirror, count, low, high, which, begin):
+def _envelope(edge, p, z, mirror, count, low, high, which, begin):
     """Fill ``which`` piece is lowest from each ``begin`` on; return how many there are."""
     top = 0
     for b in range(count):
@@ -194,13 +189,13 @@ def _envelope(profile, table, upright, p, z, mirror, count, low, high, which, be
         hidden = False
         while top > 0:
             a = which[top - 1]
-            if p[b] - p[a] <= EPSILON * (abs(p[a]) + profile[BASE]):
+            if p[b] - p[a] <= EPSILON * (abs(p[a]) + edge.base):
                 if z[b] >= z[a]:
                     hidden = True
                     break
                 top -= 1
                 continue
-            start = _crossing(profile, table, upright, p[a], z[a], mirror[a], p[b], z[b], mirror[b], low, high)
+            start = _crossing(edge, p[a], z[a], mirror[a], p[b], z[b], mirror[b], low, high)
             if start <= begin[top - 1]:
                 top -= 1
                 start = low
@@ -226,33 +221,33 @@ def _stock(stock, row, first, step, x):
     return a + s * (da + s * (square + s * cube)), (da + s * (2.0 * square + s * 3.0 * cube)) / step
 
 
-@jit
-def _foot(profile, table, upright, u, w):
+@jit_inline
+def _foot(edge, u, w):
     """Return thickness, sine and cosine of the normal's angle, and curvature of the edge, below a point (u, w)."""
-    if table.shape[1] == 0 and upright == 1.0:
-        radius = profile[BASE]
+    if edge.pieces.shape[1] == 0 and edge.rake_cos == 1.0:
+        radius = edge.base
         up = radius - w
         r = np.sqrt(u * u + up * up)
-        if profile[LOW_U] * r < u * radius and u * radius < profile[HIGH_U] * r:
+        if edge.low_u * r < u * radius and u * radius < edge.high_u * r:
             return radius - r, u / r, up / r, 1.0 / radius
-        side = profile[LOW_U] if u < 0.0 else profile[HIGH_U]
+        side = edge.low_u if u < 0.0 else edge.high_u
         sine = side / radius
         cosine = np.sqrt(1.0 - sine * sine)
         return radius - (u * sine + up * cosine), sine, cosine, 0.0
     at = u
-    tilt = 1e-5 * profile[BASE]
+    tilt = 1e-5 * edge.base
     d, bend = 0.0, 0.0
     for _ in range(8):
-        d = upright * slope(profile, table, at)
-        bend = upright * (slope(profile, table, at + tilt) - slope(profile, table, at - tilt)) / (2.0 * tilt)
-        above = w - upright * height(profile, table, at)
+        d = edge.rake_cos * slope(edge, at)
+        bend = edge.rake_cos * (slope(edge, at + tilt) - slope(edge, at - tilt)) / (2.0 * tilt)
+        above = w - edge.rake_cos * height(edge, at)
         step = ((u - at) + above * d) / (1.0 + d * d - above * bend)
         at += step
-        if abs(step) < 1e-13 * profile[BASE]:
+        if abs(step) < 1e-13 * edge.base:
             break
-    d = upright * slope(profile, table, at)
+    d = edge.rake_cos * slope(edge, at)
     long = np.sqrt(1.0 + d * d)
-    above = w - upright * height(profile, table, at)
+    above = w - edge.rake_cos * height(edge, at)
     sign = 1.0 if above >= 0.0 else -1.0
     return sign * np.sqrt((u - at) ** 2 + above * above), d / long, 1.0 / long, bend / (long * long * long)
 
@@ -270,7 +265,7 @@ def _coefficient(curve, first, step, thickness):
 
 @jit
 def chips(
-    c, x, z, sense, starts, points, contact, left, right, profile, table, upright,
+    c, x, z, sense, starts, points, contact, left, right, edge,
     before_c, before_x, before_z, before_sense, before_starts, stock, stock_first, stock_step, rim,
     critical, safe, plateau, ratio, cutting, thrust, curve_first, curve_step, factor, out,
 ):  # fmt: skip
@@ -313,12 +308,12 @@ def chips(
         if stock.shape[0] > 0:
             top, _ = _stock(stock, row, stock_first[row], stock_step[row], u)
         for k in range(stocked):
-            top = min(top, sz[k] + _edge(profile, table, upright, sm[k] * (u - sp[k])))
+            top = min(top, sz[k] + _rise(edge, sm[k] * (u - sp[k])))
         if top < FAR:
-            out[row, DEPTH] = max(top - bottom - _edge(profile, table, upright, u - tip), 0.0)
+            out[row, DEPTH] = max(top - bottom - _rise(edge, u - tip), 0.0)
         # What this pass itself has left so far.
         count, low, high = _earlier(
-            c, x, z, sense, starts, sense * c[i], tip, bottom, low, high, far, profile, table, upright, p, zs, mirror
+            c, x, z, sense, starts, sense * c[i], tip, bottom, low, high, far, edge, p, zs, mirror
         )
         advance = abs(p[0] - tip) if count > 0 else FAR
         if not high > low:
@@ -327,10 +322,10 @@ def chips(
             p[count], zs[count], mirror[count] = sp[k], sz[k], sm[k]
             count += 1
         _sort(p, zs, mirror, count)
-        layers = _envelope(profile, table, upright, p, zs, mirror, count, low, high, which, begin)
+        layers = _envelope(edge, p, zs, mirror, count, low, high, which, begin)
         # Forces bend where a plateau begins, if the chip comes near it: finer cells.
         limit = critical[row] if critical.size > 0 else FAR
-        cells = 2 * CELLS if plateau.size > 0 and 1.5 * advance * reach > limit * profile[BASE] else CELLS
+        cells = 2 * CELLS if plateau.size > 0 and 1.5 * advance * reach > limit * edge.base else CELLS
         # Elementary intervals: equal cells, and where another pass begins to be lowest.
         size, layer = 0, 0
         for k in range(cells + 1):
@@ -359,16 +354,16 @@ def chips(
                 else:
                     sa, _ = _stock(stock, row, stock_first[row], stock_step[row], a)
                     sb, _ = _stock(stock, row, stock_first[row], stock_step[row], b)
-                    ga = sa - zs[piece] - _edge(profile, table, upright, mirror[piece] * (a - p[piece]))
-                    gb = sb - zs[piece] - _edge(profile, table, upright, mirror[piece] * (b - p[piece]))
+                    ga = sa - zs[piece] - _rise(edge, mirror[piece] * (a - p[piece]))
+                    gb = sb - zs[piece] - _rise(edge, mirror[piece] * (b - p[piece]))
                     from_stock, then_stock = ga < 0.0, gb < 0.0
                     if from_stock != then_stock:
                         one, other = a, b
                         for _ in range(60):
                             turn_at = 0.5 * (one + other)
                             s, _ = _stock(stock, row, stock_first[row], stock_step[row], turn_at)
-                            g = s - zs[piece] - _edge(
-                                profile, table, upright, mirror[piece] * (turn_at - p[piece])
+                            g = s - zs[piece] - _rise(
+                                edge, mirror[piece] * (turn_at - p[piece])
                             )  # fmt: skip
                             if (g < 0.0) == from_stock:
                                 one = turn_at
@@ -388,10 +383,10 @@ def chips(
                     sa, _ = _stock(stock, row, stock_first[row], stock_step[row], first)
                     sb, _ = _stock(stock, row, stock_first[row], stock_step[row], last)
                 else:
-                    sa = zs[piece] + _edge(profile, table, upright, mirror[piece] * (first - p[piece]))
-                    sb = zs[piece] + _edge(profile, table, upright, mirror[piece] * (last - p[piece]))
-                ga = sa - bottom - _edge(profile, table, upright, first - tip)
-                gb = sb - bottom - _edge(profile, table, upright, last - tip)
+                    sa = zs[piece] + _rise(edge, mirror[piece] * (first - p[piece]))
+                    sb = zs[piece] + _rise(edge, mirror[piece] * (last - p[piece]))
+                ga = sa - bottom - _rise(edge, first - tip)
+                gb = sb - bottom - _rise(edge, last - tip)
                 if ga <= 0.0 and gb <= 0.0:
                     continue
                 if (ga < 0.0) != (gb < 0.0):
@@ -401,8 +396,8 @@ def chips(
                         if blank:
                             s, _ = _stock(stock, row, stock_first[row], stock_step[row], middle)
                         else:
-                            s = zs[piece] + _edge(profile, table, upright, mirror[piece] * (middle - p[piece]))
-                        if (s - bottom - _edge(profile, table, upright, middle - tip) < 0.0) == (ga < 0.0):
+                            s = zs[piece] + _rise(edge, mirror[piece] * (middle - p[piece]))
+                        if (s - bottom - _rise(edge, middle - tip) < 0.0) == (ga < 0.0):
                             one = middle
                         else:
                             other = middle
@@ -427,10 +422,10 @@ def chips(
                         s, rise = _stock(stock, row, stock_first[row], stock_step[row], here)
                     else:
                         away = mirror[piece] * (here - p[piece])
-                        s = zs[piece] + _edge(profile, table, upright, away)
-                        rise = mirror[piece] * upright * slope(profile, table, away)
-                    below = bottom + _edge(profile, table, upright, here - tip)
-                    thick, sine, cosine, bend = _foot(profile, table, upright, here - tip, s - bottom)
+                        s = zs[piece] + _rise(edge, away)
+                        rise = mirror[piece] * edge.rake_cos * slope(edge, away)
+                    below = bottom + _rise(edge, here - tip)
+                    thick, sine, cosine, bend = _foot(edge, here - tip, s - bottom)
                     out[row, THICKEST] = max(out[row, THICKEST], thick)
                     if node == 0 and np.isnan(nearest_low):
                         nearest_low = np.arctan2(sine, cosine)
@@ -438,9 +433,9 @@ def chips(
                     if thick > safe * limit:
                         # How high the edge stands there above the tangent at the contact.
                         cu = centre - tip
-                        lean = upright * slope(profile, table, cu)
+                        lean = edge.rake_cos * slope(edge, cu)
                         fu, fw = here - tip + thick * sine, s - bottom - thick * cosine
-                        over = fw - _edge(profile, table, upright, cu) - lean * (fu - cu)
+                        over = fw - _rise(edge, cu) - lean * (fu - cu)
                         lowest = min(lowest, over / np.sqrt(1.0 + lean * lean))
                     if weight == 0.0:
                         continue

@@ -69,7 +69,7 @@ class _Cache:
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return the compiled code for a signature, or ``None`` if it must be compiled."""
         context.refresh()
-        key = (signature, context.codegen().magic_tuple())
+        key = _key(signature, context.codegen())
         try:
             data = self._file(key).read_bytes()
             if hashlib.sha256(data[CHECKSUM:]).digest() != data[:CHECKSUM]:
@@ -81,7 +81,7 @@ class _Cache:
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep the compiled code for a signature, if the disk takes it."""
-        key = (signature, compiled.codegen.magic_tuple())
+        key = _key(signature, compiled.codegen)
         body = serialize.dumps((key, compiled._reduce()))  # noqa: SLF001 - as numba does
         file = self._file(key)
         part = file.with_suffix(f".{uuid.uuid4().hex}")
@@ -102,10 +102,16 @@ class _Cache:
         return Path(self.cache_path) / f"{self._name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.kernel"
 
 
-def compiled(function: Callable[..., Any], fastmath: set[str]) -> Callable[..., Any]:
+def _key(signature: Any, codegen: Any) -> tuple[Any, ...]:
+    """Return what compiled code is kept under. A named tuple counts by its fields, which its type does not tell."""
+    names = tuple(getattr(one, "fields", ()) for one in signature)
+    return signature, names, codegen.magic_tuple()
+
+
+def compiled(function: Callable[..., Any], fastmath: set[str], *, inline: bool = False) -> Callable[..., Any]:
     """Return a function as numba compiles it for the types of its arguments, kept on disk."""
     # No kernel is called by its address: without the wrapper for that it compiles a tenth sooner.
-    decorate = numba.njit(nogil=True, fastmath=fastmath, error_model="numpy", no_cfunc_wrapper=True)
+    decorate = numba.njit(nogil=True, fastmath=fastmath, error_model="numpy", no_cfunc_wrapper=True, forceinline=inline)
     dispatcher: Callable[..., Any] = decorate(function)
     dispatcher._cache = _Cache(function)  # type: ignore[attr-defined] # noqa: SLF001 - where numba's own would be
     return dispatcher

@@ -3,7 +3,7 @@
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import DX, DY, DZ, HIGH, LOW, RAKE_COS, RAKE_SIN, edge
+from turnwright._kernels.edge import outline
 from turnwright._kernels.trig import sincos
 
 GOLDEN = 0.6180339887498949  # the golden ratio less 1: its multiples, without their whole parts, leave no large gap
@@ -11,7 +11,7 @@ GOLDEN = 0.6180339887498949  # the golden ratio less 1: its multiples, without t
 
 @jit
 def rates(
-    row, breaks, coefficients, angle, x, y, sweep, fx, fy, fxx, fxy, fyy, outward, upward, near,
+    edge, angle, x, y, sweep, fx, fy, fxx, fxy, fyy, outward, upward, near,
     rate, across, along, rise, tangent,
 ):  # fmt: skip
     """Fill ``rate`` with the derivative of the tip's height by the angle.
@@ -22,14 +22,14 @@ def rates(
     """
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
-        _, _, du, dw, ddu, ddw = edge(row, breaks, coefficients, sweep[i])
-        dx = du * cosine - row[RAKE_SIN] * dw * sine
-        dy = du * sine + row[RAKE_SIN] * dw * cosine
-        ddx = ddu * cosine - row[RAKE_SIN] * ddw * sine
-        ddy = ddu * sine + row[RAKE_SIN] * ddw * cosine
+        _, _, du, dw, ddu, ddw = outline(edge, sweep[i])
+        dx = du * cosine - edge.rake_sin * dw * sine
+        dy = du * sine + edge.rake_sin * dw * cosine
+        ddx = ddu * cosine - edge.rake_sin * ddw * sine
+        ddy = ddu * sine + edge.rake_sin * ddw * cosine
         bent_x, bent_y = fxx[i] * dx + fxy[i] * dy, fxy[i] * dx + fyy[i] * dy
-        second = bent_x * dx + bent_y * dy + fx[i] * ddx + fy[i] * ddy - row[RAKE_COS] * ddw
-        step = (row[RAKE_COS] * dw - fx[i] * dx - fy[i] * dy) / second if second < 0.0 else np.nan
+        second = bent_x * dx + bent_y * dy + fx[i] * ddx + fy[i] * ddy - edge.rake_cos * ddw
+        step = (edge.rake_cos * dw - fx[i] * dx - fy[i] * dy) / second if second < 0.0 else np.nan
         tangent[i] = abs(step) < near
         if not tangent[i]:
             step = 0.0
@@ -37,13 +37,11 @@ def rates(
         out_y = outward[i] * sine + upward[i] * cosine + x[i]
         rate[i] = (fx[i] + bent_x * step) * out_x + (fy[i] + bent_y * step) * out_y
         across[0, i], across[1, i] = out_x, out_y
-        along[0, i], along[1, i], rise[i] = dx, dy, row[RAKE_COS] * dw
+        along[0, i], along[1, i], rise[i] = dx, dy, edge.rake_cos * dw
 
 
 @jit
-def normal_rates(
-    row, breaks, coefficients, angle, x, y, sweep, fx, fy, fxx, fxy, fyy, outward, upward, radius_rate, z_rate
-):
+def normal_rates(edge, angle, x, y, sweep, fx, fy, fxx, fxy, fyy, outward, upward, radius_rate, z_rate):
     """Fill the derivatives by the angle of a tip whose edge lies in the tangent plane at a contact that moves.
 
     The contact moves ``outward`` along the rake plane; ``upward`` is how the height of the tip above centre changes.
@@ -51,11 +49,11 @@ def normal_rates(
     """
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
-        _, _, du, dw, ddu, ddw = edge(row, breaks, coefficients, sweep[i])
+        _, _, du, dw, ddu, ddw = outline(edge, sweep[i])
         # How the contact moves with the angle at a fixed sweep, and with the sweep, as a leaning edge moves it aside.
         turned_x = outward[i] * cosine - upward[i] * sine - y[i]
         turned_y = outward[i] * sine + upward[i] * cosine + x[i]
-        swept_x, swept_y = -row[RAKE_SIN] * dw * sine, row[RAKE_SIN] * dw * cosine
+        swept_x, swept_y = -edge.rake_sin * dw * sine, edge.rake_sin * dw * cosine
         along, across = fx[i] * cosine + fy[i] * sine, fy[i] * cosine - fx[i] * sine
         bent_x, bent_y = fxx[i] * turned_x + fxy[i] * turned_y, fxy[i] * turned_x + fyy[i] * turned_y
         along_turned = bent_x * cosine + bent_y * sine + across
@@ -64,26 +62,26 @@ def normal_rates(
         along_swept = bent_x * cosine + bent_y * sine
         across_swept = bent_y * cosine - bent_x * sine
         rolls = (
-            (row[RAKE_COS] - across * row[RAKE_SIN]) * ddw
+            (edge.rake_cos - across * edge.rake_sin) * ddw
             - along * ddu
-            - row[RAKE_SIN] * dw * across_swept
+            - edge.rake_sin * dw * across_swept
             - du * along_swept
         )
-        rate = (row[RAKE_SIN] * dw * across_turned + du * along_turned) / rolls
+        rate = (edge.rake_sin * dw * across_turned + du * along_turned) / rolls
         radius_rate[i] = outward[i] - du * rate
         z_rate[i] = (
-            fx[i] * (turned_x + swept_x * rate) + fy[i] * (turned_y + swept_y * rate) - row[RAKE_COS] * dw * rate
+            fx[i] * (turned_x + swept_x * rate) + fy[i] * (turned_y + swept_y * rate) - edge.rake_cos * dw * rate
         )
 
 
 @jit
-def places(row, breaks, coefficients, angle, radius, aside, first, step, below, above, x, y, e):
+def places(edge, angle, radius, aside, first, step, below, above, x, y, e):
     """Fill ``x``, ``y`` with where the edge stands over the part at one place each, and ``e`` with its height there.
 
     The places follow each other by the golden ratio: half of them on the arc; the others on the flanks, closer together
     at its ends, as far as ``below`` and ``above`` reach. [rad]
     """
-    low, high = row[LOW], row[HIGH]
+    low, high = edge.low, edge.high
     for i in range(angle.size):
         at = (first + step * i) * GOLDEN
         at = 2.0 * (at - np.floor(at)) - 1.0
@@ -94,12 +92,12 @@ def places(row, breaks, coefficients, angle, radius, aside, first, step, below, 
         else:
             sweep = 0.5 * (low + high) + (high - low) * at
         sine, cosine = sincos(angle[i])
-        u, w, _, _, _, _ = edge(row, breaks, coefficients, sweep)
-        along = radius[i] + row[DX] + u
-        across = aside[i] + row[DY] + row[RAKE_SIN] * w
+        u, w, _, _, _, _ = outline(edge, sweep)
+        along = radius[i] + edge.dx + u
+        across = aside[i] + edge.dy + edge.rake_sin * w
         x[i] = along * cosine - across * sine
         y[i] = along * sine + across * cosine
-        e[i] = row[RAKE_COS] * w + row[DZ]
+        e[i] = edge.rake_cos * w + edge.dz
 
 
 @jit

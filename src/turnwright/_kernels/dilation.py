@@ -3,22 +3,7 @@
 import numpy as np
 
 from turnwright._kernels import jit
-from turnwright._kernels.edge import (
-    BASE,
-    DX,
-    DY,
-    DZ,
-    HIGH,
-    HIGH_U,
-    LOW,
-    LOW_U,
-    RADIUS,
-    RAKE_COS,
-    RAKE_SIN,
-    edge,
-    height,
-    slope,
-)
+from turnwright._kernels.edge import height, outline, slope
 from turnwright._kernels.trig import sincos
 
 FULL, OUTSIDE = -1, -2  # what `candidates` answers when it cannot
@@ -29,19 +14,19 @@ LITTLE = 1e-9
 
 
 @jit
-def under_edge(row, breaks, coefficients, angle, radius, aside, sweep, x, y):
+def under_edge(edge, angle, radius, aside, sweep, x, y):
     """Fill ``x`` and ``y`` with where the edge stands over the part at ``sweep``, the tip at (radius, ``aside``)."""
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
-        u, w, _, _, _, _ = edge(row, breaks, coefficients, sweep[i])
-        along = radius[i] + row[DX] + u
-        across = aside[i] + row[DY] + row[RAKE_SIN] * w
+        u, w, _, _, _, _ = outline(edge, sweep[i])
+        along = radius[i] + edge.dx + u
+        across = aside[i] + edge.dy + edge.rake_sin * w
         x[i] = along * cosine - across * sine
         y[i] = along * sine + across * cosine
 
 
 @jit
-def newton_step(row, breaks, coefficients, angle, sweep, f, fx, fy, fxx, fxy, fyy, value, first, top, step, bend):
+def newton_step(edge, angle, sweep, f, fx, fy, fxx, fxy, fyy, value, first, top, step, bend):
     """Take one Newton step towards the place on the nose where f - e is greatest.
 
     Fill ``value`` with f - e and ``first`` with its derivative, ``top`` with the maximum as the local parabola gives
@@ -51,40 +36,40 @@ def newton_step(row, breaks, coefficients, angle, sweep, f, fx, fy, fxx, fxy, fy
     """
     for i in range(angle.size):
         sine, cosine = sincos(angle[i])
-        _, w, du, dw, ddu, ddw = edge(row, breaks, coefficients, sweep[i])
-        dx = du * cosine - row[RAKE_SIN] * dw * sine
-        dy = du * sine + row[RAKE_SIN] * dw * cosine
-        ddx = ddu * cosine - row[RAKE_SIN] * ddw * sine
-        ddy = ddu * sine + row[RAKE_SIN] * ddw * cosine
+        _, w, du, dw, ddu, ddw = outline(edge, sweep[i])
+        dx = du * cosine - edge.rake_sin * dw * sine
+        dy = du * sine + edge.rake_sin * dw * cosine
+        ddx = ddu * cosine - edge.rake_sin * ddw * sine
+        ddy = ddu * sine + edge.rake_sin * ddw * cosine
         rise = fx[i] * dx + fy[i] * dy
         curve = fxx[i] * dx * dx + 2.0 * fxy[i] * dx * dy + fyy[i] * dy * dy + fx[i] * ddx + fy[i] * ddy
-        first[i] = rise - row[RAKE_COS] * dw
-        second = curve - row[RAKE_COS] * ddw
+        first[i] = rise - edge.rake_cos * dw
+        second = curve - edge.rake_cos * ddw
         bend[i] = (curve - rise * ddu / du) / (du * du)
-        value[i] = f[i] - row[RAKE_COS] * w - row[DZ]
+        value[i] = f[i] - edge.rake_cos * w - edge.dz
         step[i] = -first[i] / second if second < 0.0 else np.nan
         top[i] = value[i] + 0.5 * first[i] * step[i]
 
 
 @jit
-def round_start(row, angle, radius, cosine, sine, x, y):
+def round_start(edge, angle, radius, cosine, sine, x, y):
     """Fill ``x`` and ``y`` with the tips, and the direction of each azimuth; for an upright edge."""
     for i in range(angle.size):
         s, c = sincos(angle[i])
         sine[i], cosine[i] = s, c
-        x[i] = (radius[i] + row[DX]) * c
-        y[i] = (radius[i] + row[DX]) * s
+        x[i] = (radius[i] + edge.dx) * c
+        y[i] = (radius[i] + edge.dx) * s
 
 
 @jit
-def round_step(row, limit, cosine, sine, radius, u, f, fx, fy, fxx, fxy, fyy, z, x, y):
+def round_step(edge, limit, cosine, sine, radius, u, f, fx, fy, fxx, fxy, fyy, z, x, y):
     """Take one Newton step in the distance ``u`` from the tip of a perfect, upright nose, and move (x, y) along.
 
     Fill ``z`` with the commanded tip height that the local parabola gives. Return how many steps were not small and how
     many places curve up by ``limit`` or more. [1/mm]
     """
     far, doubtful = 0, 0
-    square = row[RADIUS] * row[RADIUS]
+    square = edge.radius * edge.radius
     for i in range(u.size):
         c, s = cosine[i], sine[i]
         q = np.sqrt(square - u[i] * u[i])
@@ -92,60 +77,60 @@ def round_step(row, limit, cosine, sine, radius, u, f, fx, fy, fxx, fxy, fyy, z,
         curve = fxx[i] * c * c + 2.0 * fxy[i] * c * s + fyy[i] * s * s
         second = curve - square / (q * q * q)
         step = -first / second
-        z[i] = f[i] - (row[RADIUS] - q) - row[DZ] + 0.5 * first * step
-        reach = max(-0.98 * row[RADIUS], min(0.98 * row[RADIUS], u[i] + step))
+        z[i] = f[i] - (edge.radius - q) - edge.dz + 0.5 * first * step
+        reach = max(-0.98 * edge.radius, min(0.98 * edge.radius, u[i] + step))
         u[i] = reach
-        along = radius[i] + row[DX] + reach
+        along = radius[i] + edge.dx + reach
         x[i] = along * c
         y[i] = along * s
         # Written so that nan counts as doubtful.
         doubtful += 0 if curve < limit else 1
-        far += 1 if abs(step) > CLOSE * row[RADIUS] or abs(0.5 * first * step) > LITTLE else 0
+        far += 1 if abs(step) > CLOSE * edge.radius or abs(0.5 * first * step) > LITTLE else 0
     return far, doubtful
 
 
 @jit
-def places(row, profile, table, angle, radius, aside, u, x, y):
+def places(edge, angle, radius, aside, u, x, y):
     """Fill ``x`` and ``y`` (rows, n) with where the edge stands over the part at distances ``u`` (rows, n)."""
     for i in range(u.shape[0]):
         sine, cosine = sincos(angle[i])
         for j in range(u.shape[1]):
-            along = radius[i] + row[DX] + u[i, j]
-            across = aside[i] + row[DY]
-            if row[RAKE_SIN] != 0.0:
-                across += row[RAKE_SIN] * height(profile, table, u[i, j])
+            along = radius[i] + edge.dx + u[i, j]
+            across = aside[i] + edge.dy
+            if edge.rake_sin != 0.0:
+                across += edge.rake_sin * height(edge, u[i, j])
             x[i, j] = along * cosine - across * sine
             y[i, j] = along * sine + across * cosine
 
 
 @jit
-def slopes_along(row, profile, table, angle, u, fx, fy, out):
+def slopes_along(edge, angle, u, fx, fy, out):
     """Fill ``out`` with the slope of the surface along the track of the edge, per distance ``u`` from the tip."""
     for i in range(u.size):
         sine, cosine = sincos(angle[i])
-        lean = row[RAKE_SIN] * slope(profile, table, u[i]) if row[RAKE_SIN] != 0.0 else 0.0
+        lean = edge.rake_sin * slope(edge, u[i]) if edge.rake_sin != 0.0 else 0.0
         out[i] = fx[i] * (cosine - lean * sine) + fy[i] * (sine + lean * cosine)
 
 
 @jit
-def lower_edge(rake_cos, profile, table, heights, origin, step, p, begin, end, out):
+def lower_edge(edge, heights, origin, step, p, begin, end, out):
     """Fill ``out`` with f - e over the samples begin to end, the tip at ``p`` along the line."""
-    base, low, high = profile[BASE], origin + step * begin - p, origin + step * end - p
-    if table.shape[1] == 0 and low >= profile[LOW_U] and high <= profile[HIGH_U]:
+    base, low, high = edge.base, origin + step * begin - p, origin + step * end - p
+    if edge.pieces.shape[1] == 0 and low >= edge.low_u and high <= edge.high_u:
         for j in range(begin, end + 1):
             u = origin + step * j - p
-            out[j] = heights[j] - rake_cos * (base - np.sqrt(base * base - u * u))
+            out[j] = heights[j] - edge.rake_cos * (base - np.sqrt(base * base - u * u))
     else:
         for j in range(begin, end + 1):
-            out[j] = heights[j] - rake_cos * height(profile, table, origin + step * j - p)
+            out[j] = heights[j] - edge.rake_cos * height(edge, origin + step * j - p)
 
 
 @jit
-def distance_at_slope(profile, table, goal, low, high):
+def distance_at_slope(edge, goal, low, high):
     """Return where the edge slopes by ``goal``, within [low, high]; for a convex edge."""
     for _ in range(60):
         middle = 0.5 * (low + high)
-        if slope(profile, table, middle) < goal:
+        if slope(edge, middle) < goal:
             low = middle
         else:
             high = middle
@@ -156,8 +141,7 @@ def distance_at_slope(profile, table, goal, low, high):
 def candidates(
     heights, origin, step, offsets, position,
     break_offsets, break_after, break_at, break_height, break_slope,
-    rake_cos, profile, table, convex, low, high,
-    elsewhere, whole, point, start, stop, guess, direct, direct_at, ended, narrow,
+    edge, low, high, elsewhere, whole, point, start, stop, guess, direct, direct_at, ended, narrow,
 ):  # fmt: skip
     """Find where f - e may be greatest: on each row a sampled line, and on it one or more tool positions.
 
@@ -221,19 +205,19 @@ def candidates(
                     summit = max(summit, break_height[side, b])
         # Where the surface is steeper than the edge at an end of the window it may touch beyond it, up to the summit.
         above = np.inf
-        if steepest > rake_cos * slope(profile, table, high):
-            above = rake_cos * height(profile, table, high)
-        if falling < rake_cos * slope(profile, table, low):
-            above = min(above, rake_cos * height(profile, table, low))
+        if steepest > edge.rake_cos * slope(edge, high):
+            above = edge.rake_cos * height(edge, high)
+        if falling < edge.rake_cos * slope(edge, low):
+            above = min(above, edge.rake_cos * height(edge, low))
         if elsewhere > -np.inf:
-            above = rake_cos * min(height(profile, table, low), height(profile, table, high))
+            above = edge.rake_cos * min(height(edge, low), height(edge, high))
             summit = max(summit, elsewhere)
         if whole:
             above = np.inf
         near, far = low, high
-        if convex and steepest >= falling:
-            near = max(low, distance_at_slope(profile, table, falling / rake_cos, low, high) - 2.0 * step)
-            far = min(high, distance_at_slope(profile, table, steepest / rake_cos, low, high) + 2.0 * step)
+        if edge.convex and steepest >= falling:
+            near = max(low, distance_at_slope(edge, falling / edge.rake_cos, low, high) - 2.0 * step)
+            far = min(high, distance_at_slope(edge, steepest / edge.rake_cos, low, high) + 2.0 * step)
         for k in range(offsets[row], offsets[row + 1]):
             p = position[k]
             # An end of the domain is touched whatever its slope.
@@ -244,7 +228,7 @@ def candidates(
             # Outward to the next sample, so that the window is covered.
             begin = max(int(np.floor((left_end - origin) / step)), 0)
             end = min(int(np.ceil((right_end - origin) / step)), m - 1)
-            lower_edge(rake_cos, profile, table, f, origin, step, p, begin, end, g)
+            lower_edge(edge, f, origin, step, p, begin, end, g)
             greatest, where = -np.inf, -1
             for j in range(begin, end + 1):
                 if g[j] > greatest:
@@ -259,15 +243,13 @@ def candidates(
                     continue
                 first = b if first < 0 else first
                 last = b
-                e = rake_cos * height(profile, table, break_at[b] - p)
+                e = edge.rake_cos * height(edge, break_at[b] - p)
                 top = max(top, max(break_height[0, b], break_height[1, b]) - e)
             if summit - above > top or (top == greatest and (where == begin or where == end)):
                 narrow[k] = True
                 continue
             u = origin + step * where - p
-            curve = rake_cos * abs(
-                height(profile, table, u - step) - 2.0 * height(profile, table, u) + height(profile, table, u + step)
-            )
+            curve = edge.rake_cos * abs(height(edge, u - step) - 2.0 * height(edge, u) + height(edge, u + step))
             threshold = top - bend - curve
             if found + (end - begin) + 2 * (last_break - first_break) + 4 > point.size:
                 return FULL
@@ -287,13 +269,13 @@ def candidates(
                         while b + 1 < last_break and break_after[b + 1] == j - 1:
                             b += 1
                         before = break_at[b] - p
-                        left = break_height[1, b] - rake_cos * height(profile, table, before)
+                        left = break_height[1, b] - edge.rake_cos * height(edge, before)
                 after, right = at, g[j]
                 if j < end:
                     after, right = at + step, g[j + 1]
                     if broken[j] >= 0:
                         after = break_at[broken[j]] - p
-                        right = break_height[0, broken[j]] - rake_cos * height(profile, table, after)
+                        right = break_height[0, broken[j]] - edge.rake_cos * height(edge, after)
                 if g[j] >= left and g[j] >= right:
                     point[found], start[found], stop[found] = k, before, after
                     guess[found] = at
@@ -306,7 +288,7 @@ def candidates(
                 continue
             for b in range(first, last + 1):
                 at = break_at[b] - p
-                e, rate = rake_cos * height(profile, table, at), rake_cos * slope(profile, table, at)
+                e, rate = edge.rake_cos * height(edge, at), edge.rake_cos * slope(edge, at)
                 for side in range(2):
                     value = break_height[side, b] - e
                     at_end = break_height[1 - side, b] == -np.inf
@@ -316,7 +298,7 @@ def candidates(
                     beside = b - 1 if side == 0 else b + 1
                     if beside >= first and beside <= last and break_after[beside] == break_after[b]:
                         next_at = break_at[beside] - p
-                        following = break_height[1 - side, beside] - rake_cos * height(profile, table, next_at)
+                        following = break_height[1 - side, beside] - edge.rake_cos * height(edge, next_at)
                     else:
                         j = break_after[b] + side
                         next_at, following = origin + step * j - p, g[j]
@@ -334,7 +316,7 @@ def candidates(
 
 @jit
 def bracket(begin, end, low, high, sweep, value, first, top, step, best, place, done):
-    """Take one safeguarded Newton step towards each maximum: one point of `_Contact._maximum`, in place.
+    """Take one safeguarded Newton step towards each maximum: one point of `placing.search`, in place.
 
     [low, high] brackets the maximum, by the sign of the derivative ``first`` at its ends; [begin, end] is the interval
     itself, at whose ends the maximum may be. ``best`` and ``place`` keep the greatest height seen.
@@ -379,15 +361,15 @@ def keep_highest(point, top, sweep, z, best, ended):
 
 
 @jit
-def tangent_sweep(row, breaks, coefficients, slope_along, slope_across, sweep):
+def tangent_sweep(edge, slope_along, slope_across, sweep):
     """Improve ``sweep`` until the edge's tangent lies in the surface's tangent plane; nan beyond the arc."""
     for i in range(sweep.size):
-        low, high = row[LOW], row[HIGH]
+        low, high = edge.low, edge.high
         s = min(max(sweep[i], low), high)
         # How fast the edge rises over the tangent plane; it grows along a convex edge.
         for _ in range(100):
-            _, _, du, dw, ddu, ddw = edge(row, breaks, coefficients, s)
-            lift = row[RAKE_COS] - slope_across[i] * row[RAKE_SIN]
+            _, _, du, dw, ddu, ddw = outline(edge, s)
+            lift = edge.rake_cos - slope_across[i] * edge.rake_sin
             rise = lift * dw - slope_along[i] * du
             if rise > 0.0:
                 high = s
@@ -400,6 +382,6 @@ def tangent_sweep(row, breaks, coefficients, slope_along, slope_across, sweep):
             s = following
             if abs(step) < 1e-15:
                 break
-        _, _, du, dw, _, _ = edge(row, breaks, coefficients, s)
-        residual = (row[RAKE_COS] - slope_across[i] * row[RAKE_SIN]) * dw - slope_along[i] * du
-        sweep[i] = s if abs(residual) < 1e-10 * row[RADIUS] else np.nan
+        _, _, du, dw, _, _ = outline(edge, s)
+        residual = (edge.rake_cos - slope_across[i] * edge.rake_sin) * dw - slope_along[i] * du
+        sweep[i] = s if abs(residual) < 1e-10 * edge.radius else np.nan

@@ -1,15 +1,9 @@
-"""The tool edge, pointwise. A row holds (radius, low, high, rake_cos, rake_sin, dx, dy, dz), see tool.EdgeTable."""
+"""The tool edge, pointwise. Kernels take all of it as one value, see `turnwright.edge.Edge`."""
 
 import numpy as np
 
-from turnwright._kernels import jit
+from turnwright._kernels import jit, jit_inline
 from turnwright._kernels.trig import sincos
-
-# Places in a row: radius [mm], sweep at the ends of the arc [rad], cosine and sine of the rake, offset of the tip [mm].
-RADIUS, LOW, HIGH, RAKE_COS, RAKE_SIN, DX, DY, DZ = range(8)
-# Places in a profile: radius of the circle that its table stands on; distance, height and slope at the ends of the arc;
-# pieces per x, least x, and the distance of the circle's centre.
-BASE, LOW_U, LOW_W, LOW_SLOPE, HIGH_U, HIGH_W, HIGH_SLOPE, PIECES_PER_X, LEAST_X, MIDDLE_U = range(10)
 
 
 @jit
@@ -44,14 +38,14 @@ def waviness(breaks, coefficients, s):
 
 
 @jit
-def arc(row, breaks, coefficients, s):
+def arc(radius, breaks, coefficients, s):
     """Return (u, w, u', w', u'', w'') on the arc: position in the rake plane from the nominal tip, w up."""
     d, d1, d2 = waviness(breaks, coefficients, s)
     sine, cosine = sincos(s)
     half_sine, _ = sincos(0.5 * s)
-    r = row[RADIUS] + d
+    r = radius + d
     u = r * sine
-    w = 2.0 * row[RADIUS] * half_sine * half_sine - d * cosine
+    w = 2.0 * radius * half_sine * half_sine - d * cosine
     du = d1 * sine + r * cosine
     dw = r * sine - d1 * cosine
     ddu = d2 * sine + 2.0 * d1 * cosine - r * sine
@@ -59,33 +53,33 @@ def arc(row, breaks, coefficients, s):
     return u, w, du, dw, ddu, ddw
 
 
-@jit
-def edge(row, breaks, coefficients, s):
+@jit_inline
+def outline(edge, s):
     """Return (u, w, u', w', u'', w'') on the arc or, beyond it, on the flank that is tangent to its end."""
-    if s < row[LOW] or s > row[HIGH]:
-        end = row[LOW] if s < row[LOW] else row[HIGH]
-        u, w, du, dw, _, _ = arc(row, breaks, coefficients, end)
+    if s < edge.low or s > edge.high:
+        end = edge.low if s < edge.low else edge.high
+        u, w, du, dw, _, _ = arc(edge.radius, edge.breaks, edge.coefficients, end)
         return u + (s - end) * du, w + (s - end) * dw, du, dw, 0.0, 0.0
-    return arc(row, breaks, coefficients, s)
+    return arc(edge.radius, edge.breaks, edge.coefficients, s)
 
 
 @jit
-def edge_points(row, breaks, coefficients, sweep, out):
+def points(edge, sweep, out):
     """Fill ``out`` (3, n) with (u, v, e) from the commanded tip."""
     for i in range(sweep.size):
-        u, w, _, _, _, _ = edge(row, breaks, coefficients, sweep[i])
-        out[0, i] = row[DX] + u
-        out[1, i] = row[DY] + row[RAKE_SIN] * w
-        out[2, i] = row[DZ] + row[RAKE_COS] * w
+        u, w, _, _, _, _ = outline(edge, sweep[i])
+        out[0, i] = edge.dx + u
+        out[1, i] = edge.dy + edge.rake_sin * w
+        out[2, i] = edge.dz + edge.rake_cos * w
 
 
 @jit
-def sweep_at(row, breaks, coefficients, u):
+def sweep_at(edge, u):
     """Return the sweep at which the edge stands at distance ``u`` from the nominal tip."""
-    s = np.arcsin(max(-1.0, min(1.0, u / row[RADIUS])))
-    s = max(row[LOW], min(row[HIGH], s))
+    s = np.arcsin(max(-1.0, min(1.0, u / edge.radius)))
+    s = max(edge.low, min(edge.high, s))
     for _ in range(60):
-        at, _, du, _, _, _ = edge(row, breaks, coefficients, s)
+        at, _, du, _, _, _ = outline(edge, s)
         step = (u - at) / du
         s += max(-0.2, min(0.2, step))
         if abs(step) < 1e-15:
@@ -94,51 +88,58 @@ def sweep_at(row, breaks, coefficients, u):
 
 
 @jit
-def sweeps_at(row, breaks, coefficients, u, sweep):
+def sweeps_at(edge, u, sweep):
     """Fill ``sweep`` with where the edge stands at the distances ``u`` from its tip."""
     for i in range(u.size):
-        sweep[i] = sweep_at(row, breaks, coefficients, u[i])
+        sweep[i] = sweep_at(edge, u[i])
 
 
 @jit
-def trace(row, breaks, coefficients, sweep, out):
+def trace(edge, sweep, out):
     """Fill ``out`` (4, n) with (u, w, u', w') along the edge."""
     for i in range(sweep.size):
-        out[0, i], out[1, i], out[2, i], out[3, i], _, _ = edge(row, breaks, coefficients, sweep[i])
+        out[0, i], out[1, i], out[2, i], out[3, i], _, _ = outline(edge, sweep[i])
 
 
 @jit
-def height(profile, table, u):
-    """Return the height w of the edge above the tip at distance ``u``, see tool.EdgeProfile."""
-    if u < profile[LOW_U]:
-        return profile[LOW_W] + (u - profile[LOW_U]) * profile[LOW_SLOPE]
-    if u > profile[HIGH_U]:
-        return profile[HIGH_W] + (u - profile[HIGH_U]) * profile[HIGH_SLOPE]
-    if table.shape[1] == 0:
-        return profile[BASE] - np.sqrt(profile[BASE] * profile[BASE] - u * u)
-    i, t, _ = piece(profile, table, u)
-    return table[i, 0] + t * (table[i, 1] + t * (table[i, 2] + t * table[i, 3]))
+def height(edge, u):
+    """Return the height w of the edge above the tip at distance ``u``."""
+    if u < edge.low_u:
+        return edge.low_w + (u - edge.low_u) * edge.low_slope
+    if u > edge.high_u:
+        return edge.high_w + (u - edge.high_u) * edge.high_slope
+    if edge.pieces.shape[1] == 0:
+        return edge.base - np.sqrt(edge.base * edge.base - u * u)
+    i, t, _ = piece(edge, u)
+    return edge.pieces[i, 0] + t * (edge.pieces[i, 1] + t * (edge.pieces[i, 2] + t * edge.pieces[i, 3]))
 
 
 @jit
-def slope(profile, table, u):
+def slope(edge, u):
     """Return dw/du."""
-    if u < profile[LOW_U]:
-        return profile[LOW_SLOPE]
-    if u > profile[HIGH_U]:
-        return profile[HIGH_SLOPE]
-    if table.shape[1] == 0:
-        return u / np.sqrt(profile[BASE] * profile[BASE] - u * u)
-    i, t, q = piece(profile, table, u)
-    rate = table[i, 1] + t * (2.0 * table[i, 2] + 3.0 * t * table[i, 3])
-    return rate * profile[PIECES_PER_X] * profile[BASE] / (q * (profile[BASE] + q))
+    if u < edge.low_u:
+        return edge.low_slope
+    if u > edge.high_u:
+        return edge.high_slope
+    if edge.pieces.shape[1] == 0:
+        return u / np.sqrt(edge.base * edge.base - u * u)
+    i, t, q = piece(edge, u)
+    rate = edge.pieces[i, 1] + t * (2.0 * edge.pieces[i, 2] + 3.0 * t * edge.pieces[i, 3])
+    return rate * edge.pieces_per_x * edge.base / (q * (edge.base + q))
 
 
 @jit
-def piece(profile, table, u):
+def profile(edge, u, out):
+    """Fill ``out`` (2, n) with height and slope of the edge at the distances ``u`` from its tip."""
+    for i in range(u.size):
+        out[0, i], out[1, i] = height(edge, u[i]), slope(edge, u[i])
+
+
+@jit
+def piece(edge, u):
     """Return (which cubic of the arc stands at ``u``, place within it from 0 to 1, height of the centre above u)."""
-    p = u - profile[MIDDLE_U]
-    q = np.sqrt(profile[BASE] * profile[BASE] - p * p)
-    t = (p / (profile[BASE] + q) - profile[LEAST_X]) * profile[PIECES_PER_X]
-    i = min(int(t), table.shape[0] - 1)
+    p = u - edge.middle_u
+    q = np.sqrt(edge.base * edge.base - p * p)
+    t = (p / (edge.base + q) - edge.least_x) * edge.pieces_per_x
+    i = min(int(t), edge.pieces.shape[0] - 1)
     return i, t - i, q

@@ -11,8 +11,8 @@ that is not convex) small tiles of neighbouring points share one list of passes 
 
 import numpy as np
 
-from turnwright._kernels import jit
-from turnwright._kernels.edge import BASE, DX, DY, DZ, HIGH_U, LOW_U, RAKE_COS, RAKE_SIN, height, slope
+from turnwright._kernels import jit, jit_inline
+from turnwright._kernels.edge import height, slope
 from turnwright._kernels.trig import sincos
 
 TURN = 2.0 * np.pi
@@ -81,16 +81,7 @@ def guess_index(c, sense, t, starts):
 
 
 @jit
-def sampled(profile, table, u):
-    """Return (2, n) height and slope of the edge at ``u``."""
-    out = np.empty((2, u.size))
-    for i in range(u.size):
-        out[0, i], out[1, i] = height(profile, table, u[i]), slope(profile, table, u[i])
-    return out
-
-
-@jit
-def useful_turns(bounds, mirrored, low, high, profile, table, keep):
+def useful_turns(bounds, mirrored, low, high, edge, keep):
     """Mark the turns that can be lowest somewhere in [low, high] of a radial line; for a convex edge.
 
     A turn further out than some pass P that lies above P at the outer end lies above it all the way in, and likewise
@@ -102,8 +93,8 @@ def useful_turns(bounds, mirrored, low, high, profile, table, keep):
         best, ceiling = -1, FAR
         for m in range(turns - 1):  # the last may be a part of a turn, which not every azimuth has
             reach = max(abs(r - bounds[0, m]), abs(r - bounds[1, m]))
-            if reach < profile[HIGH_U] and reach < -profile[LOW_U]:
-                top = bounds[3, m] + max(height(profile, table, reach), height(profile, table, -reach))
+            if reach < edge.high_u and reach < -edge.low_u:
+                top = bounds[3, m] + max(height(edge, reach), height(edge, -reach))
                 if top < ceiling:
                     best, ceiling = m, top
         for m in range(turns):
@@ -119,43 +110,40 @@ def useful_turns(bounds, mirrored, low, high, profile, table, keep):
                 distance = r - last
             else:
                 continue
-            if bounds[2, m] + height(profile, table, -distance if mirrored else distance) > ceiling:
+            if bounds[2, m] + height(edge, -distance if mirrored else distance) > ceiling:
                 keep[m] = False
 
 
 @jit
-def crossing(p1, z1, p2, z2, low, high, mirrored, profile, table):
+def crossing(p1, z1, p2, z2, low, high, mirrored, edge):
     """Return where pass 2 (further in, p2 < p1) stops and pass 1 begins to be lowest, within [low, high]."""
-    radius = profile[BASE]
+    radius = edge.base
     dp, dz = p1 - p2, z1 - z2
     square = dp * dp + dz * dz
     x = 0.5 * (p1 + p2)
     if square < 4.0 * radius * radius:
         x += dz * np.sqrt(radius * radius / square - 0.25)
         inside = (
-            x - p1 > profile[LOW_U]
-            and x - p1 < profile[HIGH_U]
-            and x - p2 > profile[LOW_U]
-            and x - p2 < profile[HIGH_U]
+            x - p1 > edge.low_u and x - p1 < edge.high_u and x - p2 > edge.low_u and x - p2 < edge.high_u
         )  # of a symmetric arc when there is no table
-        if inside and table.shape[1] == 0:
+        if inside and edge.pieces.shape[1] == 0:
             return min(max(x, low), high)
     # Anything else: the difference falls monotonically with x for a convex edge; safeguarded Newton on it.
     s = -1.0 if mirrored else 1.0
     a, b = low, high
-    if z1 + height(profile, table, s * (a - p1)) <= z2 + height(profile, table, s * (a - p2)):
+    if z1 + height(edge, s * (a - p1)) <= z2 + height(edge, s * (a - p2)):
         return a
-    if z1 + height(profile, table, s * (b - p1)) >= z2 + height(profile, table, s * (b - p2)):
+    if z1 + height(edge, s * (b - p1)) >= z2 + height(edge, s * (b - p2)):
         return b
     if not a < x < b:
         x = 0.5 * (a + b)
     for _ in range(80):
-        difference = dz + height(profile, table, s * (x - p1)) - height(profile, table, s * (x - p2))
+        difference = dz + height(edge, s * (x - p1)) - height(edge, s * (x - p2))
         if difference > 0.0:
             a = x
         else:
             b = x
-        rate = s * (slope(profile, table, s * (x - p1)) - slope(profile, table, s * (x - p2)))
+        rate = s * (slope(edge, s * (x - p1)) - slope(edge, s * (x - p2)))
         following = x - difference / rate if rate < 0.0 else 0.5 * (a + b)
         if not a < following < b:
             following = 0.5 * (a + b)
@@ -167,9 +155,9 @@ def crossing(p1, z1, p2, z2, low, high, mirrored, profile, table):
 
 
 @jit
-def heights(winner, plain, mirrored, first, profile, table, radius, out):
+def heights(winner, plain, mirrored, first, edge, radius, out):
     """Set (with ``first``) or lower ``out`` to the pass that ``winner`` (2, n) names by position and level."""
-    base = profile[BASE]
+    base = edge.base
     square = base * base
     if plain and first:
         for k in range(radius.size):
@@ -178,25 +166,25 @@ def heights(winner, plain, mirrored, first, profile, table, radius, out):
         return
     side = -1.0 if mirrored else 1.0
     for k in range(radius.size):
-        h = winner[1, k] + height(profile, table, side * (radius[k] - winner[0, k]))
+        h = winner[1, k] + height(edge, side * (radius[k] - winner[0, k]))
         out[k] = h if first else min(out[k], h)
 
 
 @jit
-def stacked(position, level, count, mirrored, profile, table, low, high, stack, limit):
+def stacked(position, level, count, mirrored, edge, low, high, stack, limit):
     """Fill ``stack`` with the passes that are lowest somewhere, from outside in, and ``limit`` with where each begins.
 
     Return how many they are. On a turned part nearly every pass is lowest somewhere: if the crossings of neighbours are
     in order that proves it, and they come from one loop that vectorises.
     """
-    radius = profile[BASE]
-    ordered = table.shape[1] == 0
+    radius = edge.base
+    ordered = edge.pieces.shape[1] == 0
     if ordered:
         for i in range(1, count):
             dp, dz = position[i - 1] - position[i], level[i - 1] - level[i]
             quotient = radius * radius / (dp * dp + dz * dz) - 0.25
             limit[i] = 0.5 * (position[i - 1] + position[i]) + dz * np.sqrt(quotient)
-        reach = profile[HIGH_U]
+        reach = edge.high_u
         for i in range(1, count):
             # Also false for nan: equal passes, or so far apart that the circles do not meet.
             ordered = ordered and abs(limit[i] - position[i - 1]) < reach and abs(limit[i] - position[i]) < reach
@@ -216,7 +204,7 @@ def stacked(position, level, count, mirrored, profile, table, low, high, stack, 
     if low == high:  # one sample: crossings on either side of it cannot be told apart
         lowest, least, side = -1, FAR, -1.0 if mirrored else 1.0
         for i in range(count):
-            z = level[i] + height(profile, table, side * (low - position[i]))
+            z = level[i] + height(edge, side * (low - position[i]))
             if z < least:
                 lowest, least = i, z
         if lowest < 0:
@@ -232,7 +220,7 @@ def stacked(position, level, count, mirrored, profile, table, low, high, stack, 
             if position[top] == position[i]:
                 x = high if level[i] < level[top] else low
             else:
-                x = crossing(position[top], level[top], position[i], level[i], low, high, mirrored, profile, table)
+                x = crossing(position[top], level[top], position[i], level[i], low, high, mirrored, edge)
             if x >= limit[depth - 1] and x > low:
                 depth -= 1
                 continue
@@ -247,7 +235,7 @@ def stacked(position, level, count, mirrored, profile, table, low, high, stack, 
 
 
 @jit
-def envelope(position, level, count, mirrored, first, profile, table, radius, out, stack, limit, winner):
+def envelope(position, level, count, mirrored, first, edge, radius, out, stack, limit, winner):
     """Lower ``out`` (n_radius,) to the lowest of ``count`` passes; with ``first`` set it instead of lowering it."""
     low, high = radius[0], radius[radius.size - 1]
     if count > 1 and position[0] < position[count - 1]:
@@ -263,10 +251,10 @@ def envelope(position, level, count, mirrored, first, profile, table, radius, ou
             position[j + 1], level[j + 1] = position[j], level[j]
             j -= 1
         position[j + 1], level[j + 1] = p, z
-    depth = stacked(position, level, count, mirrored, profile, table, low, high, stack, limit)
+    depth = stacked(position, level, count, mirrored, edge, low, high, stack, limit)
     # Who is lowest at each sample, then all heights in one loop that vectorises however short the intervals are.
     # From inside out, eight samples at a time: what is written too far the next pass overwrites.
-    plain = table.shape[1] == 0  # nothing but arcs of one circle
+    plain = edge.pieces.shape[1] == 0  # nothing but arcs of one circle
     per_sample = (radius.size - 1) / (high - low) if high > low else 0.0
     i = 0
     for d in range(depth - 1, -1, -1):
@@ -286,26 +274,26 @@ def envelope(position, level, count, mirrored, first, profile, table, radius, ou
                     winner[0, k + q] = p
                 for q in range(8):
                     winner[1, k + q] = z
-            plain = plain and radius[i] - p >= profile[LOW_U] and radius[j - 1] - p <= profile[HIGH_U]
+            plain = plain and radius[i] - p >= edge.low_u and radius[j - 1] - p <= edge.high_u
             i = j
     if depth > 0:
-        heights(winner, plain, mirrored, first, profile, table, radius, out)
+        heights(winner, plain, mirrored, first, edge, radius, out)
     if first and depth == 0:
         for k in range(radius.size):
             out[k] = FAR
 
 
 @jit
-def polar_block(c, x, z, sense, starts, bounds, dx, dz, profile, table, radius, angle, out):
+def polar_block(c, x, z, sense, starts, bounds, edge, radius, angle, out):
     """Fill ``out`` (n_angle, n_radius): the surface along neighbouring azimuths ``angle``; convex, upright edge."""
     turns = starts.size - 1
     rows = angle.size
     keep = np.empty((2, turns), np.bool_)
     for side in range(2):
         low, high = radius[0], radius[radius.size - 1]
-        useful_turns(bounds, side == 1, low, high, profile, table, keep[side])
+        useful_turns(bounds, side == 1, low, high, edge, keep[side])
     begin, end = sense * c[0], sense * c[c.size - 1]
-    symmetric = table.shape[1] == 0
+    symmetric = edge.pieces.shape[1] == 0
     position = np.empty((rows, 2 * turns + 2))
     level = np.empty((rows, 2 * turns + 2))
     count = np.zeros(rows, np.int64)
@@ -332,10 +320,10 @@ def polar_block(c, x, z, sense, starts, bounds, dx, dz, profile, table, radius, 
                 hint = i
                 ci = sense * c[i]
                 share = (t - ci) / (sense * c[i + 1] - ci)
-                p = x[i] + share * (x[i + 1] - x[i]) + dx
+                p = x[i] + share * (x[i + 1] - x[i]) + edge.dx
                 k = count[row]
                 position[row, k] = p if side == 0 else -p
-                level[row, k] = z[i] + share * (z[i + 1] - z[i]) + dz
+                level[row, k] = z[i] + share * (z[i + 1] - z[i]) + edge.dz
                 count[row] = k + 1
         if side == 0:
             for row in range(rows):
@@ -348,15 +336,15 @@ def polar_block(c, x, z, sense, starts, bounds, dx, dz, profile, table, radius, 
             if side == 0 or n > 0:
                 some = slice(ends[side], ends[side + 1])
                 envelope(
-                    position[row, some], level[row, some], n, side == 1, side == 0, profile, table, radius, out[row],
+                    position[row, some], level[row, some], n, side == 1, side == 0, edge, radius, out[row],
                     stack, limit, winner,
                 )  # fmt: skip
         if out[row, 0] == FAR:  # no pass at all: the motion is shorter than a turn
             out[row] = np.nan
 
 
-@jit
-def stand(c, x, y, z, sense, row, profile, table, at, along, hint):
+@jit_inline
+def stand(c, x, y, z, sense, edge, at, along, hint):
     """Let the tool stand at ``at``, where a point lies ``along`` from the axis within its plane.
 
     Return (height of the edge over the point, how far aside of the plane the edge is there, place on the edge, index):
@@ -365,16 +353,16 @@ def stand(c, x, y, z, sense, row, profile, table, at, along, hint):
     i = locate(c, sense, at, hint)
     ci = sense * c[i]
     share = (at - ci) / (sense * c[i + 1] - ci)
-    u = along - (x[i] + share * (x[i + 1] - x[i]) + row[DX])
-    w = height(profile, table, u)
-    across = row[DY] + row[RAKE_SIN] * w
+    u = along - (x[i] + share * (x[i + 1] - x[i]) + edge.dx)
+    w = height(edge, u)
+    across = edge.dy + edge.rake_sin * w
     if y.size > 0:
         across += y[i] + share * (y[i + 1] - y[i])
-    return z[i] + share * (z[i + 1] - z[i]) + row[DZ] + row[RAKE_COS] * w, across, u, i
+    return z[i] + share * (z[i + 1] - z[i]) + edge.dz + edge.rake_cos * w, across, u, i
 
 
-@jit
-def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
+@jit_inline
+def pass_at(c, x, y, z, sense, edge, t, r, side, hint):
     """Return (height, index, u, at, aside) of a pass over the point at distance ``r``, azimuth ``t`` along the motion.
 
     An edge out of the radial plane by v passes over the point not at ``t`` but where the point stands v aside,
@@ -384,7 +372,7 @@ def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
     sign = 1.0 if side == 0 else -1.0
-    if row[RAKE_SIN] == 0.0 and row[DY] == 0.0 and y.size == 0:
+    if edge.rake_sin == 0.0 and edge.dy == 0.0 and y.size == 0:
         if t < begin - ROUNDING or t > end + ROUNDING:
             return FAR, hint, 0.0, t, 0.0
         # What `stand` does, without what is aside: a third faster.
@@ -392,18 +380,18 @@ def pass_at(c, x, y, z, sense, row, profile, table, t, r, side, hint):
         i = locate(c, sense, at, hint)
         ci = sense * c[i]
         share = (at - ci) / (sense * c[i + 1] - ci)
-        u = sign * r - (x[i] + share * (x[i + 1] - x[i]) + row[DX])
-        return z[i] + share * (z[i + 1] - z[i]) + row[DZ] + height(profile, table, u), i, u, at, 0.0
+        u = sign * r - (x[i] + share * (x[i + 1] - x[i]) + edge.dx)
+        return z[i] + share * (z[i + 1] - z[i]) + edge.dz + height(edge, u), i, u, at, 0.0
     aside, i, before = 0.0, hint, FAR
     while abs(aside) <= r:
         at = t - sign * sense * np.arcsin(aside / r)
         held = min(max(at, begin), end)
         along = sign * np.sqrt(r * r - aside * aside)
-        h, across, u, i = stand(c, x, y, z, sense, row, profile, table, held, along, i)
+        h, across, u, i = stand(c, x, y, z, sense, edge, held, along, i)
         step = abs(across - aside)
         if step == 0.0 or step > 0.75 * before:
             # The angle of the spindle rounds with its size, and the edge moves aside by half of that at most.
-            rounding = 8.0 * EPSILON * (r * (1.0 + abs(t)) + abs(across) + abs(along) + abs(u) + profile[BASE])
+            rounding = 8.0 * EPSILON * (r * (1.0 + abs(t)) + abs(across) + abs(along) + abs(u) + edge.base)
             reached = step <= rounding and abs(at - held) <= ROUNDING
             return (h if reached else FAR), i, u, held, across
         aside, before = across, step
@@ -421,28 +409,28 @@ def block_bounds(x, y, z, dx, out):
             out[2, k], out[3, k] = y[part].min(), y[part].max()
 
 
-@jit
-def least_between(profile, table, gap, low, high):
+@jit_inline
+def least_between(edge, gap, low, high):
     """Return a height that the edge is nowhere below between the places ``low`` and ``high`` from its tip."""
-    return height(profile, table, low if low > 0.0 else min(high, 0.0)) - gap
+    return height(edge, low if low > 0.0 else min(high, 0.0)) - gap
 
 
-@jit
-def over(line, row, profile, table, sense, r, phase, s):
+@jit_inline
+def over(line, edge, sense, r, phase, s):
     """Let the tool stand ``s`` along one line of its motion, see `lowest_on_line`.
 
     Return (height of the edge over the point, how far aside of the edge the point is, place on the edge, sine and
     cosine of the angle from the point to the tool).
     """
     sine, cosine = sincos(phase + s)
-    u = r * cosine - (line[0] + line[3] * s + row[DX])
-    w = height(profile, table, u)
-    aside = -sense * r * sine - (line[1] + line[4] * s) - row[DY] - row[RAKE_SIN] * w
-    return line[2] + line[5] * s + row[DZ] + row[RAKE_COS] * w, aside, u, sine, cosine
+    u = r * cosine - (line[0] + line[3] * s + edge.dx)
+    w = height(edge, u)
+    aside = -sense * r * sine - (line[1] + line[4] * s) - edge.dy - edge.rake_sin * w
+    return line[2] + line[5] * s + edge.dz + edge.rake_cos * w, aside, u, sine, cosine
 
 
-@jit
-def lowest_on_line(line, row, profile, table, bend, sense, r, phase, first, last, pieces, lowest):
+@jit_inline
+def lowest_on_line(line, edge, bend, sense, r, phase, first, last, pieces, lowest):
     """Return ``lowest``, or less if the edge passes lower over a point while the tool is on one line of its motion.
 
     ``line`` holds X, Y, Z where it begins and how much they change per radian, ``phase`` the angle there from the point
@@ -450,7 +438,7 @@ def lowest_on_line(line, row, profile, table, bend, sense, r, phase, first, last
     edge by F. Pieces that bounds of F and of the height exclude are dropped; one in which F only grows, or only falls,
     holds at most one root; others are halved. ``pieces`` (64, 2) is scratch.
     """
-    size = r + abs(line[0]) + abs(line[1]) + abs(row[DX]) + abs(row[DY]) + profile[BASE]
+    size = r + abs(line[0]) + abs(line[1]) + abs(edge.dx) + abs(edge.dy) + edge.base
     tiny = 4.0 * EPSILON * (size + (abs(line[3]) + abs(line[4])) * max(abs(first), abs(last)))
     pieces[0, 0], pieces[0, 1] = first, last
     depth = 1
@@ -458,19 +446,19 @@ def lowest_on_line(line, row, profile, table, bend, sense, r, phase, first, last
         depth -= 1
         a, b = pieces[depth, 0], pieces[depth, 1]
         s, half = 0.5 * (a + b), 0.5 * (b - a)
-        h, aside, u, sine, cosine = over(line, row, profile, table, sense, r, phase, s)
+        h, aside, u, sine, cosine = over(line, edge, sense, r, phase, s)
         # The edge goes over the point at ``pace``, and F changes at ``rate``, give or take what Taylor's theorem says.
         pace, loose = -r * sine - line[3], r * half * (abs(cosine) + 0.5 * half)
         du = (abs(pace) + loose) * half
-        flat, steep = slope(profile, table, u - du) - bend, slope(profile, table, u + du) + bend
-        if h - abs(line[5]) * half - row[RAKE_COS] * max(abs(flat), abs(steep)) * du > lowest - tiny:
+        flat, steep = slope(edge, u - du) - bend, slope(edge, u + du) + bend
+        if h - abs(line[5]) * half - edge.rake_cos * max(abs(flat), abs(steep)) * du > lowest - tiny:
             continue
         if abs(aside) <= tiny:
             lowest = min(lowest, h)
         rate, doubt = -sense * r * cosine - line[4], r * half * (abs(sine) + 0.5 * half)
-        if row[RAKE_SIN] != 0.0:
-            rate -= row[RAKE_SIN] * 0.5 * (flat + steep) * pace
-            doubt += abs(row[RAKE_SIN]) * (0.5 * (steep - flat) * (abs(pace) + loose) + 0.5 * abs(flat + steep) * loose)
+        if edge.rake_sin != 0.0:
+            rate -= edge.rake_sin * 0.5 * (flat + steep) * pace
+            doubt += abs(edge.rake_sin) * (0.5 * (steep - flat) * (abs(pace) + loose) + 0.5 * abs(flat + steep) * loose)
         if abs(aside) > (abs(rate) + doubt) * half + tiny:
             continue
         # Two roots within a microradian, that no change of sign betrays: 1e-13 r further in there are none.
@@ -479,8 +467,8 @@ def lowest_on_line(line, row, profile, table, bend, sense, r, phase, first, last
             pieces[depth + 1, 0], pieces[depth + 1, 1] = s, b
             depth += 2
             continue
-        h_a, aside_a, _, _, _ = over(line, row, profile, table, sense, r, phase, a)
-        h_b, aside_b, _, _, _ = over(line, row, profile, table, sense, r, phase, b)
+        h_a, aside_a, _, _, _ = over(line, edge, sense, r, phase, a)
+        h_b, aside_b, _, _, _ = over(line, edge, sense, r, phase, b)
         # A root on an end belongs to two pieces, whose rounding must not lose it between them.
         if abs(aside_a) <= tiny:
             lowest = min(lowest, h_a)
@@ -494,20 +482,20 @@ def lowest_on_line(line, row, profile, table, bend, sense, r, phase, first, last
             else:
                 b = s
             rate = -sense * r * cosine - line[4]
-            if row[RAKE_SIN] != 0.0:
-                rate += row[RAKE_SIN] * slope(profile, table, u) * (r * sine + line[3])
+            if edge.rake_sin != 0.0:
+                rate += edge.rake_sin * slope(edge, u) * (r * sine + line[3])
             if abs(aside) <= 2e-15 * abs(rate) or b - a < 1e-15:
                 break
             following = s - aside / rate if rate != 0.0 else a
             s = following if a < following < b else 0.5 * (a + b)
-            h, aside, u, sine, cosine = over(line, row, profile, table, sense, r, phase, s)
+            h, aside, u, sine, cosine = over(line, edge, sense, r, phase, s)
         lowest = min(lowest, h)
     return lowest
 
 
 @jit
 def core_height(
-    c, x, y, z, sense, starts, bounds, blocks, row, profile, table, gap, bend, most_y, r, azimuth, useful,
+    c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r, azimuth, useful,
 ):  # fmt: skip
     """Return the height at one point that a turn may pass over at any number of moments.
 
@@ -518,10 +506,10 @@ def core_height(
     """
     begin, end = sense * c[0], sense * c[c.size - 1]
     turns, lines = bounds.shape[1], c.size - 1
-    off, lean = abs(row[DY]) + most_y, abs(row[RAKE_SIN])
-    dip = max(gap - height(profile, table, 0.0), 0.0)  # the most that the edge is below the tip
-    size = r + profile[BASE] + abs(row[DX]) + abs(row[DY]) + most_y + max(abs(bounds[1, 0]), abs(bounds[0, turns - 1]))
-    if row[RAKE_SIN] * row[DY] >= 0.0 and r + 64.0 * EPSILON * size < abs(row[DY]) - lean * dip - most_y:
+    off, lean = abs(edge.dy) + most_y, abs(edge.rake_sin)
+    dip = max(gap - height(edge, 0.0), 0.0)  # the most that the edge is below the tip
+    size = r + edge.base + abs(edge.dx) + abs(edge.dy) + most_y + max(abs(bounds[1, 0]), abs(bounds[0, turns - 1]))
+    if edge.rake_sin * edge.dy >= 0.0 and r + 64.0 * EPSILON * size < abs(edge.dy) - lean * dip - most_y:
         return FAR  # the edge is always further aside of the axis
     pieces, line = np.empty((64, 2)), np.empty(6)
     lowest = FAR
@@ -542,16 +530,16 @@ def core_height(
                 continue
             before = min(max(int((t - 0.5 * np.pi - begin) / TURN), 0), turns - 1)
             after = min(max(int((t + 0.5 * np.pi - begin) / TURN), 0), turns - 1)
-            bottom = min(bounds[2, before], bounds[2, after]) + row[DZ]
+            bottom = min(bounds[2, before], bounds[2, after]) + edge.dz
             low, high = min(bounds[0, before], bounds[0, after]), max(bounds[1, before], bounds[1, after])
-            aside = off + lean * max((lowest - bottom) / row[RAKE_COS], dip)
+            aside = off + lean * max((lowest - bottom) / edge.rake_cos, dip)
             share = min(aside / r * (1.0 + 1e-12), 1.0) if r > 0.0 else 1.0
             wide, inner = np.arcsin(share) + ROUNDING, r * np.sqrt(1.0 - share * share)
             if which == 0:
-                least = least_between(profile, table, gap, inner - high, r - low)
+                least = least_between(edge, gap, inner - high, r - low)
             else:
-                least = least_between(profile, table, gap, -r - high, -inner - low)
-            if bottom + row[RAKE_COS] * least > lowest or t - wide > end + ROUNDING or t + wide < begin - ROUNDING:
+                least = least_between(edge, gap, -r - high, -inner - low)
+            if bottom + edge.rake_cos * least > lowest or t - wide > end + ROUNDING or t + wide < begin - ROUNDING:
                 continue
             base = t - behind
             at = min(max(t - wide, begin), end)
@@ -566,12 +554,12 @@ def core_height(
                 half += ROUNDING
                 along, across = r * half * (abs(sine) + 0.5 * half), r * half * (abs(cosine) + 0.5 * half)
                 low, high = r * cosine - along - blocks[1, k], r * cosine + along - blocks[0, k]
-                rise = (lowest - blocks[4, k] - row[DZ]) / row[RAKE_COS]
-                if least_between(profile, table, gap, low, high) > rise:
+                rise = (lowest - blocks[4, k] - edge.dz) / edge.rake_cos
+                if least_between(edge, gap, low, high) > rise:
                     continue
-                rise = min(rise, max(height(profile, table, low), height(profile, table, high)) + gap)
+                rise = min(rise, max(height(edge, low), height(edge, high)) + gap)
                 across += 0.5 * (blocks[3, k] - blocks[2, k]) + lean * max(rise, dip) + ROUNDING * (1.0 + r)
-                if abs(-sense * r * sine - row[DY] - 0.5 * (blocks[2, k] + blocks[3, k])) > across:
+                if abs(-sense * r * sine - edge.dy - 0.5 * (blocks[2, k] + blocks[3, k])) > across:
                     continue
                 for j in range(i, stop):
                     following = sense * c[j + 1] - base
@@ -584,7 +572,7 @@ def core_height(
                     )
                     line[1], line[4] = (y[j], (y[j + 1] - y[j]) / length) if y.size > 0 else (0.0, 0.0)
                     lowest = lowest_on_line(
-                        line, row, profile, table, bend, sense, r, phase, -ROUNDING if j == 0 else 0.0,
+                        line, edge, bend, sense, r, phase, -ROUNDING if j == 0 else 0.0,
                         length + ROUNDING if j == lines - 1 else length, pieces, lowest,
                     )  # fmt: skip
                     phase = following
@@ -592,7 +580,7 @@ def core_height(
 
 
 @jit
-def axis_height(x, z, starts, bounds, dx, dz, profile, table, gap):
+def axis_height(x, z, starts, bounds, edge, gap):
     """Return the height on the axis itself, which an upright tool passes at every moment: the least of them all.
 
     Turns whose bounds stand above what is found already are passed over; the one with the least comes first.
@@ -600,7 +588,7 @@ def axis_height(x, z, starts, bounds, dx, dz, profile, table, gap):
     turns = starts.size - 1
     floor = np.empty(turns)
     for m in range(turns):
-        floor[m] = bounds[2, m] + dz + least_between(profile, table, gap, -bounds[1, m], -bounds[0, m])
+        floor[m] = bounds[2, m] + edge.dz + least_between(edge, gap, -bounds[1, m], -bounds[0, m])
     best = 0
     for m in range(1, turns):
         best = m if floor[m] < floor[best] else best
@@ -611,33 +599,33 @@ def axis_height(x, z, starts, bounds, dx, dz, profile, table, gap):
         if floor[m] > lowest:
             continue
         for i in range(max(starts[m] - 1, 0), min(starts[m + 1] + 1, x.size - 1)):
-            first, last = -(x[i] + dx), -(x[i + 1] + dx)
-            bottom = min(z[i], z[i + 1]) + dz
-            if bottom + least_between(profile, table, gap, min(first, last), max(first, last)) > lowest:
+            first, last = -(x[i] + edge.dx), -(x[i + 1] + edge.dx)
+            bottom = min(z[i], z[i + 1]) + edge.dz
+            if bottom + least_between(edge, gap, min(first, last), max(first, last)) > lowest:
                 continue
             # Between two points the height of the edge over the axis is convex in time: narrow down on its least.
             a, b = 0.0, 1.0
             while b - a > 1e-12:
                 middle = 0.5 * (a + b)
-                u = -(x[i] + middle * (x[i + 1] - x[i]) + dx)
-                if (z[i + 1] - z[i]) - slope(profile, table, u) * (x[i + 1] - x[i]) > 0.0:
+                u = -(x[i] + middle * (x[i + 1] - x[i]) + edge.dx)
+                if (z[i + 1] - z[i]) - slope(edge, u) * (x[i + 1] - x[i]) > 0.0:
                     b = middle
                 else:
                     a = middle
             for share in (0.0, 0.5 * (a + b), 1.0):
-                u = -(x[i] + share * (x[i + 1] - x[i]) + dx)
-                lowest = min(lowest, z[i] + share * (z[i + 1] - z[i]) + dz + height(profile, table, u))
+                u = -(x[i] + share * (x[i + 1] - x[i]) + edge.dx)
+                lowest = min(lowest, z[i] + share * (z[i + 1] - z[i]) + edge.dz + height(edge, u))
     return lowest
 
 
 @jit
-def useful_by_ring(bounds, profile, table, rings, out):
+def useful_by_ring(bounds, edge, rings, out):
     """Fill ``out`` (rings - 1, 2, 2): first and last turn of either side useful between neighbouring ``rings``."""
     turns = bounds.shape[1]
     keep = np.empty(turns, np.bool_)
     for ring in range(rings.size - 1):
         for which in range(2):
-            useful_turns(bounds, which == 1, rings[ring], rings[ring + 1], profile, table, keep)
+            useful_turns(bounds, which == 1, rings[ring], rings[ring + 1], edge, keep)
             out[ring, which, 0], out[ring, which, 1] = turns, -1
             for m in range(turns):
                 if keep[m]:
@@ -658,7 +646,7 @@ def nearest_use(begin, end, which, aside, low, high):
 
 
 @jit
-def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, core):
+def useful_aside(bounds, edge, gap, bend, most_y, rings, out, core):
     """Fill ``out`` like `useful_by_ring`, for any edge; mark in ``core`` the rings that need `core_height`.
 
     Some pass is over every point of the ring, which gives a ceiling to the surface. A pass under the ceiling has its
@@ -668,8 +656,8 @@ def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, cor
     way out from the tip, ``bend`` the most that its slope falls back.
     """
     turns = bounds.shape[1]
-    lean, off = abs(row[RAKE_SIN]), abs(row[DY]) + most_y
-    dip = max(gap - height(profile, table, 0.0), 0.0)  # the most that the edge is below the tip
+    lean, off = abs(edge.rake_sin), abs(edge.dy) + most_y
+    dip = max(gap - height(edge, 0.0), 0.0)  # the most that the edge is below the tip
     ranges = np.empty((2, 2, turns))  # of the tip, mirrored for the other side; of its own and its neighbouring turns
     tops = np.empty(turns)
     for m in range(turns):
@@ -698,36 +686,36 @@ def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, cor
                 first = -heap[3, k] if which == 1 else heap[2, k]
                 last = -heap[2, k] if which == 1 else heap[3, k]
                 reach = max(first - high, high - last, 0.0)
-                least = max(height(profile, table, reach), height(profile, table, -reach))
-                if (step > 0 and k == lowest) or heap[4, k] + row[DZ] + row[RAKE_COS] * least >= ceiling:
+                least = max(height(edge, reach), height(edge, -reach))
+                if (step > 0 and k == lowest) or heap[4, k] + edge.dz + edge.rake_cos * least >= ceiling:
                     continue
                 for m in range(max(HEAP * k, 1), min(HEAP * (k + 1), turns - 2)):
                     first, last = ranges[which, 0, m], ranges[which, 1, m]
                     reach = max(abs(low - last), abs(high - first))
-                    most = max(height(profile, table, reach), height(profile, table, -reach)) + gap
+                    most = max(height(edge, reach), height(edge, -reach)) + gap
                     aside = 2.0 * (off + lean * max(most, dip))
                     if aside > low:
                         continue
                     reach = max(abs(np.sqrt(low * low - aside * aside) - last), abs(high - first))
-                    most = max(height(profile, table, reach), height(profile, table, -reach)) + gap
-                    if off + lean * max(most, dip) <= aside and tops[m] + row[DZ] + row[RAKE_COS] * most < ceiling:
-                        ceiling = tops[m] + row[DZ] + row[RAKE_COS] * most
+                    most = max(height(edge, reach), height(edge, -reach)) + gap
+                    if off + lean * max(most, dip) <= aside and tops[m] + edge.dz + edge.rake_cos * most < ceiling:
+                        ceiling = tops[m] + edge.dz + edge.rake_cos * most
                         nearest = k
         most = 0.0
         for which in range(2):
             side = -1.0 if which == 1 else 1.0
             out[ring, which, 0], out[ring, which, 1] = turns, -1
             for k in range(heaps):
-                rise = (ceiling - heap[5, k] - row[DZ]) / row[RAKE_COS]
+                rise = (ceiling - heap[5, k] - edge.dz) / edge.rake_cos
                 aside = off + lean * max(rise, dip)
                 u = nearest_use(heap[0, k], heap[1, k], which, aside, low, high)
-                if height(profile, table, side * u) - 2.0 * gap > rise:
+                if height(edge, side * u) - 2.0 * gap > rise:
                     continue
                 for m in range(HEAP * k, min(HEAP * (k + 1), turns)):
-                    rise = (ceiling - bounds[2, m] - row[DZ]) / row[RAKE_COS]
+                    rise = (ceiling - bounds[2, m] - edge.dz) / edge.rake_cos
                     aside = off + lean * max(rise, dip)
                     u = nearest_use(bounds[0, m], bounds[1, m], which, aside, low, high)
-                    if height(profile, table, side * u) - gap <= rise:
+                    if height(edge, side * u) - gap <= rise:
                         out[ring, which, 0] = min(out[ring, which, 0], m)
                         out[ring, which, 1] = m
                         most = max(most, aside)
@@ -738,8 +726,8 @@ def useful_aside(bounds, row, profile, table, gap, bend, most_y, rings, out, cor
         for which in range(2):
             side = -1.0 if which == 1 else 1.0
             for m in range(max(out[ring, which, 0] - 1, 0), min(out[ring, which, 1] + 2, turns)):
-                near = slope(profile, table, side * (inner - ranges[which, 1, m]))
-                far = slope(profile, table, side * (high - ranges[which, 0, m]))
+                near = slope(edge, side * (inner - ranges[which, 1, m]))
+                far = slope(edge, side * (high - ranges[which, 0, m]))
                 g = lean * (max(abs(near), abs(far)) + bend)
                 core[ring] = core[ring] or g * (2.0 * most + bounds[4, m]) + bounds[6, m] > 0.5 * inner
 
@@ -808,7 +796,7 @@ def choose(work, count, chosen):
 
 
 @jit
-def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count, side, shift, hint, work, chosen):
+def shorten(c, x, y, z, sense, edge, bend, rc, ac, hr, ha, count, side, shift, hint, work, chosen):
     """Choose the passes of an upright edge that can be lowest within (hr, ha) of the place (rc, ac); return how many.
 
     A pass can if its height in the middle, less the most that its slope can differ within reach from the slope of the
@@ -818,7 +806,7 @@ def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count,
     begin, end = sense * c[0], sense * c[c.size - 1]
     lowest, best = FAR, -1
     for k in range(count):
-        h, i, u, _, _ = pass_at(c, x, y, z, sense, row, profile, table, ac + shift[k], rc, side[k], hint[k])
+        h, i, u, _, _ = pass_at(c, x, y, z, sense, edge, ac + shift[k], rc, side[k], hint[k])
         hint[k], work[0, k], work[1, k] = i, h, u
         if h < lowest:
             lowest, best = h, k
@@ -826,7 +814,7 @@ def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count,
     if best >= 0:
         i = hint[best]
         step = sense * (c[i + 1] - c[i])
-        g = row[RAKE_COS] * slope(profile, table, work[1, best])
+        g = edge.rake_cos * slope(edge, work[1, best])
         steer_r = g if side[best] == 0 else -g
         steer_a = ((z[i + 1] - z[i]) - g * (x[i + 1] - x[i])) / step
     for k in range(count):
@@ -847,10 +835,10 @@ def shorten(c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count,
             rate = (z[i + 1] - z[i]) / step
             rise, fall = max(rise, rate), min(fall, rate)
         du = hr + drift * ha
-        g1, g2 = row[RAKE_COS] * slope(profile, table, u - du), row[RAKE_COS] * slope(profile, table, u + du)
+        g1, g2 = edge.rake_cos * slope(edge, u - du), edge.rake_cos * slope(edge, u + du)
         sign = 1.0 if side[k] == 0 else -1.0
-        dev_r = max(abs(sign * g1 - steer_r), abs(sign * g2 - steer_r)) + row[RAKE_COS] * bend
-        dev_a = max(abs(rise - steer_a), abs(fall - steer_a)) + (max(abs(g1), abs(g2)) + row[RAKE_COS] * bend) * drift
+        dev_r = max(abs(sign * g1 - steer_r), abs(sign * g2 - steer_r)) + edge.rake_cos * bend
+        dev_a = max(abs(rise - steer_a), abs(fall - steer_a)) + (max(abs(g1), abs(g2)) + edge.rake_cos * bend) * drift
         work[2, k] = hr * dev_r + ha * dev_a + 1e-13
     return choose(work, count, chosen)
 
@@ -879,7 +867,7 @@ def rates_between(c, values, sense, first, last):
 
 
 @jit
-def gradients(c, x, y, z, sense, row, profile, table, bend, rc, hr, ha, at, i, u, across, side, out):
+def gradients(c, x, y, z, sense, edge, bend, rc, hr, ha, at, i, u, across, side, out):
     """Fill ``out`` (4,) with bounds of the gradient of one pass within (hr, ha) of a point at distance ``rc``.
 
     They are the least and the greatest change of its height per distance from the axis and per azimuth. With A along
@@ -887,12 +875,12 @@ def gradients(c, x, y, z, sense, row, profile, table, bend, rc, hr, ha, at, i, u
     both follow from r sin(azimuth of the point - azimuth of the tool) = v(u) + Y, differentiated. Return False where no
     bounds hold: the pass does not cover all of it, or D may vanish.
     """
-    lean, rise, sign = row[RAKE_SIN], row[RAKE_COS], (1.0 if side == 0 else -1.0)
+    lean, rise, sign = edge.rake_sin, edge.rake_cos, (1.0 if side == 0 else -1.0)
     beside = sense * across
     away = rc * rc - beside * beside
     if not away > 0.0 or hr >= rc:
         return False
-    reach = 3.0 * (ha + hr * (abs(beside) / rc + abs(lean * slope(profile, table, u))) / np.sqrt(away))
+    reach = 3.0 * (ha + hr * (abs(beside) / rc + abs(lean * slope(edge, u))) / np.sqrt(away))
     if at - reach < sense * c[0] or at + reach > sense * c[c.size - 1]:
         return False
     first, last = locate(c, sense, at - reach, i), locate(c, sense, at + reach, i)
@@ -901,7 +889,7 @@ def gradients(c, x, y, z, sense, row, profile, table, bend, rc, hr, ha, at, i, u
     y_low, y_high = rates_between(c, y, sense, first, last) if y.size > 0 else (0.0, 0.0)
     drift, sway = max(abs(x_low), abs(x_high)), max(abs(y_low), abs(y_high))
     du = 2.0 * hr + drift * reach + 2.0 * abs(beside) * (ha + reach)
-    g_low, g_high = slope(profile, table, u - du) - bend, slope(profile, table, u + du) + bend
+    g_low, g_high = slope(edge, u - du) - bend, slope(edge, u + du) + bend
     p_low, p_high = product(lean, lean, g_low, g_high)
     wander = sway * reach + max(abs(p_low), abs(p_high)) * du
     b_low, b_high = beside - wander, beside + wander
@@ -947,7 +935,7 @@ def gradients(c, x, y, z, sense, row, profile, table, bend, rc, hr, ha, at, i, u
 
 @jit
 def shorten_aside(
-    c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, count, side, shift, hint, work, bounds, chosen
+    c, x, y, z, sense, edge, bend, rc, ac, hr, ha, count, side, shift, hint, work, bounds, chosen
 ):  # fmt: skip
     """Choose passes like `shorten`, of an edge that is aside of the plane through the axis.
 
@@ -962,10 +950,10 @@ def shorten_aside(
         if t + ha + aside < begin - ROUNDING or t - ha - aside > end + ROUNDING:
             work[0, k], work[2, k] = FAR, 0.0  # nowhere within reach
             continue
-        h, i, u, at, across = pass_at(c, x, y, z, sense, row, profile, table, t, rc, side[k], hint[k])
+        h, i, u, at, across = pass_at(c, x, y, z, sense, edge, t, rc, side[k], hint[k])
         hint[k], work[0, k], work[2, k] = i, h, FAR
         if h < FAR and gradients(
-            c, x, y, z, sense, row, profile, table, bend, rc, hr, ha, at, i, u, across, side[k], bounds[k]
+            c, x, y, z, sense, edge, bend, rc, hr, ha, at, i, u, across, side[k], bounds[k]
         ):  # fmt: skip
             work[2, k] = 0.0
             if h < lowest:
@@ -989,7 +977,7 @@ def extent(values, start, stop):
 
 @jit
 def tiles(
-    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, row, profile, table, gap, bend, most_y, px, py,
+    c, x, y, z, sense, starts, bounds, blocks, rings, useful, core, edge, gap, bend, most_y, px, py,
     offsets, groups, start, stop, out,
 ):  # fmt: skip
     """Fill ``out`` at the points (px, py) of groups ``start`` to ``stop``.
@@ -1007,7 +995,7 @@ def tiles(
     shift, near_shift = np.empty(room), np.empty(room)
     chosen, picked = np.empty(room, np.int64), np.empty(room, np.int64)
     work, tilts = np.empty((3, room)), np.empty((room, 4))
-    upright = row[RAKE_SIN] == 0.0 and row[DY] == 0.0 and y.size == 0
+    upright = edge.rake_sin == 0.0 and edge.dy == 0.0 and y.size == 0
     for g in range(start, stop):
         origin = offsets[groups[g]]
         count = offsets[groups[g + 1]] - origin
@@ -1032,12 +1020,12 @@ def tiles(
             for j in range(count):
                 i = origin + j
                 if r[j] == 0.0 and upright:
-                    out[i] = axis_height(x, z, starts, bounds, row[DX], row[DZ], profile, table, gap)
+                    out[i] = axis_height(x, z, starts, bounds, edge, gap)
                     continue
                 ring, _ = rings_between(rings, r[j], r[j])
                 if core[ring] and not upright:
                     out[i] = core_height(
-                        c, x, y, z, sense, starts, bounds, blocks, row, profile, table, gap, bend, most_y, r[j],
+                        c, x, y, z, sense, starts, bounds, blocks, edge, gap, bend, most_y, r[j],
                         azimuth[j], useful[ring],
                     )  # fmt: skip
                     continue
@@ -1045,17 +1033,17 @@ def tiles(
                 out[i] = FAR
                 for k in range(n):
                     t = azimuth[j] + shift[k]
-                    h, _, _, _, _ = pass_at(c, x, y, z, sense, row, profile, table, t, r[j], side[k], hint[k])
+                    h, _, _, _, _ = pass_at(c, x, y, z, sense, edge, t, r[j], side[k], hint[k])
                     out[i] = min(out[i], h)
             continue
         n = gather(c, sense, starts, rings, useful, upright, rc - hr, rc + hr, ac, side, shift, hint)
         if upright:
             n = shorten(
-                c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, side, shift, hint, work, chosen
+                c, x, y, z, sense, edge, bend, rc, ac, hr, ha, n, side, shift, hint, work, chosen
             )  # fmt: skip
         else:
             n = shorten_aside(
-                c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, side, shift, hint, work, tilts, chosen
+                c, x, y, z, sense, edge, bend, rc, ac, hr, ha, n, side, shift, hint, work, tilts, chosen
             )  # fmt: skip
         for k in range(n):
             near_side[k], near_shift[k], near_hint[k] = side[chosen[k]], shift[chosen[k]], hint[chosen[k]]
@@ -1065,12 +1053,12 @@ def tiles(
             ac, ha = extent(azimuth, first, last)
             if upright:
                 few = shorten(
-                    c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
+                    c, x, y, z, sense, edge, bend, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
                     work, picked,
                 )  # fmt: skip
             else:
                 few = shorten_aside(
-                    c, x, y, z, sense, row, profile, table, bend, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
+                    c, x, y, z, sense, edge, bend, rc, ac, hr, ha, n, near_side, near_shift, near_hint,
                     work, tilts, picked,
                 )  # fmt: skip
             for j in range(first, last):
@@ -1078,5 +1066,5 @@ def tiles(
             for k in range(few):
                 which, turn, i = near_side[picked[k]], near_shift[picked[k]], near_hint[picked[k]]
                 for j in range(first, last):
-                    h, i, _, _, _ = pass_at(c, x, y, z, sense, row, profile, table, azimuth[j] + turn, r[j], which, i)
+                    h, i, _, _, _ = pass_at(c, x, y, z, sense, edge, azimuth[j] + turn, r[j], which, i)
                     out[origin + j] = min(out[origin + j], h)

@@ -1,7 +1,6 @@
-"""The surface left by a tool and a machine that are not the planned ones, pointwise. See diagnosis/_model.py.
+"""The surface left by a tool and a machine that are not the planned ones, pointwise. See diagnosis/model.py.
 
 A state holds, for each point, the sweep at which the planned edge would touch and the one at which the real edge cuts.
-A row of the edge is (radius, low, high, rake_cos, rake_sin, dx, dy, dz), see tool.EdgeTable.
 """
 
 import numpy as np
@@ -28,22 +27,22 @@ def arc(radius, d, d1, d2, s):
 
 
 @jit
-def places(radius, azimuth, planned, breaks, coefficients, real, more, late, touch, cut, rho, psi, x, y):
+def places(radius, azimuth, planned, real, more, late, touch, cut, rho, psi, x, y):
     """Fill where the tip was (``rho``, azimuth ``psi``) when it cut each point, and where it had been to touch (x, y).
 
     ``more`` (3, n) is what the real edge deviates beyond the planned waviness, with two derivatives by the sweep;
     ``late`` is by how much Z stands where it should have stood before, in azimuth.
     """
     for i in range(radius.size):
-        d, d1, d2 = waviness(breaks, coefficients, cut[i])
-        u, w, _, _, _, _ = arc(real[0], d + more[0, i], d1 + more[1, i], d2 + more[2, i], cut[i])
-        v = real[6] + real[4] * w
+        d, d1, d2 = waviness(planned.breaks, planned.coefficients, cut[i])
+        u, w, _, _, _, _ = arc(real.radius, d + more[0, i], d1 + more[1, i], d2 + more[2, i], cut[i])
+        v = real.dy + real.rake_sin * w
         out = radius[i] * radius[i] - v * v
-        rho[i] = (np.sqrt(out) if out > 0.0 else np.nan) - real[5] - u
+        rho[i] = (np.sqrt(out) if out > 0.0 else np.nan) - real.dx - u
         psi[i] = azimuth[i] - (np.arcsin(v / radius[i]) if out > 0.0 else np.nan)
-        d, d1, d2 = waviness(breaks, coefficients, touch[i])
-        u, w, _, _, _, _ = arc(planned[0], d, d1, d2, touch[i])
-        along, across = rho[i] + planned[5] + u, planned[6] + planned[4] * w
+        d, d1, d2 = waviness(planned.breaks, planned.coefficients, touch[i])
+        u, w, _, _, _, _ = arc(planned.radius, d, d1, d2, touch[i])
+        along, across = rho[i] + planned.dx + u, planned.dy + planned.rake_sin * w
         sine, cosine = sincos(psi[i] - late)
         x[i] = along * cosine - across * sine
         y[i] = along * sine + across * cosine
@@ -51,7 +50,7 @@ def places(radius, azimuth, planned, breaks, coefficients, real, more, late, tou
 
 @jit
 def step(
-    radius, planned, breaks, coefficients, real, more, late, slide_slope, rho, psi, fx, fy, fxx, fxy, fyy, touch, cut,
+    radius, planned, real, more, late, slide_slope, rho, psi, fx, fy, fxx, fxy, fyy, touch, cut,
 ):  # fmt: skip
     """Improve both sweeps by one step of Newton's method; return the longest step. [rad]."""
     longest = 0.0
@@ -61,13 +60,13 @@ def step(
         frr = fxx[i] * cosine * cosine + 2.0 * fxy[i] * sine * cosine + fyy[i] * sine * sine
         ftt = fxx[i] * sine * sine - 2.0 * fxy[i] * sine * cosine + fyy[i] * cosine * cosine
         frt = (fyy[i] - fxx[i]) * sine * cosine + fxy[i] * (cosine * cosine - sine * sine)
-        d, d1, d2 = waviness(breaks, coefficients, touch[i])
-        u, w, du, dw, ddu, ddw = arc(planned[0], d, d1, d2, touch[i])
-        along, across = rho[i] + planned[5] + u, planned[6] + planned[4] * w
-        dv, ddv = planned[4] * dw, planned[4] * ddw
-        d, d1, d2 = waviness(breaks, coefficients, cut[i])
-        _, wa, dua, dwa, ddua, ddwa = arc(real[0], d + more[0, i], d1 + more[1, i], d2 + more[2, i], cut[i])
-        va, dva, ddva = real[6] + real[4] * wa, real[4] * dwa, real[4] * ddwa
+        d, d1, d2 = waviness(planned.breaks, planned.coefficients, touch[i])
+        u, w, du, dw, ddu, ddw = arc(planned.radius, d, d1, d2, touch[i])
+        along, across = rho[i] + planned.dx + u, planned.dy + planned.rake_sin * w
+        dv, ddv = planned.rake_sin * dw, planned.rake_sin * ddw
+        d, d1, d2 = waviness(planned.breaks, planned.coefficients, cut[i])
+        _, wa, dua, dwa, ddua, ddwa = arc(real.radius, d + more[0, i], d1 + more[1, i], d2 + more[2, i], cut[i])
+        va, dva, ddva = real.dy + real.rake_sin * wa, real.rake_sin * dwa, real.rake_sin * ddwa
         out = np.sqrt(radius[i] * radius[i] - va * va)
         # How the tip's place changes with the sweep of the cut.
         d_rho = -va * dva / out - dua
@@ -76,15 +75,15 @@ def step(
         dd_psi = -ddva / out - va * dva * dva / out**3
         # How the height of the tip does: g is its slope along rho and psi.
         g_rho, g_psi = fr + slide_slope[i], ft * along - fr * across
-        first = fr * du + ft * dv - planned[3] * dw
-        second = g_rho * d_rho + g_psi * d_psi + real[3] * dwa
+        first = fr * du + ft * dv - planned.rake_cos * dw
+        second = g_rho * d_rho + g_psi * d_psi + real.rake_cos * dwa
         h_r, h_t = frr * du + frt * dv, frt * du + ftt * dv
-        h_11 = h_r * du + h_t * dv + fr * ddu + ft * ddv - planned[3] * ddw
+        h_11 = h_r * du + h_t * dv + fr * ddu + ft * ddv - planned.rake_cos * ddw
         h_12 = h_r * (d_rho - d_psi * across) + h_t * d_psi * along + d_psi * (ft * du - fr * dv)
         g_rp = -frr * across + frt * along + ft
         g_pp = frr * across * across - 2.0 * frt * across * along + ftt * along * along - fr * along - ft * across
         h_22 = frr * d_rho * d_rho + 2.0 * g_rp * d_rho * d_psi + g_pp * d_psi * d_psi
-        h_22 += g_rho * dd_rho + g_psi * dd_psi + real[3] * ddwa
+        h_22 += g_rho * dd_rho + g_psi * dd_psi + real.rake_cos * ddwa
         det = h_11 * h_22 - h_12 * h_12
         # The planned edge touches at a maximum, the real one cuts at a minimum: the product is below 0.
         if not det < 0.0:
@@ -100,7 +99,7 @@ def step(
 
 @jit
 def heights(
-    radius, azimuth, planned, breaks, coefficients, real, more, late, slide, slide_slope, rho, psi,
+    radius, azimuth, planned, real, more, late, slide, slide_slope, rho, psi,
     f, fx, fy, fxx, fxy, fyy, touch, cut, out,
 ):  # fmt: skip
     """Fill ``out`` (14, n) with the height and what it changes by, the places of touch and cut having been found.
@@ -115,18 +114,18 @@ def heights(
         frr = fxx[i] * cosine * cosine + 2.0 * fxy[i] * sine * cosine + fyy[i] * sine * sine
         ftt = fxx[i] * sine * sine - 2.0 * fxy[i] * sine * cosine + fyy[i] * cosine * cosine
         frt = (fyy[i] - fxx[i]) * sine * cosine + fxy[i] * (cosine * cosine - sine * sine)
-        d, d1, d2 = waviness(breaks, coefficients, touch[i])
-        u, w, du, dw, ddu, ddw = arc(planned[0], d, d1, d2, touch[i])
-        along, across = rho[i] + planned[5] + u, planned[6] + planned[4] * w
-        dv, ddv = planned[4] * dw, planned[4] * ddw
-        lowest = f[i] - planned[7] - planned[3] * w
-        d, d1, d2 = waviness(breaks, coefficients, cut[i])
-        _, wa, dua, dwa, ddua, ddwa = arc(real[0], d + more[0, i], d1 + more[1, i], d2 + more[2, i], cut[i])
-        va = real[6] + real[4] * wa
+        d, d1, d2 = waviness(planned.breaks, planned.coefficients, touch[i])
+        u, w, du, dw, ddu, ddw = arc(planned.radius, d, d1, d2, touch[i])
+        along, across = rho[i] + planned.dx + u, planned.dy + planned.rake_sin * w
+        dv, ddv = planned.rake_sin * dw, planned.rake_sin * ddw
+        lowest = f[i] - planned.dz - planned.rake_cos * w
+        d, d1, d2 = waviness(planned.breaks, planned.coefficients, cut[i])
+        _, wa, dua, dwa, ddua, ddwa = arc(real.radius, d + more[0, i], d1 + more[1, i], d2 + more[2, i], cut[i])
+        va = real.dy + real.rake_sin * wa
         beside = np.sqrt(radius[i] * radius[i] - va * va)
         g_rho, g_psi = fr + slide_slope[i], ft * along - fr * across
         g_v = -(g_rho * va + g_psi) / beside
-        out[0, i] = lowest + real[7] + real[3] * wa + slide[i]
+        out[0, i] = lowest + real.dz + real.rake_cos * wa + slide[i]
         g_r = g_rho * radius[i] / beside + g_psi * va / (radius[i] * beside)
         sine, cosine = sincos(azimuth[i])
         out[1, i] = g_r * cosine - g_psi * sine / radius[i]
@@ -135,23 +134,23 @@ def heights(
         out[3, i] = -g_rho
         out[4, i] = g_v
         out[5, i] = 1.0
-        out[6, i] = (real[4] * g_v + real[3]) * (1.0 - cosine) - g_rho * sine
-        out[7, i] = -(real[4] * g_v + real[3]) * cosine - g_rho * sine
+        out[6, i] = (real.rake_sin * g_v + real.rake_cos) * (1.0 - cosine) - g_rho * sine
+        out[7, i] = -(real.rake_sin * g_v + real.rake_cos) * cosine - g_rho * sine
         out[8, i] = g_psi
         h_r, h_t = frr * du + frt * dv, frt * du + ftt * dv
-        h_11 = h_r * du + h_t * dv + fr * ddu + ft * ddv - planned[3] * ddw
+        h_11 = h_r * du + h_t * dv + fr * ddu + ft * ddv - planned.rake_cos * ddw
         turned = -h_r * across + h_t * along + ft * du - fr * dv
         g_pp = frr * across * across - 2.0 * frt * across * along + ftt * along * along - fr * along - ft * across
         out[9, i] = g_pp - turned * turned / h_11
         # Along rho, of Z and of the edge upside down; a leaning edge counts as if it were upright.
         bent = (ddwa - dwa * ddua / dua) / (dua * dua)
-        out[10, i] = frr - h_r * h_r / h_11 + real[3] * bent
+        out[10, i] = frr - h_r * h_r / h_11 + real.rake_cos * bent
         # By what u', w', u'' and w'' change with the deviation and its derivatives.
         cubed = dua * dua * dua
-        out[11, i] = real[3] * (
+        out[11, i] = real.rake_cos * (
             (cosine * dua + ddwa * cosine - sine * ddua + dwa * sine) / cubed - 3.0 * bent * cosine / dua
         )
-        out[12, i] = real[3] * (
+        out[12, i] = real.rake_cos * (
             (2.0 * sine * dua + ddwa * sine + cosine * ddua - 2.0 * dwa * cosine) / cubed - 3.0 * bent * sine / dua
         )
-        out[13, i] = -real[3] * (cosine * dua + dwa * sine) / cubed
+        out[13, i] = -real.rake_cos * (cosine * dua + dwa * sine) / cubed

@@ -27,7 +27,6 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats, Ints, only_read
 from turnwright._kernels import chip as kernel, generation as generation_kernel
-from turnwright._kernels.edge import BASE
 from turnwright._validate import check_angle, check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.progress import run_chunks
@@ -398,7 +397,7 @@ def chip_map(
         raise InputError(f"points go from {at.min()} to {at.max()}, a motion has 0 to {moved.c.size - 1}: choose those")
     upright = float(np.cos(tool.rake))
     azimuth = moved.c[at]
-    contact = moved.x[at] + tool.profile().row[BASE] * np.sin(np.arctan(moved.slope(at) / upright))
+    contact = moved.x[at] + tool.cutting_edge().base * np.sin(np.arctan(moved.slope(at) / upright))
     x, y = contact * np.cos(azimuth), contact * np.sin(azimuth)
     rake = tool.rake - _climb(part, moved.sense, azimuth, contact)
     said = _Said.of(material, rake, azimuth)
@@ -471,7 +470,7 @@ def _look(
     progress: Progress | None,
 ) -> None:
     """Fill ``rows`` with the chip at some points, widening the windows of those whose chip goes on beyond."""
-    profile, upright = tool.profile(), float(np.cos(tool.rake))
+    edge = tool.cutting_edge()
     nothing = np.empty(0)
     past = (only_read(nothing), only_read(nothing), only_read(nothing), 1, np.empty(0, dtype=np.int64))
     if earlier is not None:
@@ -488,8 +487,8 @@ def _look(
                 table, first, step = _blank(part, stock, moved.c[where], middle, left, right)
             out = np.empty((todo.size, kernel.ROWS))
             kernel.chips(
-                moved.c, moved.x, moved.z, moved.sense, moved.starts, where, middle, left, right, *profile[:2],
-                upright, *past, table, first, step, part.radius, said.critical[todo] if said.critical.size else nothing,
+                moved.c, moved.x, moved.z, moved.sense, moved.starts, where, middle, left, right, edge,
+                *past, table, first, step, part.radius, said.critical[todo] if said.critical.size else nothing,
                 said.safe, said.plateau, said.ratio, said.cutting, said.thrust, said.first, said.step,
                 said.factor[todo] if said.factor.size else said.factor, out,
             )  # fmt: skip

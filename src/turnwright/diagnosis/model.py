@@ -24,7 +24,6 @@ import numpy as np
 
 from turnwright._arrays import Floats
 from turnwright._kernels import dilation as dilation_kernel, swept as kernel
-from turnwright._kernels.edge import DX, DY, DZ, HIGH, LOW, RADIUS
 from turnwright.placing import touch as touch_down
 from turnwright.progress import run_chunks
 from turnwright.surface import Surface
@@ -207,7 +206,7 @@ class Swept:
 
     def guess(self, x: Floats, y: Floats) -> Sweeps:
         """Return the sweeps of a tangent in the plane through the axis, nan where there is none."""
-        edge = self.tool.table(self.sense)
+        edge = self.tool.cutting_edge(self.sense)
         sweep = np.zeros(x.size)
 
         def work(start: int, stop: int) -> None:
@@ -216,7 +215,7 @@ class Swept:
                 radius = np.hypot(x[some], y[some])
                 cosine, sine = x[some] / radius, y[some] / radius
                 _, zx, zy = self.surface.evaluate(x[some], y[some], 1)
-            dilation_kernel.tangent_sweep(*edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep[some])
+            dilation_kernel.tangent_sweep(edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep[some])
 
         run_chunks(work, x.size, CHUNK)
         return Sweeps(sweep, sweep.copy())
@@ -274,11 +273,12 @@ class Swept:
         self, x: Floats, y: Floats, touch: Floats, cut: Floats, real: Deviations, out: Floats, rho: Floats, psi: Floats
     ) -> None:
         """Fill the rows, the radius and the azimuth of the tip for some points, and improve the sweeps."""
-        edge = self.tool.table(self.sense)
-        planned, wave = edge.row, edge[1:]
-        row = planned.copy()
-        row[RADIUS] += real.radius
-        row[[DX, DY, DZ]] += real.offset
+        planned = self.tool.cutting_edge(self.sense)
+        dx, dy, dz = (float(one) for one in real.offset)
+        # Of the real edge only what its arc needs; its waviness is the planned one and more.
+        edge = planned._replace(
+            radius=planned.radius + float(real.radius), dx=planned.dx + dx, dy=planned.dy + dy, dz=planned.dz + dz
+        )
         late = self.sense * real.late
         radius, azimuth = np.hypot(x, y), np.arctan2(y, x)
         own = None if not self.surface.in_pieces else self.surface.piece(x, y)
@@ -286,34 +286,34 @@ class Swept:
         def deviation() -> Floats:
             if not real.waviness.size:
                 return np.zeros((3, x.size))
-            held = np.clip(np.nan_to_num(cut), planned[LOW], planned[HIGH])
+            held = np.clip(np.nan_to_num(cut), planned.low, planned.high)
             return np.tensordot(real.basis.values(held), real.waviness, (1, 0))
 
         at_x, at_y = np.empty(x.size), np.empty(x.size)
         for _ in range(STEPS):
             more = deviation()
             kernel.places(
-                radius, azimuth, planned, *wave, row, more, late, touch, cut, rho, psi, at_x, at_y
+                radius, azimuth, planned, edge, more, late, touch, cut, rho, psi, at_x, at_y
             )  # fmt: skip
             slope = real.slide(rho)[1]
             with np.errstate(all="ignore"):
                 bent = self.surface.evaluate(at_x, at_y, 2)[1:]
             longest = kernel.step(
-                radius, planned, *wave, row, more, late, slope, rho, psi, *bent, touch, cut
+                radius, planned, edge, more, late, slope, rho, psi, *bent, touch, cut
             )  # fmt: skip
             # A deviation that only the last step brought in has not been looked at.
             if longest < FOUND:
                 break
         # Beyond the arc the edge is another one, and beyond a seam the design.
         with np.errstate(invalid="ignore"):
-            lost = ~((touch >= planned[1]) & (touch <= planned[2]) & (cut >= planned[1]) & (cut <= planned[2]))
+            lost = ~((touch >= planned.low) & (touch <= planned.high) & (cut >= planned.low) & (cut <= planned.high))
         touch[lost], cut[lost] = np.nan, np.nan
         more = deviation()
-        kernel.places(radius, azimuth, planned, *wave, row, more, late, touch, cut, rho, psi, at_x, at_y)
+        kernel.places(radius, azimuth, planned, edge, more, late, touch, cut, rho, psi, at_x, at_y)
         with np.errstate(all="ignore"):
             bent = self.surface.evaluate(at_x, at_y, 2)
         kernel.heights(
-            radius, azimuth, planned, *wave, row, more, late, *real.slide(rho), rho, psi, *bent, touch, cut, out
+            radius, azimuth, planned, edge, more, late, *real.slide(rho), rho, psi, *bent, touch, cut, out
         )  # fmt: skip
         out[0] -= real.stiff * out[9]
         if own is not None:

@@ -25,8 +25,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from turnwright._kernels import generation as kernel
-from turnwright._kernels.edge import BASE, HIGH_SLOPE, HIGH_U, LOW_SLOPE, LOW_U
 from turnwright.errors import GougeError, LimitError
 from turnwright.generation import generate_polar
 from turnwright.machine import FAST, Axis
@@ -137,7 +135,9 @@ class _Material:
         opposite = np.roll(self.height, -(self.angle.size // 2), axis=0)
         material = np.concatenate([opposite[:, :0:-1], self.height], axis=1)
         dx, dy, dz = tool.offset
-        low, lean = _edge(tool, sense, line - radius - dx)
+        edge = tool.cutting_edge(sense)
+        w = edge.profile(line - radius - dx)[0]
+        low, lean = edge.rake_cos * w, edge.rake_sin * w
         lateral = np.abs(lean + y + dy)
         # An edge off the radial plane meets the material beside it, as much higher as that rises around the axis.
         if lateral.max() > 0:
@@ -148,24 +148,6 @@ class _Material:
         here = top.max(axis=1)
         # Between two azimuths the higher one counts for both.
         return np.asarray(np.maximum(np.maximum(here, np.roll(here, 1)), np.roll(here, -1)) - dz)
-
-
-def _edge(tool: Tool, sense: int, u: Floats) -> tuple[Floats, Floats]:
-    """Return how high the edge stands at distances from the tip, and how far off the radial plane. Each (n,) [mm]."""
-    profile = tool.profile()
-    row = profile.row
-    if profile.table.size:
-        w = np.asarray(kernel.sampled(row, profile.table, u)[0])
-    else:
-        inside = np.clip(u, row[LOW_U], row[HIGH_U])
-        w = row[BASE] - np.sqrt(row[BASE] ** 2 - inside**2)
-        w = (
-            w
-            + np.where(u < row[LOW_U], (u - row[LOW_U]) * row[LOW_SLOPE], 0.0)
-            + np.where(u > row[HIGH_U], (u - row[HIGH_U]) * row[HIGH_SLOPE], 0.0)
-        )
-    table = tool.table(sense).row
-    return table[3] * w, table[4] * w
 
 
 def _contact_heights(part: Part, tool: Tool, motion: Motion, turned: Floats, axes: Mapping[str, Floats]) -> Floats:
@@ -338,15 +320,14 @@ def _azimuths(part: Part, radius: float) -> Floats:
 
 def _before(part: Part, tool: Tool, before: Motion | None, x0: float, angle: Floats, wider: float) -> _Material:
     """Return the material that stands before a pass, under the edge at its first point."""
-    row = tool.profile().row
-    half = max(-float(row[LOW_U]), float(row[HIGH_U]))
-    flank = max(min(-float(row[LOW_SLOPE]), float(row[HIGH_SLOPE])), 0.05)
-    reach = 2 * half + (part.stock + 4 * GAP) / flank
+    edge = tool.cutting_edge()
+    flank = max(edge.flank_slope, 0.05)
+    reach = 2 * edge.half_width + (part.stock + 4 * GAP) / flank
     low, high = (max(x0 - reach, 0.0), x0 + reach) if x0 - reach > 0 else (0.0, max(x0 + reach, reach - x0))
     radius = np.linspace(low, high, STEPS + 1)
     if part.blank is not None and low < part.blank.reach + wider < high:
-        edge = part.blank.reach + wider
-        radius = np.union1d(radius, [edge, np.nextafter(edge, np.inf)])
+        end = part.blank.reach + wider
+        radius = np.union1d(radius, [end, np.nextafter(end, np.inf)])
     height = _blank(part, radius, angle, wider)
     if before is not None:
         left = generate_polar(before, tool, radius=radius, angle=angle).z

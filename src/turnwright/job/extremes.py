@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from turnwright._kernels.edge import RADIUS, RAKE_COS, RAKE_SIN
 from turnwright.generation import Prepared, Tiles, generate_polar
 from turnwright.progress import run_chunks
 
@@ -197,14 +196,14 @@ class _Search:
         self.feed = min(self.ready.cut.feed, part.radius)
         turned = np.abs(np.diff(motion.axes["C"]))
         self.step = min(float(np.median(turned[turned > 0])) if turned.any() else TURN, TURN / FEWEST_ANGLES)
-        self.upright = self.ready.cut.upright and self.ready.cut.convex
+        self.upright = self.ready.cut.upright and self.ready.cut.edge.convex
         self.edge: _Places | None = None
-        _, _, _, _, lean, _, aside, _ = self.ready.cut.row
+        edge = self.ready.cut.edge
         self.uncut = 0.0
-        if lean == 0 and aside != 0 and self.ready.most_y == 0:
+        if edge.rake_sin == 0 and edge.dy != 0 and self.ready.most_y == 0:
             # All passes end at one distance from the axis, and there rounding decides which of them reach a place.
-            size = self.ready.cut.row[RADIUS] + part.radius + float(np.abs(self.ready.cut.bounds[:2]).max())
-            self.uncut = abs(float(aside)) + ROUNDINGS * np.finfo(float).eps * size
+            size = edge.radius + part.radius + float(np.abs(self.ready.cut.bounds[:2]).max())
+            self.uncut = abs(edge.dy) + ROUNDINGS * np.finfo(float).eps * size
 
     def at(self, radius: Floats, angle: Floats) -> Floats:
         """Return the error at places, those of a row near each other; nan where no pass is. (n, m) [mm]."""
@@ -310,19 +309,19 @@ class _Search:
     def _tip(self, line: Floats) -> tuple[Floats, ...]:
         """Return C, X, Y and Z of the tip at whole and broken numbers of points of the program."""
         cut = self.ready.cut
-        _, _, _, _, _, dx, dy, dz = cut.row
         each = np.arange(cut.c.size)
         y = np.interp(line, each, cut.y) if cut.y.size else np.zeros(line.shape)
         c, x, z = (np.interp(line, each, one) for one in (cut.c, cut.x, cut.z))
-        return c, x + dx, y + dy, z + dz
+        return c, x + cut.edge.dx, y + cut.edge.dy, z + cut.edge.dz
 
     def _gap(self, line: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
         """Return radius, azimuth and error where the edge is ``u`` from its tip; infinite beyond the part."""
         c, x, y, z = self._tip(line)
-        w = self.ready.edge(u.ravel())[0].reshape(u.shape)
-        along, across = x + u, y + self.ready.cut.row[RAKE_SIN] * w
+        edge = self.ready.cut.edge
+        w = edge.profile(u.ravel())[0].reshape(u.shape)
+        along, across = x + u, y + edge.rake_sin * w
         radius, angle = np.hypot(along, across), c + np.arctan2(across, along)
-        error = z + self.ready.cut.row[RAKE_COS] * w
+        error = z + edge.rake_cos * w
         inside = radius <= self.part.radius
         r, a = radius[inside], angle[inside]
         error[inside] -= self.part.surface.sag(r * np.cos(a), r * np.sin(a))
@@ -331,13 +330,13 @@ class _Search:
 
     def _valleys(self, line: Floats, step: float) -> tuple[Floats, Floats]:
         """Return where the motion comes closest to the design. Each (n,)."""
-        c, nose, u, before = self._tip(line)[0], self.ready.cut.row[RADIUS], np.zeros(line.size), np.zeros(line.size)
+        c, edge, u, before = self._tip(line)[0], self.ready.cut.edge, np.zeros(line.size), np.zeros(line.size)
         for _ in range(3):
             radius, angle, _ = self._gap(line, u)
             radius = np.minimum(radius, self.part.radius)
             zx, zy = self.part.surface.gradient(radius * np.cos(angle), radius * np.sin(angle))
-            slope = (zx * np.cos(c) + zy * np.sin(c)) / self.ready.cut.row[RAKE_COS]
-            before, u = u, nose * slope / np.sqrt(1 + slope**2)
+            slope = (zx * np.cos(c) + zy * np.sin(c)) / edge.rake_cos
+            before, u = u, edge.radius * slope / np.sqrt(1 + slope**2)
         first = np.argsort(self._gap(line, u)[2])[:POLISHED]
         # Over an edge of the design the slope leaps, and with it the place on the edge.
         wide = np.abs(u - before)[first] + self.feed / PER_FEED
@@ -367,15 +366,15 @@ class _Search:
 
     def _crossing(self, line: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
         """Return where two passes over one azimuth cross, and the error there. Each (n,)."""
-        nose, cosine = self.ready.cut.row[[0, 3]]
+        edge = self.ready.cut.edge
         (_, x, _, z), (_, x_next, _, z_next) = self._tip(line), self._tip(other)
         apart, low, high = x_next - x, np.minimum(x, x_next), np.maximum(x, x_next)
-        at = (x + x_next) / 2 + nose * (z_next - z) / np.where(apart == 0, np.inf, apart)
+        at = (x + x_next) / 2 + edge.radius * (z_next - z) / np.where(apart == 0, np.inf, apart)
         for _ in range(4):
             at = np.clip(at, 3 * low - 2 * high, 3 * high - 2 * low)
-            (w, slope), (w_next, slope_next) = self.ready.edge(at - x), self.ready.edge(at - x_next)
-            rate = cosine * (slope - slope_next)
-            at = at - (z - z_next + cosine * (w - w_next)) / np.where(rate == 0, np.inf, rate)
+            (w, slope), (w_next, slope_next) = edge.profile(at - x), edge.profile(at - x_next)
+            rate = edge.rake_cos * (slope - slope_next)
+            at = at - (z - z_next + edge.rake_cos * (w - w_next)) / np.where(rate == 0, np.inf, rate)
         radius, angle, error = self._gap(line, at - x)
         inside = np.isfinite(error)
         return radius[inside], angle[inside], error[inside]
@@ -510,15 +509,15 @@ class _Search:
         There the surface leaps, and it is highest on one side of the leap.
         """
         cut, found = self.ready.cut, []
-        _, _, _, _, lean, dx, dy, _ = cut.row
+        edge = cut.edge
         outward = np.geomspace(LEAST_ALONG, min(BAND * self.feed, 0.999 * self.part.radius), ALONG_END)
         for end in (0, -1):
-            y = dy + (cut.y[end] if cut.y.size else 0.0)
+            y = edge.dy + (cut.y[end] if cut.y.size else 0.0)
             for beside in (-BESIDE_END, BESIDE_END):
                 along = np.concatenate([-outward[::-1], outward])
                 for _ in range(FINE + 1):
-                    w, _ = self.ready.edge(along - cut.x[end] - dx)
-                    across = y + lean * w + beside
+                    w, _ = edge.profile(along - cut.x[end] - edge.dx)
+                    across = y + edge.rake_sin * w + beside
                     radius, angle = np.hypot(along, across), cut.c[end] + np.arctan2(across, along)
                     error = sign * self.at(radius[:, None], angle[:, None])[:, 0]
                     error = np.where(np.isnan(error) | (radius > self.part.radius), -np.inf, error)

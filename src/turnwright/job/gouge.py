@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from turnwright._kernels.edge import DX, DY, RAKE_SIN
 from turnwright.units import say_length
 
 if TYPE_CHECKING:
@@ -114,12 +113,12 @@ class _Chords:
         self.order = np.argsort(turned)
         self.azimuth = turned[self.order]
         self.step = float(np.abs(np.diff(c)).max())
-        row = tool.table(motion.sense).row
+        edge = tool.cutting_edge(motion.sense)
         flank = max(abs(tool.arc[0]), abs(tool.arc[1]))
         # Where the path jumps the flanks are in the cut as well.
-        self.reach = tool.actual_radius * np.sin(flank) + abs(float(row[DX])) + 2 * np.tan(flank) * self.bend_z.max()
-        upright = row[RAKE_SIN] == 0 and row[DY] == 0 and not np.any(axes.get("Y", 0.0))
-        self.aside = 0.0 if upright else self.reach + float(np.abs(axes.get("Y", 0.0)).max()) + abs(float(row[DY]))
+        self.reach = tool.actual_radius * np.sin(flank) + abs(edge.dx) + 2 * np.tan(flank) * self.bend_z.max()
+        upright = edge.upright and not np.any(axes.get("Y", 0.0))
+        self.aside = 0.0 if upright else self.reach + float(np.abs(axes.get("Y", 0.0)).max()) + abs(edge.dy)
 
     def at(self, x: float, y: float) -> float:
         """Return the most that a line near a place may be from the path. [mm]."""

@@ -28,7 +28,6 @@ import numpy as np
 
 from turnwright._arrays import Bools, Floats
 from turnwright._kernels import contact as kernel, dilation as dilation_kernel
-from turnwright._kernels.edge import DY
 from turnwright.errors import GougeError, InputError
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
@@ -119,7 +118,7 @@ def _clearance(spiral: Spiral, part: Part, tool: Tool, z: Floats) -> Floats:
     The tips are tried at places of their own all over the edge, flanks included: the golden ratio spreads them evenly
     over edge and path together, so that what a search has missed shows at some of the tips that miss it.
     """
-    edge, least = tool.table(spiral.sense), np.zeros(z.size)
+    edge, least = tool.cutting_edge(spiral.sense), np.zeros(z.size)
     aside = np.zeros(z.size) if spiral.y is None else spiral.y
     every = slice(None, None, max(1, z.size // PLACES))
     tips = [np.ascontiguousarray(one[every]) for one in (spiral.angle, spiral.radius, aside)]
@@ -134,7 +133,7 @@ def _clearance(spiral: Spiral, part: Part, tool: Tool, z: Floats) -> Floats:
         some = slice(start, stop)
         x, y, e = np.empty((3, stop - start))
         for k in range(times):
-            kernel.places(*edge, *(one[some] for one in tips), start * times + k, times, low, high, x, y, e)
+            kernel.places(edge, *(one[some] for one in tips), start * times + k, times, low, high, x, y, e)
             with np.errstate(all="ignore"):
                 height = part.surface.evaluate(x, y, 0)[0]
             inside = part.surface.inside(x, y)
@@ -151,7 +150,7 @@ def _z_rate(spiral: Spiral, part: Part, tool: Tool, at: Touch) -> Floats | None:
     """Return the derivative of the tip's height by the angle, or ``None`` if the spiral does not state its own."""
     if spiral.radius_rate is None or (spiral.y is not None and spiral.y_rate is None):
         return None
-    edge, surface, outward = tool.table(spiral.sense), part.surface, spiral.radius_rate
+    edge, surface, outward = tool.cutting_edge(spiral.sense), part.surface, spiral.radius_rate
     upward = np.zeros(outward.size) if spiral.y_rate is None else spiral.y_rate
     reach = np.abs(spiral.radius) if spiral.y is None else np.hypot(spiral.radius, spiral.y)
     rim = max(part.radius, float(reach.max()))
@@ -165,7 +164,7 @@ def _z_rate(spiral: Spiral, part: Part, tool: Tool, at: Touch) -> Floats | None:
         with np.errstate(all="ignore"):
             slopes = surface.evaluate(x, y, 2)[1:]
         kernel.rates(
-            *edge, spiral.angle[some], x, y, at.sweep[some], *slopes, outward[some], upward[some], TANGENT,
+            edge, spiral.angle[some], x, y, at.sweep[some], *slopes, outward[some], upward[some], TANGENT,
             rate[some], across, along, rise, tangent,
         )  # fmt: skip
         if not tangent.all():
@@ -232,7 +231,16 @@ def _normal_rates(
     radius_rate, z_rate = np.empty((2, x.size))
     slopes = part.surface.evaluate(x, y, 2)[1:]
     kernel.normal_rates(
-        *tool.table(spiral.sense), spiral.angle, x, y, sweep, *slopes, spiral.radius_rate, upward, radius_rate, z_rate
+        tool.cutting_edge(spiral.sense),
+        spiral.angle,
+        x,
+        y,
+        sweep,
+        *slopes,
+        spiral.radius_rate,
+        upward,
+        radius_rate,
+        z_rate,
     )
     return radius_rate, z_rate
 
@@ -241,15 +249,15 @@ def _tangent(
     part: Part, tool: Tool, angle: Floats, contact: Floats, aside: Floats, sense: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return sweep, x, y and height where the edge's tangent is the surface's, at ``contact`` along the rake plane."""
-    edge = tool.table(sense)
+    edge = tool.cutting_edge(sense)
     cosine, sine = np.cos(angle), np.sin(angle)
     sweep = np.zeros(angle.size)
-    across = aside + edge.row[DY]
+    across = aside + edge.dy
     for _ in range(20):
         x, y = contact * cosine - across * sine, contact * sine + across * cosine
         surface_z = part.surface.sag(x, y)
         zx, zy = part.surface.gradient(x, y)
-        dilation_kernel.tangent_sweep(*edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep)
+        dilation_kernel.tangent_sweep(edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep)
         if not np.isfinite(sweep).all():
             k = int(np.argmin(np.isfinite(sweep)))
             low, high = np.rad2deg(tool.arc)

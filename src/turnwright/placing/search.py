@@ -38,26 +38,10 @@ from numpy.typing import ArrayLike
 
 from turnwright._arrays import Bools, Floats, Ints, frozen, same_length
 from turnwright._kernels import dilation as kernel
-from turnwright._kernels.edge import (
-    DX,
-    DY,
-    DZ,
-    HIGH,
-    HIGH_SLOPE,
-    HIGH_U,
-    LOW,
-    LOW_SLOPE,
-    LOW_U,
-    RADIUS,
-    RAKE_COS,
-    RAKE_SIN,
-    edge_points,
-    sweeps_at,
-)
 from turnwright.errors import DomainError, GougeError, InputError
 from turnwright.progress import Progress, run_chunks
 from turnwright.surface import Surface
-from turnwright.tool import EdgeProfile, EdgeTable, Tool
+from turnwright.tool import Tool
 
 __all__ = ["Touch", "follow", "tip_height", "touch"]
 
@@ -223,22 +207,22 @@ def follow(
     other. Heights are nan where Newton's method finds none. For the arguments see `touch`; ``sweep`` is where on the
     nose to start. (n,) [rad]
     """
-    edge = tool.table(sense)
-    s, tilt = sweep.copy(), 0.5 * float(min(-edge.row[LOW], edge.row[HIGH]))
+    edge = tool.cutting_edge(sense)
+    s, tilt = sweep.copy(), 0.5 * float(min(-edge.low, edge.high))
     lost = np.zeros(s.size, dtype=np.bool_)
     for _ in range(12):
         x, at_y, value, first, top, step, bend = np.empty((7, s.size))
-        kernel.under_edge(*edge, angle, radius, y, s, x, at_y)
+        kernel.under_edge(edge, angle, radius, y, s, x, at_y)
         with np.errstate(all="ignore"):
             jet = surface.evaluate(x, at_y, 2)
-        kernel.newton_step(*edge, angle, s, *jet, value, first, top, step, bend)
+        kernel.newton_step(edge, angle, s, *jet, value, first, top, step, bend)
         lost |= ~(np.abs(step) < tilt)
         s += np.where(lost, 0.0, step)
         far = ~lost & ((np.abs(step) > kernel.CLOSE) | (np.abs(top - value) > kernel.LITTLE))
         if not far.any():
             break
-    lost |= far | (s < edge.row[LOW]) | (s > edge.row[HIGH])
-    kernel.under_edge(*edge, angle, radius, y, s, x, at_y)
+    lost |= far | (s < edge.low) | (s > edge.high)
+    kernel.under_edge(edge, angle, radius, y, s, x, at_y)
     z = np.where(lost, np.nan, top)
     return Touch(z, s, x, at_y, z + tool.edge(s, sense)[2])
 
@@ -327,40 +311,30 @@ class _Contact:
 
     def __init__(self, surface: Surface, tool: Tool, sense: int, radius: Floats, aside: Floats, rim: float) -> None:
         self.kernel = kernel
-        self.edge_points = edge_points
         self.surface = surface
-        self.edge: EdgeTable = tool.table(sense)
-        self.profile: EdgeProfile = tool.profile()
-        self.row = self.edge.row
-        self.upright = bool(self.row[RAKE_SIN] == 0 and self.row[DY] == 0 and not aside.any())
-        self.nearest = float(radius.min() + self.row[DX])
-        self.farthest = float(radius.max() + self.row[DX])
-        self.arc = (float(self.profile.row[LOW_U]), float(self.profile.row[HIGH_U]))
+        self.edge = tool.cutting_edge(sense)
+        self.upright = bool(self.edge.rake_sin == 0 and self.edge.dy == 0 and not aside.any())
+        self.nearest = float(radius.min() + self.edge.dx)
+        self.farthest = float(radius.max() + self.edge.dx)
+        self.arc = (float(self.edge.low_u), float(self.edge.high_u))
         # A curvature that vanishes may change by its own size over no distance at all; the nose does not feel it.
-        self.feature = max(surface.feature_size, FINEST * float(self.row[RADIUS]))
+        self.feature = max(surface.feature_size, FINEST * float(self.edge.radius))
         # What the plan covers.
-        outermost = float(np.hypot(radius + self.row[DX], aside).max())
+        outermost = float(np.hypot(radius + self.edge.dx, aside).max())
         self.rim = max(rim, outermost)
         self.extent = self.rim if self.rim < np.inf else outermost
         self.reach = self.extent + max(self.arc[1], -self.arc[0])
-        self.flank = float(self.row[RAKE_COS] * min(-self.profile.row[LOW_SLOPE], self.profile.row[HIGH_SLOPE]))
+        self.flank = float(self.edge.rake_cos * min(-self.edge.low_slope, self.edge.high_slope))
         # Height that the surface reaches outside of what is looked at, where it is steeper than the flanks.
         self.top = -np.inf
 
     def edge_curvature(self) -> float:
         """Return the least curvature of the edge anywhere on its arc, as height over distance. [1/mm]."""
-        s = np.linspace(self.row[LOW], self.row[HIGH], 2001)
-        u = np.empty((3, s.size))
-        upright = self.row.copy()
-        upright[3], upright[5:] = 1.0, 0.0
-        self.edge_points(upright, self.edge.breaks, self.edge.coefficients, s, u)
-        slopes = np.diff(u[2]) / np.diff(u[0])
-        middles = 0.5 * (u[0, 1:] + u[0, :-1])
-        return float(self.row[RAKE_COS] * (np.diff(slopes) / np.diff(middles)).min())
+        return self.edge.least_curvature()
 
     def one_tangent(self) -> bool:
         """Say whether, on a grid over the part, the surface curves up less than the edge everywhere."""
-        if not self.profile.convex or self.surface.in_pieces:
+        if not self.edge.convex or self.surface.in_pieces:
             return False
         self.limit = CONCAVITY * self.edge_curvature()
         # The grid is finer than the surface's features; where that is too fine, the search is as quick.
@@ -391,9 +365,9 @@ class _Contact:
         slope, bend = np.abs(zx * c + zy * s), zxx * c * c + 2 * zxy * c * s + zyy * s * s
         if not self.upright:
             # Out of the radial plane any direction counts, and the slope across lifts a leaning edge.
-            slope, lean = np.hypot(zx, zy), abs(self.row[RAKE_SIN])
+            slope, lean = np.hypot(zx, zy), abs(self.edge.rake_sin)
             mean, half = 0.5 * (zxx + zyy), np.hypot(0.5 * (zxx - zyy), zxy)
-            bend = (mean + half) * (1 + lean) ** 2 + slope * lean / self.row[RADIUS]
+            bend = (mean + half) * (1 + lean) ** 2 + slope * lean / self.edge.radius
             slope = slope * (1 + lean)
         there = np.isfinite(bend) & np.isfinite(slope)
         if inside is not None:
@@ -404,23 +378,23 @@ class _Contact:
 
     def newton(self, angle: Floats, radius: Floats, aside: Floats, out: Touch) -> bool:
         """Fill ``out`` with the tangent solution; return whether it is certain to be the only one."""
-        if self.upright and self.profile.table.shape[1] == 0:
+        if self.upright and self.edge.perfect:
             certain = self._newton_round(angle, radius, out)
         else:
             certain = self._newton_edge(angle, radius, aside, out)
         # Nothing is said of the flanks beyond the arc.
-        return certain and bool((out.sweep >= self.row[LOW]).all() and (out.sweep <= self.row[HIGH]).all())
+        return certain and bool((out.sweep >= self.edge.low).all() and (out.sweep <= self.edge.high).all())
 
     def _newton_round(self, angle: Floats, radius: Floats, out: Touch) -> bool:
         """Newton for a perfect nose in the radial plane, with loops that vectorise."""
         cosine, sine = np.empty((2, angle.size))
         u = np.zeros(angle.size)
-        self.kernel.round_start(self.row, angle, radius, cosine, sine, out.x, out.y)
+        self.kernel.round_start(self.edge, angle, radius, cosine, sine, out.x, out.y)
         for _ in range(12):
             with np.errstate(all="ignore"):
                 jet = self.surface.evaluate(out.x, out.y, 2)
             far, doubtful = self.kernel.round_step(
-                self.row, self.limit, cosine, sine, radius, u, *jet, out.z, out.x, out.y
+                self.edge, self.limit, cosine, sine, radius, u, *jet, out.z, out.x, out.y
             )
             if doubtful:
                 return False
@@ -428,9 +402,9 @@ class _Contact:
                 break
         else:
             return False
-        nose = self.row[RADIUS]
+        nose = self.edge.radius
         np.arcsin(u / nose, out=out.sweep)
-        np.add(out.z, (nose + self.row[DZ]) - np.sqrt(nose * nose - u * u), out=out.surface_z)
+        np.add(out.z, (nose + self.edge.dz) - np.sqrt(nose * nose - u * u), out=out.surface_z)
         return self._inside(out.x, out.y)
 
     def _newton_edge(self, angle: Floats, radius: Floats, aside: Floats, out: Touch) -> bool:
@@ -440,10 +414,10 @@ class _Contact:
         a, r, v, s = angle, radius, aside, sweep
         for _ in range(12):
             x, y, value, first, top, step, bend = np.empty((7, s.size))
-            self.kernel.under_edge(*self.edge, a, r, v, s, x, y)
+            self.kernel.under_edge(self.edge, a, r, v, s, x, y)
             with np.errstate(all="ignore"):
                 jet = self.surface.evaluate(x, y, 2)
-            self.kernel.newton_step(*self.edge, a, s, *jet, value, first, top, step, bend)
+            self.kernel.newton_step(self.edge, a, s, *jet, value, first, top, step, bend)
             if not (bend < self.limit).all():
                 return False
             # Newton from the tip could leave the arc on a steep place: walk there.
@@ -469,14 +443,12 @@ class _Contact:
     def _contact_points(self, angle: Floats, radius: Floats, aside: Floats, out: Touch) -> None:
         """Set the contact point from the sweep."""
         x, y = np.empty(angle.size), np.empty(angle.size)
-        self.kernel.under_edge(*self.edge, angle, radius, aside, np.ascontiguousarray(out.sweep), x, y)
+        self.kernel.under_edge(self.edge, angle, radius, aside, np.ascontiguousarray(out.sweep), x, y)
         out.x[:], out.y[:] = x, y
         out.surface_z[:] = out.z + self._edge_at(out.sweep)[2]
 
     def _edge_at(self, sweep: Floats) -> Floats:
-        points = np.empty((3, sweep.size))
-        self.edge_points(*self.edge, np.ascontiguousarray(sweep), points)
-        return points
+        return self.edge.points(sweep)
 
     def _outside(self, angle: float, radius: float) -> NoReturn:
         raise DomainError(
@@ -497,7 +469,7 @@ class _Contact:
         width = self.arc[1] - self.arc[0]
         step = min(self.feature / SAMPLES_PER_FEATURE, width / SAMPLES_PER_EDGE)
         ground = _ground(_Same(self.surface), self.extent, radial=self.upright)
-        steep = ground.steepest * (1 + abs(self.row[RAKE_SIN])) >= CONCAVITY * self.flank
+        steep = ground.steepest * (1 + abs(self.edge.rake_sin)) >= CONCAVITY * self.flank
         self.top = ground.top if steep else -np.inf
 
         def lines(start: int, stop: int) -> None:
@@ -565,15 +537,15 @@ class _Contact:
         else:
             # The line itself is the track of an edge whose tip stands on the axis.
             offsets = np.append(np.flatnonzero(np.diff(line, prepend=-1)), line.size)
-            row_angle, row_radius = angle[offsets[:-1]], np.full(offsets.size - 1, -self.row[DX])
+            row_angle, row_radius = angle[offsets[:-1]], np.full(offsets.size - 1, -self.edge.dx)
             row_aside = np.zeros(offsets.size - 1)
-            position = radius + self.row[DX]
+            position = radius + self.edge.dx
         first, last = float(position.min()) + low, float(position.max()) + high
         if whole:
             first, last = min(first, -self.extent), max(last, self.extent)
         if self.rim < np.inf:
             # Nothing counts outside the rim.
-            tips = radius + self.row[DX] if line is None else np.zeros(1)
+            tips = radius + self.edge.dx if line is None else np.zeros(1)
             first = max(first, -self.rim - float(tips.max()))
             last = min(last, self.rim - float(tips.min()))
         # Not on the axis, nor on any other round place where a prescription may be special.
@@ -581,7 +553,7 @@ class _Contact:
         samples = int(np.ceil((last - origin) / step)) + 4
         u = np.ascontiguousarray(np.broadcast_to(origin + step * np.arange(samples), (row_angle.size, samples)))
         x, y = np.empty(u.shape), np.empty(u.shape)
-        self.kernel.places(self.row, *self.profile[:2], row_angle, row_radius, row_aside, u, x, y)
+        self.kernel.places(self.edge, row_angle, row_radius, row_aside, u, x, y)
         heights = self._heights(x, y)
         breaks = self._breaks(x, y, heights, u, (row_angle, row_radius, row_aside))
         found, direct, direct_at, ended, narrow = self._candidates(
@@ -592,8 +564,8 @@ class _Contact:
         best, z = np.zeros(angle.size), np.zeros(angle.size)
         if found.point.size or not narrow.all():
             top, sweep = self._maximum(angle[found.point], radius[found.point], aside[found.point], found)
-            sweeps_at(*self.edge, direct_at, best)
-            z = direct - self.row[DZ]
+            best[:] = self.edge.sweeps(direct_at)
+            z = direct - self.edge.dz
             self.kernel.keep_highest(found.point, top, sweep, z, best, ended)
         if not (np.isfinite(z) | narrow).all():
             k = int(np.argmin(np.isfinite(z) | narrow))
@@ -615,15 +587,15 @@ class _Contact:
         if inside.any():
             k = int(np.argmax(inside))
             self._outside(float(angle[k]), float(radius[k]))
-        on_flank = np.flatnonzero((at.sweep < self.row[LOW]) | (at.sweep > self.row[HIGH]))
+        on_flank = np.flatnonzero((at.sweep < self.edge.low) | (at.sweep > self.edge.high))
         if not on_flank.size:
             return
         # A wall that the rim happens to cut is touched like any other; a surface that climbs all the way is not met.
         angle, radius, aside, sweep = (one[on_flank] for one in (angle, radius, aside, at.sweep))
         x, y, lift = np.empty(on_flank.size), np.empty(on_flank.size), []
         for part in np.linspace(0.0, 0.99, 9):
-            place = np.clip(sweep, self.row[LOW], self.row[HIGH]) * (1 - part) + sweep * part
-            self.kernel.under_edge(*self.edge, angle, radius, aside, place, x, y)
+            place = np.clip(sweep, self.edge.low, self.edge.high) * (1 - part) + sweep * part
+            self.kernel.under_edge(self.edge, angle, radius, aside, place, x, y)
             lift.append(self._heights(x, y) - self._edge_at(place)[2])
         climbs = (np.diff(lift, axis=0) > 0).all(axis=0)
         if climbs.any():
@@ -671,7 +643,7 @@ class _Contact:
             point = np.empty(size, dtype=np.int64)
             start, stop, guess = np.empty((3, size))
             found = self.kernel.candidates(
-                heights, origin, step, offsets, position, *breaks, self.row[RAKE_COS], *self.profile, low, high,
+                heights, origin, step, offsets, position, *breaks, self.edge, low, high,
                 elsewhere, whole, point, start, stop, guess, direct, direct_at, ended, narrow,
             )  # fmt: skip
             if found >= 0:
@@ -714,13 +686,13 @@ class _Contact:
             x, y = self._place(_of(tips, row), beside)
             with np.errstate(all="ignore"):
                 _, zx, zy = self.surface.evaluate(x, y, 1)
-            self.kernel.slopes_along(self.row, *self.profile[:2], tips[0][row], beside, zx, zy, slope[side])
+            self.kernel.slopes_along(self.edge, tips[0][row], beside, zx, zy, slope[side])
         offsets = np.searchsorted(row, np.arange(heights.shape[0] + 1))
         return _Breaks(offsets, after, 0.5 * (sides[0] + sides[1]), height, slope)
 
     def _place(self, tips: _Tips, u: Floats) -> tuple[Floats, Floats]:
         x, y = np.empty((2, u.size, 1))
-        self.kernel.places(self.row, *self.profile[:2], *tips, u[:, None], x, y)
+        self.kernel.places(self.edge, *tips, u[:, None], x, y)
         return x[:, 0], y[:, 0]
 
     def _missing(self, x: Floats, y: Floats) -> Ints:
@@ -779,7 +751,7 @@ class _Contact:
         """Return the greatest f - e in each short smooth interval of the nose, and where it is."""
         begin, end, sweep = np.empty((3, angle.size))
         for target, u in zip((begin, end, sweep), (found.start, found.stop, found.guess), strict=True):
-            sweeps_at(*self.edge, u, target)
+            target[:] = self.edge.sweeps(u)
         best, place = np.full(angle.size, -np.inf), sweep.copy()
         index = np.arange(angle.size)
         state = np.stack([begin, end, begin, end, sweep])  # interval, bracket, where to look next
@@ -787,10 +759,10 @@ class _Contact:
         b, p, a, r, v = best, place, angle, radius, aside
         for _ in range(100):
             x, y, value, first, top, step, bend = np.empty((7, a.size))
-            self.kernel.under_edge(*self.edge, a, r, v, state[4], x, y)
+            self.kernel.under_edge(self.edge, a, r, v, state[4], x, y)
             with np.errstate(all="ignore"):
                 jet = self.surface.evaluate(x, y, 2)
-            self.kernel.newton_step(*self.edge, a, state[4], *jet, value, first, top, step, bend)
+            self.kernel.newton_step(self.edge, a, state[4], *jet, value, first, top, step, bend)
             self.kernel.bracket(*state, value, first, top, step, b, p, done)
             if done.all():
                 best[index], place[index] = b, p

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from turnwright._kernels import adaptive as kernel
-from turnwright._kernels.edge import DX, DZ, RAKE_COS, RAKE_SIN, trace as edge_trace
 from turnwright._validate import check_numbers, positive
 from turnwright.errors import GougeError, InputError, LimitError
 from turnwright.path import Spiral
@@ -368,14 +367,12 @@ class _Steps:
         self.ridges = part.surface.in_pieces
         self.miss = MISS_AT_RIDGES if self.ridges else MISS
         self.part, self.tool, self.scallop, self.sense, self.way = part, tool, scallop, sense, way
-        self.trace, self.edge = edge_trace, tool.table(sense)
-        self.row = self.edge.row
-        self.profile = tool.profile()
+        self.edge = tool.cutting_edge(sense)
         low, high = tool.arc
-        edge = tool.edge(np.array([low, high]))[2] - self.row[DZ]
-        if scallop >= edge.min():
+        height = tool.edge(np.array([low, high]))[2] - self.edge.dz
+        if scallop >= height.min():
             raise GougeError(
-                f"scallop is {scallop:g} mm, the arc of the tool is only {edge.min():.4g} mm high, so cuts would not "
+                f"scallop is {scallop:g} mm, the arc of the tool is only {height.min():.4g} mm high, so cuts would not "
                 "overlap: give a smaller scallop, or take a tool with a larger nose_radius or included angle"
             )
         self.flat = math.sqrt(8 * tool.actual_radius * scallop)
@@ -427,16 +424,14 @@ class _Steps:
     def _placed(self, angle: Floats, radius: Floats) -> tuple[Floats, Floats, Floats, Ints]:
         """Return that, and which piece of the surface the edge touches, -1 where it rests between two. Each (n,)."""
         surface, sense = self.part.surface, self.sense
-        at = touch(surface, self.tool, angle=angle, radius=radius - self.row[DX], sense=sense, rim=self.rim)
+        at = touch(surface, self.tool, angle=angle, radius=radius - self.edge.dx, sense=sense, rim=self.rim)
         with np.errstate(all="ignore"):
             _, zx, zy = surface.evaluate(at.x, at.y, 1)
         around = zy * at.x - zx * at.y
         outward = zx * np.cos(angle) + zy * np.sin(angle)
-        if self.row[RAKE_SIN] == 0:
+        if self.edge.rake_sin == 0:
             # Upright, the edge slopes as its own height does, also where it rests on a ridge, which has no slope.
-            trace = np.empty((4, angle.size))
-            self.trace(*self.edge, np.ascontiguousarray(at.sweep), trace)
-            outward = self.row[RAKE_COS] * trace[3] / trace[2]
+            outward = self.edge.slopes(at.sweep)
         sides = [surface.piece(at.x + way * np.cos(angle), at.y + way * np.sin(angle)) for way in (-BESIDE, BESIDE)]
         if sides[0] is None or sides[1] is None:
             return at.z, around, outward, np.zeros(angle.size, dtype=np.int64)
@@ -472,7 +467,7 @@ class _Steps:
     def _under(self, radius: Floats, at: Floats) -> tuple[Floats, ...]:
         """Return height and slopes of the surface under the edges, as if it were level where it is not defined."""
         x, y = np.empty((2, at.size))
-        self.kernel.under(self.row, *self.profile[:2], self.cosine, self.sine, radius, at, x, y)
+        self.kernel.under(self.edge, self.cosine, self.sine, radius, at, x, y)
         with np.errstate(all="ignore"):
             f, fx, fy = self.part.surface.evaluate(x, y, 1)
         gone = ~(np.isfinite(f) & np.isfinite(fx) & np.isfinite(fy))
@@ -490,29 +485,28 @@ class _Steps:
         step
             About how far the next one is. (m,) [mm]
         """
-        shape = (self.row, *self.profile[:2])
         ways = (self.cosine, self.sine)
         # Rings from here on are asked for until the next turn, by tips further out too.
         self.inner = float(radius.min())
         tip, along = self._tips(radius)
         # The edge touches where it slopes as its height does along the spoke.
-        slope = along / self.row[RAKE_COS]
+        slope = along / self.edge.rake_cos
         low = radius + self.tool.actual_radius * np.clip(slope / np.sqrt(1 + slope * slope), *np.sin(self.tool.arc))
         crest, high = low + step / 2, low + self.width
         low = low.copy()
         for _ in range(60):
             under = self._under(radius, crest)
-            moved = self.kernel.crest_step(*shape, *ways, self.scallop, radius, tip, *under, crest, low, high)
+            moved = self.kernel.crest_step(self.edge, *ways, self.scallop, radius, tip, *under, crest, low, high)
             if not moved > 1e-9 * self.flat:
                 break
         new = radius + 1.2 * step
         low, high = radius.copy(), radius + STEP_GROWTH * step
-        upright = bool(self.row[RAKE_SIN] == 0)
+        upright = self.edge.rake_sin == 0
         goal = self._under(radius, crest)[0] + self.scallop
         for _ in range(60):
             if not upright:  # the edge of the next tip meets the crest at another place across the rake plane
                 goal = self._under(new, crest)[0] + self.scallop
-            moved = self.kernel.next_step(*shape, goal, crest, *self._tips(new), new, low, high)
+            moved = self.kernel.next_step(self.edge, goal, crest, *self._tips(new), new, low, high)
             if not moved > 1e-9 * self.flat:
                 break
         whole = self._on_one_piece(radius, np.maximum(new, radius + step), crest)
@@ -532,7 +526,7 @@ class _Steps:
         low, high = (np.floor(at / self.ring).astype(np.int64) - self.first for at in (radius, new))
         piece = self.piece[low, self.every]
         x, y = np.empty((2, crest.size))
-        self.kernel.under(self.row, *self.profile[:2], self.cosine, self.sine, radius, crest, x, y)
+        self.kernel.under(self.edge, self.cosine, self.sine, radius, crest, x, y)
         whole = (piece >= 0) & (self.part.surface.piece(x, y) == piece)
         for ring in range(1, int((high - low).max()) + 2):
             whole &= self.piece[np.minimum(low + ring, high + 1), self.every] == piece
