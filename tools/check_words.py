@@ -24,7 +24,9 @@ WORDS = re.compile(
     r"\b(told|said|anew|whoever|foretold|foretells?|nobody|somebody|so-manieth|aside|beside|quicker)\b|of it a half",
     re.IGNORECASE,
 )
-TARGETS = frozenset("found left known told said own kept given whole asked here rest".split())
+TARGETS = frozenset(
+    ("found", "left", "known", "told", "said", "own", "kept", "given", "whole", "asked", "here", "rest")
+)
 COMMITS = 50
 LONGEST_SUBJECT = 72
 

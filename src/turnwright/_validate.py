@@ -74,7 +74,8 @@ def check_numbers(one: Any, *, inf: Collection[str] = (), nan: Collection[str] =
     InputError
         With the field and the number.
     """
-    for name, plain, may_lack, whole in _fields_of(type(one)):
+    kind: Any = type(one)
+    for name, plain, may_lack, whole in _fields_of(kind):
         value = getattr(one, name)
         if plain and not (value is None and may_lack):
             number(value, name)

@@ -43,9 +43,7 @@ def computed_once():
             _measure, "_diagnosed", once(DIAGNOSE, lambda every, _: [(one.job, one.fingerprint) for one in every])
         )
         patch.setattr(_correct, "_proved", once(_correct._proved, lambda job, found, own: (job, id(found), own)))
-        patch.setattr(
-            _correct, "_check_linear", once(_correct._check_linear, lambda job, draws, _: (job, id(draws)))
-        )
+        patch.setattr(_correct, "_check_linear", once(_correct._check_linear, lambda job, draws, _: (job, id(draws))))
         yield
 
 
