@@ -320,7 +320,7 @@ def test_a_folder_that_cannot_be_is_refused_first(kind, done, tmp_path, monkeypa
 
 def test_bars_are_drawn_on_a_terminal(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with _shared.progress_of(Stop(), [Step(stage="place", work=1.0), Step(stage="drive", work=1.0)]) as progress:
+    with _shared.show_progress(Stop(), [Step(stage="place", work=1.0), Step(stage="drive", work=1.0)]) as progress:
         progress("place", 0, 10)
         progress("place", 10, 10)
     assert "done" in capsys.readouterr().err

@@ -86,8 +86,8 @@ def test_a_batch_ends_with_the_gravest_code(tmp_path, capsys):
 def test_a_second_run_into_a_folder_is_refused_at_once(tmp_path):
     program = (
         "import sys, time; from pathlib import Path; from turnwright._signals import Stop\n"
-        "from turnwright.cli.shared import Door, new_folder\n"
-        "with Stop() as stop, new_folder(Path(sys.argv[1]), Door(stop), force=False):\n"
+        "from turnwright.cli.shared import Session, new_folder\n"
+        "with Stop() as stop, new_folder(Path(sys.argv[1]), Session(stop), force=False):\n"
         "    print('at work', flush=True); time.sleep(60)\n"
     )
 

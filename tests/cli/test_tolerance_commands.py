@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import turnwright as tw
 from turnwright._signals import Stop
-from turnwright.cli.commands import Door, app
+from turnwright.cli.commands import Session, app
 from turnwright.errors import InputError, JobError, StudyError
 from turnwright.studies import Cluster, ErrorBudget, Spread, Store, draws as _draws
 
@@ -149,7 +149,7 @@ def test_the_command_writes_a_table_and_a_page(tmp_path):
         "--workers", "1", "--confirm", "--out", str(tmp_path / "out"),
     ]  # fmt: skip
     with Stop() as stop:
-        result = CliRunner().invoke(app, words, obj=Door(stop), catch_exceptions=False)
+        result = CliRunner().invoke(app, words, obj=Session(stop), catch_exceptions=False)
     shares = re.findall(r"([0-9.]+)% of 16 parts keep all tolerances", result.output)
     assert result.exit_code == (0 if shares[-1] == "100.0" else 4), result.output
     assert "confirmed: " in result.output

@@ -38,7 +38,7 @@ def picture(folder):
     force = np.ones((2, 1))
     fit = SimpleNamespace(components=("cutting",), thickness=np.arange(2.0), measured=force, fitted=force)
     found = SimpleNamespace(name="x", learned=SimpleNamespace(fit=fit, critical=None))
-    materials._draw(found, folder / "picture.png")
+    materials._draw_fit(found, folder / "picture.png")
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # the system then says that the file is too large
 work, folder = globals()[sys.argv[1]], Path(sys.argv[2])

@@ -162,10 +162,10 @@ def _by_command(case: Case, folder: Path, listener: Listener) -> int:
     from turnwright.cli import cutting as _cutting, materials as _materials
 
     @contextlib.contextmanager
-    def progress_of(_stop: object, _steps: object) -> Any:
+    def show_progress(_stop: object, _steps: object) -> Any:
         yield listener
 
-    _cutting.progress_of = _materials.progress_of = progress_of
+    _cutting.show_progress = _materials.show_progress = show_progress
     commands = {
         "check": ["check", str(folder / "job.toml")],
         "backplot": ["backplot", str(folder / case.options.get("program", "")), "--job", str(folder / "job.toml")],

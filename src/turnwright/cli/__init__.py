@@ -1,9 +1,15 @@
-"""The door of the command line: it hears a wish to stop from the first moment, and says how the work ended.
+"""Entry point of the command line: it handles signals from the start and turns the outcome into an exit code.
 
-Exit codes: 0 done and every stated tolerance kept, 1 a defect of Turnwright (the traceback is kept in a file), 2 bad
-input, a limit that cannot be kept or an output that cannot be written, 3 a correction that is not written because it
-would not certainly help, 4 done and written but a stated tolerance is missed, 128 and the number of the signal that
-stopped it (130 for Ctrl-C, 143 for SIGTERM). A reader of the output that goes away (as ``head`` does) changes nothing.
+Exit codes:
+
+- 0: done, every stated tolerance met
+- 1: a defect of Turnwright; its traceback is written to a file
+- 2: bad input, a limit exceeded, or output that cannot be written
+- 3: a correction that is not written, because it would not certainly reduce the error
+- 4: done and written, but a stated tolerance is missed
+- 128 + n: stopped by signal n (130 for Ctrl-C, 143 for SIGTERM)
+
+A closed output pipe (as with ``head``) does not change the exit code.
 """
 
 from __future__ import annotations
@@ -18,14 +24,14 @@ from turnwright._signals import Stop
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from turnwright.cli.commands import Door
+    from turnwright.cli.commands import Session
 
 __all__ = ["main"]
 
-INTERRUPTED = 130
-NOT_CERTAIN = 3
-DONE = (0, 4)
-FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+INTERRUPTED_CODE = 130
+NOT_CORRECTED_CODE = 3
+SUCCESS_CODES = (0, 4)
+DISK_FULL_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments
-        In place of those of the process.
+        Command-line arguments; those of the process by default.
 
     Returns
     -------
@@ -45,34 +51,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             stop.hear()
             _open_closed()
-            # Its matrices are small: on a busy machine, threads of BLAS wait for each other many times as long.
+            # The matrices are small: on a busy machine, BLAS threads would mostly wait for each other.
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-            # Costly, so an interrupt may well come meanwhile.
-            from turnwright.cli.commands import Door  # noqa: PLC0415
+            # Slow import: an interrupt may arrive during it.
+            from turnwright.cli.commands import Session  # noqa: PLC0415
 
-            door = Door(stop)
-            code = _carry_out(arguments, door)
+            session = Session(stop)
+            code = _carry_out(arguments, session)
         except BaseException:
             if not stop.wanted:
                 raise
-            door, code = None, INTERRUPTED
+            session, code = None, INTERRUPTED_CODE
         stop.deaf = True
-        if stop.wanted or code == INTERRUPTED:
+        if stop.wanted or code == INTERRUPTED_CODE:
             code = stop.code
-            if door is not None and door.kept is not None:
-                _say(f"interrupted when all was done: the results are complete in {door.kept}")
-            elif door is not None and door.partly:
-                _say(f"interrupted, {door.partly}")
+            if session is not None and session.finished is not None:
+                _print_error(f"interrupted after completion: the results in {session.finished} are complete")
+            elif session is not None and session.partial:
+                _print_error(f"interrupted, {session.partial}")
             else:
-                _say("interrupted, nothing was kept: start it again")
-        if code in DONE and door is not None and door.unsaid is not None and door.unsaid.errno != errno.EPIPE:
-            _say(f"the standard output cannot be written ({door.unsaid.strerror}): send it elsewhere")
+                _print_error("interrupted, no results were written: start the command again")
+        if (
+            code in SUCCESS_CODES
+            and session is not None
+            and session.output_error is not None
+            and session.output_error.errno != errno.EPIPE
+        ):
+            _print_error(f"cannot write to standard output ({session.output_error.strerror}): redirect it")
             code = 2
     return code
 
 
 def _open_closed() -> None:
-    """Give a process without standard streams some, so that no file it opens is taken for one."""
+    """Open missing standard streams on the null device, so that no other file takes their descriptors."""
     for number in range(3):
         try:
             os.fstat(number)
@@ -83,8 +94,8 @@ def _open_closed() -> None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115, PTH123 - until the process ends
 
 
-def _say(text: str) -> None:
-    from contextlib import suppress  # noqa: PLC0415 - all imports wait until a wish to stop is heard
+def _print_error(text: str) -> None:
+    from contextlib import suppress  # noqa: PLC0415 - no import before signals are handled
 
     from turnwright.errors import shortened  # noqa: PLC0415
 
@@ -96,70 +107,72 @@ def _say(text: str) -> None:
 def _disk_error(error: OSError) -> str:
     where = f" at {error.filename}" if error.filename else ""
     text = str(error)
-    # HDF5 and NumPy say it in their own words: "errno = 28," and "1000 requested and 12 written".
-    if error.errno in FULL or "requested and" in text or any(f"errno = {number}," in text for number in FULL):
-        return f"the disk is full{where}, nothing was kept: free some space, or choose another folder"
-    return (
-        f"the system refuses ({error.strerror or text.splitlines()[0]}){where}, nothing was kept: check name and rights"
-    )
+    # HDF5 and NumPy report a full disk in their own words: "errno = 28," and "1000 requested and 12 written".
+    codes = DISK_FULL_ERRORS
+    if error.errno in codes or "requested and" in text or any(f"errno = {number}," in text for number in codes):
+        return f"the disk is full{where}, no results were written: free some space, or choose another folder"
+    reason = error.strerror or text.splitlines()[0]
+    return f"operating system error{where} ({reason}), no results were written: check the name and its permissions"
 
 
-def _defect() -> str:
-    """Keep the traceback of a defect, and say where."""
+def _log_defect() -> str:
+    """Write the traceback of a defect to a file and return a message that names it."""
     import tempfile  # noqa: PLC0415
     import traceback  # noqa: PLC0415
     from contextlib import suppress  # noqa: PLC0415
 
-    kept = "no file could be written for the traceback"
+    trace = "its traceback could not be written"
     with suppress(OSError), tempfile.NamedTemporaryFile("w", prefix="turnwright-", suffix=".log", delete=False) as log:
         traceback.print_exc(file=log)
-        kept = f"the traceback is in {log.name}"
+        trace = f"the traceback is in {log.name}"
     reason = f"{type(sys.exception()).__name__}: {sys.exception()}".splitlines()[0]
-    return f"this is a defect of Turnwright, not of the job ({reason}), {kept}: please report it"
+    return f"this is a defect of Turnwright, not of the job ({reason}), {trace}: please report it"
 
 
 def _with_options(text: str, command: Any, arguments: Sequence[str]) -> str:
-    """Return a message with the options of a command in place of the arguments in Python that they stand for."""
+    """Replace Python argument names in a message by the options of the command."""
     import re  # noqa: PLC0415
 
-    called = next((command.commands[one] for one in arguments if one in command.commands), None)
-    for name in [] if called is None else [one.name for one in called.params]:
+    called = next((command.commands[word] for word in arguments if word in command.commands), None)
+    for name in [] if called is None else [parameter.name for parameter in called.params]:
         option = f"--{name.replace('_', '-')}"
-        text = re.sub(rf"\b{name}=('[^']*'|[\w.]+)", lambda found, option=option: f"{option} {found[1]}", text)  # type: ignore[misc]
+        text = re.sub(rf"\b{name}=('[^']*'|[\w.]+)", lambda match, option=option: f"{option} {match[1]}", text)  # type: ignore[misc]
     return text
 
 
-def _carry_out(arguments: Sequence[str] | None, door: Door) -> int:
-    """Run a command and turn what ends it into a sentence and an exit code."""
+def _carry_out(arguments: Sequence[str] | None, session: Session) -> int:
+    """Run a command; report an error in one sentence and return the exit code."""
     import warnings  # noqa: PLC0415
 
     import typer  # noqa: PLC0415
 
-    from turnwright.cli.commands import app, tell  # noqa: PLC0415
+    from turnwright.cli.commands import app, print_status  # noqa: PLC0415
     from turnwright.errors import CorrectionError, InputError, Stopped  # noqa: PLC0415
 
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_args, **_more: tell(f"warning: {message}")
+            warnings.showwarning = lambda message, *_args, **_more: print_status(f"warning: {message}")
             command = typer.main.get_command(app)
-            return command.main(arguments, prog_name="turnwright", standalone_mode=False, obj=door) or 0
+            return command.main(arguments, prog_name="turnwright", standalone_mode=False, obj=session) or 0
     except (KeyboardInterrupt, typer.Abort, Stopped):
-        return INTERRUPTED  # some versions of typer end so by themselves, with the same code
+        return INTERRUPTED_CODE  # the code that some versions of typer return by themselves
     except CorrectionError as error:
-        _say(str(error))
-        return NOT_CERTAIN
+        _print_error(str(error))
+        return NOT_CORRECTED_CODE
     except InputError as error:
-        _say(_with_options(str(error), typer.main.get_command(app), sys.argv[1:] if arguments is None else arguments))
+        _print_error(
+            _with_options(str(error), typer.main.get_command(app), sys.argv[1:] if arguments is None else arguments)
+        )
     except MemoryError as error:
-        _say(f"the memory is not enough ({error}): take fewer points or a coarser map")
+        _print_error(f"out of memory ({error}): use fewer points or a coarser map")
     except OSError as error:
-        _say(_disk_error(error))
-    except Exception as error:  # noqa: BLE001 - the door is where everything ends
-        if door.stop.wanted:  # an interrupted import fails in many ways
-            return INTERRUPTED
-        # A wrong command line; typer carries its parser inside or beside it, depending on the version.
+        _print_error(_disk_error(error))
+    except Exception as error:  # noqa: BLE001 - the outermost handler
+        if session.stop.wanted:  # an interrupted import fails in many ways
+            return INTERRUPTED_CODE
+        # A usage error; its class depends on the version of typer.
         if not hasattr(error, "format_message"):
-            _say(_defect())
+            _print_error(_log_defect())
             return 1
-        _say(f"{error.format_message().rstrip('.')}: see turnwright --help")
+        _print_error(f"{error.format_message().rstrip('.')}: see turnwright --help")
     return 2

@@ -1,4 +1,4 @@
-"""Several jobs at once: each in a process and a folder of its own."""
+"""Batch of jobs: each runs in its own process and writes its own folder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 
 from turnwright._io import write_whole
 from turnwright._signals import Stop
-from turnwright.cli.shared import MISSED, Door, new_folder, progress_of
+from turnwright.cli.shared import MISSED_CODE, Session, new_folder, show_progress
 from turnwright.errors import InputError
 from turnwright.progress import Step
 
@@ -25,23 +25,22 @@ if TYPE_CHECKING:
 
 __all__ = ["run_batch", "run_into"]
 
-DEFECT = "(a defect, please report it)"
-"""How the reason of a job ends that met a defect, see `turnwright.studies.conduct`."""
+DEFECT_SUFFIX = "(a defect, please report it)"
+"""Ending of the reason of a job that failed by a defect, see `turnwright.studies.conduct`."""
 
-JOB_S = 30.0
-"""That a job of a batch takes, usually. [s]"""
+TYPICAL_JOB_S = 30.0
 
-DONE = "case.json"
-"""Says which job, and which program, a folder of a batch was made by, and in one line with what outcome."""
+CASE_FILE = "case.json"
+"""File in the folder of a job: the key of its job and program version, and the outcome in one line."""
 
 
 def run_into(folder: Path, job: Job, progress: StageProgress) -> Result:
-    """Run a job and leave all that it promises in a folder."""
+    """Run a job and write all its results to a folder."""
     from turnwright import job as recipe  # noqa: PLC0415 - costly
 
     result = recipe.run(job, progress=progress, out=folder)
     progress("report", 0, 1)
-    from turnwright import report  # noqa: PLC0415 - matplotlib, only for a run that came so far
+    from turnwright import report  # noqa: PLC0415 - imports matplotlib, needed only after a successful run
 
     report.archive_run(result, folder)
     report.write_report(result, folder)
@@ -49,83 +48,81 @@ def run_into(folder: Path, job: Job, progress: StageProgress) -> Result:
     return result
 
 
-def run_batch(jobs: Sequence[Path], out: Path, door: Door, *, force: bool, workers: int | None) -> None:
-    """Run jobs side by side and say how each ended.
+def run_batch(jobs: Sequence[Path], out: Path, session: Session, *, force: bool, workers: int | None) -> None:
+    """Run jobs in parallel and print the outcome of each.
 
     Raises
     ------
     InputError
-        If two jobs would be put into the same folder.
+        If two jobs have the same name, so that their folders would coincide.
     typer.Exit
-        With the gravest code of a job: of a defect, then of bad input, then of a missed tolerance.
+        With the most severe code of all jobs: a defect, then bad input, then a missed tolerance.
     """
     from turnwright.studies import Case, conduct, fitting, local, share_of  # noqa: PLC0415 - only for several jobs
 
-    named = Counter(job.stem for job in jobs)
-    twice = next((name for name, count in named.items() if count > 1), None)
-    if twice is not None:
-        raise InputError(
-            f"{named[twice]} jobs are named {twice!r}, and so would be their folders: give them other names"
-        )
+    names = Counter(job.stem for job in jobs)
+    duplicate = next((name for name, count in names.items() if count > 1), None)
+    if duplicate is not None:
+        raise InputError(f"{names[duplicate]} jobs are named {duplicate!r}: rename them, each needs its own folder")
     cases = [Case(key=job.stem, data={"name": job.stem, "job": str(job)}) for job in jobs]
     shared = {"out": str(out.absolute()), "force": force}
-    made = [folder for folder in (out.absolute(), *out.absolute().parents) if not folder.exists()]
-    side_by_side = min(fitting() if workers is None else workers, len(jobs))
-    steps = [Step(stage="jobs", work=JOB_S * len(jobs) / max(side_by_side, 1))]  # the pool refuses less
+    new_folders = [folder for folder in (out.absolute(), *out.absolute().parents) if not folder.exists()]
+    parallel = min(fitting() if workers is None else workers, len(jobs))
+    steps = [Step(stage="jobs", work=TYPICAL_JOB_S * len(jobs) / max(parallel, 1))]  # the pool refuses less
     out.mkdir(parents=True, exist_ok=True)
-    door.partly = f"what is finished stays in {out}: give the same command to go on"
+    session.partial = f"finished jobs are in {out}: repeat the command to continue"
     try:
-        with progress_of(door.stop, steps) as progress, local(side_by_side, threads=share_of(side_by_side)) as pool:
+        with show_progress(session.stop, steps) as progress, local(parallel, threads=share_of(parallel)) as pool:
             rows = conduct(
                 _run_case, cases, shared=shared, executor=pool,
                 progress=lambda done, total: progress("jobs", done, total),
             )  # fmt: skip
     finally:
-        for folder in made:
-            with suppress(OSError):  # something stays in it
+        for folder in new_folders:
+            with suppress(OSError):  # it is not empty
                 folder.rmdir()
-    width = max(map(len, named))
+    width = max(map(len, names))
     for case, row in zip(cases, rows, strict=True):
         outcome = f"failed: {'; '.join(row['reason'].splitlines())}" if "reason" in row else row["outcome"]
-        door.say(f"{case.key:<{width}}  {outcome} (exit code {_code(row)})")
+        session.echo(f"{case.key:<{width}}  {outcome} (exit code {_exit_code(row)})")
     failed = sum("reason" in row for row in rows)
-    door.say(f"{len(rows) - failed} of {len(rows)} jobs are done, their reports in {out}/JOB/report.html")
-    code = next((one for one in (1, 2, MISSED) if one in map(_code, rows)), 0)
+    session.echo(f"{len(rows) - failed} of {len(rows)} jobs are done, their reports are in {out}/JOB/report.html")
+    code = next((code for code in (1, 2, MISSED_CODE) if code in map(_exit_code, rows)), 0)
     if code:
         raise typer.Exit(code)
 
 
-def _code(row: Mapping[str, Any]) -> int:
-    """Return the exit code that a job alone would end with."""
+def _exit_code(row: Mapping[str, Any]) -> int:
+    """Return the exit code that the job would have as a single run."""
     if "reason" in row:
-        return 1 if row["reason"].endswith(DEFECT) else 2
-    return MISSED if row["missed"] else 0
+        return 1 if row["reason"].endswith(DEFECT_SUFFIX) else 2
+    return MISSED_CODE if row["missed"] else 0
 
 
 def _run_case(data: Mapping[str, Any], shared: Mapping[str, Any], _store: Store | None) -> dict[str, Any]:
-    """Run one job of a batch, unless its folder is there and made by the same job and program."""
+    """Run one job of a batch, unless its folder already holds the results of the same job and version."""
     from turnwright.job import Job  # noqa: PLC0415 - costly
     from turnwright.studies import case_key  # noqa: PLC0415
 
     job = Job.load(data["job"])
     key = case_key({"job": job.table(whole=True)})
     out = Path(shared["out"]) / data["name"]
-    with suppress(OSError, ValueError, KeyError, TypeError):  # TypeError: JSON, but of something else
-        done = json.loads((out / DONE).read_text(encoding="utf-8"))
+    with suppress(OSError, ValueError, KeyError, TypeError):  # TypeError: valid JSON of another structure
+        done = json.loads((out / CASE_FILE).read_text(encoding="utf-8"))
         if done["key"] == key:
-            return {"outcome": f"as before: {done['outcome']}", "missed": done["missed"]}
-    with Stop() as stop, new_folder(out, Door(stop), force=shared["force"]) as folder:
+            return {"outcome": f"already done: {done['outcome']}", "missed": done["missed"]}
+    with Stop() as stop, new_folder(out, Session(stop), force=shared["force"]) as folder:
         result = run_into(folder, job, lambda *_: stop.check())
-        done = {"outcome": _outcome(result), "missed": sum(one.kept is False for one in result.verdicts)}
-        write_whole(folder / DONE, json.dumps({"key": key, **done}) + "\n")
+        done = {"outcome": _outcome(result), "missed": sum(verdict.kept is False for verdict in result.verdicts)}
+        write_whole(folder / CASE_FILE, json.dumps({"key": key, **done}) + "\n")
     return done
 
 
 def _outcome(result: Result) -> str:
     minutes = sum(cut.limits.cycle_time_s for cut in result.passes) / 60
-    said = [f"{minutes:.1f} min", f"{sum(cut.points for cut in result.passes)} points"]
-    said += [f"{one.name} Sq {one.roughness.sq_nm:.3g} nm" for one in result.predictions]
-    said += [f"missed: {one.sentence}" for one in result.verdicts if one.kept is False]
+    clauses = [f"{minutes:.1f} min", f"{sum(cut.points for cut in result.passes)} points"]
+    clauses += [f"{prediction.name} Sq {prediction.roughness.sq_nm:.3g} nm" for prediction in result.predictions]
+    clauses += [f"missed: {verdict.sentence}" for verdict in result.verdicts if verdict.kept is False]
     if result.warnings:
-        said.append(f"warnings in its report: {len(result.warnings)}")
-    return ", ".join(said)
+        clauses.append(f"warnings in its report: {len(result.warnings)}")
+    return ", ".join(clauses)

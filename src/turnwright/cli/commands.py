@@ -1,6 +1,6 @@
-"""The commands, thin: each reads what was requested, calls the job, and reports the result."""
+"""All commands of the command line; importing this module registers them."""
 
-from turnwright.cli import (  # noqa: F401 - each registers its commands
+from turnwright.cli import (  # noqa: F401 - importing them registers the commands
     cutting,
     materials,
     measuring,
@@ -10,6 +10,6 @@ from turnwright.cli import (  # noqa: F401 - each registers its commands
     tiling,
     tolerances,
 )
-from turnwright.cli.shared import Door, app, tell
+from turnwright.cli.shared import Session, app, print_status
 
-__all__ = ["Door", "app", "tell"]
+__all__ = ["Session", "app", "print_status"]

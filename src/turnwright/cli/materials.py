@@ -1,4 +1,4 @@
-"""The commands of what is cut: which materials are known, what is known of one, and what forces tell of a new one."""
+"""Commands for materials: list, show, and fit to measured forces."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from turnwright._io import whole_file, write_whole
-from turnwright.cli.shared import Door, app, progress_of, require_new
+from turnwright.cli.shared import Session, app, require_unused, show_progress
 from turnwright.errors import InputError
 from turnwright.progress import Step
 
@@ -18,95 +18,91 @@ if TYPE_CHECKING:
 
 __all__: list[str] = []
 
-PICTURES = (".png", ".svg", ".pdf")
+PICTURE_FORMATS = (".png", ".svg", ".pdf")
 
-THIN = 1e-3
-"""Chip at which coefficients that vary with it are compared. [mm]"""
+REFERENCE_THICKNESS = 1e-3
+"""Uncut chip thickness at which varying coefficients are listed. [mm]"""
 
-materials = typer.Typer(help="The materials that are cut.")
+materials = typer.Typer(help="List, show and fit materials.")
 app.add_typer(materials, name="material")
 
-Name = Annotated[
-    str, typer.Argument(metavar="NAME", help="One of those listed, or a .toml file of your own.", show_default=False)
-]
+Name = Annotated[str, typer.Argument(metavar="NAME", help="A listed name, or a .toml file.", show_default=False)]
 Data = Annotated[
     Path,
-    typer.Argument(
-        metavar="DATA", help="A .toml file of the experiment, or a .csv of averaged cuts.", show_default=False
-    ),
+    typer.Argument(metavar="DATA", help="Experiment as .toml, or averaged cuts as .csv.", show_default=False),
 ]
 Picture = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="A picture of fit and residuals, .png, .svg or .pdf.", show_default=False),
+    typer.Option(metavar="FILE", help="Picture of fit and residuals to write: .png, .svg or .pdf.", show_default=False),
 ]
-Out = Annotated[Path, typer.Option(metavar="FILE", help="The material's file, .toml.", show_default=False)]
+Out = Annotated[Path, typer.Option(metavar="FILE", help="Material file to write, .toml.", show_default=False)]
 
 
 @materials.command("list")
 def list_all(context: typer.Context) -> None:
-    """Name the materials that come with Turnwright."""
-    door: Door = context.obj
+    """List the materials supplied with Turnwright."""
+    session: Session = context.obj
     from turnwright.material import Material  # noqa: PLC0415
 
     for name in Material.known():
-        one = Material.load(name)
-        bears = "no brittle limit" if one.critical is None else f"ductile to {one.critical.value * 1e6:.4g} nm"
-        varies = "" if one.critical is None else _more(one.critical).replace("; varies", " and varies")
-        door.say(f"{name}: {one.name}; {_forces(one)}; {bears}{varies}")
+        material = Material.load(name)
+        critical = material.critical
+        limit = "no brittle limit" if critical is None else f"ductile to {critical.value * 1e6:.4g} nm"
+        varies = "" if critical is None else _describe_dependence(critical).replace("; varies", " and varies")
+        session.echo(f"{name}: {material.name}; {_describe_forces(material)}; {limit}{varies}")
 
 
 @materials.command()
 def show(context: typer.Context, name: Name) -> None:
-    """Say what is known of a material, and from where."""
-    door: Door = context.obj
+    """Show the data and sources of a material."""
+    session: Session = context.obj
     from turnwright.material import Material  # noqa: PLC0415
 
-    one = Material.load(name)
-    door.say(one.name)
-    for what, coefficient in (("cutting coefficient", one.cutting), ("thrust coefficient", one.thrust)):
-        door.say(f"{what}: {'not known' if coefficient is None else _coefficient(coefficient)}")
-    door.say(f"critical thickness: {'none stated' if one.critical is None else _critical(one.critical)}")
-    if one.notes:
-        door.say(f"note: {one.notes}")
-    for key, source in one.sources.items():
-        door.say(f"source of {key}: {source}")
+    material = Material.load(name)
+    session.echo(material.name)
+    for label, coefficient in (("cutting coefficient", material.cutting), ("thrust coefficient", material.thrust)):
+        session.echo(f"{label}: {'not known' if coefficient is None else _describe_coefficient(coefficient)}")
+    critical = material.critical
+    session.echo(f"critical chip thickness: {'none stated' if critical is None else _describe_critical(critical)}")
+    if material.notes:
+        session.echo(f"note: {material.notes}")
+    for key, source in material.sources.items():
+        session.echo(f"source of {key}: {source}")
 
 
 @materials.command()
 def fit(context: typer.Context, data: Data, out: Out, picture: Picture = None) -> None:
-    """Learn a material from measured forces, and write it as a file."""
-    door: Door = context.obj
-    require_new(out)
+    """Fit a material model to measured forces."""
+    session: Session = context.obj
+    require_unused(out)
     if picture is not None:
-        require_new(picture)
-        if picture.suffix.lower() not in PICTURES:
-            raise InputError(
-                f"the picture {picture} ends in {picture.suffix!r}, it can be {', '.join(PICTURES)}: name it so"
-            )
+        require_unused(picture)
+        if picture.suffix.lower() not in PICTURE_FORMATS:
+            raise InputError(f"the picture is {picture.name!r}, it must end in {', '.join(PICTURE_FORMATS)}")
     import tomli_w  # noqa: PLC0415
 
     from turnwright.cutting import learn_from_file  # noqa: PLC0415
 
-    with progress_of(door.stop, [Step(stage="learn", work=5.0)]) as progress:
+    with show_progress(session.stop, [Step(stage="learn", work=5.0)]) as progress:
         progress("learn", 0, 1)
-        found = learn_from_file(data)
-        text = tomli_w.dumps(found.table())
+        experiment = learn_from_file(data)
+        text = tomli_w.dumps(experiment.table())
         progress("learn", 1, 1)
     if picture is not None:
-        _draw(found, picture)
+        _draw_fit(experiment, picture)
     write_whole(out, text)
-    for sentence in found.learned.sentences:
-        door.say(sentence)
-    door.say(f"material: {out}")
+    for sentence in experiment.learned.sentences:
+        session.echo(sentence)
+    session.echo(f"material: {out}")
     if picture is not None:
-        door.say(f"picture: {picture}")
+        session.echo(f"picture: {picture}")
 
 
-def _draw(found: Experiment, picture: Path) -> None:
-    """Draw the forces beside what was learned makes of them, and what is left."""
+def _draw_fit(experiment: Experiment, picture: Path) -> None:
+    """Draw measured and fitted forces, and the residuals."""
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    fit, critical = found.learned.fit, found.learned.critical
+    fit, critical = experiment.learned.fit, experiment.learned.critical
     count = len(fit.components)
     figure = Figure(figsize=(4.2 * count, 5.6), layout="constrained")
     axes = figure.subplots(2, count, squeeze=False, sharex=True, height_ratios=(2, 1))
@@ -117,62 +113,65 @@ def _draw(found: Experiment, picture: Path) -> None:
         column[1].plot(nm, (measured - fitted) * 1e3, ".", ms=3, color="tab:blue")
         column[1].axhline(0, color="k", lw=0.8)
         column[0].set(title=name, ylabel="force [mN]")
-        column[1].set(xlabel="thickest chip [nm]", ylabel="measured - fitted [mN]")
+        column[1].set(xlabel="maximum uncut chip thickness [nm]", ylabel="measured - fitted [mN]")
         for ax in column:
             if critical is not None:
                 ax.axvspan(
-                    critical.low * 1e6, critical.high * 1e6, color="tab:red", alpha=0.3, label="critical thickness"
+                    critical.low * 1e6, critical.high * 1e6, color="tab:red", alpha=0.3, label="critical chip thickness"
                 )
         column[0].legend(fontsize=7)
-    figure.suptitle(found.name)
+    figure.suptitle(experiment.name)
     with whole_file(picture) as stream:
         figure.savefig(stream, dpi=150, format=picture.suffix[1:])
 
 
-def _forces(material: Material) -> str:
-    """Return the coefficients at a glance: as they are, or those of a thin chip where they vary with it."""
+def _describe_forces(material: Material) -> str:
+    """Summarise the coefficients; if they vary with the chip thickness, at the reference thickness."""
     cutting, thrust = material.cutting, material.thrust
     if cutting is None or thrust is None:
         return "no coefficients"
     if cutting.constant and thrust.constant:
         return f"Kc {cutting.value:.5g}, Kt {thrust.value:.5g} N/mm^2"
-    at = [float(one) for one in material.coefficients(THIN)]
-    if not material.caution(THIN):
+    at = [float(value) for value in material.coefficients(REFERENCE_THICKNESS)]
+    if not material.caution(REFERENCE_THICKNESS):
         return f"Kc {at[0]:.5g}, Kt {at[1]:.5g} N/mm^2 at 1 um"
-    words = []
-    for label, value, one in zip(("Kc", "Kt"), at, (cutting, thrust), strict=True):
-        sure = "" if one.uncertainty is None else f" +- {100 * one.uncertainty / one.value:.0f} %"
-        words.append(f"{label} about {float(f'{value:.2g}'):.0f}{sure}")
-    return f"an estimate, {', '.join(words)} N/mm^2 at 1 um"
+    estimates = []
+    for label, value, coefficient in zip(("Kc", "Kt"), at, (cutting, thrust), strict=True):
+        relative = coefficient.uncertainty
+        spread = "" if relative is None else f" +- {100 * relative / coefficient.value:.0f} %"
+        estimates.append(f"{label} about {float(f'{value:.2g}'):.0f}{spread}")
+    return f"an estimate, {', '.join(estimates)} N/mm^2 at 1 um"
 
 
-def _more(one: CuttingCoefficient | CriticalThickness) -> str:
-    """Return what a property depends on, in words."""
-    kinds = [
-        word
-        for word, given in (
-            ("chip thickness", not getattr(one, "constant", True)),
-            ("rake", one.rake is not None),
-            ("direction of the crystal", one.lobes is not None),
+def _describe_dependence(quantity: CuttingCoefficient | CriticalThickness) -> str:
+    """Return what a property depends on, as a clause."""
+    names = [
+        name
+        for name, is_dependent in (
+            ("chip thickness", not getattr(quantity, "constant", True)),
+            ("rake", quantity.rake is not None),
+            ("crystal direction", quantity.lobes is not None),
         )
-        if given
+        if is_dependent
     ]
-    return f"; varies with {', '.join(kinds)}" if kinds else ""
+    return f"; varies with {', '.join(names)}" if names else ""
 
 
-def _length(length: float) -> str:
-    """Return a thickness of chip in the unit that suits it."""
+def _format_thickness(length: float) -> str:
     return f"{length:g} mm" if length >= 1 else f"{length * 1e3:.4g} um" if length >= 1e-3 else f"{length * 1e6:.4g} nm"
 
 
-def _coefficient(one: CuttingCoefficient) -> str:
-    sure = "" if one.uncertainty is None else f" +- {one.uncertainty:.3g}"
-    at = "" if one.reference_thickness is None else f" at {_length(one.reference_thickness)}"
-    power = f", falling with the power {one.exponent:g} of the chip" if one.exponent else ""
-    stated = "" if one.stated is None else f"; stated for chips of {_length(one.stated[0])} to {_length(one.stated[1])}"
-    return f"{one.value:.5g}{sure} N/mm^2{at}{power}{_more(one)}{stated}"
+def _describe_coefficient(coefficient: CuttingCoefficient) -> str:
+    reference, bounds = coefficient.reference_thickness, coefficient.stated
+    spread = "" if coefficient.uncertainty is None else f" +- {coefficient.uncertainty:.3g}"
+    at = "" if reference is None else f" at {_format_thickness(reference)}"
+    power = f", decreasing with chip thickness to the power {coefficient.exponent:g}" if coefficient.exponent else ""
+    valid = ""
+    if bounds is not None:
+        valid = f"; valid for chips of {_format_thickness(bounds[0])} to {_format_thickness(bounds[1])}"
+    return f"{coefficient.value:.5g}{spread} N/mm^2{at}{power}{_describe_dependence(coefficient)}{valid}"
 
 
-def _critical(one: CriticalThickness) -> str:
-    sure = "" if one.uncertainty is None else f" +- {one.uncertainty * 1e6:.3g}"
-    return f"{one.value * 1e6:.4g}{sure} nm{_more(one)}"
+def _describe_critical(critical: CriticalThickness) -> str:
+    spread = "" if critical.uncertainty is None else f" +- {critical.uncertainty * 1e6:.3g}"
+    return f"{critical.value * 1e6:.4g}{spread} nm{_describe_dependence(critical)}"

@@ -1,4 +1,4 @@
-"""The commands of a part that was measured."""
+"""Commands for measured parts: artefact, measure, diagnose and correct."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import typer
 
 from turnwright._io import write_whole
 from turnwright.cli.shared import (
-    Door,
     Folder,
     Force,
     JobFile,
+    Session,
     app,
-    end_by,
+    exit_on_missed,
     new_folder,
-    progress_of,
-    require_new,
+    require_unused,
+    show_progress,
     warn,
 )
 from turnwright.errors import InputError
@@ -33,34 +33,34 @@ if TYPE_CHECKING:
 
 __all__: list[str] = []
 
-SAID = 0.1
-"""Share of what was measured from which a source is named that is not corrected."""
+MIN_LISTED_FRACTION = 0.1
+"""Smallest contribution to the measured rms at which an error source that is not corrected is listed."""
 
-HEIGHT_BYTES = 8
-"""Of a height in a file, usually."""
+TYPICAL_HEIGHT_BYTES = 8
+"""File size per measured height, for the progress estimate."""
 
 Maps = Annotated[
     list[Path],
-    typer.Argument(metavar="MAP...", help="What the instrument wrote, in any of its formats.", show_default=False),
+    typer.Argument(metavar="MAP...", help="Measured maps, in any supported format.", show_default=False),
 ]
-MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="What the instrument wrote.", show_default=False)]
+MapFile = Annotated[
+    Path, typer.Argument(metavar="MAP", help="Measured map, in any supported format.", show_default=False)
+]
 JobOption = Annotated[Path, typer.Option("--job", help="The job that cut the part.", show_default=False)]
-Unit = Annotated[str | None, typer.Option(help='Of the heights of a text file that states none, such as "um".')]
+Unit = Annotated[str | None, typer.Option(help='Height unit of a text file that states none, such as "um".')]
 Keys = Annotated[
     list[str],
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help='A key of the job\'s table measurement for this run, such as "clocking=20 deg"; may be repeated.',
+        help='Override a key of the job\'s measurement table, such as "clocking=20 deg"; repeatable.',
         default_factory=list,
         show_default=False,
     ),
 ]
 Jobs = Annotated[
     list[Path],
-    typer.Option(
-        "--job", help="The job that cut the part; for several maps one for all, or one for each.", show_default=False
-    ),
+    typer.Option("--job", help="The job that cut the part: one for all maps, or one per map.", show_default=False),
 ]
 
 
@@ -69,34 +69,42 @@ def artefact(
     context: typer.Context,
     job: JobFile,
     kind: Annotated[str, typer.Option(metavar="KIND", help='"tilted flat" or "concave sphere".', show_default=False)],
-    out: Annotated[Path, typer.Option(metavar="JOB.toml", help="The job of the artefact.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option(metavar="JOB.toml", help="The job of the test part to write.", show_default=False)
+    ],
     radius: Annotated[
-        str | None, typer.Option(help='Clear radius such as "5 mm"; that of the part if not given.')
+        str | None,
+        typer.Option(help='Semi-diameter of the clear aperture, such as "5 mm"; by default that of the part.'),
     ] = None,
     slope: Annotated[
         str | None,
-        typer.Option(help='Tilt, or slope at the rim, such as "3 deg"; what the part asks of the nose if not given.'),
+        typer.Option(
+            help='Tilt or edge slope, such as "3 deg"; by default it uses as much of the tool nose as the part.'
+        ),
     ] = None,
 ) -> None:
-    """Write the job of an artefact that is cut as the part will be, to find out tool and machine beforehand."""
-    door: Door = context.obj
+    """Write the job of a diamond-turned test part.
+
+    It is cut like the part, so that measuring it reveals tool and machine errors before the part is cut.
+    """
+    session: Session = context.obj
     from turnwright.job import Job, artefact, edited  # noqa: PLC0415
     from turnwright.units import parse  # noqa: PLC0415
 
-    require_new(out)
+    require_unused(out)
     recipe = Job.load(job)
     text = job.read_bytes().decode()
-    with progress_of(door.stop, [Step(stage="speed of the part", work=3.0)]) as progress:
+    with show_progress(session.stop, [Step(stage="speed of the part", work=3.0)]) as progress:
         made = artefact(
             recipe,
-            kind,  # type: ignore[arg-type] # any other is refused in words
+            kind,  # type: ignore[arg-type] # any other kind raises InputError
             radius=None if radius is None else parse(radius, "mm"),
             slope=None if slope is None else parse(slope, "rad"),
             progress=progress,
         )
     write_whole(out, edited(text, recipe, made, folder=job.absolute().parent, into=out.absolute().parent))
-    door.say(f"{made.part.name}: radius {made.part.radius:g} mm, {made.strategy.spindle_rpm:.4g} rpm")
-    door.say(f"job: {out}")
+    session.echo(f"{made.part.name}: radius {made.part.radius:g} mm, {made.strategy.spindle_rpm:.4g} rpm")
+    session.echo(f"job: {out}")
 
 
 @app.command()
@@ -104,13 +112,13 @@ def measure(
     context: typer.Context, file: MapFile, job: JobOption, out: Folder, keys: Keys, unit: Unit = None,
     force: Force = False,
 ) -> None:  # fmt: skip
-    """Register a measured map to its part and say how far the part is off."""
-    door: Door = context.obj
+    """Register a measured map and report form error."""
+    session: Session = context.obj
     from turnwright.job import steps_of_measurement  # noqa: PLC0415
 
     with (
-        new_folder(out, door, force=force) as folder,
-        progress_of(door.stop, steps_of_measurement(_heights([file]))) as progress,
+        new_folder(out, session, force=force) as folder,
+        show_progress(session.stop, steps_of_measurement(_heights([file]))) as progress,
     ):
         measured = _measured([file], [job], progress, unit, keys)[0]
         progress("report", 0, 1)
@@ -119,38 +127,38 @@ def measure(
         archive_measured(measured, folder)
         write_measured(measured, folder)
         progress("report", 1, 1)
-    _say_measured(door, [measured])
+    _print_measured(session, [measured])
     for verdict in measured.verdicts:
-        door.say(verdict.sentence)
-    door.say(f"report: {out / 'report.html'}")
-    end_by(door, measured.verdicts)
+        session.echo(verdict.sentence)
+    session.echo(f"report: {out / 'report.html'}")
+    exit_on_missed(session, measured.verdicts)
 
 
 @app.command()
 def diagnose(
     context: typer.Context, files: Maps, job: Jobs, out: Folder, keys: Keys, unit: Unit = None, force: Force = False
 ) -> None:
-    """Say why measured parts are off: tool, machine or mount, each with its uncertainty."""
-    door: Door = context.obj
+    """Attribute form error to tool, machine or mount."""
+    session: Session = context.obj
     from turnwright.job import steps_of_diagnosis  # noqa: PLC0415
 
     with (
-        new_folder(out, door, force=force) as folder,
-        progress_of(door.stop, steps_of_diagnosis(_heights(files))) as progress,
+        new_folder(out, session, force=force) as folder,
+        show_progress(session.stop, steps_of_diagnosis(_heights(files))) as progress,
     ):
         from turnwright.job import diagnose  # noqa: PLC0415
 
         measured = _measured(files, job, progress, unit, keys)
-        found = diagnose(measured, progress=progress)
+        diagnosis = diagnose(measured, progress=progress)
         progress("report", 0, 1)
         from turnwright.report import archive_diagnosis, write_diagnosis  # noqa: PLC0415 - costly to import
 
-        archive_diagnosis(measured, found, folder)
-        write_diagnosis(measured, found, folder)
+        archive_diagnosis(measured, diagnosis, folder)
+        write_diagnosis(measured, diagnosis, folder)
         progress("report", 1, 1)
-    _say_measured(door, measured)
-    _say_causes(door, found)
-    door.say(f"report: {out / 'report.html'}")
+    _print_measured(session, measured)
+    _print_sources(session, diagnosis)
+    session.echo(f"report: {out / 'report.html'}")
 
 
 @app.command()
@@ -162,67 +170,67 @@ def correct(
     keys: Keys,
     of: Annotated[
         Path | None,
-        typer.Option("--of", metavar="JOB.toml", help="The job to correct, if it is not the one that was measured."),
+        typer.Option("--of", metavar="JOB.toml", help="The job to correct; by default the job that cut the part."),
     ] = None,
     unit: Unit = None,
     force: Force = False,
 ) -> None:
-    """Write the job that takes what was found into account, and predict what it leaves."""
-    door: Door = context.obj
+    """Write a corrected job and predict its residual."""
+    session: Session = context.obj
     from turnwright.job import steps_of_correction  # noqa: PLC0415
 
     with (
-        new_folder(out, door, force=force) as folder,
-        progress_of(door.stop, steps_of_correction(_heights(files))) as progress,
+        new_folder(out, session, force=force) as folder,
+        show_progress(session.stop, steps_of_correction(_heights(files))) as progress,
     ):
         from turnwright.job import correct, diagnose  # noqa: PLC0415
 
         measured = _measured(files, job, progress, unit, keys)
-        found = diagnose(measured, progress=progress)
+        diagnosis = diagnose(measured, progress=progress)
         if of is None:
-            better = correct(measured[0].job, found, measured, out=folder, source=job[0], progress=progress)
+            correction = correct(measured[0].job, diagnosis, measured, out=folder, source=job[0], progress=progress)
         else:
-            better = correct(_job(of, keys), found, measured, out=folder, source=of, progress=progress)
+            correction = correct(_load_job(of, keys), diagnosis, measured, out=folder, source=of, progress=progress)
         progress("report", 0, 1)
         from turnwright.report import archive_correction, write_correction  # noqa: PLC0415 - costly to import
 
-        archive_correction(measured, found, better, folder)
-        write_correction(measured, found, better, folder)
+        archive_correction(measured, diagnosis, correction, folder)
+        write_correction(measured, diagnosis, correction, folder)
         progress("report", 1, 1)
-    _say_measured(door, measured)
-    _say_causes(door, found)
-    for sentence in better.sentences:
-        door.say(sentence)
-    for name, (pv, rms) in better.numbers_nm.items():
-        door.say(f"{name}: PV {pv:.4g} nm, rms {rms:.4g} nm")
-    for verdict in better.verdicts:
-        door.say(f"corrected: {verdict.sentence}")
-    door.say(f"job: {out / 'job.toml'}")
-    door.say(f"report: {out / 'report.html'}")
-    end_by(door, better.verdicts)
+    _print_measured(session, measured)
+    _print_sources(session, diagnosis)
+    for sentence in correction.sentences:
+        session.echo(sentence)
+    for name, (pv, rms) in correction.numbers_nm.items():
+        session.echo(f"{name}: PV {pv:.4g} nm, rms {rms:.4g} nm")
+    for verdict in correction.verdicts:
+        session.echo(f"corrected: {verdict.sentence}")
+    session.echo(f"job: {out / 'job.toml'}")
+    session.echo(f"report: {out / 'report.html'}")
+    exit_on_missed(session, correction.verdicts)
 
 
 def _heights(files: Sequence[Path]) -> list[float]:
-    """Return about how many heights maps have."""
-    return [file.stat().st_size / HEIGHT_BYTES if file.is_file() else 0.0 for file in files]
+    """Estimate the number of heights of each map from its file size."""
+    return [file.stat().st_size / TYPICAL_HEIGHT_BYTES if file.is_file() else 0.0 for file in files]
 
 
-def _job(file: Path, keys: Sequence[str]) -> Job:
-    """Load a job with some keys of its measurement replaced."""
+def _load_job(file: Path, keys: Sequence[str]) -> Job:
+    """Load a job and apply the ``--set`` options to its measurement table."""
     from turnwright.job import Job  # noqa: PLC0415
 
     job = Job.load(file)
     if not keys:
         return job
     table = job.table()
-    for one in keys:
-        key, equals, value = (part.strip() for part in one.partition("="))
+    for option in keys:
+        key, equals, value = (part.strip() for part in option.partition("="))
         if not (key and equals and value):
-            raise InputError(f'--set is {one!r}, it must be KEY=VALUE, such as "clocking=20 deg"')
+            raise InputError(f'--set must be KEY=VALUE, such as "clocking=20 deg", got {option!r}')
         try:
             stated = tomllib.loads(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:
-            stated = value  # a word or a quantity need no quotes here
+            stated = value  # words and quantities need no quotes on the command line
         table.setdefault("measurement", {})[key] = stated
     return Job.read(table)
 
@@ -230,41 +238,43 @@ def _job(file: Path, keys: Sequence[str]) -> Job:
 def _measured(
     files: Sequence[Path], jobs: Sequence[Path], progress: StageProgress, unit: str | None, keys: Sequence[str]
 ) -> list[Measured]:
-    """Read every map and register it to its part."""
+    """Read each map and register it to its part."""
     from turnwright.job import measure, read_measurement  # noqa: PLC0415
 
     if len(jobs) not in (1, len(files)):
         raise InputError(
-            f"{len(files)} maps and {len(jobs)} jobs are given, there must be 1 job for all, or one for each map in "
-            "their order: state --job as often"
+            f"--job must be given once, or once for each map in their order, got {len(jobs)} jobs for {len(files)} maps"
         )
-    recipes = [_job(job, keys) for job in jobs]
+    recipes = [_load_job(job, keys) for job in jobs]
     return [
         measure(recipe, read_measurement(recipe, file, unit=unit), progress=progress)
         for file, recipe in zip(files, recipes * (len(files) // len(recipes)), strict=True)
     ]
 
 
-def _say_measured(door: Door, measured: Sequence[Measured]) -> None:
-    for one in measured:
-        door.say(
-            f"{one.heights.name or one.job.part.name}: form error PV {one.form_pv_nm:.4g} nm, rms "
-            f"{one.form_rms_nm:.4g} nm; {one.spikes} spikes taken out"
+def _print_measured(session: Session, measured: Sequence[Measured]) -> None:
+    for part in measured:
+        session.echo(
+            f"{part.heights.name or part.job.part.name}: form error PV {part.form_pv_nm:.4g} nm, rms "
+            f"{part.form_rms_nm:.4g} nm; {part.spikes} outliers removed"
         )
-        if one.lenslets is not None:
-            door.say(one.lenslets.summary)
-        for sentence in one.as_seen:
-            door.say(sentence)
-        if one.axis is not None:
-            door.say(f"axis of turning from the {one.axis.source}, within {1e3 * max(one.axis.std):.2g} um")
-        warn(one.open_questions)
+        if part.lenslets is not None:
+            session.echo(part.lenslets.summary)
+        for sentence in part.as_seen:
+            session.echo(sentence)
+        if part.axis is not None:
+            session.echo(
+                f"turning axis from the {part.axis.source}, standard uncertainty {1e3 * max(part.axis.std):.2g} um"
+            )
+        warn(part.open_questions)
 
 
-def _say_causes(door: Door, found: Diagnosis) -> None:
-    for one in found:
-        if one.verdict == "correct" or one.rms_nm > SAID * found.measured_rms_nm:
-            door.say(f"{one.verdict}: {one.why}")
-    for term in found.contributions:
-        if term.rms_nm > SAID * found.measured_rms_nm:
-            door.say(term.why)
-    door.say(found.summary)
+def _print_sources(session: Session, diagnosis: Diagnosis) -> None:
+    smallest = MIN_LISTED_FRACTION * diagnosis.measured_rms_nm
+    for source in diagnosis:
+        if source.verdict == "correct" or source.rms_nm > smallest:
+            session.echo(f"{source.verdict}: {source.why}")
+    for term in diagnosis.contributions:
+        if term.rms_nm > smallest:
+            session.echo(term.why)
+    session.echo(diagnosis.summary)

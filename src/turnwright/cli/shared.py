@@ -1,4 +1,4 @@
-"""What all commands share: the door, its options, progress, and folders that appear when all is done."""
+"""Parts shared by all commands: the session, common options, progress display and atomic result folders."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from turnwright.progress import OverallProgress
 
 try:
     import fcntl
-except ImportError:  # Windows: there what a killed process left stays
+except ImportError:  # Windows: the folder of a killed process stays
     fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
@@ -34,96 +34,97 @@ if TYPE_CHECKING:
     from turnwright.progress import Overall, StageProgress, Step
 
 __all__ = [
-    "MISSED",
-    "Door",
+    "MISSED_CODE",
     "Folder",
     "Force",
     "JobFile",
+    "Session",
     "app",
-    "end_by",
+    "exit_on_missed",
     "new_folder",
-    "progress_of",
-    "require_new",
-    "tell",
+    "print_status",
+    "require_unused",
+    "show_progress",
     "warn",
 ]
 
-MISSED = 4
-"""Exit code of work that is done and written, of which a stated tolerance is missed."""
+MISSED_CODE = 4
+"""Exit code when results are written but a stated tolerance is missed."""
 
 app = typer.Typer(
     name="turnwright",
-    help="From an optical prescription to a proven program for a diamond-turning lathe.",
+    help="Generate and verify programs for diamond-turning lathes.",
     add_completion=False,
     pretty_exceptions_enable=False,
 )
 
 JobFile = Annotated[Path, typer.Argument(metavar="JOB.toml", help="The job file.", show_default=False)]
-Folder = Annotated[Path, typer.Option(help="Folder for the results; it is made when all is done.", show_default=False)]
-Force = Annotated[
-    bool, typer.Option("--force", help="If the folder is there already, keep it under another name and go on.")
-]
+Folder = Annotated[Path, typer.Option(help="Folder for the results; created on completion.", show_default=False)]
+Force = Annotated[bool, typer.Option("--force", help="Rename an existing folder instead of refusing it.")]
 
 
-class Door:
-    """What a command and the one who called it tell each other.
+class Session:
+    """State of one invocation, shared by the command and the entry point.
 
     Parameters
     ----------
     stop
-        Whether somebody wants an end.
-    kept
-        The folder that is complete and in its place.
-    partly
-        What stays of a work in parts that is interrupted, and how to go on; a sentence.
-    unsaid
-        Why the standard output did not take what was said; the work goes on without.
+        Requests to stop.
+
+    Attributes
+    ----------
+    finished
+        Result folder, once it is complete.
+    partial
+        Message on interruption: where finished parts are and how to continue.
+    output_error
+        First error on standard output; later output is discarded.
     """
 
     def __init__(self, stop: Stop) -> None:
         self.stop = stop
-        self.kept: Path | None = None
-        self.partly = ""
-        self.unsaid: OSError | None = None
+        self.finished: Path | None = None
+        self.partial = ""
+        self.output_error: OSError | None = None
 
-    def say(self, text: str) -> None:
-        """Say a sentence where results are said."""
-        if self.unsaid is None:
+    def echo(self, text: str) -> None:
+        """Print a result to standard output."""
+        if self.output_error is None:
             try:
                 typer.echo(text)
             except OSError as error:
-                self.unsaid = error
-                with suppress(OSError, ValueError):  # what is left in the buffer must not fail again at the end
+                self.output_error = error
+                with suppress(OSError, ValueError):  # flushing the buffer at exit must not fail again
                     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def tell(text: str) -> None:
-    """Say beside the results; nobody needs to listen."""
+def print_status(text: str) -> None:
+    """Print a status line to standard error; errors are ignored."""
     with suppress(OSError):
         typer.echo(shortened(text), err=True)
 
 
-def end_by(door: Door, verdicts: Iterable[Verdict]) -> None:
-    """End a command that has done its work: with the code of a missed tolerance if one is.
+def exit_on_missed(session: Session, verdicts: Iterable[Verdict]) -> None:
+    """Exit with `MISSED_CODE` if a tolerance is missed.
 
     Raises
     ------
     typer.Exit
-        With that code.
+        With `MISSED_CODE`.
     """
     from turnwright.job import missed  # noqa: PLC0415
 
     verdicts = tuple(verdicts)
     if missed(verdicts):
-        many = sum(one.kept is False for one in verdicts)
-        door.say(f"done and written, but a stated tolerance is missed ({many} of {len(verdicts)} judged)")
-        raise typer.Exit(MISSED)
+        count = sum(verdict.kept is False for verdict in verdicts)
+        session.echo(f"results are written, but {count} of {len(verdicts)} evaluated tolerances are missed")
+        raise typer.Exit(MISSED_CODE)
 
 
 @app.callback(invoke_without_command=True)
 def _root(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Say which version this is, and stop.")] = False,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
     if version:
         typer.echo(f"turnwright {__version__}")
@@ -136,30 +137,30 @@ def _root(
 def warn(sentences: Sequence[str]) -> None:
     """Print each sentence as a warning."""
     for sentence in sentences:
-        tell(f"warning: {sentence}")
+        print_status(f"warning: {sentence}")
 
 
-def require_new(file: Path) -> None:
-    """Raise unless a file can be written under a name that is not taken."""
+def require_unused(file: Path) -> None:
+    """Raise unless a file does not exist and its folder does."""
     if file.exists():
-        raise InputError(f"{str(file)!r} is there already: name another file")
+        raise InputError(f"{str(file)!r} already exists: choose another file")
     if not file.absolute().parent.is_dir():
-        raise InputError(f"the folder of {str(file)!r} does not exist: make it, or name another file")
+        raise InputError(f"the folder of {str(file)!r} does not exist")
 
 
 @contextmanager
-def progress_of(stop: Stop, steps: Sequence[Step]) -> Iterator[StageProgress]:
-    """Yield the progress callback: one bar for the whole run on a terminal, a quiet line per stage elsewhere."""
+def show_progress(stop: Stop, steps: Sequence[Step]) -> Iterator[StageProgress]:
+    """Yield a progress callback: one bar for the whole run on a terminal, otherwise one line per finished stage."""
     if not sys.stderr.isatty():
-        told: set[str] = set()
+        printed: set[str] = set()
 
-        def line(stage: str, done: int, total: int) -> None:
+        def print_stage(stage: str, done: int, total: int) -> None:
             stop.check()
-            if done >= total and stage not in told:
-                told.add(stage)
-                tell(stage)
+            if done >= total and stage not in printed:
+                printed.add(stage)
+                print_status(stage)
 
-        yield line
+        yield print_stage
         return
     from rich.console import Console  # noqa: PLC0415
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn  # noqa: PLC0415
@@ -167,7 +168,7 @@ def progress_of(stop: Stop, steps: Sequence[Step]) -> Iterator[StageProgress]:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[time]}"))
     start = time.monotonic()
     with Progress(*columns, console=Console(stderr=True)) as bars:
-        task = bars.add_task("begins", total=1.0, time="")
+        task = bars.add_task("starting", total=1.0, time="")
 
         def draw(at: Overall) -> None:
             bars.update(
@@ -177,136 +178,136 @@ def progress_of(stop: Stop, steps: Sequence[Step]) -> Iterator[StageProgress]:
                 time=f"{timedelta(seconds=round(at.left_s))} left",
             )
 
-        whole = OverallProgress(steps, draw)
+        overall = OverallProgress(steps, draw)
 
-        def bar(stage: str, done: int, total: int) -> None:
+        def update(stage: str, done: int, total: int) -> None:
             stop.check()
-            whole(stage, done, total)
+            overall(stage, done, total)
 
-        yield bar
-        whole.finish()
+        yield update
+        overall.finish()
         bars.update(task, description="done", time=f"in {timedelta(seconds=round(time.monotonic() - start))}")
 
 
 @contextmanager
-def new_folder(out: Path, door: Door, *, force: bool) -> Iterator[Path]:
-    """Yield a folder beside ``out`` that becomes ``out`` when all is well, and vanishes otherwise."""
-    out = Path(os.path.realpath(out))  # a link stays, what it points to is made
+def new_folder(out: Path, session: Session, *, force: bool) -> Iterator[Path]:
+    """Yield a hidden folder next to ``out``; it is renamed to ``out`` on success and removed on failure."""
+    out = Path(os.path.realpath(out))  # a link is kept, its target is created
     if out.is_symlink():
-        raise InputError(f"{str(out)!r} is a link that points to itself: name another folder")
+        raise InputError(f"{str(out)!r} is a link that points to itself")
     if out.is_mount():
-        raise InputError(f"{str(out)!r} is where a disk is mounted, which cannot be replaced: name a folder in it")
-    door.stop.deaf = True  # until what is made here is sure to be cleaned up
-    made = [folder for folder in out.parents if not folder.exists()]  # deepest first
+        raise InputError(f"{str(out)!r} is a mount point and cannot be replaced: choose a folder in it")
+    session.stop.deaf = True  # until the clean-up below is armed
+    new_parents = [folder for folder in out.parents if not folder.exists()]  # deepest first
     out.parent.mkdir(parents=True, exist_ok=True)
     taken = out.exists() and not (out.is_dir() and not any(out.iterdir()))
     if taken and not force:
         raise InputError(
-            f"{str(out)!r} is there already and not empty: name another folder, or add --force to keep it too"
+            f"{str(out)!r} already exists and is not empty: choose another folder, or rename it with --force"
         )
-    folder, held = _begun(out)
+    folder, lock = _create_locked(out)
     try:
-        door.stop.deaf = False
-        door.stop.check()
+        session.stop.deaf = False
+        session.stop.check()
         yield folder
         mask = os.umask(0)
         os.umask(mask)
         folder.chmod(0o777 & ~mask)
-        door.stop.check()
-        door.stop.deaf = True  # from here on it is done
+        session.stop.check()
+        session.stop.deaf = True  # the results are complete
         if taken:
-            _keep_under_another_name(out)
+            _rename_existing(out)
         elif out.exists():
             out.rmdir()
         folder.rename(out)
-        door.kept = out
+        session.finished = out
     except BaseException as error:
-        # Whoever reads the message knows the folder that was asked for.
-        here, asked = str(folder), str(out)
-        error.args = tuple(one.replace(here, asked) if isinstance(one, str) else one for one in error.args)
+        # Name the requested folder in the message, not the temporary one.
+        temporary, requested = str(folder), str(out)
+        error.args = tuple(part.replace(temporary, requested) if isinstance(part, str) else part for part in error.args)
         if isinstance(error, OSError) and isinstance(error.filename, str | os.PathLike):
-            error.filename = os.fspath(error.filename).replace(here, asked)
-        door.stop.deaf = True  # a second interrupt must not stop the cleaning
+            error.filename = os.fspath(error.filename).replace(temporary, requested)
+        session.stop.deaf = True  # a second interrupt must not stop the clean-up
         shutil.rmtree(folder, ignore_errors=True)
-        for parent in made:
-            with suppress(OSError):  # somebody else put something in it meanwhile
+        for parent in new_parents:
+            with suppress(OSError):  # another process may have put a file in it
                 parent.rmdir()
         raise
     finally:
-        if held is not None:
-            os.close(held)
+        if lock is not None:
+            os.close(lock)
 
 
-def _keep_under_another_name(out: Path) -> None:
+def _rename_existing(out: Path) -> None:
     number = 1
-    while (kept := out.with_name(f"{out.name}.old-{number}")).exists():
+    while (target := out.with_name(f"{out.name}.old-{number}")).exists():
         number += 1
-    out.rename(kept)
+    out.rename(target)
 
 
-def _begun(out: Path) -> tuple[Path, int | None]:
-    """Return a new hidden folder beside another, and what holds its lock, after removing those of dead processes.
+def _create_locked(out: Path) -> tuple[Path, int | None]:
+    """Create a hidden folder next to ``out`` and lock it, after removing the stale folders of ended processes.
 
-    The system gives a lock up when the process that holds it is gone, however it went. A lock may hold on one machine
-    only, so the name of the folder says on which.
+    The operating system releases a lock when its process ends. Locks may be local to one machine, so the name of the
+    hidden folder contains a hash of the host name.
 
     Raises
     ------
     InputError
-        If another process is at work for the same folder.
+        If another process is writing the same folder.
     """
-    here = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
-    head = f".{out.name}-{here}-"
+    host = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
+    prefix = f".{out.name}-{host}-"
     while True:
-        _require_alone(out, here)
-        folder = Path(tempfile.mkdtemp(prefix=head, dir=out.parent))
-        with suppress(BlockingIOError):  # another process takes it for one that was left, and removes it
-            held = _lock(folder)
+        _remove_stale(out, host)
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=out.parent))
+        with suppress(BlockingIOError):  # another process is removing it as stale
+            lock = _lock(folder)
             if folder.is_dir():
                 break
-            if held is not None:
-                os.close(held)
+            if lock is not None:
+                os.close(lock)
     try:
-        _require_alone(out, here, folder.name)
+        _remove_stale(out, host, folder.name)
     except InputError:
         shutil.rmtree(folder, ignore_errors=True)
-        if held is not None:
-            os.close(held)
+        if lock is not None:
+            os.close(lock)
         raise
-    return folder, held
+    return folder, lock
 
 
-def _require_alone(out: Path, here: str, own: str = "") -> None:
-    """Remove what dead processes have left beside a folder, whatever it was for; refuse one that is being made.
+def _remove_stale(out: Path, host: str, mine: str = "") -> None:
+    """Remove the hidden folders of ended processes; raise if another process is writing ``out``.
 
-    Of two that begin at a time that one goes on whose hidden name comes first.
+    If two processes start together, the one whose hidden folder sorts first continues.
     """
-    left = re.compile(rf"\.(.+)-{here}-[a-z0-9_]{{8}}")  # as mkdtemp names them
+    pattern = re.compile(rf"\.(.+)-{host}-[a-z0-9_]{{8}}")  # the names that mkdtemp gives
     others: list[Path] = []
-    with suppress(OSError):  # one may be allowed to write where one may not look
-        others = [one for one in out.parent.iterdir() if one.name != own and left.fullmatch(one.name)]
+    with suppress(OSError):  # the parent folder may be writable but not readable
+        others = [path for path in out.parent.iterdir() if path.name != mine and pattern.fullmatch(path.name)]
     for other in others:
         try:
-            held = _lock(other)
+            lock = _lock(other)
         except BlockingIOError:
-            found = left.fullmatch(other.name)
-            if found is not None and found[1] == out.name and (not own or other.name < own):
+            match = pattern.fullmatch(other.name)
+            if match is not None and match[1] == out.name and (not mine or other.name < mine):
                 raise InputError(
-                    f"another run is writing {str(out)!r}: name another folder, or wait for its end"
+                    f"another run is writing {str(out)!r}: choose another folder, or wait until it ends"
                 ) from None
             continue
-        if held is not None:
+        if lock is not None:
             shutil.rmtree(other, ignore_errors=True)
-            os.close(held)
+            os.close(lock)
 
 
 def _lock(folder: Path) -> int | None:
-    """Return a descriptor that holds the lock of a folder; ``None`` where there are no locks.
+    """Lock a folder and return the descriptor of the lock; ``None`` where locks are not supported.
 
     Raises
     ------
     BlockingIOError
-        If another process holds it.
+        If another process holds the lock.
     """
     if fcntl is None:
         return None

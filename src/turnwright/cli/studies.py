@@ -1,4 +1,4 @@
-"""The commands of many cases: studies of a job."""
+"""Command for parameter studies, and the options that all studies share."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from turnwright.cli.shared import Door, Folder, Force, JobFile, app, new_folder, progress_of
+from turnwright.cli.shared import Folder, Force, JobFile, Session, app, new_folder, show_progress
 from turnwright.errors import InputError
 from turnwright.progress import Step
 
@@ -19,24 +19,21 @@ if TYPE_CHECKING:
 
     from turnwright.studies import Column, Study
 
-__all__ = ["Cluster", "KeptAt", "Workers", "kept_cases", "over"]
+__all__ = ["CaseStore", "Cluster", "Workers", "connect_cluster", "open_case_store"]
 
 STEPS = (Step(stage="cases", work=100.0), Step(stage="report", work=3.0))
 
 Workers = Annotated[
     int | None,
-    typer.Option(min=1, help="Processes of this machine, a core each; as many as it has cores if not given."),
+    typer.Option(min=1, help="Number of processes; by default one per core."),
 ]
-Cluster = Annotated[
-    str | None, typer.Option(metavar="URL", help='A Dask scheduler that runs, such as "tcp://head:8786".')
-]
-KeptAt = Annotated[
+Cluster = Annotated[str | None, typer.Option(metavar="URL", help='Running Dask scheduler, such as "tcp://head:8786".')]
+CaseStore = Annotated[
     str | None,
     typer.Option(
         "--store",
         metavar="URL",
-        help="Folder, or URL of fsspec, where finished cases stay for other studies; if not given, one beside the "
-        "results that goes when all is done.",
+        help="Folder or fsspec URL where finished cases are kept for reuse; by default a temporary folder.",
     ),
 ]
 
@@ -49,118 +46,117 @@ def study(
     measure: Annotated[
         list[str],
         typer.Option(
-            metavar="NAME", help='What to measure, such as "sq_nm", "minutes" or "peak_acceleration@X"; once for each.'
+            metavar="NAME", help='Quantity to tabulate: "sq_nm", "minutes", "peak_acceleration@X" ...; repeatable.'
         ),
     ],
     vary: Annotated[
         list[str],
         typer.Option(
             metavar="FIELD=VALUES",
-            help='A field of the job and its values: "tool.nose_radius=0.1..1 mm:10", "strategy.feed=2, 4, 8 um/rev", '
-            '"actual.tool.offset[1]=normal(0, 2) um"; once for each field.',
+            help='Job field and its values: "tool.nose_radius=0.1..1 mm:10", "strategy.feed=2, 4, 8 um/rev", '
+            '"actual.tool.offset[1]=normal(0, 2) um"; repeatable.',
         ),
     ],
     design: Annotated[
-        str, typer.Option(help='"grid", or "random", "sobol", "halton", "latin hypercube" with --cases.')
+        str, typer.Option(help='"grid", or with --cases "random", "sobol", "halton", "latin hypercube".')
     ] = "grid",
-    cases: Annotated[int | None, typer.Option(min=1, help="How many cases to draw.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Another one draws other cases.")] = 0,
+    cases: Annotated[int | None, typer.Option(min=1, help="Number of random cases.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random cases.")] = 0,
     workers: Workers = None,
     cluster: Cluster = None,
-    store: KeptAt = None,
+    store: CaseStore = None,
     force: Force = False,
 ) -> None:
-    """Vary fields of a job and measure what becomes of every case: a table, maps and a page."""
-    door: Door = context.obj
+    """Vary job fields and tabulate the results."""
+    session: Session = context.obj
     from turnwright.job import Job  # noqa: PLC0415 - costly
-    from turnwright.studies import study as carry_out  # noqa: PLC0415
+    from turnwright.studies import study as run_study  # noqa: PLC0415
 
-    recipe, varied = Job.load(job), _varied(vary)
+    recipe, varied = Job.load(job), _parse_fields(vary)
     with (
-        new_folder(out, door, force=force) as folder,
-        kept_cases(out, store, door) as kept,
-        progress_of(door.stop, STEPS) as progress,
-        over(cluster) as executor,
+        new_folder(out, session, force=force) as folder,
+        open_case_store(out, store, session) as case_store,
+        show_progress(session.stop, STEPS) as progress,
+        connect_cluster(cluster) as executor,
     ):
-        found = carry_out(
-            recipe, vary=varied, measure=measure, design=design, count=cases, seed=seed, executor=executor, store=kept,
-            workers=workers, progress=lambda done, total: progress("cases", done, total),
+        result = run_study(
+            recipe, vary=varied, measure=measure, design=design, count=cases, seed=seed, executor=executor,
+            store=case_store, workers=workers, progress=lambda done, total: progress("cases", done, total),
         )  # fmt: skip
         progress("report", 0, 1)
-        from turnwright.report import write_study  # noqa: PLC0415 - matplotlib, only for a study that came so far
+        from turnwright.report import write_study  # noqa: PLC0415 - imports matplotlib, needed only after success
 
-        found.save(folder)
-        with suppress(InputError):  # Parquet is of an extra
-            found.to_parquet(folder / "study.parquet")
-        write_study(found, folder)
+        result.save(folder)
+        with suppress(InputError):  # Parquet needs an optional dependency
+            result.to_parquet(folder / "study.parquet")
+        write_study(result, folder)
         progress("report", 1, 1)
-    _say(door, found)
-    door.say(f"table: {out / 'study.csv'}")
-    door.say(f"report: {out / 'report.html'}")
-    if not found.ok.any():
-        raise InputError(f"all {len(found)} cases are refused, the first for this: {found.reasons[0]}")
+    _print_result(session, result)
+    session.echo(f"table: {out / 'study.csv'}")
+    session.echo(f"report: {out / 'report.html'}")
+    if not result.ok.any():
+        raise InputError(f"all {len(result)} cases failed, the first one: {result.reasons[0]}")
 
 
-def _varied(given: list[str]) -> dict[str, str]:
-    """Return what is varied, of ``FIELD=VALUES``."""
-    found: dict[str, str] = {}
-    for one in given:
-        name, equals, values = one.partition("=")
-        if not equals or not name.strip() or not values.strip():
-            raise InputError(
-                f'--vary {one!r} names no field and values: write it such as "tool.nose_radius=0.1..1 mm:10"'
-            )
-        if name.strip() in found:
-            raise InputError(f"{name.strip()} is varied 2 times, the limit is 1: keep one of them")
-        found[name.strip()] = values.strip()
-    return found
+def _parse_fields(options: list[str]) -> dict[str, str]:
+    """Parse the ``FIELD=VALUES`` options."""
+    fields: dict[str, str] = {}
+    for option in options:
+        name, equals, values = (part.strip() for part in option.partition("="))
+        if not equals or not name or not values:
+            raise InputError(f'--vary must be FIELD=VALUES, such as "tool.nose_radius=0.1..1 mm:10", got {option!r}')
+        if name in fields:
+            raise InputError(f"--vary must name a field once, got {name} twice")
+        fields[name] = values
+    return fields
 
 
 @contextmanager
-def over(cluster: str | None) -> Iterator[Executor | None]:
-    """Yield the executor of a cluster, or nothing for processes of this machine."""
-    if cluster is None:
+def connect_cluster(address: str | None) -> Iterator[Executor | None]:
+    """Yield the executor of a Dask cluster; ``None`` for local processes."""
+    if address is None:
         yield None
         return
-    from turnwright.studies import cluster as reach  # noqa: PLC0415
+    from turnwright.studies import cluster  # noqa: PLC0415
 
-    with reach(cluster) as executor:
+    with cluster(address) as executor:
         yield executor
 
 
 @contextmanager
-def kept_cases(out: Path, store: str | None, door: Door) -> Iterator[str]:
-    """Yield where finished cases are kept: as asked for, or beside the results until these are there."""
+def open_case_store(out: Path, store: str | None, session: Session) -> Iterator[str]:
+    """Yield the place of finished cases: ``store``, or a folder next to ``out`` that is removed on success."""
     place = store or str(out.absolute().with_name(f"{out.absolute().name}.cases"))
-    door.partly = f"the finished cases stay in {place}: give the same command to go on"
+    session.partial = f"finished cases are in {place}: repeat the command to continue"
     yield place
     if store is None:
         for part in ("rows", "arrays"):
             shutil.rmtree(Path(place) / part, ignore_errors=True)
-        with suppress(OSError):  # somebody has put something else there
+        with suppress(OSError):  # it is not empty
             Path(place).rmdir()
 
 
-def _say(door: Door, found: Study) -> None:
-    door.say(f"{len(found)} cases, {int((~found.ok).sum())} of them refused")
-    for one in found.measures:
-        door.say(_range(found, one))
-    reasons = list(dict.fromkeys(filter(None, found.reasons)))
-    if reasons and found.ok.any():
-        door.say(f"refused, for instance: {reasons[0]}")
+def _print_result(session: Session, result: Study) -> None:
+    session.echo(f"{len(result)} cases, {int((~result.ok).sum())} failed")
+    for measure in result.measures:
+        session.echo(_describe_range(result, measure))
+    reasons = list(dict.fromkeys(filter(None, result.reasons)))
+    if reasons and result.ok.any():
+        session.echo(f"first failure: {reasons[0]}")
 
 
-def _range(found: Study, one: Column) -> str:
-    """Say how far a measure reaches, and where it is least."""
-    if one.values.dtype.kind not in "fi":
-        return f"{one.heading}: {', '.join(sorted(set(one.values.tolist()) - {''}))}"
-    best = found.best(one.name, 1)
+def _describe_range(result: Study, measure: Column) -> str:
+    """Describe the range of a measure and the case of its minimum."""
+    values = measure.values
+    if values.dtype.kind not in "fi":
+        return f"{measure.heading}: {', '.join(sorted(set(values.tolist()) - {''}))}"
+    best = result.best(measure.name, 1)
     if not best:
-        return f"{one.heading}: no case gives a number"
-    good = one.values[found.ok & (one.values == one.values)]
-    at = ", ".join(f"{field.name} = {_shown(field.values[best[0]])} {field.unit}".strip() for field in found.fields)
-    return f"{one.heading}: {_shown(good.min())} to {_shown(good.max())}, least at {at}"
+        return f"{measure.heading}: no case gives a number"
+    finite = values[result.ok & (measure.values == measure.values)]
+    case = ", ".join(f"{field.name} = {_format(field.values[best[0]])} {field.unit}".strip() for field in result.fields)
+    return f"{measure.heading}: {_format(finite.min())} to {_format(finite.max())}, minimum at {case}"
 
 
-def _shown(value: object) -> str:
+def _format(value: object) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""The page a person reads after a run: one HTML file with everything in it, for the screen and for paper."""
+"""Reports of runs: self-contained HTML pages for screen and print, and result files."""
 
 from __future__ import annotations
 
@@ -68,25 +68,25 @@ __all__ = [
 NM = 1e6
 TURN = 2 * math.pi
 
-PICTURED = 6
-"""Maps that get pictures; the page says so where there are more."""
+MAX_PICTURED_MAPS = 6
+"""Maps shown as pictures; the page states how many more there are."""
 
-HEAD = 40
-"""Lines of a program that the page shows."""
+LISTED_LINES = 40
+"""Program lines shown on the page."""
 
-MANY_POINTS = 20_000
-"""Points of a motion that a picture needs."""
+MAX_PICTURE_POINTS = 20_000
+"""Points of a motion drawn in a picture."""
 
 
 def write_picture(shown: HeightMap | Profile, path: str | PathLike[str]) -> None:
-    """Write a picture of a map or a profile for other programs: ``.png``, ``.svg`` or ``.pdf``, by the suffix."""
+    """Write a picture of a map or a profile as ``.png``, ``.svg`` or ``.pdf``, by the suffix of the file."""
     from turnwright.report import figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
     draw.write_picture(shown, path)
 
 
 class _Row(NamedTuple):
-    """A named fact, or one that was measured against a limit."""
+    """A named value, with its limit if it has one."""
 
     name: str
     value: str
@@ -94,12 +94,12 @@ class _Row(NamedTuple):
     margin: str = ""
     where: str = ""
     ok: bool = True
-    share: float | None = None  # of the limit that is used
+    share: float | None = None  # value over limit
     binding: bool = False
 
 
 class _Verdict(NamedTuple):
-    """The first thing on the page."""
+    """Overall verdict at the top of the page."""
 
     grade: str  # good, warn or bad
     word: str
@@ -107,7 +107,7 @@ class _Verdict(NamedTuple):
 
 
 class _Number(NamedTuple):
-    """One of the numbers that matter."""
+    """A key figure at the top of the page."""
 
     label: str
     value: str
@@ -117,7 +117,7 @@ class _Number(NamedTuple):
 
 
 class _Block(NamedTuple):
-    """A pass: what it is, and what it asks of the axes."""
+    """A pass: its parameters, and the peak values of its axes."""
 
     title: str
     facts: str
@@ -125,7 +125,7 @@ class _Block(NamedTuple):
 
 
 class _ChipRow(NamedTuple):
-    """The chips of a pass: a verdict with its grade, and what it rests on."""
+    """Uncut chip thickness of a pass, with the ductile-mode verdict and its grade."""
 
     name: str
     verdict: str
@@ -134,24 +134,24 @@ class _ChipRow(NamedTuple):
 
 
 class _Chips(NamedTuple):
-    """The chips of every pass."""
+    """Uncut chip thickness of all passes."""
 
     rows: list[_ChipRow]
     note: str
 
 
 class _Map(NamedTuple):
-    """A predicted place."""
+    """A simulated map."""
 
     name: str
     note: str
     picture: Picture
     profile: Picture
-    servos: tuple[str, Picture] | None  # a sentence and what they add
+    servos: tuple[str, Picture] | None  # sentence and map of their contribution
 
 
 class _Link(NamedTuple):
-    """A file, with its address where it lies beside the page."""
+    """A file; its address if it is in the folder of the page."""
 
     name: str
     address: str | None
@@ -159,7 +159,7 @@ class _Link(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Page(Page):
-    """What the page says, ready to be set."""
+    """Content of the page, passed to the template."""
 
     verdict: _Verdict
     numbers: Sequence[_Number]
@@ -193,9 +193,9 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
     Parameters
     ----------
     result
-        What the run found out.
+        Result of the run.
     path
-        Where to; in a folder that exists the page is called ``report.html``.
+        File, or an existing folder in which the page is named ``report.html``.
 
     Returns
     -------
@@ -209,17 +209,21 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
     numbers = _numbers(result.predictions, [cut.limits for cut in result.passes], verdicts)
     failed = _failed(verdicts)
     if result.rounding_nm > result.rounding_limit_nm:
-        failed.append("the program differs from the plan")
+        failed.append("rounding in the program exceeds its limit")
     if failed:
         verdict = _Verdict("bad", "Not ready", "; ".join(failed))
-    elif cracked := [cut.name for cut in result.passes if cut.chips is not None and not cut.chips.ok]:
-        verdict = _Verdict("warn", "Cracks may stay", f"the material does not bear: {', '.join(cracked)}")
+    elif brittle := [cut.name for cut in result.passes if cut.chips is not None and not cut.chips.ok]:
+        verdict = _Verdict("warn", "Brittle damage possible", f"not in the ductile regime: {', '.join(brittle)}")
     elif not result.ok:
-        verdict = _Verdict("warn", "Ready as accepted", "beyond a limit, which the job accepts")
+        verdict = _Verdict("warn", "Ready with exceptions", "exceeds a limit that the job accepts")
     else:
-        open_ones = [one.sentence for one in verdicts if one.kept is None]
-        kept = "reach, limits and tolerances kept" if len(open_ones) < len(verdicts) else "reach and limits kept"
-        verdict = _Verdict("warn" if open_ones else "good", "Ready to cut", "; ".join([kept, *open_ones]))
+        unevaluated = [one.sentence for one in verdicts if one.kept is None]
+        met = (
+            "tool access, machine limits and tolerances met"
+            if len(unevaluated) < len(verdicts)
+            else "tool access and machine limits met"
+        )
+        verdict = _Verdict("warn" if unevaluated else "good", "Ready to cut", "; ".join([met, *unevaluated]))
     feed = result.passes[-1].feed
     maps, left_out = _maps(result.predictions, feed)
     page = _Page(
@@ -235,10 +239,10 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
         path=[draw.spiral(result.motion, result.turns[len(result.turns) // 2], feed), draw.contact(result.path)],
         spiral=[
             *_spiral_rows(result.turns, result.limits, feed),
-            _Row("Placed along", "the surface normal" if result.job.strategy.along == "normal" else "z"),
+            _Row("Nose compensation along", "the surface normal" if result.job.strategy.along == "normal" else "z"),
             _Row(
-                "Least clearance of the edge",
-                f"{result.least_clearance * NM + 0.0:.3g} nm (0 is contact, less a gouge)",
+                "Minimum clearance of the cutting edge",
+                f"{result.least_clearance * NM + 0.0:.3g} nm (0 is contact, negative is a gouge)",
             ),
         ],
         approaches=[
@@ -252,7 +256,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
                 title=cut.name,
                 facts=" · ".join(
                     [
-                        *([f"takes off {_length(cut.depth)}, leaves {_length(cut.allowance)}"] if cut.depth else []),
+                        *([f"depth {_length(cut.depth)}, allowance {_length(cut.allowance)}"] if cut.depth else []),
                         f"{cut.feed * 1e3:.4g} µm/rev",
                         f"{cut.spindle_rpm:.4g} rev/min",
                         f"{cut.points:,} points",
@@ -282,7 +286,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
             _Row("After a stop", ". ".join(after_stop(dialect_of(result.machine))) + "."),
             _Row("SHA-256", result.program.hash),
             _Row(
-                "Back-plot of the file against the path in memory",
+                "Surface change by rounding in the program",
                 f"{result.rounding_nm:.3g} nm",
                 f"{result.rounding_limit_nm:.3g} nm",
                 ok=result.rounding_nm <= result.rounding_limit_nm,
@@ -291,7 +295,7 @@ def write_report(result: Result, path: str | PathLike[str]) -> File:
         files=[_link(file, path) for file in result.program.files],
         head=_head(result.program.files[0]) if result.program.files else "",
         timings=_timings(result.timings),
-        peak_memory=f"{result.peak_memory_gb:.2f} GB" if math.isfinite(result.peak_memory_gb) else "not known here",
+        peak_memory=f"{result.peak_memory_gb:.2f} GB" if math.isfinite(result.peak_memory_gb) else "unknown",
         job=result.job.to_toml(),
     )
     return set_page("run.html.j2", page, path)
@@ -305,20 +309,20 @@ def write_backplot(
     predictions: Sequence[Prediction],
     path: str | PathLike[str],
 ) -> File:
-    """Write the page of a program that was read and back-plotted, with no plan of its own.
+    """Write the page of a back-plotted NC program.
 
     Parameters
     ----------
     program
-        The file that was read.
+        Program file.
     job
-        Says what was designed, and with what it is simulated.
+        Job with the nominal surface, tool and machine of the simulation.
     motion, limits
-        What the program asks of the axes.
+        Motion of the program and its check against the machine limits.
     predictions
-        What it leaves, see `turnwright.job.predict`.
+        Simulated surfaces, see `turnwright.job.predict`.
     path
-        Where to; in a folder that exists the page is called ``report.html``.
+        File, or an existing folder in which the page is named ``report.html``.
 
     Returns
     -------
@@ -333,7 +337,7 @@ def write_backplot(
     numbers = _numbers(predictions, [limits], verdicts)
     failed = _failed(verdicts)
     if not limits.ok:
-        failed.append("the machine cannot follow")
+        failed.append("a machine limit is exceeded")
     verdict = (
         _Verdict("bad", "Not within limits", "; ".join(failed)) if failed else _Verdict("good", "Within limits", "")
     )
@@ -379,13 +383,13 @@ def write_backplot(
 
 
 def _approach_facts(entry: Entry) -> tuple[str, ...]:
-    """Return how the tool comes to a pass: material above its first point, way in, feed, turns, time, least gap."""
+    """Return the row of an approach: depth, entry, plunge feed, revolutions, time and minimum gap."""
     approach = entry.approach
     if approach.plunge is None:
-        return ("none", "beside the material", "–", "–", "–", _length(entry.least_gap))
+        return ("none", "clear of the material", "–", "–", "–", _length(entry.least_gap))
     return (
         _length(max(entry.depth or 0.0, 0.0)),
-        "plunges while C turns",
+        "plunge with C rotating",
         f"{approach.plunge_feed * 60:.3g} mm/min, {approach.per_rev * 1e3:.3g} µm/rev",
         f"{approach.turns:.0f}",
         _duration(approach.plunge_s),
@@ -394,7 +398,7 @@ def _approach_facts(entry: Entry) -> tuple[str, ...]:
 
 
 def _length(length: float, digits: int = 4) -> str:
-    """Return a length in the unit that suits it, as the pictures spell it."""
+    """Format a length in a suitable unit, as in the pictures."""
     return _as_printed(say_length(length, digits))
 
 
@@ -407,7 +411,7 @@ def _duration(seconds: float) -> str:
 
 
 def _chip_table(result: Result) -> _Chips | None:
-    """Return what the chips of each pass are like, and whether the material bears them; ``None`` if none are known."""
+    """Return the chip table with the ductile-mode check of each pass; ``None`` without chip data."""
     rows: list[_ChipRow] = []
     rakes: list[float] = []
     for cut in result.passes:
@@ -425,12 +429,12 @@ def _chip_table(result: Result) -> _Chips | None:
         if chips.largest_feed is not None:
             feed = f"{chips.largest_feed * 1e3:.3g} µm/rev"
         ductile = chips.verdict == "ductile"
-        unlike = "but on the first turn" if ductile else "taken off later"
-        verdict = {"ductile": "ductile", "brittle": "brittle", "uncertain": "cannot be told"}[chips.verdict]
+        exception = "except on the first revolution" if ductile else "removed by later passes"
+        verdict = {"ductile": "ductile", "brittle": "brittle", "uncertain": "uncertain"}[chips.verdict]
         rows.append(
             _ChipRow(
                 cut.name,
-                verdict if chips.ok == ductile else f"{verdict}, {unlike}",
+                verdict if chips.ok == ductile else f"{verdict}, {exception}",
                 "no" if not chips.ok else "yes" if ductile else "soft",
                 (
                     _length(chips.thickest, 3), limit, margin, _length(chips.typical, 3), feed,
@@ -444,9 +448,9 @@ def _chip_table(result: Result) -> _Chips | None:
     if not rows:
         return None
     low, high = (round(math.degrees(rake), 6) + 0.0 for rake in (min(rakes), max(rakes)))
-    known = result.job.part.substance
-    cautions = (known.caution(cut.chips.typical) for cut in result.passes if known and cut.chips)
-    note = f"The surface leaves the tool an effective rake of {low:.3g}° to {high:.3g}°."
+    material = result.job.part.substance
+    cautions = (material.caution(cut.chips.typical) for cut in result.passes if material and cut.chips)
+    note = f"Effective rake angle: {low:.3g}° to {high:.3g}°."
     return _Chips(rows, " ".join([note, *(f"{one.capitalize()}." for one in dict.fromkeys(cautions) if one)]))
 
 
@@ -459,25 +463,23 @@ def _number(value: float) -> str:
 
 
 def _numbers(predictions: Sequence[Prediction], passes: Sequence[Limits], verdicts: Sequence[Verdict]) -> list[_Number]:
-    """Return the three numbers that matter: form, roughness, time."""
+    """Return the key figures: form error, roughness and cutting time."""
     numbers = []
-    judged = {(one.tolerance, one.place): one for one in verdicts}
+    by_place = {(one.tolerance, one.place): one for one in verdicts}
 
     def number(label: str, value: float, key: tuple[str, str], note: str) -> _Number:
-        one = judged.get(key)
+        one = by_place.get(key)
         if one is None:
             return _Number(label, _number(value), "nm", note)
         words = "; ".join([f"tolerance {_number(one.limit_nm)} nm, {note}", *filter(None, [one.reason])])
         return _Number(label, _number(value), "nm", words, ok=one.kept is not False)
 
-    whole = [one for one in predictions if one.error.polar]
+    whole_parts = [one for one in predictions if one.error.polar]
     patches = [one for one in predictions if not one.error.polar]
-    for one in whole:
-        numbers.append(
-            number("Form error PV", one.pv_nm, ("form_pv", one.name), "from the highest to the lowest place")
-        )
+    for one in whole_parts:
+        numbers.append(number("Form error PV", one.pv_nm, ("form_pv", one.name), "highest minus lowest point"))
         if one.finish_nm is not None:
-            numbers.append(number("Sq", one.finish_nm, ("sq", one.name), "of the roughest ring"))
+            numbers.append(number("Sq", one.finish_nm, ("sq", one.name), "of the roughest annulus"))
     if patches:
         worst = max(patches, key=lambda one: (bool(one.uncut), one.roughness.sq_nm))
         note = f"at “{worst.name}”" + (f", the roughest of {len(patches)} patches" if len(patches) > 1 else "")
@@ -492,12 +494,12 @@ def _numbers(predictions: Sequence[Prediction], passes: Sequence[Limits], verdic
 
 
 def _failed(verdicts: Sequence[Verdict]) -> list[str]:
-    """Return which tolerances are missed, a sentence each."""
+    """Return one sentence per missed tolerance."""
     return [one.sentence for one in verdicts if one.kept is False]
 
 
 def _facts(part: Part, tool: Tool, actual: Tool, machine: Machine, real: Machine) -> dict[str, list[_Row]]:
-    """Return what was asked for, in words."""
+    """Return the tables of part, tool and machine."""
 
     def angle(value: float | None) -> str:
         return "not stated" if value is None else f"{math.degrees(value):.4g}°"
@@ -517,18 +519,18 @@ def _facts(part: Part, tool: Tool, actual: Tool, machine: Machine, real: Machine
     if real.squareness != machine.squareness:
         lathe.append(_Row("Squareness, simulated", f"{real.squareness * 1e6:.4g} µrad"))
     sheet = [_Row("Name", part.name or "–"), _Row("Surface", type(part.surface).__name__)]
-    sheet += [_Row("Clear radius", f"{part.radius:.6g} mm"), _Row("Stock", _length(part.stock))]
+    sheet += [_Row("Clear aperture, semi-diameter", f"{part.radius:.6g} mm"), _Row("Stock", _length(part.stock))]
     sheet += [_Row("Blank", f"disc, radius {part.blank.radius:.6g} mm" if part.blank else "not stated")]
     sheet += [_Row("Material", part.material_name or "not stated")]
     sheet += [_Row(name, _as_printed(value)) for name, value in part_shape(part).facts.items()]
-    sheet += [_Row("Worked out", remark) for remark in part.surface.remarks]
+    sheet += [_Row("Derived", remark) for remark in part.surface.remarks]
     if part.material_note:
         sheet.append(_Row("Material note", part.material_note))
     return {"Part": sheet, f"Tool {tool.name}".strip(): shown, "Machine": lathe}
 
 
 def _deviations(tool: Tool) -> dict[str, str]:
-    """Return how an edge differs from a perfect one, empty where it does not."""
+    """Return the deviations of a cutting edge from the ideal one; empty strings where there is none."""
     waviness = float(np.abs(tool.deviation(np.linspace(*tool.arc, 721))).max())
     return {
         "Waviness": f"up to {_length(waviness)}" if waviness else "",
@@ -538,7 +540,7 @@ def _deviations(tool: Tool) -> dict[str, str]:
 
 
 def _access_rows(access: Access) -> list[_Row]:
-    """Return the access table."""
+
     rows = []
     for finding in access.findings:
         lengths = finding.name in ("nose radius", "step")
@@ -560,24 +562,24 @@ def _access_rows(access: Access) -> list[_Row]:
 
 
 def _spiral_rows(turns: Sequence[Motion], limits: Limits, feed: float) -> list[_Row]:
-    """Return what the finishing pass is, in plan."""
+    """Return the table of the spiral of the finishing pass."""
     first, last = turns[0], turns[-1]
     inward = abs(first.axes["X"][0]) > abs(last.axes["X"][-1])
     counts = [(one.time.size - 1) * TURN / abs(float(one.axes["C"][-1] - one.axes["C"][0])) for one in turns]
     fewest, most = round(min(counts)), round(max(counts))
     return [
         _Row("Feed", f"{feed * 1e3:.4g} µm/rev"),
-        _Row("Runs", "from outside in" if inward else "from inside out"),
-        _Row("Azimuth under the tool", "grows" if first.sense > 0 else "falls"),
+        _Row("Direction", "from the edge to the centre" if inward else "from the centre to the edge"),
+        _Row("Azimuth under the tool", "increases" if first.sense > 0 else "decreases"),
         _Row("Starts and ends at X", f"{first.axes['X'][0]:.6g} and {last.axes['X'][-1] + 0.0:.6g} mm"),
         _Row("Points", f"{limits.points:,}"),
-        _Row("Points per turn", f"{fewest:,}" if most - fewest < 4 else f"{fewest:,} to {most:,}"),
+        _Row("Points per revolution", f"{fewest:,}" if most - fewest < 4 else f"{fewest:,} to {most:,}"),
     ]
 
 
 def _limit_rows(limits: Limits, machine: Machine) -> list[_Row]:
-    """Return every peak with its limit, those that are stated with the share that is used."""
-    asked: list[tuple[str, float, str, float | None, float]] = [
+    """Return the peak values with their limits and utilisation."""
+    quantities: list[tuple[str, float, str, float | None, float]] = [
         ("block rate", limits.block_rate_hz, "blocks/s", machine.block_rate_hz, 1.0),
     ]
     letters = list(limits.peak_speed)
@@ -592,13 +594,13 @@ def _limit_rows(limits: Limits, machine: Machine) -> list[_Row]:
         for kind, peaks, unit, factor in kinds:
             stated = getattr(axis, kind, None)
             if letter == "C" and kind == "speed":
-                asked.append(("spindle speed", peaks[letter], unit, machine.spindle_rpm / factor, factor))
+                quantities.append(("spindle speed", peaks[letter], unit, machine.spindle_rpm / factor, factor))
             else:
-                asked.append((f"{letter} {kind}", peaks[letter], unit, stated, factor))
+                quantities.append((f"{letter} {kind}", peaks[letter], unit, stated, factor))
         if letter in limits.frequency_hz and axis is not None:
-            asked.append((f"{letter} bandwidth", limits.frequency_hz[letter], "Hz", axis.bandwidth_hz, 1.0))
+            quantities.append((f"{letter} bandwidth", limits.frequency_hz[letter], "Hz", axis.bandwidth_hz, 1.0))
     rows = []
-    for name, value, unit, limit, factor in asked:
+    for name, value, unit, limit, factor in quantities:
         share = limits.utilisation.get(name)
         rows.append(
             _Row(
@@ -623,27 +625,27 @@ def _travel(machine: Machine, letter: str) -> str:
 
 
 def _maps(predictions: Sequence[Prediction], feed: float) -> tuple[list[_Map], int]:
-    """Draw the predicted places, and say how many more there are."""
+    """Draw the first simulated maps; return them and the number of the others."""
     from turnwright.report import figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
     maps = []
-    for one in predictions[:PICTURED]:
+    for one in predictions[:MAX_PICTURED_MAPS]:
         rough, size = one.roughness, one.error.z.shape
         note = f"{size[1]} radii × {size[0]} azimuths" if one.error.polar else f"{size[1]} × {size[0]} pixels"
         if one.error.x is not None:
             note += f" of {(one.error.x[1] - one.error.x[0]) * 1e3:.4g} µm"
         note += f" · PV {_number(one.pv_nm)} nm · Sq {_number(rough.sq_nm)} nm"
-        note += " from the design" if rough.form == "none" else f" after form removal ({_form(rough.form)})"
+        note += " from the nominal surface" if rough.form == "none" else f" after form removal ({_form(rough.form)})"
         if one.error.radius is not None and (step := one.error.radius[1] - one.error.radius[0]) > feed / 4:
-            note += f" · radii {_length(float(step))} apart, {_length(feed)} per turn: cusps beat with this grid"
+            note += f" · radial step {_length(float(step))} at a feed of {_length(feed)}/rev: cusps are aliased"
         cut = draw.rings(one.error) if one.error.polar else draw.profile(one.error, feed)
         servos = None
         if one.tracking is not None and one.tracking_nm is not None:
             pv, rms = one.tracking_nm
-            told = f"The servos add {_number(pv)} nm PV, {_number(rms)} nm rms, form included."
-            servos = told, draw.error_map(one.tracking)
+            sentence = f"Servo contribution: {_number(pv)} nm PV, {_number(rms)} nm rms, form included."
+            servos = sentence, draw.error_map(one.tracking)
         maps.append(_Map(one.name, note, draw.error_map(one.error), cut, servos))
-    return maps, max(len(predictions) - PICTURED, 0)
+    return maps, max(len(predictions) - MAX_PICTURED_MAPS, 0)
 
 
 def _form(form: str | int) -> str:
@@ -651,7 +653,7 @@ def _form(form: str | int) -> str:
 
 
 def _parameters(predictions: Sequence[Prediction]) -> list[tuple[str, str, list[str]]]:
-    """Return the table of surface parameters: name, unit, one value per place."""
+    """Return the table of surface parameters: name, unit, one value per map."""
     names = [
         ("Sa", "nm", "sa_nm"),
         ("Sq", "nm", "sq_nm"),
@@ -664,13 +666,15 @@ def _parameters(predictions: Sequence[Prediction]) -> list[tuple[str, str, list[
         (name, unit, [_number(getattr(one.roughness, field)) for one in predictions]) for name, unit, field in names
     ]
     table.append(("Sal", "µm", [_number(one.roughness.sal * 1e3) for one in predictions]))
-    bound = [any("upper bound" in note for note in one.roughness.notes) for one in predictions]
+    is_bound = [any("upper bound" in note for note in one.roughness.notes) for one in predictions]
     ratios = [_number(one.roughness.str) for one in predictions]
-    table.append(("Str", "", [f"≤ {value}" if least else value for value, least in zip(ratios, bound, strict=True)]))
+    table.append(
+        ("Str", "", [f"≤ {value}" if is_upper else value for value, is_upper in zip(ratios, is_bound, strict=True)])
+    )
     if any(one.tracking_nm for one in predictions):
         parts = [one.tracking_nm or (math.nan, math.nan) for one in predictions]
-        table.append(("Servos add, PV", "nm", [_number(pv) for pv, _ in parts]))
-        table.append(("Servos add, rms", "nm", [_number(rms) for _, rms in parts]))
+        table.append(("Servo contribution, PV", "nm", [_number(pv) for pv, _ in parts]))
+        table.append(("Servo contribution, rms", "nm", [_number(rms) for _, rms in parts]))
     table.append(("Form removed", "", [_form(one.roughness.form) for one in predictions]))
     table.append(("Heights counted", "", [f"{one.roughness.valid:,}" for one in predictions]))
     table.append(("Not cut", "", [f"{one.uncut:,}" for one in predictions]))
@@ -684,30 +688,30 @@ def _parameter_notes(predictions: Sequence[Prediction]) -> list[str]:
 def _timings(timings: Mapping[str, float]) -> list[_Row]:
     total = sum(timings.values())
     rows = [_Row(name, f"{value:.2f} s", share=value / total if total else 0.0) for name, value in timings.items()]
-    return [*rows, _Row("together", f"{total:.1f} s")]
+    return [*rows, _Row("total", f"{total:.1f} s")]
 
 
 def _link(file: File, page: File) -> _Link:
-    beside = file.is_file() and file.resolve().parent == page.resolve().parent
-    return _Link(file.name, file.name if beside else None)
+    is_adjacent = file.is_file() and file.resolve().parent == page.resolve().parent
+    return _Link(file.name, file.name if is_adjacent else None)
 
 
 def _head(file: File) -> str:
-    """Return the first lines of a program, if it is still there."""
+    """Return the first lines of a program; empty if the file does not exist."""
     if not file.is_file():
         return ""
     with file.open(encoding="utf-8", errors="replace") as lines:
-        return "".join(line[:200] for line, _ in zip(lines, range(HEAD), strict=False))
+        return "".join(line[:200] for line, _ in zip(lines, range(LISTED_LINES), strict=False))
 
 
 def _thinned(motion: Motion) -> Motion:
-    few = slice(None, None, max(1, math.ceil(motion.time.size / MANY_POINTS)))
+    few = slice(None, None, max(1, math.ceil(motion.time.size / MAX_PICTURE_POINTS)))
     axes = {letter: values[few] for letter, values in motion.axes.items()}
     return Motion(time=motion.time[few], axes=axes, machine=motion.machine)
 
 
 def _single_turns(motion: Motion) -> tuple[Motion, ...]:
-    """Return the first turn, one half-way and the last."""
+    """Return the first revolution, one halfway and the last."""
     angle = np.abs(motion.axes["C"] - motion.axes["C"][0])
     last = max(float(angle[-1]) - TURN, 0.0)
     turns = []

@@ -1,13 +1,13 @@
-"""What a run leaves on disk beside its program: numbers for programs, maps for any program, one archive of it all.
+"""Result files of a run next to its program: JSON numbers, NumPy maps and one HDF5 archive.
 
-``result.json`` (numbers in mm, rad, s and N unless a name wears its unit; ``null`` for what is infinite or cannot be
-stated) has the keys
+``result.json`` (numbers in mm, rad, s and N unless the name ends in a unit; ``null`` for infinite or undefined values)
+has the keys
 
 ``schema``, ``turnwright``, ``ok``
-    1; the version; whether the tool reaches the part and the machine keeps all its limits.
+    1; the version; whether the tool has access to the part and all machine limits are met.
 ``verdicts``, ``keeps_tolerances``
     One entry per stated tolerance and place: ``tolerance``, ``place``, ``limit_nm``, ``value_nm``, ``kept`` (``null``
-    if it was not judged), ``reason``, ``sentence``; whether none is missed.
+    if it was not evaluated), ``reason``, ``sentence``; whether none is missed.
 ``part``, ``machine``, ``dialect``
     Names.
 ``access``
@@ -15,18 +15,18 @@ stated) has the keys
 ``passes``
     One entry per pass: the fields of `turnwright.job.Pass`, ``limits`` with the fields of `turnwright.motion.Limits`.
 ``least_clearance``
-    Least height of the edge above the surface over the finishing path.
+    Minimum height of the cutting edge above the surface over the finishing path.
 ``program``
-    The file names, main program first, lines, bytes, minutes of the cuts and of the links between them, how the tool
-    enters the material of each pass, and the hash of all its points.
+    File names (main program first), number of lines and bytes, minutes of the cuts and of the links between them, entry
+    of the tool in each pass, and the hash of all points.
 ``predictions``
     One entry per map: ``name``, ``file`` of the heights (cut minus design, mm), ``axes`` (files by name), ``shape`` and
-    ``roughness`` with the fields of `turnwright.metrology.Roughness`. ``pv_nm`` is what is judged: of the whole part
-    from its highest to its lowest place, which ``form`` has with ``x``, ``y`` and ``error`` in mm (``null`` for a
-    patch; then it is that of ``roughness``). ``tracking`` is ``null`` unless the servos were simulated; then it has the
-    ``file`` of what they add to the heights (mm), and its ``pv_nm`` and ``rms_nm``.
+    ``roughness`` with the fields of `turnwright.metrology.Roughness`. ``pv_nm`` is compared with the tolerance: of the
+    whole part, from its highest to its lowest point, given in ``form`` with ``x``, ``y`` and ``error`` in mm (``null``
+    for a patch, whose ``pv_nm`` is that of ``roughness``). ``tracking`` is ``null`` unless the servos were simulated;
+    then it has the ``file`` of their contribution to the heights (mm), and its ``pv_nm`` and ``rms_nm``.
 ``rounding_nm``, ``rounding_limit_nm``
-    How far the surfaces of the program on disk and of the motion in memory are apart, and how far they may be.
+    Largest difference between the surfaces of the program on disk and of the planned motion, and its limit.
 ``warnings``, ``timings``, ``peak_memory_gb``
     Sentences; wall time of each stage; largest resident memory.
 """
@@ -75,25 +75,25 @@ __all__ = [
 
 AXES = ("x", "y", "radius", "angle")
 
-UNITS = {
+ARRAY_UNITS = {
     **dict.fromkeys(("angle", "sweep", "C", "sweep_low", "sweep_high", "rake"), "rad"),
     **dict.fromkeys(("axial", "radial", "cutting"), "N"),
     **dict.fromkeys(("points", "inside"), "1"),
     "time": "s",
     "area": "mm^2",
 }
-"""Units of arrays in the archive that are not in mm."""
+"""Units of arrays in the archive; all others are in mm."""
 
 
 def archive_run(result: Result, folder: str | PathLike[str]) -> None:
-    """Write ``job.toml``, ``result.json``, ``maps/*.npy`` and ``run.h5`` into a folder that exists.
+    """Write ``job.toml``, ``result.json``, ``maps/*.npy`` and ``run.h5``.
 
     Parameters
     ----------
     result
-        What a run found out.
+        Result of a run.
     folder
-        Where to; the program's files are there already.
+        Existing folder that holds the program files.
     """
     folder = Path(folder)
     job = result.job.to_toml()
@@ -132,14 +132,14 @@ def archive_run(result: Result, folder: str | PathLike[str]) -> None:
 
 
 def archive_comparison(found: Comparison, folder: str | PathLike[str]) -> None:
-    """Write ``job.toml`` and ``comparison.json``, all numbers of every strategy, into a folder that exists.
+    """Write ``job.toml`` and ``comparison.json`` with all numbers of every strategy.
 
     Parameters
     ----------
     found
-        What the strategies make of a job.
+        Comparison of the strategies.
     folder
-        Where to.
+        Existing folder.
     """
     folder = Path(folder)
     write_whole(folder / "job.toml", found.job.to_toml())
@@ -171,9 +171,9 @@ def archive_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: 
     Parameters
     ----------
     made, rough, spectrum
-        A map in tiles, and what was found in it.
+        Tiled map, its roughness and its spectrum.
     folder
-        Where to; it exists.
+        Existing folder.
     """
     folder = Path(folder)
     numbers = {
@@ -182,20 +182,20 @@ def archive_tiled(made: TiledMap, rough: Roughness, spectrum: Spectrum, folder: 
     }
     _write_json(folder / "tiled.json", numbers)
     unit = spectrum.unit.replace("²", "2").replace(" ", "_")
-    lines = (f"{one:.17g},{two:.17g}" for one, two in zip(spectrum.frequency, spectrum.density, strict=True))
+    lines = (f"{f:.17g},{density:.17g}" for f, density in zip(spectrum.frequency, spectrum.density, strict=True))
     table = [f"frequency_per_mm,density_{unit}", *lines]
     write_whole(folder / "spectrum.csv", "\n".join(table) + "\n")
 
 
 def archive_measured(measured: Measured, folder: str | PathLike[str]) -> None:
-    """Write ``measured.json``, ``error.npz`` (cut minus design over the part) and ``lenslets.csv``, if there are any.
+    """Write ``measured.json``, ``error.npz`` (error over the part) and, for a lens array, ``lenslets.csv``.
 
     Parameters
     ----------
     measured
-        How far a part is off.
+        Registered measurement of a part.
     folder
-        Where to; it exists.
+        Existing folder.
     """
     folder = Path(folder)
     write_map(measured.error, folder / "error.npz")
@@ -205,26 +205,26 @@ def archive_measured(measured: Measured, folder: str | PathLike[str]) -> None:
 
 
 def _measured_numbers(measured: Measured) -> dict[str, object]:
-    """Return what is said of a measured part in numbers."""
-    found, terms = measured.registration, measured.zernike
+    """Return the numbers of a measured part."""
+    registration, terms = measured.registration, measured.zernike
     return {
         "name": measured.heights.name,
         "form_pv_nm": measured.form_pv_nm,
         "form_rms_nm": measured.form_rms_nm,
         "spikes": measured.spikes,
         "registration": {
-            "pose": found.pose,
-            "pivot": found.pivot,
-            "std": found.std,
-            "held": found.held,
-            "count": found.count,
-            "lost": found.lost,
-            "rms_nm": found.rms_nm,
-            "noise_nm": found.noise_nm,
-            "correlated_nm": found.correlated_nm,
-            "correlation_length": found.correlation_length,
-            "candidates": found.candidates,
-            "sentences": (found.sentences[0], *measured.open_questions),
+            "pose": registration.pose,
+            "pivot": registration.pivot,
+            "std": registration.std,
+            "held": registration.held,
+            "count": registration.count,
+            "lost": registration.lost,
+            "rms_nm": registration.rms_nm,
+            "noise_nm": registration.noise_nm,
+            "correlated_nm": registration.correlated_nm,
+            "correlation_length": registration.correlation_length,
+            "candidates": registration.candidates,
+            "sentences": (registration.sentences[0], *measured.open_questions),
         },
         "zernike": None
         if terms is None
@@ -243,119 +243,119 @@ def _measured_numbers(measured: Measured) -> dict[str, object]:
 
 
 def _base_form(measured: Measured) -> dict[str, object] | None:
-    """Return the height at the rim of each Zernike term (ANSI) of the base of a lens array. [mm]."""
-    found = measured.lenslets
-    if found is None or found.base_form is None:
+    """Return the edge height of each Zernike term (ANSI) of the base of a lens array. [mm]."""
+    lenslets = measured.lenslets
+    if lenslets is None or lenslets.base_form is None:
         return None
     return {
-        str(number): {"height": value, "std": found.base_form_std[number]}
-        for number, value in dict(found.base_form.terms).items()
+        str(number): {"height": value, "std": lenslets.base_form_std[number]}
+        for number, value in dict(lenslets.base_form.terms).items()
     }
 
 
 def archive_diagnosis(measured: Sequence[Measured], found: Diagnosis, folder: str | PathLike[str]) -> None:
-    """Write ``diagnosis.json`` and, for each map, what is left of it as ``left-1.npz`` and so on.
+    """Write ``diagnosis.json`` and the residual of each map as ``left-1.npz``, ``left-2.npz`` ...
 
     Parameters
     ----------
     measured, found
-        What was measured, and why it is off.
+        Measured parts and their diagnosis.
     folder
-        Where to; it exists.
+        Existing folder.
     """
     folder = Path(folder)
-    for number, left in enumerate(found.residuals, 1):
-        write_map(left, folder / f"left-{number}.npz")
+    for number, residual in enumerate(found.residuals, 1):
+        write_map(residual, folder / f"left-{number}.npz")
     _write_json(folder / "diagnosis.json", _diagnosis_numbers(measured, found))
 
 
-def _diagnosis_numbers(measured: Sequence[Measured], found: Diagnosis) -> dict[str, object]:
-    """Return what is said of the causes in numbers."""
+def _diagnosis_numbers(measured: Sequence[Measured], diagnosis: Diagnosis) -> dict[str, object]:
+    """Return the numbers of a diagnosis."""
     return {
-        "measured": [_measured_numbers(one) for one in measured],
-        "findings": list(found),
-        "contributions": list(found.contributions),
-        "names": found.names,
-        "correlation": found.correlation.tolist(),
-        "measured_rms_nm": found.measured_rms_nm,
-        "explained_rms_nm": found.explained_rms_nm,
-        "unexplained_rms_nm": found.unexplained_rms_nm,
-        "noise_nm": found.noise_nm,
-        "repeatability_nm": found.repeatability_nm,
+        "measured": [_measured_numbers(part) for part in measured],
+        "findings": list(diagnosis),
+        "contributions": list(diagnosis.contributions),
+        "names": diagnosis.names,
+        "correlation": diagnosis.correlation.tolist(),
+        "measured_rms_nm": diagnosis.measured_rms_nm,
+        "explained_rms_nm": diagnosis.explained_rms_nm,
+        "unexplained_rms_nm": diagnosis.unexplained_rms_nm,
+        "noise_nm": diagnosis.noise_nm,
+        "repeatability_nm": diagnosis.repeatability_nm,
     }
 
 
 def archive_correction(
     measured: Sequence[Measured], found: Diagnosis, better: Correction, folder: str | PathLike[str]
 ) -> None:
-    """Write ``correction.json`` and ``predicted.npz``, beside the job that `turnwright.correct` has written.
+    """Write ``correction.json`` and ``predicted.npz`` to the folder of the corrected job.
 
     Parameters
     ----------
     measured, found, better
-        What was measured, why it is off, and what was made of it.
+        Measured parts, their diagnosis and the correction.
     folder
-        Where to; it exists.
+        Existing folder.
     """
     folder = Path(folder)
     write_map(better.simulated if better.predicted is None else better.predicted, folder / "predicted.npz")
     numbers = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
-    told = {
+    summary = {
         "cutoff": better.cutoff,
         "sources": better.sources,
         "proof": better.proof,
         "sentences": better.sentences,
     }
-    _write_json(folder / "correction.json", {**told, **numbers, **_diagnosis_numbers(measured, found)})
+    _write_json(folder / "correction.json", {**summary, **numbers, **_diagnosis_numbers(measured, found)})
 
 
 def _write_json(file: Path, numbers: Mapping[str, object]) -> None:
-    """Write numbers with the version that they are of."""
-    whole = {"schema": 1, "turnwright": __version__, **numbers}
-    write_whole(file, json.dumps(_plain(whole), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    """Write numbers with the schema and the version."""
+    document = {"schema": 1, "turnwright": __version__, **numbers}
+    write_whole(file, json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def write_maps(predictions: Iterable[Prediction], folder: str | PathLike[str]) -> list[dict[str, Any]]:
-    """Write the heights and the axes of maps as ``maps/NAME.npy`` and ``maps/NAME.x.npy`` and so on.
+    """Write the heights and axes of maps as ``maps/NAME.npy``, ``maps/NAME.x.npy`` ...
 
     Returns
     -------
     list
-        What ``result.json`` says about them.
+        Their entries in ``result.json``.
     """
-    told = []
+    entries = []
     (Path(folder) / "maps").mkdir()
-    for one in predictions:
-        stem = f"maps/{re.sub('[^A-Za-z0-9_-]+', '-', one.name)}"
-        axes = {name: f"{stem}.{name}.npy" for name in AXES if getattr(one.error, name) is not None}
-        _save(Path(folder) / f"{stem}.npy", one.error.z)
+    for prediction in predictions:
+        stem = f"maps/{re.sub('[^A-Za-z0-9_-]+', '-', prediction.name)}"
+        axes = {name: f"{stem}.{name}.npy" for name in AXES if getattr(prediction.error, name) is not None}
+        _save(Path(folder) / f"{stem}.npy", prediction.error.z)
         for name, file in axes.items():
-            _save(Path(folder) / file, getattr(one.error, name))
+            _save(Path(folder) / file, getattr(prediction.error, name))
         tracking = None
-        if one.tracking is not None and one.tracking_nm is not None:
-            pv, rms = one.tracking_nm
+        if prediction.tracking is not None and prediction.tracking_nm is not None:
+            pv, rms = prediction.tracking_nm
             tracking = {"file": f"{stem}.tracking.npy", "pv_nm": pv, "rms_nm": rms}
-            _save(Path(folder) / f"{stem}.tracking.npy", one.tracking.z)
-        told.append(
+            _save(Path(folder) / f"{stem}.tracking.npy", prediction.tracking.z)
+        entries.append(
             {
-                "name": one.name,
+                "name": prediction.name,
                 "file": f"{stem}.npy",
                 "axes": axes,
-                "shape": one.error.z.shape,
-                "roughness": _plain(one.roughness),
-                "pv_nm": _plain(one.pv_nm),
-                "form": _extremes(one),
+                "shape": prediction.error.z.shape,
+                "roughness": _plain(prediction.roughness),
+                "pv_nm": _plain(prediction.pv_nm),
+                "form": _extremes(prediction),
                 "tracking": tracking,
             }
         )
-    return told
+    return entries
 
 
-def _extremes(one: Prediction) -> dict[str, dict[str, float]] | None:
-    """Return the highest and the lowest place of the whole part."""
-    if one.form is None:
+def _extremes(prediction: Prediction) -> dict[str, dict[str, float]] | None:
+    """Return the highest and the lowest point of the whole part."""
+    if prediction.form is None:
         return None
-    return {"highest": one.form.highest._asdict(), "lowest": one.form.lowest._asdict()}
+    return {"highest": prediction.form.highest._asdict(), "lowest": prediction.form.lowest._asdict()}
 
 
 def _save(file: Path, values: Floats) -> None:
@@ -364,7 +364,7 @@ def _save(file: Path, values: Floats) -> None:
 
 
 def _plain(value: object) -> object:
-    """Return a value as JSON takes it; arrays are left to the maps."""
+    """Convert a value to JSON types; non-finite numbers become ``None``."""
     if is_dataclass(value) and not isinstance(value, type):
         return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
@@ -377,23 +377,23 @@ def _plain(value: object) -> object:
 
 
 def _write_h5(result: Result, job: str, numbers: str, file: Path) -> None:
-    """Write the archive: the job and the numbers as text, maps, path and motion as arrays with their units."""
-    import h5py  # noqa: PLC0415 - costly, and only a run needs it
+    """Write the HDF5 archive: job and numbers as text; maps, path and motion as arrays with units."""
+    import h5py  # noqa: PLC0415 - slow import
 
-    image = io.BytesIO()  # HDF5 itself does not survive a full disk
+    image = io.BytesIO()  # HDF5 itself can crash on a full disk
     with h5py.File(image, "w") as archive:
         archive.attrs["turnwright"] = __version__
         archive.attrs["job"] = job
         archive.attrs["result"] = numbers
-        for one in result.predictions:
-            group = archive.create_group(f"maps/{one.name.replace('/', '-')}")
-            group.attrs["name"] = one.name
-            _store(group, {"z": one.error.z} | {name: getattr(one.error, name) for name in AXES})
-            if one.tracking is not None:
-                _store(group, {"tracking": one.tracking.z})
+        for prediction in result.predictions:
+            group = archive.create_group(f"maps/{prediction.name.replace('/', '-')}")
+            group.attrs["name"] = prediction.name
+            _store(group, {"z": prediction.error.z} | {name: getattr(prediction.error, name) for name in AXES})
+            if prediction.tracking is not None:
+                _store(group, {"tracking": prediction.tracking.z})
         for name, chips in result.chips.items():
-            told = {item.name: getattr(chips, item.name) for item in fields(chips) if item.name != "feed"}
-            _store(archive.create_group(f"chips/{name}"), told)
+            arrays = {item.name: getattr(chips, item.name) for item in fields(chips) if item.name != "feed"}
+            _store(archive.create_group(f"chips/{name}"), arrays)
         names = ("angle", "radius", "z", "sweep", "contact_x", "contact_y", "contact_z", "clearance")
         _store(archive.create_group("path"), {name: getattr(result.path, name) for name in names})
         _store_motion(archive.create_group("motion"), result.motion)
@@ -409,12 +409,12 @@ def _store_motion(group: Any, motion: Motion) -> None:
 def _store(group: Any, arrays: Mapping[str, Floats | None]) -> None:
     for name, values in arrays.items():
         if values is not None:
-            unit = UNITS.get(name, "mm")
+            unit = ARRAY_UNITS.get(name, "mm")
             group.create_dataset(name, data=values).attrs["unit"] = unit
 
 
 def read_maps(path: str | PathLike[str]) -> dict[str, HeightMap]:
-    """Read the error maps of a run archive back.
+    """Read the error maps of a run archive.
 
     Parameters
     ----------
@@ -437,4 +437,4 @@ def read_maps(path: str | PathLike[str]) -> dict[str, HeightMap]:
                 for group in archive["maps"].values()
             }
     except (OSError, KeyError) as error:
-        raise InputError(f"{str(path)!r} is not a run archive ({error}): give the run.h5 of a run") from error
+        raise InputError(f"{str(path)!r} is not the run.h5 of a run ({error})") from error

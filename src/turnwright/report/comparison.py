@@ -1,4 +1,4 @@
-"""The page of a comparison: strategies side by side."""
+"""Report page of a strategy comparison."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ __all__ = ["COLUMNS", "cells", "write_comparison"]
 
 NM = 1e6
 
-FAINT = 1e-5
-"""Below this a number is not worth its digits, in the units of the page."""
+MIN_SHOWN = 1e-5
+"""Smallest value that is not printed as 0, in the units of the page."""
 
 COLUMNS = (
-    "strategy", "turns", "points", "program [MB]", "spindle [rev/min]", "bound by", "minutes", "PV [nm]", "rms [nm]",
-    "cusps [nm]", "chord [nm]", "decimals [nm]", "servos [nm]",
+    "strategy", "revolutions", "points", "program [MB]", "spindle [rev/min]", "limited by", "minutes", "PV [nm]",
+    "rms [nm]", "cusps [nm]", "chord [nm]", "decimals [nm]", "servos [nm]",
 )  # fmt: skip
-"""What is said of each strategy."""
+"""Columns of the table of strategies."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Page(Page):
-    """What the page says, ready to be set."""
+    """Content of the page, passed to the template."""
 
-    asked: str
+    basis: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
     axes: Sequence[str]
@@ -44,20 +44,20 @@ class _Page(Page):
 
 
 def _shown(value: float) -> str:
-    """Return three digits, or 0 for what is mere rounding."""
-    return f"{value:.3g}" if value >= FAINT else "0"
+    """Format a value with three digits; 0 below `MIN_SHOWN`."""
+    return f"{value:.3g}" if value >= MIN_SHOWN else "0"
 
 
 def cells(one: Candidate) -> tuple[str, ...]:
-    """Return what is said of a strategy that was not refused, see `COLUMNS`."""
-    limits, found = one.limits, one.shares
+    """Return the table row of a strategy that can be used, see `COLUMNS`."""
+    limits, contributions = one.limits, one.shares
     assert limits is not None  # noqa: S101 - it was not refused
-    assert found is not None  # noqa: S101
+    assert contributions is not None  # noqa: S101
     return (
         one.name, f"{one.turns:.0f}", f"{limits.points:,}", f"{one.size_bytes / 1e6:.3g}", f"{limits.spindle_rpm:.4g}",
-        limits.binding, f"{limits.cycle_time_s / 60:.3g}", f"{found.pv_nm:.3g}", f"{found.rms_nm:.3g}",
-        f"{found.cusp_nm:.3g}", f"{found.chord_nm:.3g}", f"{found.rounding_nm:.2g}",
-        _shown(found.tracking_nm),
+        limits.binding, f"{limits.cycle_time_s / 60:.3g}", f"{contributions.pv_nm:.3g}", f"{contributions.rms_nm:.3g}",
+        f"{contributions.cusp_nm:.3g}", f"{contributions.chord_nm:.3g}", f"{contributions.rounding_nm:.2g}",
+        _shown(contributions.tracking_nm),
     )  # fmt: skip
 
 
@@ -67,9 +67,9 @@ def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
     Parameters
     ----------
     found
-        What the strategies make of a job.
+        Comparison of the strategies.
     path
-        Where to; in a folder that exists the page is called ``report.html``.
+        File, or an existing folder in which the page is named ``report.html``.
 
     Returns
     -------
@@ -84,9 +84,9 @@ def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
     part = found.job.part
     page = _Page(
         title=part.name or "Part",
-        kind="Strategies compared",
-        asked=f"Every strategy is planned for cusps of {found.scallop * NM:.3g} nm away from the axis and the valleys "
-        f"that no nose reaches, and for chords of {found.chord * NM:.3g} nm, on {found.job.machine.name}.",
+        kind="Strategy comparison",
+        basis=f"Every strategy is planned for cusps of {found.scallop * NM:.3g} nm away from the axis and from valleys "
+        f"narrower than the nose, and for chord errors of {found.chord * NM:.3g} nm, on {found.job.machine.name}.",
         columns=COLUMNS,
         rows=[cells(one) for one in done],
         axes=[
@@ -106,16 +106,16 @@ def write_comparison(found: Comparison, path: str | PathLike[str]) -> File:
     return set_page("comparison.html.j2", page, path)
 
 
-def _motions(one: Candidate, letters: Sequence[str]) -> list[str]:
-    """Return stroke, speed and acceleration of each axis."""
-    assert one.limits is not None  # noqa: S101 - it was not refused
-    told = []
+def _motions(candidate: Candidate, letters: Sequence[str]) -> list[str]:
+    """Return stroke, peak speed and peak acceleration of each axis."""
+    assert candidate.limits is not None  # noqa: S101 - it was not refused
+    row = []
     for letter in letters:
-        if letter not in one.limits.travel:
-            told += ["", "", ""]
+        if letter not in candidate.limits.travel:
+            row += ["", "", ""]
             continue
-        low, high = one.limits.travel[letter]
-        told += [
-            _shown(high - low), _shown(one.limits.peak_speed[letter]), _shown(one.limits.peak_acceleration[letter]),
+        low, high = candidate.limits.travel[letter]
+        row += [
+            *map(_shown, (high - low, candidate.limits.peak_speed[letter], candidate.limits.peak_acceleration[letter])),
         ]  # fmt: skip
-    return told
+    return row

@@ -1,7 +1,7 @@
-"""The pictures of the report: vector axes around raster maps, in the colours of the page.
+"""Pictures of the report: vector axes around raster maps, in the colours of the page.
 
-Every picture is an inline SVG whose ink, lines and series are CSS variables, so one copy serves a light page, a dark
-page and paper. matplotlib never sees more than some ten thousand points.
+Every picture is an inline SVG whose ink, line and series colours are CSS variables, so one copy serves a light page, a
+dark page and print. Data are thinned to some ten thousand points before plotting.
 """
 
 from __future__ import annotations
@@ -70,24 +70,24 @@ TURN = 2 * math.pi
 NM = 1e6
 
 PIXELS = 480
-"""Side of a map that is drawn from a function or a polar grid."""
+"""Side of a map that is sampled from a function or a polar grid."""
 
-MOST_PIXELS = 900
-"""Longest side of a map that is drawn as it is; a longer one is drawn with every second pixel, third, and so on."""
+MAX_PIXELS = 900
+"""Longest side of a map that is drawn in full; longer ones are subsampled."""
 
-GAP_WORDS = "0.1 mm"
-"""Height above the material at which C begins to turn, in words."""
+GAP_TEXT = "0.1 mm"
+"""Height above the material at which C begins to rotate."""
 
-FEW = 1e-3
-"""Share of the area below which no line is drawn around what is beyond a limit."""
+MIN_BOUNDED_FRACTION = 1e-3
+"""Smallest fraction of the area that is outlined where a limit is exceeded."""
 
-SPAN = 99.9
-"""Share of the heights that the colours of an error map reach over; what lies beyond has the end colour. [%]"""
+COLOUR_PERCENTILE = 99.9
+"""Percentile of the absolute heights at which the colours of an error map saturate. [%]"""
 
 INK, LINE, PAPER = "#010203", "#020304", "#030405"
 SERIES = ("#040506", "#050607", "#060708")
 VARIABLES = {INK: "ink", LINE: "line", PAPER: "panel", SERIES[0]: "one", SERIES[1]: "two", SERIES[2]: "three"}
-"""Stand-ins that no picture uses, and the CSS variables of the page that replace them."""
+"""Placeholder colours, and the CSS variables of the page that replace them."""
 
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -112,8 +112,7 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
 }
 
-# Heights run over a map that is even to the eye, errors and angles away from a neutral middle; all can be told apart
-# with any colour vision.
+# A perceptually uniform map for heights, diverging maps for errors and angles; all are safe for colour-blind readers.
 HEIGHTS, ERRORS, ANGLES = "viridis", "RdBu_r", "PuOr_r"
 
 
@@ -125,7 +124,7 @@ class Picture(NamedTuple):
 
 
 class _Canvas:
-    """A figure on its way to the page."""
+    """A figure, and its SVG once it is rendered."""
 
     def __init__(self, width: float, height: float, dpi: int) -> None:
         self.layout = ConstrainedLayoutEngine(compress=True)
@@ -135,11 +134,11 @@ class _Canvas:
 
 @contextmanager
 def _canvas(width: float, height: float, dpi: int = 130) -> Iterator[_Canvas]:
-    """Yield a figure of that size [in]; afterwards its ``svg`` is fit for a page."""
+    """Yield a figure of a given size [in]; on exit its ``svg`` is set."""
     with mpl.rc_context(STYLE):
         canvas = _Canvas(width, height, dpi)
         yield canvas
-        # Laid out here, once, and printed at once: `savefig` would draw everything twice more, unseen, to be sure.
+        # Lay out and print once: `savefig` would render the figure twice more.
         if canvas.figure.get_layout_engine() is canvas.layout:
             canvas.layout.execute(canvas.figure)
             canvas.figure.set_layout_engine("none")
@@ -156,7 +155,7 @@ def _canvas(width: float, height: float, dpi: int = 130) -> Iterator[_Canvas]:
 
 
 def _length(extent: float) -> tuple[float, str]:
-    """Return the factor and the unit that a length in mm is best shown in."""
+    """Return the factor and the display unit of a length in mm."""
     if extent >= 0.5:
         return 1.0, "mm"
     return (1e3, "µm") if extent >= 5e-4 else (1e6, "nm")
@@ -170,16 +169,16 @@ def _bar(canvas: _Canvas, axes: Axes, image: Any, label: str, extend: str = "nei
 
 
 def _square(radius: float) -> tuple[Floats, Floats, Floats]:
-    """Return x, y and the distance from the axis over the square around a part. Each (n, n) [mm]."""
+    """Return x, y and the distance from the axis on a square grid around a part. Each (n, n) [mm]."""
     x, y = np.meshgrid(*2 * [np.linspace(-radius, radius, PIXELS)])
     return x, y, np.hypot(x, y)
 
 
 def _over_disc(radius: float, values: Floats, inside: Floats) -> Floats:
-    """Spread values inside the disc over the square, nan elsewhere."""
-    whole = np.full(inside.shape, np.nan)
-    whole[inside <= radius] = values
-    return whole
+    """Return a square array with the values inside the disc and nan elsewhere."""
+    square = np.full(inside.shape, np.nan)
+    square[inside <= radius] = values
+    return square
 
 
 def _plan(axes: Axes, image: Floats, radius: float, **how: Any) -> Any:
@@ -196,7 +195,7 @@ def _plan(axes: Axes, image: Floats, radius: float, **how: Any) -> Any:
 
 
 def sag_map(part: Part) -> Picture:
-    """Draw the design from above."""
+    """Draw the nominal height map."""
     x, y, r = _square(part.radius)
     sag = _over_disc(part.radius, part.surface.sag(x[r <= part.radius], y[r <= part.radius]), r)
     factor, unit = _length(float(np.nanmax(sag) - np.nanmin(sag)))
@@ -207,13 +206,13 @@ def sag_map(part: Part) -> Picture:
             few = (slice(None, None, 4),) * 2
             lines: dict[str, Any] = {"colors": "white", "linestyles": "solid", "linewidths": 0.5, "alpha": 0.55}
             axes.contour(x[few], y[few], sag[few] * factor, levels=9, **lines)
-        _bar(canvas, axes, image, f"design height z [{unit}]")
+        _bar(canvas, axes, image, f"nominal height z [{unit}]")
     low, high = float(np.nanmin(sag)) * factor, float(np.nanmax(sag)) * factor
-    return Picture(canvas.svg, f"Map of the design height over the part, from {low:.4g} to {high:.4g} {unit}.")
+    return Picture(canvas.svg, f"Map of the nominal height over the part, from {low:.4g} to {high:.4g} {unit}.")
 
 
 def view(part: Part) -> Picture:
-    """Draw the design in perspective, its height stretched."""
+    """Draw the nominal surface in perspective, heights exaggerated."""
     radius, angle = np.meshgrid(np.linspace(0, part.radius, 91), np.linspace(0, TURN, 181))
     x, y = radius * np.cos(angle), radius * np.sin(angle)
     z = part.surface.sag(x, y)
@@ -237,11 +236,13 @@ def view(part: Part) -> Picture:
         axes.set_xlabel("x [mm]", labelpad=0)
         axes.set_ylabel("y [mm]", labelpad=0)
         axes.set_zlabel(f"z [{unit}]", labelpad=2)
-    return Picture(canvas.svg, f"Perspective view of the design, heights stretched about {stretch:.3g} times.")
+    return Picture(
+        canvas.svg, f"Perspective view of the nominal surface, heights exaggerated about {stretch:.3g} times."
+    )
 
 
 def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
-    """Draw where on the nose the part is touched, and the tightest places by the numbers of the access table."""
+    """Draw the contact angle on the tool nose, and number the critical points as in the access table."""
     x, y, r = _square(part.radius)
     inside = r <= part.radius
     zx, zy = part.surface.gradient(x[inside], y[inside])
@@ -254,7 +255,7 @@ def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
         places: dict[tuple[float, float], list[str]] = {}
         for number, finding in enumerate(findings, 1):
             if finding.where is not None:
-                # Places closer than a marker share one.
+                # Points closer than a marker share one.
                 at = next(
                     (have for have in places if math.dist(have, finding.where) < 0.09 * part.radius), finding.where
                 )
@@ -262,16 +263,16 @@ def access_map(part: Part, findings: Sequence[AccessFinding]) -> Picture:
         for where, numbers in places.items():
             box = {"boxstyle": "round,pad=0.28", "facecolor": PAPER, "edgecolor": INK, "linewidth": 0.8}
             axes.text(*where, " ".join(numbers), ha="center", va="center", fontsize=7.5, bbox=box)
-        _bar(canvas, axes, drawn, "contact on the nose, from its tip [deg]")
+        _bar(canvas, axes, drawn, "contact angle on the tool nose [deg]")
     return Picture(
         canvas.svg,
-        f"Map of the angle on the nose that touches the part, within {limit:.3g} deg of the tip, with the "
-        "tightest places marked by the numbers of the table.",
+        f"Map of the contact angle on the tool nose, within {limit:.3g} deg of the tip; critical points are marked by "
+        "their numbers in the table.",
     )
 
 
 def approach_view(name: str, entry: Entry, tool: Tool) -> Picture:
-    """Draw the radial cut where a pass begins: the material before it, the finished surface, the tool and its way."""
+    """Draw the radial section where a pass begins: material before it, finished surface, tool and approach."""
     approach = entry.approach
     end = approach.start if approach.plunge is None else {k: float(v[-1]) for k, v in approach.plunge.axes.items()}
     x, z, top = end["X"], end["Z"], approach.start["Z"]
@@ -297,7 +298,10 @@ def approach_view(name: str, entry: Entry, tool: Tool) -> Picture:
             label="material before the pass",
         )  # fmt: skip
         axes.plot(radius, finished, color=SERIES[1], linewidth=1.4, label="finished surface")
-        for height, style, label in ((top, "--", "tool, C at rest until here"), (z, "-", "tool where the pass begins")):
+        for height, style, label in (
+            (top, "--", "tool where C starts to rotate"),
+            (z, "-", "tool where the pass begins"),
+        ):
             axes.plot(x + u, height + e, color=SERIES[0], linestyle=style, linewidth=1.2, label=label)
         if approach.plunge is None:
             axes.annotate(
@@ -308,18 +312,18 @@ def approach_view(name: str, entry: Entry, tool: Tool) -> Picture:
             axes.annotate(
                 "", (x, z), (x, top), arrowprops={"arrowstyle": "->", "color": SERIES[2], "linewidth": 1.6}
             )  # fmt: skip
-            axes.plot([], [], color=SERIES[2], linewidth=1.6, label="plunge, C turning")
+            axes.plot([], [], color=SERIES[2], linewidth=1.6, label="plunge, C rotating")
         goes = 0.5 * wide if entry.outward else -0.5 * wide
         axes.annotate("", (x + goes, z), (x, z), arrowprops={"arrowstyle": "->", "color": SERIES[0], "linewidth": 1.6})
         axes.set(xlim=(low, high), ylim=(bottom, ceiling), xlabel="distance from the axis [mm]", ylabel="z [mm]")
         axes.set_title(f"pass {name}")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, fontsize=7)
         axes.grid(visible=True)
-    how = "begins clear of the material" if approach.plunge is None else "plunges while C turns"
+    how = "begins clear of the material" if approach.plunge is None else "plunges with C rotating"
     return Picture(
         canvas.svg,
         f"Side view of the approach to pass {name}, which {how}: the material before it, the finished surface, the "
-        f"tool {GAP_WORDS} above the material and where the pass begins.",
+        f"tool {GAP_TEXT} above the material and where the pass begins.",
     )
 
 
@@ -328,7 +332,7 @@ def _turn_number(motion: Motion) -> Floats:
 
 
 def spiral(motion: Motion, turn: Motion, feed: float) -> Picture:
-    """Draw the spiral in plan, and some turns of it where the given single turn stands."""
+    """Draw the spiral in plan, and an enlarged detail around a single revolution."""
     turns, x = _turn_number(motion), motion.axes["X"]
     count = float(turns[-1])
     every = max(1, math.ceil(count / 36))
@@ -345,7 +349,7 @@ def spiral(motion: Motion, turn: Motion, feed: float) -> Picture:
         plan.set(
             xlabel="x [mm]",
             ylabel="y [mm]",
-            title=f"{count:.0f} turns" + (f", every {every}th drawn" if every > 1 else ""),
+            title=f"{count:.0f} revolutions" + (f", every {every}th drawn" if every > 1 else ""),
         )
         for side in ("top", "right"):
             plan.spines[side].set_visible(False)
@@ -355,10 +359,10 @@ def spiral(motion: Motion, turn: Motion, feed: float) -> Picture:
         spacing = abs(float(turn.axes["C"][middle] - turn.axes["C"][middle - 1])) * abs(radius) or feed
         reach, half = 6 * spacing, 4.5 * feed
         along = np.linspace(-reach, reach, 41)
-        here = abs(azimuth - motion.axes["C"][0]) / TURN
+        turn_number = abs(azimuth - motion.axes["C"][0]) / TURN
         factor, unit = _length(max(reach, half) / 4)
         for neighbour in range(-5, 6):
-            at = here + neighbour + motion.sense * along / max(abs(radius), 1e-12) / TURN
+            at = turn_number + neighbour + motion.sense * along / max(abs(radius), 1e-12) / TURN
             shown = (at >= 0) & (at <= count)
             zoom.plot(
                 (np.interp(at, turns, x)[shown] - radius) * 1e3, along[shown] * factor, color=SERIES[0], linewidth=0.9
@@ -367,19 +371,19 @@ def spiral(motion: Motion, turn: Motion, feed: float) -> Picture:
         near = np.abs(arc) <= reach
         zoom.plot((turn.axes["X"][near] - radius) * 1e3, arc[near] * factor, "o", color=SERIES[1], markersize=3.6)
         zoom.set(
-            xlim=(-half * 1e3, half * 1e3), ylim=(-reach * factor, reach * factor), xlabel="across the turns [µm]",
-            ylabel=f"along the turn [{unit}]", title=f"turns around radius {abs(radius):.4g} mm, and points of one",
+            xlim=(-half * 1e3, half * 1e3), ylim=(-reach * factor, reach * factor), xlabel="radial [µm]",
+            ylabel=f"tangential [{unit}]", title=f"revolutions at radius {abs(radius):.4g} mm, and points of one",
         )  # fmt: skip
         zoom.grid(visible=True)
     return Picture(
         canvas.svg,
-        f"Plan view of the spiral of {count:.0f} turns, and an enlarged place at radius {abs(radius):.4g} mm "
-        f"where the points of one turn stand {spacing * 1e3:.3g} µm apart.",
+        f"Plan view of the spiral of {count:.0f} revolutions, and a detail at radius {abs(radius):.4g} mm "
+        f"with a point spacing of {spacing * 1e3:.3g} µm.",
     )
 
 
 def _band(axes: Axes, at: Floats, values: Floats, bins: int) -> None:
-    """Draw how far values reach, along a position that is cut in bins."""
+    """Draw the range of values in bins of a position."""
     edges = np.linspace(at.min(), at.max(), bins + 1)
     number = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, bins - 1)
     low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
@@ -396,22 +400,22 @@ def _band(axes: Axes, at: Floats, values: Floats, bins: int) -> None:
 
 
 def contact(path: Path) -> Picture:
-    """Draw which part of the nose works at which distance from the axis."""
+    """Draw the range of the contact angle over the distance from the axis."""
     sweep = np.degrees(path.sweep)
     with _canvas(4.6, 2.9) as canvas:
         axes = canvas.figure.add_subplot()
         axes.axhline(0, color=LINE, linewidth=0.8)
         _band(axes, np.hypot(path.contact_x, path.contact_y), sweep, 200)
-        axes.set(xlabel="distance of the contact from the axis [mm]", ylabel="contact on the nose [deg]")
+        axes.set(xlabel="distance of the contact from the axis [mm]", ylabel="contact angle on the tool nose [deg]")
     return Picture(
         canvas.svg,
-        f"Range of the contact on the nose, over the distance from the axis: {sweep.min():.3g} to "
+        f"Range of the contact angle on the tool nose over the distance from the axis: {sweep.min():.3g} to "
         f"{sweep.max():.3g} deg from the tip.",
     )
 
 
 def chip_map(name: str, part: Part, chips: ChipMap, material: Material | None) -> Picture:
-    """Draw the thickest chip over the part, with a line where it is critical."""
+    """Draw the maximum uncut chip thickness over the part, with the critical contour."""
     from scipy.spatial import cKDTree  # noqa: PLC0415 - costly to import, and only chips need it
 
     inside = chips.inside
@@ -421,9 +425,9 @@ def chip_map(name: str, part: Part, chips: ChipMap, material: Material | None) -
     on = r <= part.radius
     _, nearest = cKDTree(np.column_stack((chips.x[inside], chips.y[inside]))).query(np.column_stack((x[on], y[on])))
     drawn = _over_disc(part.radius, thickness[nearest], r)
-    # A few places at the axis or at the rim are not what the colours are for.
+    # Exclude the extremes at the axis and at the edge from the colour range.
     low, high = np.nanpercentile(drawn, (0.2, 99.8))
-    said = f"Thickest chip of the pass {name}, up to {chips.thickest * factor:.3g} {unit}"
+    caption = f"Maximum uncut chip thickness of pass {name}, up to {chips.thickest * factor:.3g} {unit}"
     with _canvas(4.6, 3.7) as canvas:
         axes = canvas.figure.add_subplot()
         image = _plan(axes, drawn, part.radius, cmap=HEIGHTS, vmin=low, vmax=high)
@@ -431,31 +435,31 @@ def chip_map(name: str, part: Part, chips: ChipMap, material: Material | None) -
             limit = material.critical.at(rake=chips.rake, angle=chips.angle)[inside] * NM
             used = (chips.thickness[inside] * NM / limit)[nearest]
             beyond = float(np.mean(used > 1))
-            bears = " to ".join(dict.fromkeys((f"{limit.min():.3g}", f"{limit.max():.3g}")))
+            critical = " to ".join(dict.fromkeys((f"{limit.min():.3g}", f"{limit.max():.3g}")))
             where = f"on {100 * beyond:.3g} % of the area" if beyond else "nowhere"
-            said += f"; the material bears {bears} nm, which is exceeded {where}"
-            if FEW < beyond < 1 - FEW:
+            caption += f"; the critical chip thickness is {critical} nm, exceeded {where}"
+            if MIN_BOUNDED_FRACTION < beyond < 1 - MIN_BOUNDED_FRACTION:
                 some = (slice(None, None, 4),) * 2
                 line = _over_disc(part.radius, used, r)[some]
                 axes.contour(x[some], y[some], line, levels=[1.0], colors="white", linewidths=1.0)
-                said += ", bounded by the white line"
+                caption += " (white contour)"
         axes.plot(*chips.where, "o", color=INK, fillstyle="none", markersize=7, markeredgewidth=1.2, clip_on=False)
         axes.set(title=name)
-        _bar(canvas, axes, image, f"thickest chip [{unit}]", _beyond(thickness, low, high))
-    return Picture(canvas.svg, f"{said}. The ring is where it is thickest.")
+        _bar(canvas, axes, image, f"uncut chip thickness [{unit}]", _beyond(thickness, low, high))
+    return Picture(canvas.svg, f"{caption}. The circle marks the maximum.")
 
 
 def _beyond(values: Floats, low: float, high: float) -> str:
-    """Return at which ends a bar of colours has an arrow."""
+    """Return which ends of a colour bar have an arrow."""
     below, above = bool((values < low).any()), bool((values > high).any())
     return "both" if below and above else "min" if below else "max" if above else "neither"
 
 
 def z_over_turns(turns: Sequence[Motion]) -> Picture:
-    """Draw the height and the speed of Z over single turns."""
+    """Draw the position and the speed of Z over single revolutions."""
     with _canvas(4.6, 3.9) as canvas:
         height, speed = canvas.figure.subplots(2, 1, sharex=True)
-        # A fast tool adds to the slide.
+        # The fast tool servo moves on the slide.
         tips = [turn.axes["Z"] + turn.axes.get("W", 0.0) for turn in turns]
         name = "Z and W" if "W" in turns[0].axes else "Z"
         factor, unit = _length(max(float(np.ptp(tip)) for tip in tips))
@@ -467,18 +471,22 @@ def z_over_turns(turns: Sequence[Motion]) -> Picture:
             height.plot(angle[few], (tip[few] - middle) * factor, line, color=colour, label=label)
             rate = np.gradient(tip, turn.time) if turn.time.size > 2 else np.zeros(turn.time.size)
             speed.plot(angle[few], rate[few], line, color=colour)
-        height.set(ylabel=f"{name} from its middle [{unit}]")
+        height.set(ylabel=f"{name} about mid-stroke [{unit}]")
         height.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), handlelength=2.4, columnspacing=1.2)
-        speed.set(xlabel="spindle angle from the start of the turn [deg]", ylabel=f"{name} speed [mm/s]", xlim=(0, 360))
+        speed.set(
+            xlabel="spindle angle from the start of the revolution [deg]", ylabel=f"{name} speed [mm/s]", xlim=(0, 360)
+        )
         speed.xaxis.set_major_locator(MaxNLocator(steps=[1, 3, 6, 9]))
         speed.set_xticks(np.arange(0, 361, 60))
         for axes in (height, speed):
             axes.grid(visible=True)
-    return Picture(canvas.svg, f"Height and speed of {name} over single turns at the rim, half-way and near the axis.")
+    return Picture(
+        canvas.svg, f"Position and speed of {name} over single revolutions at the edge, halfway and near the axis."
+    )
 
 
 def axes_over_time(motion: Motion) -> Picture:
-    """Draw where X and Z stand over the whole program."""
+    """Draw the axis positions over time."""
     seconds = motion.time - motion.time[0]
     scale, unit = (1 / 60, "min") if seconds[-1] > 120 else (1.0, "s")
     letters = [letter for letter in motion.axes if letter != "C"]
@@ -493,7 +501,7 @@ def axes_over_time(motion: Motion) -> Picture:
 
 
 def _resampled(heights: HeightMap) -> tuple[Floats, tuple[float, float, float, float]]:
-    """Return the nearest heights of a polar map on a square, and its extent. (n, n), [mm]."""
+    """Resample a polar map to a square grid by nearest height; return it with its extent. (n, n), [mm]."""
     if heights.radius is None or heights.angle is None:
         raise TypeError
     reach = float(heights.radius[-1])
@@ -508,23 +516,23 @@ def _resampled(heights: HeightMap) -> tuple[Floats, tuple[float, float, float, f
 
 
 def error_map(heights: HeightMap) -> Picture:
-    """Draw cut minus design, colours centred at zero."""
+    """Draw an error map, colours centred at zero."""
     with _canvas(4.6, 3.7) as canvas:
-        _draw_map(canvas, heights, "cut minus design [nm]")
+        _draw_map(canvas, heights, "cut minus nominal [nm]")
     low, high = _range_nm(heights.z)
-    return Picture(canvas.svg, f"Map of cut minus design, from {low:.4g} to {high:.4g} nm.")
+    return Picture(canvas.svg, f"Map of cut minus nominal, from {low:.4g} to {high:.4g} nm.")
 
 
 def _range_nm(z: Floats) -> tuple[float, float]:
-    known = z[np.isfinite(z)]
-    return (float(known.min()) * NM, float(known.max()) * NM) if known.size else (0.0, 0.0)
+    finite = z[np.isfinite(z)]
+    return (float(finite.min()) * NM, float(finite.max()) * NM) if finite.size else (0.0, 0.0)
 
 
 def _draw_map(canvas: _Canvas, heights: HeightMap, label: str) -> None:
-    """Draw heights over their grid, or scattered ones at their places, colours centred at zero."""
+    """Draw gridded or scattered heights, colours centred at zero."""
     axes = canvas.figure.add_subplot()
     sizes = np.abs(heights.z[np.isfinite(heights.z)]) * NM
-    limit = float(np.percentile(sizes, SPAN)) if sizes.size else 1.0
+    limit = float(np.percentile(sizes, COLOUR_PERCENTILE)) if sizes.size else 1.0
     beyond = bool(sizes.size and sizes.max() > limit * 1.001)
     limit = limit or 1e-3
     colours: dict[str, Any] = {"cmap": ERRORS, "vmin": -limit, "vmax": limit}
@@ -546,7 +554,7 @@ def _draw_map(canvas: _Canvas, heights: HeightMap, label: str) -> None:
             )  # fmt: skip
             axes.set_aspect("equal")
         else:
-            stride = math.ceil(max(heights.z.shape) / MOST_PIXELS)
+            stride = math.ceil(max(heights.z.shape) / MAX_PIXELS)
             grown = [float(np.diff(axis[:2]).sum()) / 2 or 0.5 / factor for axis in (x, y)]
             extent = tuple(
                 (end - middle) * factor
@@ -568,14 +576,14 @@ def _draw_map(canvas: _Canvas, heights: HeightMap, label: str) -> None:
 
 
 def write_picture(shown: HeightMap | Profile, path: str | PathLike[str]) -> None:
-    """Write a picture of a map or a profile for other programs: ``.png``, ``.svg`` or ``.pdf``, by the suffix.
+    """Write a picture of a map or a profile as ``.png``, ``.svg`` or ``.pdf``, by the suffix.
 
     Parameters
     ----------
     shown
-        Heights, as they are to be drawn.
+        Map or profile.
     path
-        Of the file.
+        File to write.
 
     """
     file = File(path)
@@ -598,22 +606,22 @@ def write_picture(shown: HeightMap | Profile, path: str | PathLike[str]) -> None
 
 
 def places_map(heights: HeightMap, radius: float, *, like: HeightMap | None = None) -> Picture:
-    """Draw scattered errors over the part, the mean of those in each pixel, colours centred at zero.
+    """Draw scattered errors over the part as the mean in each pixel, colours centred at zero.
 
-    Of errors that stand ``like`` the valid heights of a grid, the rms is that over the area.
+    If the errors are the valid heights of the grid ``like``, the rms is weighted by area.
     """
     x, y = heights.points()
     z = heights.z * NM
     used = np.isfinite(z) & (np.hypot(x, y) <= radius * (1 + 1e-9))
     x, y, z = x[used], y[used], z[used]
-    # Pixels no finer than the points.
+    # Pixels are no finer than the point spacing.
     side = int(np.clip(np.sqrt(max(z.size, 1)) * 0.8, 16, PIXELS))
     column, row = (np.minimum(((at / radius + 1) / 2 * side).astype(np.int64), side - 1) for at in (x, y))
     count = np.bincount(row * side + column, minlength=side * side)
     sums = np.bincount(row * side + column, weights=z, minlength=side * side)
     image = np.where(count > 0, sums / np.maximum(count, 1), np.nan).reshape(side, side)
     shown = np.abs(image[np.isfinite(image)])
-    limit = (float(np.percentile(shown, SPAN)) if shown.size else 0.0) or 1e-3
+    limit = (float(np.percentile(shown, COLOUR_PERCENTILE)) if shown.size else 0.0) or 1e-3
     with _canvas(4.6, 3.7) as canvas:
         axes = canvas.figure.add_subplot()
         drawn = _plan(axes, image, radius, cmap=ERRORS, vmin=-limit, vmax=limit)
@@ -624,7 +632,7 @@ def places_map(heights: HeightMap, radius: float, *, like: HeightMap | None = No
 
 
 def over_radius(heights: HeightMap, radius: float) -> Picture:
-    """Draw errors over the distance from the axis: their mean around it, and between which 90 of 100 lie."""
+    """Draw the azimuthal mean of errors over the radius, with the 5th to 95th percentile."""
     x, y = heights.points()
     r, z = np.hypot(x, y), heights.z * NM
     used = np.isfinite(z) & (r <= radius)
@@ -644,22 +652,22 @@ def over_radius(heights: HeightMap, radius: float) -> Picture:
         axes.fill_between(middle, low, high, facecolor=SERIES[0], edgecolor="none", alpha=0.3)
         axes.plot(middle, mean, color=SERIES[0])
         axes.axhline(0, color=LINE, linewidth=0.8)
-        axes.set(xlabel="distance from the axis [mm]", ylabel="cut minus design [nm]")
+        axes.set(xlabel="distance from the axis [mm]", ylabel="cut minus nominal [nm]")
         axes.grid(visible=True)
         axes.margins(x=0)
-    return Picture(canvas.svg, "Mean over each turn, and the band that holds 90 of 100 heights.")
+    return Picture(canvas.svg, "Azimuthal mean over the radius; the band spans the 5th to 95th percentile.")
 
 
 def tool_moves(moves: Sequence[Move]) -> Picture:
-    """Draw where to move the tool: seen from above along X and Z, and along the axis of the spindle for its height."""
+    """Draw the tool moves: X and Z seen from above, tool height seen along the spindle axis."""
     by: dict[str, float] = {move.axis: move.by for move in moves}
     largest = max(abs(one) for one in by.values())
 
     def arrow(axes: Axes, way: tuple[float, float], name: str) -> None:
         start = (0.0, 0.0)
         axes.annotate("", xy=way, xytext=start, arrowprops={"arrowstyle": "-|>", "color": SERIES[1], "linewidth": 2.0})
-        aside = 0.18 * math.copysign(1.0, way[1] or 1.0)
-        axes.text(way[0], way[1] + aside, f"{name} {by[name] * 1e3:+.3g} µm", ha="center", va="center")
+        offset = 0.18 * math.copysign(1.0, way[1] or 1.0)
+        axes.text(way[0], way[1] + offset, f"{name} {by[name] * 1e3:+.3g} µm", ha="center", va="center")
 
     with _canvas(4.6, 2.6) as canvas:
         above, along = canvas.figure.subplots(1, 2)
@@ -682,13 +690,13 @@ def tool_moves(moves: Sequence[Move]) -> Picture:
                 side.set_visible(False)
     return Picture(
         canvas.svg,
-        "Which way to move the tool. Left X points to the right and Z away from the part; right the tool stands at +X, "
-        "and up the spindle angle under it grows.",
+        "Directions of the tool moves. Left: X to the right, Z away from the part. Right: the tool is at +X; up is the "
+        "direction of increasing spindle angle under it.",
     )
 
 
 def rings(heights: HeightMap) -> Picture:
-    """Draw the mean of a polar error map around the axis, and its range, over the radius."""
+    """Draw the azimuthal mean and range of a polar error map over the radius."""
     if heights.radius is None:
         raise TypeError
     filled = np.isfinite(heights.z).any(axis=0)
@@ -698,19 +706,17 @@ def rings(heights: HeightMap) -> Picture:
     with _canvas(4.6, 3.7) as canvas:
         axes = canvas.figure.add_subplot()
         axes.axhline(0, color=LINE, linewidth=0.8)
-        axes.fill_between(
-            radius[few], low, high, color=SERIES[0], alpha=0.3, linewidth=0, label="range around the ring"
-        )
-        axes.plot(radius[few], mean, color=SERIES[0], label="mean around the ring")
-        axes.set(xlabel="distance from the axis [mm]", ylabel="cut minus design [nm]")
+        axes.fill_between(radius[few], low, high, color=SERIES[0], alpha=0.3, linewidth=0, label="azimuthal range")
+        axes.plot(radius[few], mean, color=SERIES[0], label="azimuthal mean")
+        axes.set(xlabel="distance from the axis [mm]", ylabel="cut minus nominal [nm]")
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
         axes.margins(x=0)
         axes.grid(visible=True)
-    return Picture(canvas.svg, "Mean and range of cut minus design around each ring, over the distance from the axis.")
+    return Picture(canvas.svg, "Mean and range of cut minus nominal around each ring, over the distance from the axis.")
 
 
 def profile(heights: HeightMap, feed: float) -> Picture:
-    """Draw a cut through the cusps: across the turns, through the middle of a rectangular map."""
+    """Draw a profile across the cusps through the middle of a rectangular map."""
     x, y = heights.x, heights.y
     if x is None or y is None:
         raise TypeError
@@ -730,19 +736,19 @@ def profile(heights: HeightMap, feed: float) -> Picture:
         axes.plot(at[shown][few], z[shown][few], color=SERIES[0])
         axes.set(
             xlabel=f"{letter} from the middle, at {across} = {other[middle]:.5g} mm [µm]",
-            ylabel="cut minus design [nm]",
+            ylabel="cut minus nominal [nm]",
         )
         axes.margins(x=0)
         axes.grid(visible=True)
-    return Picture(canvas.svg, f"Profile of cut minus design along {letter}, cusps {feed * 1e3:.3g} µm apart.")
+    return Picture(canvas.svg, f"Profile of cut minus nominal along {letter}; cusp spacing {feed * 1e3:.3g} µm.")
 
 
 def density(spectrum: Spectrum) -> Picture:
     """Draw a power spectral density over spatial frequency, both logarithmic."""
-    kept = (spectrum.frequency > 0) & (spectrum.density > 0)
+    positive = (spectrum.frequency > 0) & (spectrum.density > 0)
     with _canvas(4.6, 3.7) as canvas:
         axes = canvas.figure.add_subplot()
-        axes.loglog(spectrum.frequency[kept], spectrum.density[kept], color=SERIES[0])
+        axes.loglog(spectrum.frequency[positive], spectrum.density[positive], color=SERIES[0])
         axes.set(xlabel="spatial frequency [1/mm]", ylabel=f"power spectral density [{spectrum.unit}]")
         axes.margins(x=0)
         axes.grid(visible=True)
@@ -750,45 +756,47 @@ def density(spectrum: Spectrum) -> Picture:
 
 
 def minutes_and_errors(tried: Sequence[Candidate]) -> Picture:
-    """Draw what each strategy leaves over the minutes that it takes."""
+    """Draw form error PV over cutting time for each strategy."""
     with _canvas(4.6, 3.7) as canvas:
         axes = canvas.figure.add_subplot()
-        at = [(one.limits.cycle_time_s / 60, one.shares.pv_nm) for one in tried if one.limits and one.shares]
-        # Nobody else is both quicker and better: these are worth a choice.
-        best = sorted(here for here in at if not any(o != here and o[0] <= here[0] and o[1] <= here[1] for o in at))
+        points = [(one.limits.cycle_time_s / 60, one.shares.pv_nm) for one in tried if one.limits and one.shares]
+        # Pareto front: no other strategy is both faster and more accurate.
+        best = sorted(p for p in points if not any(o != p and o[0] <= p[0] and o[1] <= p[1] for o in points))
         axes.plot(*zip(*best, strict=True), color=LINE, linewidth=0.8)
-        gap = 0.04 * np.ptp(at, axis=0) + 1e-12
+        gap = 0.04 * np.ptp(points, axis=0) + 1e-12
         labels: list[tuple[Any, Floats]] = []
-        for number, (minutes, pv) in enumerate(at, 1):
+        for number, (minutes, pv) in enumerate(points, 1):
             axes.plot(minutes, pv, "o", color=SERIES[0] if (minutes, pv) in best else LINE, markersize=5)
-            # Points that hide each other share a label, which stands with the first of them.
-            here = np.array([minutes, pv])
-            near = next((label for label, other in labels if (np.abs(other - here) < gap).all()), None)
+            # Overlapping points share the label of the first one.
+            point = np.array([minutes, pv])
+            near = next((label for label, other in labels if (np.abs(other - point) < gap).all()), None)
             if near is None:
                 label = axes.annotate(str(number), (minutes, pv), (5, 4), textcoords="offset points")
-                labels.append((label, here))
+                labels.append((label, point))
             else:
                 near.set_text(f"{near.get_text()}, {number}")
         axes.set(xlabel="minutes", ylabel="form error PV [nm]")
         axes.margins(0.12)
         axes.grid(visible=True)
     named = ", ".join(f"{number} {one.name}" for number, one in enumerate(tried, 1))
-    return Picture(canvas.svg, f"Form error over cutting time: {named}. The line joins those that no other one beats.")
+    return Picture(canvas.svg, f"Form error over cutting time: {named}. The line is the Pareto front.")
 
 
 def shares_of(tried: Sequence[Candidate]) -> Picture:
-    """Draw how much each cause adds, strategy by strategy."""
-    causes = {"cusps": "cusp_nm", "chord": "chord_nm", "servos": "tracking_nm"}
+    """Draw the error contributions of each strategy."""
+    sources = {"cusps": "cusp_nm", "chord": "chord_nm", "servos": "tracking_nm"}
     with _canvas(4.6, 3.7) as canvas:
         axes = canvas.figure.add_subplot()
         rows = np.arange(len(tried))
-        for k, ((cause, name), colour) in enumerate(zip(causes.items(), SERIES, strict=True)):
+        for k, ((cause, name), colour) in enumerate(zip(sources.items(), SERIES, strict=True)):
             sizes = [getattr(one.shares, name) for one in tried]
             axes.barh(rows + (k - 1) * 0.26, sizes, height=0.24, color=colour, label=cause)
         axes.set_yticks(rows, [str(number) for number in range(1, len(tried) + 1)])
         axes.invert_yaxis()
-        axes.set(xlabel="largest share [nm]", ylabel="strategy")
+        axes.set(xlabel="largest contribution [nm]", ylabel="strategy")
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
         axes.grid(visible=True, axis="x")
         axes.set_axisbelow(True)
-    return Picture(canvas.svg, "Cusps, chord and servos of every strategy, numbered as in the table.")
+    return Picture(
+        canvas.svg, "Error contributions of cusps, chord and servos for each strategy, numbered as in the table."
+    )

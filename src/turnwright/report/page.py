@@ -1,4 +1,4 @@
-"""Setting a page: from what it says to a file that appears when it is whole."""
+"""Rendering of a page: template, content, atomic write."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Page", "page_file", "set_page"]
 
 
 def _version() -> str:
-    """Return which version sets the page."""
+
     try:
         return version("turnwright")
     except PackageNotFoundError:
@@ -26,7 +26,7 @@ def _version() -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Page:
-    """What every page says beside what is its own, ready to be set."""
+    """Content that every page has."""
 
     title: str
     kind: str
@@ -35,14 +35,14 @@ class Page:
 
 
 def page_file(path: str | PathLike[str]) -> File:
-    """Return the file of a page: in a folder that exists it is called ``report.html``."""
+    """Return the file of a page; in an existing folder it is named ``report.html``."""
     path = File(path)
     return path / "report.html" if path.is_dir() else path
 
 
 def set_page(template: str, page: Page, path: File) -> File:
-    """Set a page; it appears under its name only when it is whole."""
-    import jinja2  # noqa: PLC0415 - only a page needs it
+    """Render a page and write it atomically."""
+    import jinja2  # noqa: PLC0415 - needed only to render
 
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("turnwright.report", "."),
@@ -53,6 +53,6 @@ def set_page(template: str, page: Page, path: File) -> File:
     )
     environment.filters["typeset"] = lambda text: re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text)
     text = environment.get_template(template).render(page=page)
-    text = re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "", text)  # no page may hold them, whatever a name does
+    text = re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", "", text)  # control characters are invalid in HTML
     write_whole(path, text)
     return path

@@ -1,4 +1,4 @@
-"""The page of a study."""
+"""Report page of a parameter study."""
 
 from __future__ import annotations
 
@@ -20,21 +20,20 @@ if TYPE_CHECKING:
 
 __all__ = ["write_study"]
 
-BEST = 12
-"""Cases in the table of the best."""
+MAX_BEST_CASES = 12
 
-MANY = 12
-"""Reasons that the page names."""
+MAX_REASONS = 12
+"""Reasons of failure that the page lists."""
 
-SHOWN = 4
-"""Values of a field that the page names one by one."""
+MAX_LISTED_VALUES = 4
+"""Values of a field that are listed individually; more are given as a range."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Page(Page):
-    """What the page says, ready to be set."""
+    """Content of the page, passed to the template."""
 
-    asked: Sequence[str]
+    design: Sequence[str]
     pictures: Sequence[Picture]
     wide: bool
     by: str
@@ -49,9 +48,9 @@ def write_study(found: Study, path: str | PathLike[str]) -> File:
     Parameters
     ----------
     found
-        What became of every case.
+        Study with the results of all cases.
     path
-        Where to; in a folder that exists the page is called ``report.html``.
+        File, or an existing folder in which the page is named ``report.html``.
 
     Returns
     -------
@@ -60,11 +59,11 @@ def write_study(found: Study, path: str | PathLike[str]) -> File:
     """
     path = page_file(path)
     numbers = [one.name for one in found.measures if one.values.dtype.kind in "fi"]
-    best = found.best(numbers[0], BEST) if numbers else []
+    best = found.best(numbers[0], MAX_BEST_CASES) if numbers else []
     page = _Page(
         title=found.job.part.name or "Part",
         kind="Study",
-        asked=_asked(found),
+        design=_describe_design(found),
         pictures=_pictures(found, numbers),
         wide=len(found.fields) > 2 or (len(found.fields) == 2 and not found.is_grid),
         by=numbers[0] if numbers else "",
@@ -76,43 +75,43 @@ def write_study(found: Study, path: str | PathLike[str]) -> File:
     return set_page("study.html.j2", page, path)
 
 
-def _pictures(found: Study, numbers: Sequence[str]) -> list[Picture]:
-    """Return maps over two fields with profiles, lines over one, and all against all otherwise."""
+def _pictures(study: Study, numbers: Sequence[str]) -> list[Picture]:
+    """Return maps and profiles over two fields, lines over one, or scatter plots over more."""
     from turnwright.report import study_figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
-    if not numbers or not found.fields:
+    if not numbers or not study.fields:
         return []
-    if len(found.fields) == 1:
-        return [draw.line_over(found, name) for name in numbers]
-    if len(found.fields) == 2 and found.is_grid and min(one.different.size for one in found.fields) > 1:
-        return [picture(found, name) for name in numbers for picture in (draw.map_over, draw.profiles_of)]
-    return [draw.scatter(found, numbers)]
+    if len(study.fields) == 1:
+        return [draw.line_over(study, name) for name in numbers]
+    if len(study.fields) == 2 and study.is_grid and min(field.different.size for field in study.fields) > 1:
+        return [picture(study, name) for name in numbers for picture in (draw.map_over, draw.profiles_of)]
+    return [draw.scatter(study, numbers)]
 
 
-def _reasons(found: Study) -> list[tuple[int, str]]:
-    """Return how many cases are refused for reasons that differ in their numbers only, and one of each kind."""
+def _reasons(study: Study) -> list[tuple[int, str]]:
+    """Group the reasons of failed cases, ignoring numbers; return each count with one example."""
     kinds: dict[str, list[str]] = {}
-    for reason in filter(None, found.reasons):
+    for reason in filter(None, study.reasons):
         kinds.setdefault(re.sub(r"[-+]?[0-9][0-9.e+-]*", "0", reason), []).append(reason)
-    most = sorted(kinds.values(), key=len, reverse=True)[:MANY]
+    most = sorted(kinds.values(), key=len, reverse=True)[:MAX_REASONS]
     return [(len(alike), alike[0]) for alike in most]
 
 
-def _asked(found: Study) -> list[str]:
-    varied = "; ".join(f"{one.heading}: {_values(one)}" for one in found.fields)
-    ok = int(found.ok.sum())
-    cases = f"{len(found)} cases by the design {found.design}"
-    if ok < len(found):
-        cases += f", {len(found) - ok} of them refused"
-    seconds = found.seconds[np.isfinite(found.seconds)]
+def _describe_design(study: Study) -> list[str]:
+    varied = "; ".join(f"{field.heading}: {_values(field)}" for field in study.fields)
+    ok = int(study.ok.sum())
+    cases = f"{len(study)} cases, design: {study.design}"
+    if ok < len(study):
+        cases += f", {len(study) - ok} failed"
+    seconds = study.seconds[np.isfinite(study.seconds)]
     if seconds.size:
-        cases += f"; a case took {np.median(seconds):.3g} s of one worker (median), the longest {seconds.max():.3g} s"
+        cases += f"; time per case: median {np.median(seconds):.3g} s, maximum {seconds.max():.3g} s"
     return [f"Varied: {varied}.", f"{cases}."]
 
 
 def _values(one: Column) -> str:
     values = one.different
-    if values.size <= SHOWN or values.dtype.kind in "Ub":
+    if values.size <= MAX_LISTED_VALUES or values.dtype.kind in "Ub":
         return ", ".join(_shown(value) for value in values)
     return f"{values.size} values from {_shown(values[0])} to {_shown(values[-1])}"
 

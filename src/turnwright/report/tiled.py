@@ -1,4 +1,4 @@
-"""The page of a whole part in tiles."""
+"""Report page of a tiled map of a whole part."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 __all__ = ["write_tiled"]
 
-PIXELS = 700
-"""Of a picture, along its longer side, at least."""
+MIN_PICTURE_PIXELS = 700
+"""Pixels along the longer side of the picture of the whole part."""
 
-ZOOMS = 300
-"""Pixels of the map along the side of a window at its own resolution."""
+WINDOW_PIXELS = 300
+"""Side of a window that is shown at full resolution."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Page(Page):
-    """What the page says, ready to be set."""
+    """Content of the page, passed to the template."""
 
     facts: Sequence[str]
     whole: Picture
@@ -39,14 +39,14 @@ class _Page(Page):
 
 
 def write_tiled(job: Job, made: TiledMap, rough: Roughness, spectrum: Spectrum, path: str | PathLike[str]) -> File:
-    """Write the page of a whole part.
+    """Write the page of a tiled map of a whole part.
 
     Parameters
     ----------
     job, made, rough, spectrum
-        What was asked for, the map of its error, and what was found in it.
+        Job, tiled map of its error, and roughness and spectrum of the map.
     path
-        Where to; in a folder that exists the page is called ``report.html``.
+        File, or an existing folder in which the page is named ``report.html``.
 
     Returns
     -------
@@ -58,26 +58,26 @@ def write_tiled(job: Job, made: TiledMap, rough: Roughness, spectrum: Spectrum, 
     path = page_file(path)
     part = job.part
     left, right, low, high = made.extent
-    side = ZOOMS * max(made.pixel) / 2
+    side = WINDOW_PIXELS * max(made.pixel) / 2
     middle = min(part.radius / 2, right - side)
     windows = []
-    for name, x in (("the axis", 0.0), ("half of the radius", middle)):
-        seen = made.window(x=(x - side, x + side), y=(-side, side), pixels=ZOOMS)
-        windows.append((f"At {name}, every pixel", draw.error_map(seen)))
+    for name, x in (("the axis", 0.0), ("half the radius", middle)):
+        window = made.window(x=(x - side, x + side), y=(-side, side), pixels=WINDOW_PIXELS)
+        windows.append((f"At {name}, full resolution", draw.error_map(window)))
     rows, columns = made.shape
-    found = (
-        f"{columns:,} × {rows:,} pixels of {made.pixel[0] * 1e3:.4g} µm, {rough.valid:,} heights within the clear "
-        f"radius of {part.radius:.4g} mm."
+    size = (
+        f"{columns:,} × {rows:,} pixels of {made.pixel[0] * 1e3:.4g} µm, {rough.valid:,} heights within a clear "
+        f"aperture of {part.radius:.4g} mm semi-diameter."
     )
-    kept = (
-        f"The map is a zarr group of version 3 with {made.levels} resolutions, each with half of the pixels of the one "
-        "before along each axis."
+    levels = (
+        f"The map is a Zarr version 3 group with {made.levels} resolution levels; each level halves the pixel count "
+        "along each axis."
     )
     page = _Page(
         title=part.name or "Part",
         kind="Whole part",
-        facts=[found, kept],
-        whole=draw.error_map(made.window(x=(left, right), y=(low, high), pixels=PIXELS)),
+        facts=[size, levels],
+        whole=draw.error_map(made.window(x=(left, right), y=(low, high), pixels=MIN_PICTURE_PIXELS)),
         windows=windows,
         spectrum=draw.density(spectrum),
         rows=_rows(rough),

@@ -1,4 +1,4 @@
-"""The page of a study of tolerances: how likely a part keeps them, and what to set up better."""
+"""Report page of a tolerance study: yield, and the most important set-up errors."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ if TYPE_CHECKING:
 
 __all__ = ["write_tolerance"]
 
-LIKELY, UNLIKELY = 0.95, 0.5
-"""From which probability a part counts as safe, and below which as not."""
+GOOD_PROBABILITY, BAD_PROBABILITY = 0.95, 0.5
+"""Smallest probability graded as good, and largest graded as bad."""
 
-POOR = 0.8
-"""Share of the variance below which sums of marks are no good model, and the page says so."""
+MIN_MODEL_R2 = 0.8
+"""Explained variance below which the linear model of signatures is flagged as a rough guide."""
 
-ESTIMATED = (
-    "Shares are Sobol' indices of the form error PV, of error maps as sums of one mark for each error, fitted to the "
-    "cases; the column by neighbours has the first-order index by nearest neighbours among the cases, which "
-    "scatters by about one over the root of their number. With half of a group's spread the form is that of the sums "
-    "of marks, the finish that of the cases, weighted."
+SENSITIVITY_TEXT = (
+    "Sensitivities are Sobol' indices of the form error PV. They come from a linear model: each error map is a sum of "
+    "one signature per error, fitted to the cases. The column 'by neighbours' is a model-free first-order index from "
+    "nearest neighbours among the cases; it scatters by about one over the square root of their number. With half the "
+    "spread of a group, form is from the linear model and finish from the reweighted cases."
 )
 
 
 def write_tolerance(found: ToleranceStudy, path: str | PathLike[str]) -> File:
-    """Write the page of a study of tolerances.
+    """Write the page of a tolerance study.
 
     Parameters
     ----------
     found
-        What its cases say.
+        Tolerance study.
     path
-        Where to; in a folder that exists the page is called ``report.html``.
+        File, or an existing folder in which the page is named ``report.html``.
 
     Returns
     -------
@@ -64,9 +64,9 @@ def write_tolerance(found: ToleranceStudy, path: str | PathLike[str]) -> File:
 
 
 def _grade(probability: float) -> tuple[str, str]:
-    if probability >= LIKELY:
-        return "good", "Keeps its tolerances"
-    return ("warn", "May miss its tolerances") if probability >= UNLIKELY else ("bad", "Misses its tolerances")
+    if probability >= GOOD_PROBABILITY:
+        return "good", "Meets its tolerances"
+    return ("warn", "May miss its tolerances") if probability >= BAD_PROBABILITY else ("bad", "Misses its tolerances")
 
 
 def _share(one: Interval | None) -> str:
@@ -78,98 +78,96 @@ def _percent(one: Interval) -> str:
 
 
 def _label(measure: str) -> str:
-    """Return a measure as people call it."""
+    """Return the display name of a measure."""
     name, _, where = measure.partition("@")
     called = {"form_pv_nm": "form error PV", "form_rms_nm": "form error RMS", "sq_nm": "Sq", "sa_nm": "Sa"}[name]
     return f"{called}, {where}" if where else called
 
 
-def _numbers(found: ToleranceStudy) -> list[_Number]:
+def _numbers(study: ToleranceStudy) -> list[_Number]:
     numbers = []
-    for kind, one in found.outcomes.items():
-        p = one.probability
-        numbers.append(
-            _Number(f"parts that keep all tolerances, {kind}", f"{p.value:.1%}", "", f"{p.low:.1%} to {p.high:.1%}")
-        )
-    kind = list(found.outcomes)[-1]
+    for kind, outcome in study.outcomes.items():
+        p = outcome.probability
+        numbers.append(_Number(f"yield, {kind}", f"{p.value:.1%}", "", f"{p.low:.1%} to {p.high:.1%}"))
+    kind = list(study.outcomes)[-1]
     name = "form_pv_nm" if kind == "as planned" else "corrected form_pv_nm"
-    p95 = found.percentiles(name)[0.95]
-    note = f"of 100 parts 95 keep this, {kind}; {_between(p95)}"
+    p95 = study.percentiles(name)[0.95]
+    note = f"95th percentile, {kind}; {_between(p95)}"
     numbers.append(_Number("form error PV", f"{p95.value:.3g}", "nm", note))
     return numbers[:3]
 
 
 def _between(one: Interval) -> str:
-    high = f"{one.high:.3g}" if math.isfinite(one.high) else "more cases would tell"
+    high = f"{one.high:.3g}" if math.isfinite(one.high) else "unbounded (too few cases)"
     return f"{one.low:.3g} to {high}" if math.isfinite(one.low) else f"up to {high}"
 
 
-def _notes(found: ToleranceStudy) -> list[str]:
-    notes = [f"{kind}: {one.advice}" for kind, one in found.outcomes.items()]
-    if found.tightening is not None:
-        t = found.tightening
+def _notes(study: ToleranceStudy) -> list[str]:
+    notes = [f"{kind}: {outcome.advice}" for kind, outcome in study.outcomes.items()]
+    if study.tightening is not None:
+        t = study.tightening
         notes.append(
-            f"as many cases again, the same but for half the spread of {t.group}: {_percent(t.probability)} keep all "
+            f"with half the spread of {t.group} and the same number of cases, {_percent(t.probability)} meet all "
             f"tolerances, {_percent(t.before)} before"
         )
-    for kind, one in found.outcomes.items():
-        if one.foretold is not None and one.foretold[0] < POOR:
+    for kind, outcome in study.outcomes.items():
+        if outcome.foretold is not None and outcome.foretold[0] < MIN_MODEL_R2:
             notes.append(
-                f"{kind}: sums of marks foretell {max(one.foretold[0], 0):.0%} of the variance of form error PV only, "
-                "so its shares are a rough guide: more cases help, or the form is not a sum of small errors"
+                f"{kind}: the linear model explains only {max(outcome.foretold[0], 0):.0%} of the variance of form "
+                "error PV, so the sensitivities are a rough guide: run more cases, or the form is not linear in the errors"
             )
-    for reason, count in Counter(found.reasons).most_common(3):
-        notes.append(f"{count} cases could not be carried out and count as parts out of tolerance: {reason}")
+    for reason, count in Counter(study.reasons).most_common(3):
+        notes.append(f"{count} cases failed and count as parts out of tolerance: {reason}")
     return notes
 
 
-def _distributions(found: ToleranceStudy) -> _Section:
+def _distributions(study: ToleranceStudy) -> _Section:
     from turnwright.report import tolerance_figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
-    plain = [name for name in found.columns if not name.startswith("corrected")]
-    pictured = [name for name in plain if name in found.limits or name == "form_pv_nm"]
+    plain = [name for name in study.columns if not name.startswith("corrected")]
+    pictured = [name for name in plain if name in study.limits or name == "form_pv_nm"]
     pictures = []
     for name in pictured:
-        values = {"as planned": found.columns[name]}
-        if f"corrected {name}" in found.columns:
-            values["corrected"] = found.columns[f"corrected {name}"]
-        pictures.append(("", draw.histogram(values, _label(name), found.limits.get(name))))
+        values = {"as planned": study.columns[name]}
+        if f"corrected {name}" in study.columns:
+            values["corrected"] = study.columns[f"corrected {name}"]
+        pictures.append(("", draw.histogram(values, _label(name), study.limits.get(name))))
     rows = []
     for name in plain:
-        for kind, outcome in found.outcomes.items():
-            own = name if kind == "as planned" else f"corrected {name}"
-            limit = found.limits.get(name)
-            kept = "" if limit is None else _percent(outcome.each[name])
-            shown = [f"{one.value:.3g} ({_between(one)})" for one in found.percentiles(own).values()]
-            rows.append([f"{_label(name)}, {kind}", *shown, "" if limit is None else f"{limit:.4g}", kept])
-    asked = found.job.measurement
-    free = ", ".join(name.replace("_", " ") for name in asked.free)
-    held = f", but for {', '.join(asked.fixed)}, which are fixed" if asked.fixed else ""
+        for kind, outcome in study.outcomes.items():
+            column = name if kind == "as planned" else f"corrected {name}"
+            limit = study.limits.get(name)
+            probability = "" if limit is None else _percent(outcome.each[name])
+            shown = [f"{one.value:.3g} ({_between(one)})" for one in study.percentiles(column).values()]
+            rows.append([f"{_label(name)}, {kind}", *shown, "" if limit is None else f"{limit:.4g}", probability])
+    measurement = study.job.measurement
+    free = ", ".join(name.replace("_", " ") for name in measurement.free)
+    exclusion = f", with {', '.join(measurement.fixed)} fixed" if measurement.fixed else ""
     return _Section(
-        title="What comes out",
+        title="Distributions",
         text=[
-            f"Form counts over the whole part beyond the rigid motions that measuring leaves free ({free}{held}).",
-            "Every place counts by its area. Finish counts over each patch, as the job's roughness says.",
-            "Intervals hold the true value in 95 of 100 studies.",
+            f"Form error is evaluated over the whole part, weighted by area, after registration in {free}{exclusion}.",
+            "Finish is evaluated over each patch, as stated by the roughness table of the job.",
+            "Intervals are 95 % confidence intervals.",
         ],
         pictures=pictures,
-        columns=["", "5 of 100 below", "half below", "90 below", "95 below", "99 below", "tolerance", "keep it"],
+        columns=["", "5th percentile", "median", "90th", "95th", "99th", "tolerance", "yield"],
         rows=rows,
         numeric=frozenset(range(1, 8)),
     )
 
 
-def _sensitivities(found: ToleranceStudy) -> list[_Section]:
+def _sensitivities(study: ToleranceStudy) -> list[_Section]:
     from turnwright.report import tolerance_figures as draw  # noqa: PLC0415 - matplotlib is costly to import
 
     sections = []
-    for kind, outcome in found.outcomes.items():
+    for kind, outcome in study.outcomes.items():
         sections.append(
             _Section(
-                title=f"What it comes from, {kind}",
+                title=f"Sensitivities, {kind}",
                 text=[outcome.advice[0].upper() + outcome.advice[1:] + ".", _model(outcome)],
                 pictures=[("", draw.tornado(outcome.sensitivities, kind))],
-                columns=["", "alone", "with others", "by neighbours", "kept with half of it", "95 below then [nm]"],
+                columns=["", "first order", "total", "by neighbours", "yield, half the spread", "95th percentile [nm]"],
                 rows=[
                     [
                         one.group, _share(one.first), _share(one.total), f"{one.given:.2f}",
@@ -187,23 +185,23 @@ def _sensitivities(found: ToleranceStudy) -> list[_Section]:
 def _model(outcome: Outcome) -> str:
     if outcome.foretold is None:
         return (
-            "The cases are too few for sums of marks: shares are first-order indices by nearest neighbours among the "
-            "cases, which scatter by about one over the root of their number."
+            "There are too few cases for the linear model: sensitivities are first-order indices by nearest neighbours "
+            "among the cases, which scatter by about one over the square root of their number."
         )
     pv, rms = (max(one, 0.0) for one in outcome.foretold)
     shares = f"{pv:.1%} of the variance of PV and {rms:.1%} of that of RMS"
-    return f"{ESTIMATED} Each case left out in turn, they foretell {shares}."
+    return f"{SENSITIVITY_TEXT} In leave-one-out cross-validation the model explains {shares}."
 
 
-def _budget(found: ToleranceStudy) -> _Section:
-    budget = found.budget
-    drift = "goes on evenly" if budget.settling is None else f"dies away with a time constant of {budget.settling:g} s"
+def _budget(study: ToleranceStudy) -> _Section:
+    budget = study.budget
+    drift = "is linear" if budget.settling is None else f"decays with a time constant of {budget.settling:g} s"
     return _Section(
         title="Error budget",
         text=[
-            f"{budget.name or 'Budget'}: drift {drift}; the instrument's noise is {budget.noise * 1e6:.3g} nm.",
-            f"Artefacts: {', '.join(budget.artefacts)}; the tool, slides and servos that cut them cut the part too.",
-            "Drift, mounting and chuck tilt are drawn anew for every cut.",
+            f"{budget.name or 'Budget'}: drift {drift}; instrument noise {budget.noise * 1e6:.3g} nm.",
+            f"Test parts: {', '.join(budget.artefacts)}; they share tool, slides and servos with the part.",
+            "Drift, mounting and chuck tilt are drawn independently for every cut.",
         ],
         columns=["error", "spread", "source"],
         rows=[[name, spread.shown(budget.unit(name)), spread.source] for name, spread in budget.errors.items()],

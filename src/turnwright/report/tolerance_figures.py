@@ -1,4 +1,4 @@
-"""The pictures of a study of tolerances: distributions with their limits, and what they depend on."""
+"""Pictures of a tolerance study: distributions and sensitivities."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 
 __all__ = ["histogram", "tornado"]
 
-MOST_BINS = 40
-BARS = 12
-"""Groups that a picture of shares shows; the table has them all."""
+MAX_BINS = 40
+MAX_GROUPS = 12
+"""Groups shown in the picture; the table has all of them."""
 
 
 def histogram(values: Mapping[str, Floats], label: str, limit: float | None) -> Picture:
-    """Draw how often a measure came out how large, as planned and corrected, with its tolerance."""
+    """Draw the histograms of a measure, as planned and corrected, with its tolerance."""
     every = np.concatenate(list(values.values()))
     low, high = float(every.min()), float(np.quantile(every, 0.995))
     if limit is not None and limit < 3 * high:
         low, high = min(low, limit), max(high, limit)
     pad = 0.03 * (high - low) or 0.05 * abs(high) or 1.0
-    bins: Any = np.linspace(low - pad, high + pad, min(MOST_BINS, max(10, round(2 * np.sqrt(every.size)))) + 1)
+    bins: Any = np.linspace(low - pad, high + pad, min(MAX_BINS, max(10, round(2 * np.sqrt(every.size)))) + 1)
     with _canvas(4.6, 3.1) as canvas:
         axes = canvas.figure.add_subplot()
         for colour, (name, one) in zip(SERIES, values.items(), strict=False):
@@ -40,25 +40,27 @@ def histogram(values: Mapping[str, Floats], label: str, limit: float | None) -> 
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
         axes.grid(visible=True, axis="y")
         axes.set_axisbelow(True)
-    shown = "; ".join(f"{name}, half of the parts within {np.median(one):.3g} nm" for name, one in values.items())
-    beyond = "" if limit is None or limit <= bins[-1] else f" The tolerance, {limit:.4g} nm, lies far to the right."
-    more = f" The last bar holds all beyond {bins[-1]:.3g} nm." if every.max() > bins[-1] else ""
-    return Picture(canvas.svg, f"How often {label} comes out how large: {shown}.{beyond}{more}")
+    shown = "; ".join(f"{name}, median {np.median(one):.3g} nm" for name, one in values.items())
+    beyond = (
+        "" if limit is None or limit <= bins[-1] else f" The tolerance of {limit:.4g} nm is outside the range shown."
+    )
+    more = f" The last bar includes all values above {bins[-1]:.3g} nm." if every.max() > bins[-1] else ""
+    return Picture(canvas.svg, f"Histogram of {label}: {shown}.{beyond}{more}")
 
 
 def tornado(sensitivities: Sequence[Sensitivity], title: str) -> Picture:
-    """Draw which share of the spread in form error each group has, alone and with what it does together with others."""
-    shown = sensitivities[:BARS]
+    """Draw the first-order and total sensitivity of form error PV to each group of errors."""
+    shown = sensitivities[:MAX_GROUPS]
     rows = np.arange(len(shown))
     with _canvas(4.6, max(1.6, 0.75 + 0.27 * len(shown))) as canvas:
         axes = canvas.figure.add_subplot()
         totals = [max((one.total.value if one.total else one.given), 0.0) for one in shown]
         if shown[0].total is None:
-            axes.barh(rows, totals, height=0.6, color=SERIES[0], label="alone, by neighbours")
+            axes.barh(rows, totals, height=0.6, color=SERIES[0], label="first order, by neighbours")
         else:
-            axes.barh(rows, totals, height=0.62, color=SERIES[1], alpha=0.45, label="with others (total)")
+            axes.barh(rows, totals, height=0.62, color=SERIES[1], alpha=0.45, label="total")
             firsts = [max(one.first.value, 0.0) if one.first else 0.0 for one in shown]
-            axes.barh(rows, firsts, height=0.34, color=SERIES[0], label="alone (first order)")
+            axes.barh(rows, firsts, height=0.34, color=SERIES[0], label="first order")
             for row, one in zip(rows, shown, strict=True):
                 if one.total is not None:
                     axes.plot([one.total.low, one.total.high], [row, row], color=INK, linewidth=0.9)
@@ -67,11 +69,11 @@ def tornado(sensitivities: Sequence[Sensitivity], title: str) -> Picture:
         axes.set_xlim(0, max(1.0, *totals) * 1.02)
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_color(LINE)
-        axes.set(xlabel="share of the variance of form error PV")
+        axes.set(xlabel="fraction of the variance of form error PV")
         axes.legend(loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=2)
         axes.grid(visible=True, axis="x")
         axes.set_axisbelow(True)
     best = ", ".join(f"{one.group} {max(value, 0.0):.0%}" for one, value in list(zip(shown, totals, strict=True))[:3])
     return Picture(
-        canvas.svg, f"What the spread of the form error comes from, {title}: {best}. Lines are 95 % intervals."
+        canvas.svg, f"Sensitivities of the form error, {title}: {best}. Lines are 95 % confidence intervals."
     )
