@@ -234,7 +234,7 @@ def test_a_long_program_is_found_by_its_index(tmp_path, monkeypatch):
     """The index knows every 16th line only; the nearest of all lines is the oracle."""
     from turnwright.web import program as _program
 
-    monkeypatch.setattr(_program, "FINEST", 300)
+    monkeypatch.setattr(_program, "MAX_FULLY_INDEXED_LINES", 300)
     file = written(tmp_path, ("machine.name", "nanotech-350fg"), ("program.max_lines", 2000))
     assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 0
     machine = tw.Machine.load("nanotech-350fg")

@@ -87,10 +87,10 @@ def test_the_budget_of_a_run_is_that_of_the_comparison(made: tuple[Path, tw.job.
     assert found["rounding_nm"] == result.rounding_nm
     assert found["servos"] is False
     assert {*found} == {one.name for one in fields(tw.job.Shares)} - {"error"} | {"servos"}
-    kept = out.parent / _budget.KEPT
+    kept = out.parent / _budget.CACHE_FILE
     assert json.loads(kept.read_text(encoding="utf-8")) == found
     assert _budget.budget(str(out)) == found
-    assert sorted(file.name for file in out.parent.iterdir()) == [_budget.KEPT, "out"]
+    assert sorted(file.name for file in out.parent.iterdir()) == [_budget.CACHE_FILE, "out"]
 
 
 def test_the_routes_answer_and_say_what_is_missing(made: tuple[Path, tw.job.Result], tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from job_files import changed
 from turnwright.errors import InputError
 from turnwright.web import bundles as _bundles, create_app, queue as _queue, server as _server
 from turnwright.web.guard import Guard
-from turnwright.web.limits import FILE_BYTES, SPARE_BYTES
+from turnwright.web.limits import FILE_BYTES, MIN_FREE_BYTES
 from turnwright.web.workers import TooLong
 
 HERE = "http://127.0.0.1:8765"
@@ -262,7 +262,7 @@ def test_a_long_job_comes_with_its_text_and_both_are_taken(client):
 
 
 def test_a_run_too_many_is_refused_and_leaves_nothing(client, folder, monkeypatch):
-    monkeypatch.setattr(_queue, "MOST_QUEUED", 0)
+    monkeypatch.setattr(_queue, "MAX_QUEUED", 0)
     before = tree(folder)
     answer = client.post("/api/runs", json={"data": changed(), "kind": "run"})
     assert answer.status_code == 422
@@ -391,7 +391,7 @@ def test_a_reference_leads_nowhere_else(client, reference):
 def test_reading_a_file_ends_at_its_limit(client, folder, monkeypatch):
     from turnwright.web import files as _files
 
-    monkeypatch.setattr(_files, "FILE_S", 0.0)
+    monkeypatch.setattr(_files, "MAX_FILE_READ_S", 0.0)
     before = tree(folder)
     answer = client.post("/api/files", params={"kind": "heights", "name": "a.csv"}, content=TABLE + b"\n")
     assert answer.status_code == 422
@@ -501,7 +501,7 @@ def test_an_archive_leaves_room_on_the_disk(tmp_path, monkeypatch):
     (tmp_path / "files").mkdir()
     file = tmp_path / "files" / ".new.zip"
     file.write_bytes(packed([naming("a.csv"), ("a.csv", TABLE)]))
-    monkeypatch.setattr(_bundles.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=SPARE_BYTES))
+    monkeypatch.setattr(_bundles.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=MIN_FREE_BYTES))
     before = tree(tmp_path)
     with pytest.raises(InputError, match="free some space"):
         _bundles.opened(str(file), str(tmp_path))
@@ -518,7 +518,7 @@ def test_an_archive_beyond_the_limits_of_the_upload_is_not_read(client, folder):
 def test_an_archive_has_its_time(client, folder, monkeypatch):
     from turnwright.web import files as _files
 
-    monkeypatch.setattr(_files, "FILE_S", 0.0)
+    monkeypatch.setattr(_files, "MAX_FILE_READ_S", 0.0)
     before = tree(folder)
     answer = client.post("/api/files/archive", content=packed([naming("a.csv"), ("a.csv", TABLE)]))
     assert answer.status_code == 422

@@ -73,7 +73,7 @@ def test_later_needs_are_loaded_when_the_page_is_idle(monkeypatch):
     carried_out(three, 1, then=(time.monotonic,))
     assert [one for one, _ in called] == [os.getpid, time.sleep, time.sleep, time.monotonic]
     (_, asked), (_, loaded) = called[2:]
-    assert loaded - asked >= _workers.REST_S
+    assert loaded - asked >= _workers.IDLE_S
 
 
 def test_who_hears_that_it_took_too_long_finds_the_process_gone():

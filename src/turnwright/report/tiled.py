@@ -31,7 +31,7 @@ class _Page(Page):
     """Content of the page, passed to the template."""
 
     facts: Sequence[str]
-    whole: Picture
+    overview: Picture
     windows: Sequence[tuple[str, Picture]]
     spectrum: Picture
     rows: Sequence[tuple[str, str, str]]
@@ -57,9 +57,9 @@ def write_tiled(job: Job, made: TiledMap, rough: Roughness, spectrum: Spectrum, 
 
     path = page_file(path)
     part = job.part
-    left, right, low, high = made.extent
+    x_low, x_high, y_low, y_high = made.extent
     side = WINDOW_PIXELS * max(made.pixel) / 2
-    middle = min(part.radius / 2, right - side)
+    middle = min(part.radius / 2, x_high - side)
     windows = []
     for name, x in (("the axis", 0.0), ("half the radius", middle)):
         window = made.window(x=(x - side, x + side), y=(-side, side), pixels=WINDOW_PIXELS)
@@ -77,7 +77,7 @@ def write_tiled(job: Job, made: TiledMap, rough: Roughness, spectrum: Spectrum, 
         title=part.name or "Part",
         kind="Whole part",
         facts=[size, levels],
-        whole=draw.error_map(made.window(x=(left, right), y=(low, high), pixels=MIN_PICTURE_PIXELS)),
+        overview=draw.error_map(made.window(x=(x_low, x_high), y=(y_low, y_high), pixels=MIN_PICTURE_PIXELS)),
         windows=windows,
         spectrum=draw.density(spectrum),
         rows=_rows(rough),

@@ -114,7 +114,7 @@ def _notes(study: ToleranceStudy) -> list[str]:
         if outcome.foretold is not None and outcome.foretold[0] < MIN_MODEL_R2:
             notes.append(
                 f"{kind}: the linear model explains only {max(outcome.foretold[0], 0):.0%} of the variance of form "
-                "error PV, so the sensitivities are a rough guide: run more cases, or the form is not linear in the errors"
+                "error PV, so the sensitivities are a rough guide: too few cases, or form is not linear in the errors"
             )
     for reason, count in Counter(study.reasons).most_common(3):
         notes.append(f"{count} cases failed and count as parts out of tolerance: {reason}")

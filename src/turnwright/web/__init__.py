@@ -1,7 +1,7 @@
-"""The workbench: a page where an engineer plans, sees and corrects a part. It holds no physics of its own.
+"""The workbench: a web page on which an engineer plans, inspects and corrects a part.
 
-The server answers from the event loop alone; all that takes time happens in other processes: a few that are kept warm
-for what a page waits for, and one for each run.
+It contains no physics of its own. The server answers from the event loop; computations run in other processes: a few
+persistent workers for interactive requests, and one process per run.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["create_app", "is_loopback", "listening", "serve_until_stopped"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import the server where it is asked for: the processes that compute for it need none."""
+    """Import the server on demand: worker processes do not need it."""
     if name != "create_app":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from turnwright.web.app import create_app  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""Addresses: which only this computer reaches, and where a server can be heard."""
+"""Network addresses of the server."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["is_loopback", "listening"]
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this computer reaches an address.
+    """Whether an address is reachable from this computer only.
 
     >>> is_loopback("127.0.0.1"), is_loopback("localhost"), is_loopback("::1"), is_loopback("0.0.0.0")
     (True, True, True, False)
@@ -32,35 +32,35 @@ def is_loopback(host: str) -> bool:
 
 @contextmanager
 def listening(host: str, port: int) -> Iterator[tuple[socket.socket, str]]:
-    """Yield a socket that is to listen, and the address of the page.
+    """Yield a bound socket and the address of the page.
 
     Parameters
     ----------
     host
-        A number or a name of this computer.
+        IP address or host name of this computer.
     port
-        0 for any that is free.
+        Port; 0 selects a free one.
 
     Raises
     ------
     InputError
-        If nothing can be heard there.
+        If the address cannot be bound.
     """
     try:
         family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        door = socket.socket(family, kind, protocol)
-    except (OSError, UnicodeError) as error:  # a name of no length, or too long, has no place in a look-up
-        raise _deaf(host, port, error) from error
-    with door:
+        listener = socket.socket(family, kind, protocol)
+    except (OSError, UnicodeError) as error:  # the host name is empty or too long
+        raise _listen_error(host, port, error) from error
+    with listener:
         try:
-            if sys.platform == "win32":  # where "reuse" lets a second server in beside the first
-                door.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+            if sys.platform == "win32":  # where SO_REUSEADDR admits a second server
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
             else:
-                door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            door.bind(place)
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(place)
         except OSError as error:
-            raise _deaf(host, port, error) from error
-        number = door.getsockname()[1]
+            raise _listen_error(host, port, error) from error
+        number = listener.getsockname()[1]
         name = host
         try:
             address = ipaddress.ip_address(host)
@@ -71,12 +71,10 @@ def listening(host: str, port: int) -> Iterator[tuple[socket.socket, str]]:
                 name = socket.gethostname()
             elif address.version == 6:
                 name = f"[{host}]"
-        yield door, f"http://{name}:{number}"
+        yield listener, f"http://{name}:{number}"
 
 
-def _deaf(host: str, port: int, error: OSError | UnicodeError) -> InputError:
+def _listen_error(host: str, port: int, error: OSError | UnicodeError) -> InputError:
     if isinstance(error, UnicodeError):
-        return InputError(f"no server can listen at {host[:60]!r}, which is no name of a computer: name another --host")
-    return InputError(
-        f"no server can listen at {host}:{port} ({error.strerror}): name another --port, or 0 for any that is free"
-    )
+        return InputError(f"--host must be a host name or an address, got {host[:60]!r}")
+    return InputError(f"cannot listen on {host}:{port} ({error.strerror}): choose another --port, or 0 for a free one")

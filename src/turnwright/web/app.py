@@ -1,4 +1,4 @@
-"""The server: routes, what stands before them, and the page's own files. It computes nothing itself."""
+"""The server: routes, middleware, error handlers and static files. It computes nothing itself."""
 
 from __future__ import annotations
 
@@ -41,21 +41,21 @@ REFUSED: dict[int | str, dict[str, Any]] = {
         400: "the request cannot be read",
         401: "the token is missing or wrong",
         403: "the request comes from a page of another origin",
-        404: "there is no such thing",
-        409: "the state of what is asked for does not allow it, or a later question took its place",
-        410: "its files were deleted outside the workbench",
+        404: "the resource does not exist",
+        409: "the state of the resource does not allow this, or a later request replaced it",
+        410: "the files were deleted outside the workbench",
         413: "the request is too large",
-        421: "the request names another host",
-        422: "what is asked for is wrong",
+        421: "the host name is not that of this server",
+        422: "the request is invalid",
         500: "a defect of Turnwright",
-        503: "more questions wait than the server takes",
+        503: "too many requests are waiting",
     }.items()
 }
 
 UNPROCESSABLE = 422
 
 NICE = 10
-"""A page that waits gets nine tenths of a processor that a run wants too."""
+"""Niceness of runs, so that the page gets about nine tenths of a shared processor."""
 
 
 def create_app(
@@ -69,24 +69,24 @@ def create_app(
     parse_bytes: int = PARSE_BYTES,
     workers: Workers | None = None,
 ) -> FastAPI:
-    """Return the server of the workbench, to be run by any ASGI server.
+    """Return the ASGI application of the workbench.
 
     Parameters
     ----------
     folder
-        Where runs and measurements are kept; it is made if there is none.
+        Folder of runs and measurements; created if missing.
     token
-        What whoever asks must know, 16 characters or more; needed where others reach the server.
+        Access token of at least 16 characters; needed if other computers can reach the server.
     origin
-        The address of the page, such as "https://lathe.example", where a proxy stands before the server.
+        Public address of the page behind a reverse proxy, such as "https://lathe.example".
     at_a_time
-        How many runs are carried out at a time; the others wait.
+        Number of parallel runs; the others wait.
     nice
-        How far runs stand back behind everything else on this computer, 0 to 19.
+        Niceness of runs, 0 to 19.
     parse_s, parse_bytes
-        How long reading a measured file may take, and how much memory beyond what its process starts with. [s, byte]
+        Time limit, and memory limit beyond the start, for reading a measured file. [s, byte]
     workers
-        Who plans, if they were started before; they end with the server.
+        Worker processes, if already started; they end with the server.
 
     Raises
     ------
@@ -112,18 +112,18 @@ def create_app(
         title="Turnwright workbench",
         version=__version__,
         lifespan=lifespan,
-        docs_url=None,  # its page would load scripts of another host
+        docs_url=None,  # its page loads scripts from another host
         redoc_url=None,
         openapi_url="/api/openapi.json",
         separate_input_output_schemas=False,
         responses=REFUSED,
         middleware=[Middleware(Guard, token=token, origin=origin)],
         exception_handlers={
-            HTTPException: _say_http,
-            RequestValidationError: _say_invalid,
-            TurnwrightError: _say_refused,
-            FileNotFoundError: _say_gone,
-            Exception: _say_defect,
+            HTTPException: _answer_http_error,
+            RequestValidationError: _answer_invalid,
+            TurnwrightError: _answer_refusal,
+            FileNotFoundError: _answer_missing_file,
+            Exception: _answer_defect,
         },
     )
     app.state.folder, app.state.workers, app.state.at_a_time = folder, workers, at_a_time
@@ -139,47 +139,47 @@ def _problem(status: int, sentence: str, headers: Mapping[str, str] | None = Non
     return JSONResponse({"detail": shortened(sentence)}, status, headers=headers)
 
 
-async def _say_http(_request: Request, error: Exception) -> Response:
-    """Say what the framework refuses."""
+async def _answer_http_error(_request: Request, error: Exception) -> Response:
+    """Answer an HTTP error of the framework."""
     if not isinstance(error, HTTPException):
         raise error
     plain = {
-        400: "the request is not JSON that can be read: correct it",
-        404: "there is nothing of that name: ask for /api/openapi.json to see what there is",
-        405: "that cannot be done with this address: ask for /api/openapi.json to see what can",
+        400: "the request is not valid JSON",
+        404: "not found: see /api/openapi.json",
+        405: "method not allowed: see /api/openapi.json",
     }
     words = {"Not Found", "Method Not Allowed", "There was an error parsing the body"}
     sentence = plain.get(error.status_code, error.detail) if error.detail in words else error.detail
     return _problem(error.status_code, sentence, error.headers)
 
 
-async def _say_invalid(_request: Request, error: Exception) -> Response:
-    """Say what in a request is not of its kind, without showing it again."""
+async def _answer_invalid(_request: Request, error: Exception) -> Response:
+    """Answer a request that fails validation, without echoing it."""
     if not isinstance(error, RequestValidationError):
         raise error
-    told = []
+    problems = []
     for one in error.errors()[:5]:
         place = ".".join(str(step) for step in one["loc"][1:])
-        told.append(f"{place[:60] or 'the request'}: {one['msg']}")
-    return _problem(UNPROCESSABLE, "; ".join(told))
+        problems.append(f"{place[:60] or 'the request'}: {one['msg']}")
+    return _problem(UNPROCESSABLE, "; ".join(problems))
 
 
-async def _say_refused(_request: Request, error: Exception) -> Response:
-    """Say what Turnwright raises on purpose."""
+async def _answer_refusal(_request: Request, error: Exception) -> Response:
+    """Answer an error that Turnwright raises."""
     status = 409 if isinstance(error, Superseded) else 503 if isinstance(error, Busy) else UNPROCESSABLE
     return _problem(status, str(error))
 
 
-async def _say_gone(request: Request, error: Exception) -> Response:
-    """Name a file of a run that is no longer there."""
+async def _answer_missing_file(request: Request, error: Exception) -> Response:
+    """Answer a request for a deleted file of a run."""
     file = Path(getattr(error, "filename", None) or "")
     if request.app.state.folder not in file.parents:
         raise error
-    return _problem(410, f"{file.name} of this run was deleted outside the workbench: run it again")
+    return _problem(410, f"{file.name} of this run was deleted outside the workbench: run the job again")
 
 
-async def _say_defect(request: Request, error: Exception) -> Response:
-    """Keep the traceback of a defect where its finder may look, and say so without showing it."""
+async def _answer_defect(request: Request, error: Exception) -> Response:
+    """Write the traceback of a defect to a log file and answer with its name."""
     log = request.app.state.folder / "defects.log"
     with suppress(OSError), log.open("a", encoding="utf-8") as file:
         file.write(f"{request.method} {request.url.path!r}\n")

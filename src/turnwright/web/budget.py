@@ -1,4 +1,4 @@
-"""Where the error of a finished run comes from, asked of the functions that `turnwright compare` asks."""
+"""Error budget of a finished run, by the same functions as `turnwright compare`."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from turnwright.web.made import finishing_pass, numbers_of
 
 __all__ = ["budget"]
 
-KEPT = "budget.json"
-"""Beside what the run has written: finding it takes as long as planning a path."""
+CACHE_FILE = "budget.json"
+"""Name of the cached result in the folder of the run; computing it takes as long as planning a path."""
 
 
 def budget(folder: str) -> dict[str, Any]:
-    """Return the shares of the form error of the finishing pass; that of decimals is what its run has found."""
-    kept = File(folder).parent / KEPT
+    """Return the error contributions of the finishing pass; that of rounding is taken from the run."""
+    cache = File(folder).parent / CACHE_FILE
     with suppress(OSError, ValueError):
-        found: dict[str, Any] = json.loads(kept.read_text(encoding="utf-8"))
-        return found
-    job, file, name = finishing_pass(folder, "its error has no shares: look at its maps")
-    told = program_shares(job, file, name)
-    found = {one.name: _number(getattr(told, one.name)) for one in fields(Shares) if one.name != "error"}
-    found["rounding_nm"] = numbers_of(folder)["rounding_nm"]
-    found["servos"] = any(one.response is not None or one.dead_time for one in job.machine.axes.values())
-    with suppress(OSError):  # a full disk: it is found again
-        write_whole(kept, json.dumps(found))
-    return found
+        numbers: dict[str, Any] = json.loads(cache.read_text(encoding="utf-8"))
+        return numbers
+    job, file, name = finishing_pass(folder, "no error budget is available")
+    contributions = program_shares(job, file, name)
+    numbers = {one.name: _number(getattr(contributions, one.name)) for one in fields(Shares) if one.name != "error"}
+    numbers["rounding_nm"] = numbers_of(folder)["rounding_nm"]
+    numbers["servos"] = any(one.response is not None or one.dead_time for one in job.machine.axes.values())
+    with suppress(OSError):  # on a full disk the result is not cached
+        write_whole(cache, json.dumps(numbers))
+    return numbers
 
 
 def _number(value: float) -> float | None:

@@ -1,4 +1,4 @@
-"""A job and the files that it names in one ZIP archive: packed for the command line, and opened again."""
+"""ZIP archives of a job and the files that it names, for exchange with the command line."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from turnwright._io import read_toml
 from turnwright.errors import InputError
 from turnwright.job import as_tables, written
 from turnwright.web.jobs import look_into, plain, read, require
-from turnwright.web.limits import BODY_BYTES, FILE_BYTES, FILE_ENDINGS, SPARE_BYTES
-from turnwright.web.references import JOB, beside, named, place_of, plain_name, renamed, require_flat
+from turnwright.web.limits import BODY_BYTES, FILE_BYTES, FILE_ENDINGS, MIN_FREE_BYTES
+from turnwright.web.references import JOB, named, place_of, plain_name, renamed, require_flat, unpack_references
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 __all__ = ["bundle", "opened"]
 
-MOST_ENTRIES = 200
-"""In an archive; whoever packs one by hand may have left other files in it."""
+MAX_ENTRIES = 200
+"""Files in an archive; one that is packed by hand may contain unrelated files."""
 
-MOST_FILES = 20
-"""That a job in an archive may name."""
+MAX_FILES = 20
+"""Files that a job in an archive may name."""
 
-PIECE = 2**20
+PIECE_BYTES = 2**20
 
 
 def bundle(data: dict[str, Any], folder: str, before: str = "") -> bytes:
-    """Return an archive of a job and the files that it names, as the command line takes them.
+    """Return an archive of a job and the files that it names, readable by the command line.
 
     Parameters
     ----------
@@ -43,131 +43,121 @@ def bundle(data: dict[str, Any], folder: str, before: str = "") -> bytes:
     Raises
     ------
     InputError
-        With all that is wrong with the job, in one text.
+        With the problems of the job.
     """
     require(data, folder)
-    told, files = beside(data, Path(folder))
+    renamed_job, files = unpack_references(data, Path(folder))
     sink = io.BytesIO()
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
-        archive.writestr(JOB, written(told, before))
+        archive.writestr(JOB, written(renamed_job, before))
         for name, file in files.items():
             archive.write(file, name)
     return sink.getvalue()
 
 
 def opened(file: str, folder: str) -> dict[str, Any]:
-    """Keep the files of an archive that its job names, and return the job with references to them.
+    """Store the files that the job of an archive names, and return the job with references to them.
 
-    What the archive calls a file never leads to a place on disk: a file is read from it by its name, and kept by what
-    it holds.
+    File names in the archive are never used as paths: a file is stored under the hash of its content.
 
     Parameters
     ----------
     file
-        The archive; what is taken out of it lies beside it under names that begin as its own does, until it is kept.
+        Path of the archive; extracted files are written next to it, with its name as a prefix, until they are stored.
     folder
-        Of the server.
+        Folder of the server.
 
     Returns
     -------
     dict
-        Its text, its data and what is wrong with it, as `turnwright.web.jobs.parse`.
+        Text, data and problems of the job, see `turnwright.web.jobs.parse`.
 
     Raises
     ------
     InputError
-        If it is no such archive, is too large, holds names that lead elsewhere, or a file that is none of its kind.
+        If it is not such an archive, is too large, contains unsafe names, or a file is invalid.
     """
     try:
         with zipfile.ZipFile(file) as archive:
             entries = _entries(archive)
             if JOB not in entries:
-                raise InputError(f"the archive holds no {JOB}: pack the job under this name, its files beside it")
+                raise InputError(f"the archive must contain {JOB} in its root folder")
             text = b"".join(_pieces(archive, entries[JOB], BODY_BYTES))
             job = read_toml(text, f"{JOB} in the archive")
             require_flat(job)
             wanted = [one for one in named(job) if one.name in entries]
-            if len(wanted) > MOST_FILES:
-                raise InputError(
-                    f"the job names {len(wanted)} files, the limit in an archive is {MOST_FILES}: name fewer"
-                )
+            if len(wanted) > MAX_FILES:
+                raise InputError(f"a job in an archive can name at most {MAX_FILES} files, got {len(wanted)}")
             references: dict[tuple[str, str], str] = {}
             for field, kind, name in wanted:
                 if (kind, name) not in references:
-                    references[kind, name] = _kept(archive, entries[name], field, kind, Path(file), Path(folder))
+                    references[kind, name] = _store_file(archive, entries[name], field, kind, Path(file), Path(folder))
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        why = error.strerror if isinstance(error, OSError) else str(error)[:80]  # the rest is a place on this disk
-        raise InputError(f"the archive cannot be read ({why}): pack it anew, without a password") from None
-    told = plain(renamed(as_tables(job), lambda kind, name: references.get((kind, name), name)))
-    return {"toml": written(told, text.decode("utf-8-sig")), "data": told, "errors": read(told, folder)[1]}
+        why = error.strerror if isinstance(error, OSError) else str(error)[:80]  # without paths of this computer
+        raise InputError(f"the archive cannot be read ({why}): create it again, without a password") from None
+    data = plain(renamed(as_tables(job), lambda kind, name: references.get((kind, name), name)))
+    return {"toml": written(data, text.decode("utf-8-sig")), "data": data, "errors": read(data, folder)[1]}
 
 
 def _entries(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """Return what an archive holds by name."""
-    found: dict[str, zipfile.ZipInfo] = {}
+    """Return the entries of an archive by name."""
+    entries: dict[str, zipfile.ZipInfo] = {}
     listed = archive.infolist()
-    if len(listed) > MOST_ENTRIES:
-        raise InputError(
-            f"the archive holds {len(listed)} files, the limit is {MOST_ENTRIES}: pack the job and its files"
-        )
+    if len(listed) > MAX_ENTRIES:
+        raise InputError(f"an archive can contain at most {MAX_ENTRIES} files, got {len(listed)}")
     for entry in listed:
         name = entry.filename
         parts = re.split(r"[/\\]", name)
         if ".." in parts or not parts[0] or ":" in name or "\0" in name:
-            raise InputError(
-                f"the archive holds the name {name[:60]!r}, which leads out of it: pack the job and its files beside it"
-            )
-        if name in found:
-            raise InputError(f"the archive holds {name[:60]!r} twice: pack it once")
-        found[name] = entry
-    return found
+            raise InputError(f"names in the archive must be relative paths without '..', got {name[:60]!r}")
+        if name in entries:
+            raise InputError(f"the archive contains {name[:60]!r} twice")
+        entries[name] = entry
+    return entries
 
 
 def _pieces(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, most: int) -> Iterator[bytes]:
-    """Yield what a file in an archive holds, up to a limit, whatever the archive says of its size."""
+    """Yield the content of a file in an archive up to a limit, whatever size the archive states."""
     if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise InputError(
-            f"{entry.filename[:60]!r} in the archive is packed in a way that few programs read: pack it by deflate"
+            f"{entry.filename[:60]!r} in the archive must be stored or deflated: create it with a standard ZIP program"
         )
     seen = 0
     with archive.open(entry) as stream:
-        while piece := stream.read(PIECE):
+        while piece := stream.read(PIECE_BYTES):
             seen += len(piece)
             if seen > most:
-                raise InputError(
-                    f"{entry.filename[:60]!r} in the archive has more than {most // 2**20} MiB, the limit: shorten it"
-                )
+                raise InputError(f"{entry.filename[:60]!r} in the archive must be at most {most // 2**20} MiB")
             yield piece
 
 
-def _kept(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, field: str, kind: str, beside: Path, folder: Path) -> str:
-    """Keep a file of an archive if it is one of its kind; return the reference to it."""
+def _store_file(
+    archive: zipfile.ZipFile, entry: zipfile.ZipInfo, field: str, kind: str, archive_file: Path, folder: Path
+) -> str:
+    """Validate and store a file of an archive; return the reference to it."""
     ending = Path(entry.filename).suffix.lower()
     if ending not in FILE_ENDINGS[kind]:
+        raise InputError(f"{field} must end in {', '.join(FILE_ENDINGS[kind])}, got {entry.filename[:60]!r}")
+    if shutil.disk_usage(archive_file.parent).free < MIN_FREE_BYTES + FILE_BYTES:
         raise InputError(
-            f"{field} names {entry.filename[:60]!r}, one of {kind} can end in {', '.join(FILE_ENDINGS[kind])}: save it "
-            "so"
+            f"{entry.filename[:60]!r} cannot be stored, the disk of the server has less than "
+            f"{(MIN_FREE_BYTES + FILE_BYTES) / 1e9:.3g} GB free"
         )
-    if shutil.disk_usage(beside.parent).free < SPARE_BYTES + FILE_BYTES:
-        raise InputError(
-            f"{entry.filename[:60]!r} cannot be kept, the disk of the server has less than "
-            f"{(SPARE_BYTES + FILE_BYTES) / 1e9:.3g} GB left: free some space"
-        )
-    new = beside.with_name(f"{beside.name}-{kind}{ending}")
+    file = archive_file.with_name(f"{archive_file.name}-{kind}{ending}")
     digest = hashlib.sha256()
     try:
-        with new.open("wb") as stream:
+        with file.open("wb") as stream:
             for piece in _pieces(archive, entry, FILE_BYTES):
                 stream.write(piece)
                 digest.update(piece)
         try:
-            look_into(str(new), kind)
+            look_into(str(file), kind)
         except InputError as error:
             raise InputError(f"{entry.filename[:60]}: {error}") from None
         name = digest.hexdigest()[:32]
-        new.replace(place_of(folder, name, kind, ending))
+        file.replace(place_of(folder, name, kind, ending))
     finally:
-        new.unlink(missing_ok=True)
+        file.unlink(missing_ok=True)
     return f"files/{name}/{plain_name(entry.filename)}{ending}"

@@ -1,4 +1,4 @@
-"""The examples, which travel inside the installed package and lie at the root of a checkout."""
+"""Example jobs: inside the installed package, or at the root of a checkout."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ __all__ = ["Example", "example_files", "examples"]
 HERE = Path(__file__).resolve().parent
 PLACES = (HERE / "examples", HERE.parents[2] / "examples")
 MACHINES = "machines"
-"""Folder of what examples name but is no job."""
+"""Folder of machine files, which are not jobs."""
 
 
 class Example:
-    """One job to begin with.
+    """An example job.
 
     Parameters
     ----------
     name
-        By which it is asked for.
+        Name in the API.
     file
-        Where it lies.
+        Path of the job file.
     """
 
     def __init__(self, name: str, file: Path) -> None:
@@ -31,7 +31,7 @@ class Example:
 
     @property
     def toml(self) -> str:
-        """The text of the job, with the files that it names as references, see `turnwright.web.references`."""
+        """Text of the job, with file names replaced by references, see `turnwright.web.references`."""
         text = self.file.read_text(encoding="utf-8")
         for reference, path in example_files().items():
             if path.is_relative_to(self.file.parent):
@@ -45,12 +45,12 @@ class Example:
 
     @property
     def title(self) -> str:
-        """What the part is."""
+        """Name of the part."""
         return str(self.data["part"].get("name") or self.name.replace("_", " "))
 
     @property
     def summary(self) -> str:
-        """The first remark of the file."""
+        """First comment of the file."""
         lines = []
         for line in self.file.read_text(encoding="utf-8").splitlines():
             if not line.startswith("#") or line.strip() == "#":
@@ -76,7 +76,7 @@ def examples() -> dict[str, Example]:
 
 @cache
 def example_files() -> dict[str, Path]:
-    """Return the files that jobs may name, by reference."""
+    """Return the files of the examples, by reference."""
     root = _root()
     if root is None:
         return {}

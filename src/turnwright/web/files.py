@@ -1,7 +1,7 @@
-"""Routes of files that a job names, such as a table of heights: brought once, then named by a reference.
+"""Routes of files that a job names, such as a table of heights: uploaded once, then used by reference.
 
-A file lies at ``<folder>/files/ID-KIND.ENDING``, where the id is the beginning of the SHA-256 of its bytes, so the same
-file takes its place once; what it was called stands in the reference alone.
+A file is stored as ``<folder>/files/ID-KIND.ENDING``, where ID is the beginning of the SHA-256 of its content, so equal
+files are stored once. Its original name is part of the reference only.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from starlette.requests import ClientDisconnect
 
 from turnwright.errors import InputError
 from turnwright.web import bundles, jobs
-from turnwright.web.guard import HANG_UP
-from turnwright.web.limits import FILE_BYTES, FILE_ENDINGS, FILE_S, SPARE_BYTES
+from turnwright.web.guard import CLOSE_CONNECTION
+from turnwright.web.limits import FILE_BYTES, FILE_ENDINGS, MAX_FILE_READ_S, MIN_FREE_BYTES
 from turnwright.web.models import Kept, Opened
-from turnwright.web.references import BROUGHT, place_of, plain_name, shown_name
+from turnwright.web.references import UPLOAD_REFERENCE, place_of, plain_name, shown_name
 from turnwright.web.workers import TooLong
 
 __all__ = ["RAW_BODY", "router", "stored", "tidy"]
 
 router = APIRouter(prefix="/api/files", tags=["files"])
 
-KEPT_DAYS = 30
-"""How long a file stays that no run names."""
+MAX_UNUSED_DAYS = 30
+"""Days after which a file that no run names is removed."""
 
 RAW_BODY = {
     "requestBody": {
@@ -47,24 +47,24 @@ Kind = Literal["heights", "waviness", "straightness", "correction", "machine", "
 @router.post("", status_code=201, openapi_extra=RAW_BODY)
 async def bring(
     request: Request,
-    kind: Annotated[Kind, Query(description="What it holds; the schema of a job says which for each field.")],
-    name: Annotated[str, Query(min_length=1, max_length=200, description="What the file is called.")],
+    kind: Annotated[Kind, Query(description="Kind of the file; the schema of a job states it for each field.")],
+    name: Annotated[str, Query(min_length=1, max_length=200, description="Name of the file.")],
 ) -> Kept:
-    """Bring a file that a job is to name; it is read at once, so what is wrong with it is said here."""
+    """Upload and validate a file for use in a job."""
     state = request.app.state
     ending = File(shown_name(name)).suffix.lower()
     if ending not in FILE_ENDINGS[kind]:
         raise HTTPException(
             422,
-            f"the file ends in {ending[:12]!r}, one of {kind} can end in {', '.join(FILE_ENDINGS[kind])}: save it so",
+            f"a file of kind {kind} must end in {', '.join(FILE_ENDINGS[kind])}, got {ending[:12]!r}",
         )
     folder: File = state.folder / "files"
-    # Whatever the file is called, its place and name on this disk are the server's own.
+    # The name on disk does not depend on the name of the upload.
     new = folder / f".{secrets.token_hex(16)}{ending}"
     try:
         size, digest = await stored(request, new, FILE_BYTES)
         try:
-            await state.workers.ask(jobs.look_into, str(new), kind, limit_s=FILE_S)
+            await state.workers.ask(jobs.look_into, str(new), kind, limit_s=MAX_FILE_READ_S)
         except TooLong as error:
             raise InputError(_too_long("file", error)) from None
         new.replace(place_of(state.folder, digest, kind, ending))
@@ -76,45 +76,45 @@ async def bring(
 
 @router.post("/archive", status_code=201, openapi_extra=RAW_BODY)
 async def open_archive(request: Request) -> Opened:
-    """Open an archive of a job and the files that it names, as the page or a run packs it, and keep those files."""
+    """Open an archive of a job and its files, and store the files."""
     state = request.app.state
     folder: File = state.folder / "files"
     new = folder / f".{secrets.token_hex(16)}.zip"
     try:
         await stored(request, new, FILE_BYTES)
         try:
-            found = await state.workers.ask(bundles.opened, str(new), str(state.folder), limit_s=FILE_S)
+            job = await state.workers.ask(bundles.opened, str(new), str(state.folder), limit_s=MAX_FILE_READ_S)
         except TooLong as error:
             raise InputError(_too_long("archive", error)) from None
     finally:
         await asyncio.to_thread(_forget, new)
-    return Opened(**found)
+    return Opened(**job)
 
 
 def _forget(archive: File) -> None:
-    """Remove an archive, and what a process was about to take out of it when it was ended."""
+    """Remove an archive and partially extracted files."""
     for one in archive.parent.glob(f"{archive.name}*"):
         one.unlink(missing_ok=True)
 
 
 def _too_long(what: str, error: TooLong) -> str:
-    return f"the {what} cannot be read within the limits, {FILE_S:g} s and the memory of a page ({error})"
+    return f"the {what} cannot be read within the limits, {MAX_FILE_READ_S:g} s and the memory of a page ({error})"
 
 
 async def stored(request: Request, file: File, most: int) -> tuple[int, str]:
-    """Write what arrives to disk as it arrives; return its size and the beginning of its SHA-256.
+    """Stream a request body to disk; return its size and the beginning of its SHA-256.
 
     Parameters
     ----------
     request
-        Whose body it is.
+        Request with the body.
     file
-        Where it goes.
+        File to write.
     most
-        How large it may be. [byte]
+        Size limit. [byte]
     """
     seen, digest = 0, hashlib.sha256()
-    most = min(most, shutil.disk_usage(file.parent).free - SPARE_BYTES)
+    most = min(most, shutil.disk_usage(file.parent).free - MIN_FREE_BYTES)
     try:
         with file.open("wb") as stream:
             async for chunk in request.stream():
@@ -122,30 +122,29 @@ async def stored(request: Request, file: File, most: int) -> tuple[int, str]:
                 if seen > most:
                     raise HTTPException(
                         413,
-                        f"the file is larger than {max(most, 0) / 1e9:.3g} GB, which is what the server takes or has "
-                        "room for: bring a smaller one",
-                        HANG_UP,
+                        f"the file must be at most {max(most, 0) / 1e9:.3g} GB (the size limit or the free disk space)",
+                        CLOSE_CONNECTION,
                     )
                 stream.write(chunk)
                 digest.update(chunk)
     except ClientDisconnect:
-        raise HTTPException(400, "the file broke off before its end: bring it again") from None
+        raise HTTPException(400, "the upload was interrupted: upload the file again") from None
     except OSError as error:
-        raise HTTPException(413, f"the file cannot be kept ({error.strerror}): free some space") from error
+        raise HTTPException(413, f"the file cannot be stored ({error.strerror})") from error
     if not seen:
-        raise HTTPException(422, "the file is empty: bring one that holds something")
+        raise HTTPException(422, "the file is empty")
     return seen, digest.hexdigest()[:32]
 
 
 def tidy(folder: File) -> None:
-    """Make the place of what is brought; throw away what no run names for long, and what was half-brought."""
+    """Create the folder of uploads; remove partial uploads and files that no run has named for a long time."""
     (folder / "files").mkdir(exist_ok=True)
     named: set[str] = set()
     for job in folder.glob("runs/*/job.json"):
         with suppress(OSError, UnicodeDecodeError):
-            named |= {one[0] for one in BROUGHT.findall(job.read_text(encoding="utf-8"))}
+            named |= {one[0] for one in UPLOAD_REFERENCE.findall(job.read_text(encoding="utf-8"))}
     for file in folder.glob("files/*"):
         with suppress(OSError):
-            old = time.time() - file.stat().st_mtime > KEPT_DAYS * 24 * 3600
+            old = time.time() - file.stat().st_mtime > MAX_UNUSED_DAYS * 24 * 3600
             if file.name.startswith(".") or (old and file.name.partition("-")[0] not in named):
                 file.unlink()

@@ -1,4 +1,4 @@
-"""What the warm processes make of a job that is typed: everything here is called there, never in the server."""
+"""Reading, writing and checking jobs of the page; called in worker processes, never in the server."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from turnwright.machine import Machine
 from turnwright.material import Material
 from turnwright.part import Part
 from turnwright.tool import Tool
-from turnwright.web.limits import MOST_POINTS
+from turnwright.web.limits import MAX_POINTS
 from turnwright.web.references import located, require_flat
 
 __all__ = [
@@ -39,17 +39,17 @@ __all__ = [
 ]  # fmt: skip
 
 MEMORY_BYTES = 6 * 2**30
-"""What a warm process may take beyond what it starts with."""
+"""Memory limit of a worker process, in addition to the memory at the start."""
 
 
 def warm() -> None:
-    """Limit the memory of this process; what it needs is loaded with this module."""
+    """Limit the memory of this process; importing this module has loaded what it needs."""
     limit_memory(MEMORY_BYTES)
 
 
 def warm_kernels() -> None:
-    """Load what the first check needs: the stages, and their compiled kernels."""
-    from turnwright.job import preview  # noqa: PLC0415 - whoever only reads a job, or looks at it, needs no stage
+    """Check a small job, so that the stages and their compiled kernels are loaded."""
+    from turnwright.job import preview  # noqa: PLC0415 - not needed to read a job
 
     preview(Job.read(SMALL))
 
@@ -65,11 +65,11 @@ SMALL: dict[str, Any] = {
     "machine": {"name": "generic"},
     "strategy": {"kind": "slow tool servo", "feed": "50 um/rev", "points_per_rev": 60},
 }
-"""A job that is checked at once, and by the same kernels as a freeform lens."""
+"""A job that is checked quickly by the same kernels as a freeform lens."""
 
 
 def limit_memory(extra: int) -> None:
-    """Let this process take no more address space than it has and so many bytes; where the system can limit it."""
+    """Limit the address space of this process to its present size plus ``extra`` bytes, where supported."""
     with suppress(ImportError, OSError, ValueError):
         import resource  # noqa: PLC0415 - there is none on Windows
 
@@ -79,14 +79,14 @@ def limit_memory(extra: int) -> None:
 
 
 def read(data: dict[str, Any], folder: str) -> tuple[Job | None, list[dict[str, str]]]:
-    """Return the job that a page describes, or what is wrong with it.
+    """Return the job of a page, or its problems.
 
     Parameters
     ----------
     data
-        As JSON has it.
+        Job as JSON data.
     folder
-        Of the server, where references lead.
+        Folder of the server, to resolve references.
     """
     real, problems, references = located(data, Path(folder))
     problems += _unknown_machine(real)
@@ -99,12 +99,12 @@ def read(data: dict[str, Any], folder: str) -> tuple[Job | None, list[dict[str, 
             {"field": field, "sentence": _with_names(sentence, references)} for field, sentence in faults(error)
         ]
     except (RecursionError, OverflowError) as error:
-        sentence = f"the job cannot be read ({error}): make it flat, with usual numbers"
+        sentence = f"the job cannot be read ({error})"
         return None, [{"field": "", "sentence": shortened(sentence)}]
 
 
 def _with_names(sentence: str, references: Mapping[str, str]) -> str:
-    """Return a sentence with the files in it as who brought them calls them."""
+    """Replace paths in a message by the original file names."""
     for reference, path in references.items():
         name = reference.rpartition("/")[2]
         sentence = sentence.replace(path, name).replace(Path(path).name, name)
@@ -112,38 +112,38 @@ def _with_names(sentence: str, references: Mapping[str, str]) -> str:
 
 
 def look_into(file: str, kind: str) -> None:
-    """Read a file that a job is to name, as the job would.
+    """Validate a file for use in a job.
 
     Parameters
     ----------
     file
-        Where it lies.
+        Path of the file.
     kind
         See `turnwright.web.limits.FILE_ENDINGS`.
 
     Raises
     ------
     InputError
-        If it is none of its kind.
+        If it is not a valid file of this kind.
     """
     path = Path(file)
-    found = []
-    for more in UNITS if kind == "heights" else ({},):
+    reasons = []
+    for units in UNITS if kind == "heights" else ({},):
         try:
-            _read_as(path, kind, more)
+            _read_as(path, kind, units)
         except ValidationError as error:
-            found.append("; ".join(sentences(error, READERS[kind], {})))
+            reasons.append("; ".join(sentences(error, READERS[kind], {})))
         except TurnwrightError as error:
-            found.append(str(error))
+            reasons.append(str(error))
         else:
             return
-    # Whether the job is to state units is told when it names the file.
-    told = next((one for one in found if "unit" not in one), found[0])
-    raise InputError(told.replace(file, "the file").replace(path.name, "the file"))
+    # Missing units are reported when a job names the file.
+    reason = next((one for one in reasons if "unit" not in one), reasons[0])
+    raise InputError(reason.replace(file, "the file").replace(path.name, "the file"))
 
 
-def _read_as(path: Path, kind: str, more: Mapping[str, str]) -> None:
-    """Read a file of a kind, in a table of a job that states more."""
+def _read_as(path: Path, kind: str, units: Mapping[str, str]) -> None:
+    """Read a file of a kind, with the given units."""
     if kind == "machine":
         _require_whole(read_toml(path.read_bytes(), "the machine file"))
         Machine.load(path)
@@ -155,18 +155,18 @@ def _read_as(path: Path, kind: str, more: Mapping[str, str]) -> None:
         stated = {
             "correction": str(path),
             "waviness": path,
-            "heights": {"family": "gridded", "file": str(path), **more},
+            "heights": {"family": "gridded", "file": str(path), **units},
             "straightness": {"straightness_file": str(path)},
         }[kind]
-        found = adapter(READERS[kind]).validate_python(stated, context=context_of("."))
+        value = adapter(READERS[kind]).validate_python(stated, context=context_of("."))
         if kind == "straightness":
-            found.deviating(Machine.load("generic"))
+            value.deviating(Machine.load("generic"))
 
 
 UNITS: tuple[dict[str, str], ...] = (
     {"units": "mm", "sag_units": "mm"}, {}, {"sag_units": "mm"}, {"units": "mm"},
 )  # fmt: skip
-"""What a job may have to state of a table of heights: what the file states itself it must not."""
+"""Units that a job may have to state for a table of heights; it must not repeat those of the file."""
 
 READERS: dict[str, Any] = {
     "correction": types_of(Part)["correction"],
@@ -174,55 +174,52 @@ READERS: dict[str, Any] = {
     "straightness": MachineDeviations,
     "waviness": types_of(Tool)["waviness"],
 }
-"""What of a job is read from a kind of file."""
+"""Type that each kind of file is read as."""
 
 
 def _require_whole(machine: dict[str, Any]) -> None:
-    """Refuse a machine that goes on in other files: what it names would be looked for on this computer."""
+    """Raise if a machine refers to other files: they would be read from this computer."""
     base, axes = machine.get("base"), machine.get("axes")
     responses = (
         [one.get("response") for one in axes.values() if isinstance(one, dict)] if isinstance(axes, dict) else []
     )
     if any(isinstance(one, dict) and "file" in one for one in responses):
         raise InputError(
-            "the machine names the file of a response, which only the command line reads: state frequency and damping, "
-            "or run the job there"
+            "a machine file on the page must not name a response file: state frequency and damping, or use the command "
+            "line"
         )
     if base is not None and base not in machines():
-        raise InputError(
-            f"the base of the machine is {str(base)[:60]!r}, it can be {', '.join(machines())}: name one of them, or "
-            "let the machine stand alone"
-        )
+        raise InputError(f"the base of the machine must be one of {', '.join(machines())}, got {str(base)[:60]!r}")
 
 
 def machines() -> list[str]:
-    """Return the names of the machines that come with Turnwright."""
+    """Return the names of the supplied machines."""
     folder = resources.files("turnwright") / "machines"
     return sorted(Path(one.name).stem for one in folder.iterdir() if one.name.endswith(".toml"))
 
 
 def _unknown_machine(data: dict[str, Any]) -> list[dict[str, str]]:
-    """Refuse a machine by anything but its name: a name with an ending would be looked for as a file."""
+    """Return a fault for an unknown machine name; a path would be read from this computer."""
     table = data.get("machine")
     name = table.get("name") if isinstance(table, dict) else None
-    known = machines()
-    if name is None or not isinstance(name, str) or name in known:
+    names = machines()
+    if name is None or not isinstance(name, str) or name in names:
         return []
     return [
         {
             "field": "machine.name",
-            "sentence": f"{name[:60]!r} is not one of {', '.join(known)}: choose one of them",
+            "sentence": f"machine must be one of {', '.join(names)}, got {name[:60]!r}",
         }
     ]
 
 
 def require(data: dict[str, Any], folder: str) -> Job:
-    """Return the job that a page describes.
+    """Return the job of a page.
 
     Raises
     ------
     InputError
-        With all that is wrong with it, in one text.
+        With the first problems of the job.
     """
     job, problems = read(data, folder)
     if job is None:
@@ -231,85 +228,85 @@ def require(data: dict[str, Any], folder: str) -> Job:
 
 
 def parse(toml: str, folder: str) -> dict[str, Any]:
-    """Return a job file as data, and what is wrong with it."""
+    """Return a job file as data, with its problems."""
     try:
-        told = read_toml(toml.encode("utf-8", "surrogatepass"), "the job")
-        require_flat(told)
+        table = read_toml(toml.encode("utf-8", "surrogatepass"), "the job")
+        require_flat(table)
     except InputError as error:
         return {"data": {}, "errors": [{"field": "", "sentence": str(error)}]}
-    data = plain(as_tables(told))
+    data = plain(as_tables(table))
     return {"data": data, "errors": read(data, folder)[1]}
 
 
 def write(data: dict[str, Any], folder: str, before: str = "") -> dict[str, Any]:
-    """Return a job as a file, and what is wrong with it.
+    """Return a job as a file, with its problems.
 
     Parameters
     ----------
     data
-        As JSON has it.
+        Job as JSON data.
     folder
-        Of the server, where references lead.
+        Folder of the server, to resolve references.
     before
-        The file before the job was changed, whose remarks and layout stay.
+        Previous text of the file, whose comments and layout are kept.
     """
     _, problems = read(data, folder)
     try:
         toml = written(data, before)
         toml.encode()
     except (TypeError, ValueError, RecursionError, AttributeError) as error:
-        sentence = f"the job cannot be written as TOML ({error}): correct it"
+        sentence = f"the job cannot be written as TOML ({error})"
         problems = problems or [{"field": "", "sentence": shortened(sentence)}]
         return {"toml": "", "errors": problems}
     return {"toml": toml, "errors": problems}
 
 
 def check(data: dict[str, Any], folder: str) -> dict[str, Any]:
-    """Say whether the tool reaches the part, how long the program will be, and what becomes of the material."""
+    """Check tool access, length of the program and uncut chip thickness."""
     from turnwright.access import check_access  # noqa: PLC0415
     from turnwright.job import preview, unjudged  # noqa: PLC0415
 
-    found: dict[str, Any] = {"errors": [], "access": None, "preview": None, "chips": {}, "warnings": []}
-    job, found["errors"] = read(data, folder)
+    result: dict[str, Any] = {"errors": [], "access": None, "preview": None, "chips": {}, "warnings": []}
+    job, result["errors"] = read(data, folder)
     if job is None:
-        return found
+        return result
     try:
         plan = preview(job)
     except TurnwrightError as error:
-        found["errors"] = [{"field": "strategy", "sentence": str(error)}]
+        result["errors"] = [{"field": "strategy", "sentence": str(error)}]
         with suppress(TurnwrightError):
-            found["access"] = plain(check_access(job.part.aimed, job.tool, sense=job.strategy.sense))
-        return found
-    found["access"] = plain(plan.access)
-    found["preview"] = plain(
+            result["access"] = plain(check_access(job.part.aimed, job.tool, sense=job.strategy.sense))
+        return result
+    result["access"] = plain(plan.access)
+    result["preview"] = plain(
         {
             "points": plan.points,
             "shortest_s": plan.shortest_s,
             "refused": plan.refused,
             "shape": plan.shape.facts,
             "remarks": plan.remarks,
-            "unjudged": [one.sentence for one in unjudged(job, "check predicts no surface, Run does")],
+            "unjudged": [one.sentence for one in unjudged(job, "only a run predicts the surface")],
         }
     )
-    found["chips"] = dict(plan.chips)
+    result["chips"] = dict(plan.chips)
     accepted = [one.sentence for one in plan.access.findings if not one.ok and one.name in job.accept]
-    found["warnings"] = [*accepted, *plan.warnings]
+    result["warnings"] = [*accepted, *plan.warnings]
     points = sum(plan.points.values())
-    if points > MOST_POINTS:
-        found["errors"] = [{"field": "strategy", "sentence": too_many(points)}]
-    return found
+    if points > MAX_POINTS:
+        result["errors"] = [{"field": "strategy", "sentence": too_many(points)}]
+    return result
 
 
 def too_many(points: int) -> str:
-    """Say that a job is too long for a page."""
+    """Return the message for a program that is too long for the page."""
     return (
-        f"the program has {points} points, a page takes {MOST_POINTS}: take a larger feed or fewer points, or run the "
-        "job by the command line"
+        f"the program must have at most {MAX_POINTS} points on the page, got {points}: increase the feed, reduce the "
+        "points per revolution, or use the command line"
     )
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it: infinite and missing numbers become ``None``."""
+    """Convert a value to JSON types; non-finite numbers become ``None``."""
     if is_dataclass(value) and not isinstance(value, type):
         value = {one.name: getattr(value, one.name) for one in fields(value)}
     elif isinstance(value, np.ndarray | np.generic):

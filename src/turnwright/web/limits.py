@@ -1,30 +1,39 @@
-"""What the server takes, known to it and to the processes that work for it."""
+"""Limits shared by the server and its worker processes."""
 
 __all__ = [
-    "BODY_BYTES", "FILE_BYTES", "FILE_ENDINGS", "FILE_S", "FINER", "LONGEST_H", "MAP_TYPES", "MOST_POINTS",
-    "PARSE_BYTES", "PARSE_S", "SPARE_BYTES",
+    "BODY_BYTES",
+    "FILE_BYTES",
+    "FILE_ENDINGS",
+    "MAP_TYPES",
+    "MAX_FILE_READ_S",
+    "MAX_POINTS",
+    "MAX_RUN_H",
+    "MIN_FREE_BYTES",
+    "PARSE_BYTES",
+    "PARSE_S",
+    "STORED_PIXEL_RATIO",
 ]  # fmt: skip
 
-FINER = 0.75
-"""A window whose pixels are smaller than this share of those that a run has stored is generated."""
+STORED_PIXEL_RATIO = 0.75
+"""Ratio of window pixel to stored pixel below which a window is simulated instead of read."""
 
-MOST_POINTS = 60_000_000
-"""Points of all passes together in a job from a page: four times those of the freeform infrared lens."""
+MAX_POINTS = 60_000_000
+"""Points of all passes together in a job from the page: four times those of the freeform infrared lens."""
 
 MAP_TYPES = (
     ".al3d", ".asc", ".csv", ".dat", ".datx", ".frt", ".grd", ".lext", ".npy", ".npz", ".opd", ".opdx", ".os3d", ".plu",
     ".plux", ".sdf", ".sur", ".txt", ".vk3", ".vk4", ".vk6", ".vk7", ".x3p", ".xyz",
 )  # fmt: skip
-"""Endings of measured files; what a file really is decides its reader."""
+"""File name extensions of measured maps; the reader is chosen by content."""
 
 PARSE_S = 300.0
-"""How long reading a measured file may take. [s]"""
+"""Time limit for reading a measured file. [s]"""
 
 PARSE_BYTES = 8 * 2**30
-"""What a process that reads one may take beyond what it starts with."""
+"""Memory limit for reading a measured file, in addition to the memory at the start. [byte]"""
 
-LONGEST_H = 48
-"""How long a run may take. [h]"""
+MAX_RUN_H = 48
+"""Time limit of a run. [h]"""
 
 FILE_ENDINGS = {
     "heights": (".csv", ".dat", ".npz", ".sdf", ".txt", ".x3p", ".xyz"),
@@ -35,16 +44,16 @@ FILE_ENDINGS = {
     "material": (".toml",),
     "instrument": (".toml",),
 }
-"""Kinds of files that a job may name, with their endings."""
+"""Kinds of files that a job may name, with their extensions."""
 
 BODY_BYTES = 8 * 2**20
-"""Of a job or any other JSON."""
+"""Size limit of a JSON request. [byte]"""
 
 FILE_BYTES = 64 * 2**20
-"""Of one of them."""
+"""Size limit of a file that a job names. [byte]"""
 
-FILE_S = 30.0
-"""How long reading one of them may take. [s]"""
+MAX_FILE_READ_S = 30.0
+"""Time limit for reading a file that a job names. [s]"""
 
-SPARE_BYTES = 2**30
-"""What must stay free on the disk."""
+MIN_FREE_BYTES = 2**30
+"""Disk space that must stay free. [byte]"""

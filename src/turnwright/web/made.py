@@ -1,7 +1,7 @@
-"""What is seen of a finished run: its maps at any size, profiles, and how its axes move.
+"""Results of a finished run: map windows, profiles, axis motion and spectra.
 
-Whole maps come from what the run has stored. A window finer than that is generated for what is looked at: one process
-keeps the motions of the last runs ready for it, each read back from its own program. `windows` has the routes.
+Whole maps are read from the files of the run. Finer windows are simulated: one worker process caches the motions of the
+last runs, each read from its program. `windows` has the routes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from turnwright.generation import Prepared, Tiles
 from turnwright.heightmap import HeightMap
 from turnwright.job import Job, predicted_motion
 from turnwright.progress import run_chunks
-from turnwright.web.limits import FINER
+from turnwright.web.limits import STORED_PIXEL_RATIO
 from turnwright.web.packed import pack
 
 if TYPE_CHECKING:
@@ -45,22 +45,22 @@ __all__ = [
 
 TURN = 2 * math.pi
 
-KEPT = 2
-"""Runs whose motion is kept ready."""
+MAX_CACHED_RUNS = 2
+"""Runs whose motion is cached."""
 
-MOST_POINTS = 20_000_000
-"""Points of them together, unless one alone has more: 32 bytes each, and as many again while they are read."""
+MAX_CACHED_POINTS = 20_000_000
+"""Points of all cached motions, unless a single one has more: 32 bytes each, twice that while reading."""
 
-FEW = 1.2
-"""Stored heights to a pixel above which it is a mean."""
+MIN_MEAN_WIDTH = 1.2
+"""Stored heights per pixel above which a pixel is their mean."""
 
-LOUDEST = 4
-"""Spans of two turns in which the spectrum of an axis is looked for, from the first to the last turn."""
+SPECTRUM_SPANS = 4
+"""Spans of two revolutions from which the spectrum of an axis is computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Opened:
-    """A run whose motion is ready."""
+    """A run with its motion, prepared for simulation."""
 
     job: Job
     motion: Motion
@@ -69,7 +69,7 @@ class _Opened:
 
 @dataclass(frozen=True, slots=True)
 class _Stored:
-    """A map as a run has stored it."""
+    """A stored map of a run."""
 
     name: str
     heights: HeightMap
@@ -77,13 +77,13 @@ class _Stored:
 
 
 _opened: OrderedDict[str, _Opened] = OrderedDict()
-"""What this process keeps."""
+"""Cache of this process."""
 
 _stored: OrderedDict[tuple[str, str], _Stored] = OrderedDict()
 
 
 def warm() -> None:
-    """Load what the first window needs."""
+    """Compute a small window, so that its kernels are loaded."""
     from turnwright.machine import Machine  # noqa: PLC0415
     from turnwright.path import Motion as Moved  # noqa: PLC0415
     from turnwright.tool import Tool  # noqa: PLC0415
@@ -99,7 +99,7 @@ def warm() -> None:
 
 
 def open_run(folder: str) -> bool:
-    """Make the motion of a run ready; say so."""
+    """Load the motion of a run into the cache."""
     _ready(folder)
     return True
 
@@ -108,13 +108,14 @@ def _ready(folder: str) -> _Opened:
     if folder in _opened:
         _opened.move_to_end(folder)
         return _opened[folder]
-    job, file, name = finishing_pass(folder, "no window is finer than its maps: look at those")
+    job, file, name = finishing_pass(folder, "only its stored maps are available")
     motion = predicted_motion(job, file, name)
     radius = job.part.radius
     ready = Prepared.of(motion, job.actual_tool, job.actual_machine, distances=(0.0, radius), most_rings=10_000)
     points = motion.time.size
     while _opened and (
-        len(_opened) >= KEPT or sum(one.motion.time.size for one in _opened.values()) + points > MOST_POINTS
+        len(_opened) >= MAX_CACHED_RUNS
+        or sum(one.motion.time.size for one in _opened.values()) + points > MAX_CACHED_POINTS
     ):
         _opened.popitem(last=False)
     _opened[folder] = _Opened(job, motion, ready)
@@ -127,11 +128,11 @@ class FinishingPass(NamedTuple):
     Parameters
     ----------
     job
-        That the run carried out.
+        Job of the run.
     file
-        Its main program.
+        Main program file.
     name
-        Of the pass in it.
+        Name of the pass.
     """
 
     job: Job
@@ -140,44 +141,44 @@ class FinishingPass(NamedTuple):
 
 
 def finishing_pass(folder: str, so: str) -> FinishingPass:
-    """Return the last pass of a run; ``so`` says what comes of it that there is none, and what to do."""
+    """Return the last pass of a run; ``so`` completes the message if there is none."""
     numbers = numbers_of(folder)
     try:
         file, name = numbers["program"]["files"][0], numbers["passes"][-1]["name"]
     except (KeyError, IndexError) as error:
-        raise InputError(f"the run has written no program, so {so}") from error
+        raise InputError(f"the run has no program, so {so}") from error
     return FinishingPass(Job.load(File(folder) / "job.toml"), File(folder) / file, name)
 
 
 def numbers_of(folder: str) -> dict[str, Any]:
-    """Return what a run has written of itself."""
+    """Return the numbers of a run."""
     try:
-        found: dict[str, Any] = json.loads((File(folder) / "result.json").read_text(encoding="utf-8"))
+        numbers: dict[str, Any] = json.loads((File(folder) / "result.json").read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError("the run has no result yet: wait until it is done") from error
-    return found
+        raise InputError("the run has no result yet") from error
+    return numbers
 
 
 def listed(folder: str) -> list[dict[str, Any]]:
-    """Return what maps a run has stored, the whole part first."""
-    found = []
-    for one in numbers_of(folder).get("predictions", []):
-        axes = {name: np.load(File(folder) / file) for name, file in one["axes"].items()}
+    """List the stored maps of a run, the whole part first."""
+    maps = []
+    for entry in numbers_of(folder).get("predictions", []):
+        axes = {name: np.load(File(folder) / file) for name, file in entry["axes"].items()}
         spans = {name: [float(axis[0]), float(axis[-1])] for name, axis in axes.items()}
-        rough = one["roughness"]
-        found.append(
+        rough = entry["roughness"]
+        maps.append(
             {
-                "name": one["name"], "unit": "mm", "shape": list(one["shape"]),
+                "name": entry["name"], "unit": "mm", "shape": list(entry["shape"]),
                 "x": spans.get("x"), "y": spans.get("y"), "radius": spans.get("radius"), "angle": spans.get("angle"),
-                "pixel": _pixel(axes), "pv_nm": one["pv_nm"], "sq_nm": rough["sq_nm"],
-                "tracking": one["tracking"] is not None,
+                "pixel": _pixel(axes), "pv_nm": entry["pv_nm"], "sq_nm": rough["sq_nm"],
+                "tracking": entry["tracking"] is not None,
             }
         )  # fmt: skip
-    return found
+    return maps
 
 
 def _pixel(axes: Mapping[str, Floats]) -> float:
-    """Return how far apart the columns of a map stand. [mm]."""
+    """Return the column spacing of a map. [mm]."""
     axis = axes.get("radius", axes.get("x"))
     return float(np.diff(axis).mean()) if axis is not None and axis.size > 1 else math.inf
 
@@ -187,47 +188,47 @@ def _map_of(folder: str, name: str) -> _Stored:
     if (folder, name) in _stored:
         _stored.move_to_end((folder, name))
         return _stored[folder, name]
-    told = {one["name"]: one for one in numbers_of(folder).get("predictions", [])}
-    if name not in told:
-        raise InputError(f"the run has no map {name[:60]!r}, it has {', '.join(told) or 'none'}: name one of them")
-    one = told[name]
-    axes = {axis: np.load(File(folder) / file) for axis, file in one["axes"].items()}
-    found = _Stored(name, HeightMap(z=np.load(File(folder) / one["file"]), name=name, **axes), _pixel(axes))
-    while len(_stored) >= 4 * KEPT:
+    entries = {entry["name"]: entry for entry in numbers_of(folder).get("predictions", [])}
+    if name not in entries:
+        raise InputError(f"map must be one of {', '.join(entries) or 'none'}, got {name[:60]!r}")
+    entry = entries[name]
+    axes = {axis: np.load(File(folder) / file) for axis, file in entry["axes"].items()}
+    stored = _Stored(name, HeightMap(z=np.load(File(folder) / entry["file"]), name=name, **axes), _pixel(axes))
+    while len(_stored) >= 4 * MAX_CACHED_RUNS:
         _stored.popitem(last=False)
-    _stored[folder, name] = found
-    return found
+    _stored[folder, name] = stored
+    return stored
 
 
 def window(
     folder: str, name: str, x: tuple[float, float], y: tuple[float, float], shape: tuple[int, int], quantity: str
 ) -> bytes:
-    """Return a window of the error (cut minus design), or of the height, over a grid of ``shape`` (ny, nx)."""
+    """Return a window of the error (cut minus nominal) or of the height on a grid of ``shape`` (ny, nx)."""
     stored = _map_of(folder, name)
     columns, rows = np.linspace(*x, shape[1]), np.linspace(*y, shape[0])
     step = min(float(columns[1] - columns[0]), float(rows[1] - rows[0]))
-    fine = step < FINER * stored.pixel or not _covers(stored.heights, x, y)
-    if fine:
-        (error, design), many = generated(folder, columns, rows), 1
+    is_generated = step < STORED_PIXEL_RATIO * stored.pixel or not _covers(stored.heights, x, y)
+    if is_generated:
+        (error, design), mean_of = generated(folder, columns, rows), 1
     else:
-        (error, many), design = _resampled(stored, columns, rows), None
+        (error, mean_of), design = _resampled(stored, columns, rows), None
     values = error
     if quantity == "height":
         values = error + (_design(Job.load(File(folder) / "job.toml"), columns, rows) if design is None else design)
     header = {
         "name": name, "quantity": quantity, "unit": "mm", "x": list(x), "y": list(y),
-        "source": "generated" if fine else "stored", "mean_of": many, "pixel": step, "stored_pixel": stored.pixel,
-        "diverging": quantity == "error", **_spread(values),
+        "source": "generated" if is_generated else "stored", "mean_of": mean_of, "pixel": step,
+        "stored_pixel": stored.pixel, "diverging": quantity == "error", **_spread(values),
     }  # fmt: skip
     return pack(header, {"values": values})
 
 
 def chips(folder: str, pixels: int) -> bytes:
-    """Return the thickest chip of the finishing pass over the part, at each place that of the nearest point looked at.
+    """Return the maximum uncut chip thickness of the finishing pass over the part, by nearest sample.
 
-    Beyond the clear radius a place has the value of the nearest place on the rim, as in `_seen.surface`.
+    Points outside the clear aperture have the value of the nearest point on its edge, as in `seen.surface`.
     """
-    import h5py  # noqa: PLC0415 - costly, and only chips are read from the archive
+    import h5py  # noqa: PLC0415 - slow import
     from scipy.spatial import cKDTree  # noqa: PLC0415
 
     finish = numbers_of(folder)["passes"][-1]
@@ -235,43 +236,43 @@ def chips(folder: str, pixels: int) -> bytes:
     try:
         with h5py.File(File(folder) / "run.h5", "r") as archive:
             group = archive.get(f"chips/{finish['name']}")
-            told = group and {name: np.asarray(group[name]) for name in ("x", "y", "inside", "thickness")}
+            samples = group and {name: np.asarray(group[name]) for name in ("x", "y", "inside", "thickness")}
     except OSError as error:
-        raise InputError("the archive of the run cannot be read, so its chips are not known: run it again") from error
-    if not told:
+        raise InputError("the archive run.h5 of the run cannot be read: run the job again") from error
+    if not samples:
         raise InputError(
-            "the run has found no chips: give the part a stock and a material of `turnwright material list`, then run "
-            "it again"
+            "the run has no chip data: set the stock and the material of the part, see `turnwright material list`, and "
+            "run it again"
         )
-    inside = told["inside"].astype(bool)
-    thickness = told["thickness"][inside]
+    inside = samples["inside"].astype(bool)
+    thickness = samples["thickness"][inside]
     axis = np.linspace(-radius, radius, pixels)
     x, y = np.meshgrid(axis, axis)
     within = radius / np.maximum(np.hypot(x, y), radius)
-    _, nearest = cKDTree(np.stack((told["x"][inside], told["y"][inside]), axis=1)).query(
+    _, nearest = cKDTree(np.stack((samples["x"][inside], samples["y"][inside]), axis=1)).query(
         np.stack((x * within, y * within), axis=-1)
     )
     sentence = (finish["chips"] or {}).get("sentence", "")
     header = {
-        "unit": "mm", "label": "thickest chip", "x": [-radius, radius], "y": [-radius, radius], "radius": radius,
+        "unit": "mm", "label": "uncut chip thickness", "x": [-radius, radius], "y": [-radius, radius], "radius": radius,
         **_spread(thickness), "diverging": False, "points": thickness.size,
-        "note": f"found at {thickness.size} points of the path" + (f"; {sentence}" if sentence else ""),
+        "note": f"computed at {thickness.size} points of the path" + (f"; {sentence}" if sentence else ""),
     }  # fmt: skip
     return pack(header, {"values": thickness[nearest]})
 
 
 def _spread(values: Floats) -> dict[str, float | None]:
-    """Return what a colour bar needs to know."""
-    good = values[np.isfinite(values)]
-    if not good.size:
+    """Return the range and the colour limits of values."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return {"low": None, "high": None, "p1": None, "p99": None}
-    few = good[:: max(1, good.size // 20_000)]
-    low, high = np.percentile(few, (0.5, 99.5))
-    return {"low": float(good.min()), "high": float(good.max()), "p1": float(low), "p99": float(high)}
+    sample = finite[:: max(1, finite.size // 20_000)]
+    low, high = np.percentile(sample, (0.5, 99.5))
+    return {"low": float(finite.min()), "high": float(finite.max()), "p1": float(low), "p99": float(high)}
 
 
 def _covers(heights: HeightMap, x: tuple[float, float], y: tuple[float, float]) -> bool:
-    """Say whether a stored map holds all of a window; one of the whole part does."""
+    """Whether a stored map covers a window; a map of the whole part does."""
     if heights.x is None or heights.y is None:
         return True
     slack = 1e-9 + 0.5 * float(heights.x[1] - heights.x[0])
@@ -283,21 +284,21 @@ def _covers(heights: HeightMap, x: tuple[float, float], y: tuple[float, float]) 
 
 
 def _resampled(stored: _Stored, columns: Floats, rows: Floats) -> tuple[Floats, int]:
-    """Return a stored map over another grid, and how many of its heights each pixel is the mean of.
+    """Resample a stored map; return it with the number of heights averaged per pixel.
 
-    Along the radius of a polar map, where the cusps stand, it is the mean over two pixels: single heights would beat
-    with them. Everywhere else it is the nearest height; none is invented.
+    Along the radius of a polar map, a pixel is the mean over two pixel widths, so that cusps are not aliased. In all
+    other cases it is the nearest height.
     """
     heights = stored.heights
     if heights.radius is not None and heights.angle is not None:
-        wide = float(columns[1] - columns[0]) / stored.pixel
-        many = 1 if wide < FEW else round(2 * wide)
+        width = float(columns[1] - columns[0]) / stored.pixel
+        count = 1 if width < MIN_MEAN_WIDTH else round(2 * width)
         out = np.empty((rows.size, columns.size))
         kernel.over_grid(
             columns, rows, heights.z, float(heights.angle[0]), float(heights.radius[0]), stored.pixel,
-            many // 2, many - many // 2, out,
+            count // 2, count - count // 2, out,
         )  # fmt: skip
-        return out, many
+        return out, count
     assert heights.x is not None  # noqa: S101 - a map that is not polar has x and y
     assert heights.y is not None  # noqa: S101
     across, along = (_nearest(axis, wanted) for axis, wanted in ((heights.x, columns), (heights.y, rows)))
@@ -310,7 +311,7 @@ def _nearest(axis: Floats, wanted: Floats) -> Any:
 
 
 def generated(folder: str, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """Return the error that the program leaves in a window, and the design there, nan beyond the clear radius."""
+    """Return the simulated error in a window and the nominal height, nan outside the clear aperture. [mm]."""
     opened = _ready(folder)
     radius = opened.job.part.radius
     x, y = np.meshgrid(columns, rows)
@@ -325,7 +326,7 @@ def generated(folder: str, columns: Floats, rows: Floats) -> tuple[Floats, Float
 
 
 def _filled(ready: Prepared, columns: Floats, rows: Floats, inside: Any) -> Floats:
-    """Return the heights of a grid where it is asked for; whole tiles, so that each has the same to the last bit."""
+    """Return the heights of a grid where ``inside``; by whole tiles, so that results are reproducible bit by bit."""
     steps = tuple(float(np.diff(axis).mean()) for axis in (rows, columns))
     tiles = Tiles.of_grid(inside.shape, ready.sides((steps[0], steps[1])))
     x, y = columns[tiles.order % columns.size], rows[tiles.order // columns.size]
@@ -339,12 +340,12 @@ def _filled(ready: Prepared, columns: Floats, rows: Floats, inside: Any) -> Floa
     run_chunks(work, wanted.size, max(1, min(64, wanted.size // 16)))
     z = np.empty(inside.size)
     z[tiles.order] = out
-    z[(z >= 1e299) | ~inside.ravel()] = np.nan  # beside the axis a tip off centre covers nothing
+    z[(z >= 1e299) | ~inside.ravel()] = np.nan  # a tip with a centring error does not cut at the axis
     return z.reshape(inside.shape)
 
 
 def _design(job: Job, columns: Floats, rows: Floats) -> Floats:
-    """Return the design over a grid, nan beyond the clear radius."""
+    """Return the nominal height over a grid, nan outside the clear aperture. [mm]."""
     x, y = np.meshgrid(columns, rows)
     inside = np.hypot(x, y) <= job.part.radius
     z = np.full(inside.shape, np.nan)
@@ -353,7 +354,7 @@ def _design(job: Job, columns: Floats, rows: Floats) -> Floats:
 
 
 def profile(folder: str, ends: tuple[float, float, float, float], count: int) -> bytes:
-    """Return the error along a straight line, generated at each of its places."""
+    """Return the simulated error along a straight line."""
     x0, y0, x1, y1 = ends
     opened = _ready(folder)
     part = opened.job.part
@@ -373,14 +374,14 @@ def profile(folder: str, ends: tuple[float, float, float, float], count: int) ->
     return pack(header, {"distance": share * length, "error": error})
 
 
-KINDS = ("speed", "acceleration", "jerk")
+DERIVATIVES = ("speed", "acceleration", "jerk")
 
 
 def motion(folder: str, points: int) -> bytes:
-    """Return how the axes of the finishing pass move: lowest and highest in each of some spans of time.
+    """Return the axis motion of the finishing pass: minimum and maximum in each time span.
 
-    Speeds, accelerations and jerks are divided differences over 1, 2 and 3 blocks, as the limits of the machine are
-    held against; each span shows the largest, so that no peak is lost however few spans there are.
+    Speed, acceleration and jerk are divided differences over 1, 2 and 3 blocks, as in the check of the machine limits.
+    Each span has its largest value, so that no peak is lost.
     """
     opened = _ready(folder)
     moved, machine = opened.motion, opened.job.machine
@@ -392,14 +393,14 @@ def motion(folder: str, points: int) -> bytes:
         axis = machine.axes.get(letter)
         axes[letter] = {
             "unit": "rad" if letter == "C" else "mm",
-            "limits": {kind: getattr(axis, kind, None) for kind in (*KINDS, "low", "high")},
+            "limits": {kind: getattr(axis, kind, None) for kind in (*DERIVATIVES, "low", "high")},
             "bandwidth_hz": getattr(axis, "bandwidth_hz", None),
             "peaks": {},
         }
         arrays[f"{letter} low"] = np.minimum.reduceat(position, borders)
         arrays[f"{letter} high"] = np.maximum.reduceat(position, borders)
         rate = np.asarray(position)
-        for order, kind in enumerate(KINDS, 1):
+        for order, kind in enumerate(DERIVATIVES, 1):
             rate = order * np.diff(rate) / (time[order:] - time[:-order])
             at = np.minimum(borders, rate.size - 1)
             arrays[f"{letter} {kind}"] = np.maximum.reduceat(np.abs(rate), at)
@@ -413,24 +414,24 @@ def motion(folder: str, points: int) -> bytes:
 
 
 def spectrum(folder: str, letter: str) -> bytes:
-    """Return the amplitudes of an axis over frequency, and the largest sine that its limits allow.
+    """Return the amplitude spectrum of an axis, and the largest sine amplitude within its limits.
 
-    The largest of a few spans of two turns between the first and the last, each without its steady advance, under a
-    Hann window.
+    The spectrum is the maximum over a few spans of two revolutions, each with its linear trend removed and a Hann
+    window applied.
     """
     from scipy import fft, interpolate  # noqa: PLC0415 - costly to import
 
     opened = _ready(folder)
     moved = opened.motion
     if letter not in moved.axes:
-        raise InputError(f"the motion has no axis {letter[:8]!r}, it has {', '.join(moved.axes)}: name one of them")
+        raise InputError(f"axis must be one of {', '.join(moved.axes)}, got {letter[:8]!r}")
     axis = opened.job.machine.axes.get(letter)
     turned = np.abs(moved.axes["C"] - moved.axes["C"][0]) / TURN
     position = np.asarray(moved.axes[letter])
-    span = min(2.0, float(turned[-1]))
-    found: list[tuple[Floats, Floats]] = []
-    for begin in np.linspace(0, float(turned[-1]) - span, LOUDEST):
-        first, last = np.searchsorted(turned, (begin, begin + span))
+    length = min(2.0, float(turned[-1]))
+    spans: list[tuple[Floats, Floats]] = []
+    for begin in np.linspace(0, float(turned[-1]) - length, SPECTRUM_SPANS):
+        first, last = np.searchsorted(turned, (begin, begin + length))
         first, last = max(int(first) - 1, 0), min(int(last) + 1, turned.size)
         time = moved.time[first:last]
         size = fft.next_fast_len(max(2 * time.size, 64), real=True)
@@ -439,11 +440,11 @@ def spectrum(folder: str, letter: str) -> bytes:
         values = values - np.polynomial.Polynomial.fit(even, values, 1)(even)
         hann = 0.5 - 0.5 * np.cos(TURN * np.arange(size) / size)
         bins = 2 * np.abs(fft.rfft(values * hann)) / hann.sum()
-        found.append((np.arange(bins.size) / float(time[-1] - time[0]), bins))
-    top = min(float(frequency[bins.size // 2]) for frequency, bins in found)
-    base = max(float(frequency[1]) for frequency, _ in found)
+        spans.append((np.arange(bins.size) / float(time[-1] - time[0]), bins))
+    top = min(float(frequency[bins.size // 2]) for frequency, bins in spans)
+    base = max(float(frequency[1]) for frequency, _ in spans)
     frequency = np.arange(base, top, base / 2)[:20_000]
-    amplitude = np.max([np.interp(frequency, *one) for one in found], axis=0)
+    amplitude = np.max([np.interp(frequency, *one) for one in spans], axis=0)
     arrays = {"frequency": frequency, "amplitude": amplitude}
     if axis is not None:
         allowed = axis.amplitude(frequency)
@@ -453,6 +454,6 @@ def spectrum(folder: str, letter: str) -> bytes:
         "axis": letter, "unit": "rad" if letter == "C" else "mm",
         "bandwidth_hz": getattr(axis, "bandwidth_hz", None),
         "resonance_hz": getattr(response, "frequency_hz", None),
-        "axes": sorted(moved.axes), "spans": len(found),
+        "axes": sorted(moved.axes), "spans": len(spans),
     }  # fmt: skip
     return pack(header, arrays)

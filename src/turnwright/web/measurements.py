@@ -1,4 +1,4 @@
-"""Routes of measured parts: the instrument's file, what is found in it, and the job that takes it into account."""
+"""Routes of measured parts: upload, diagnosis and correction."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from fastapi.responses import FileResponse, Response
 from turnwright.web import shown
 from turnwright.web.files import RAW_BODY, stored
 from turnwright.web.guard import UPLOAD_BYTES
-from turnwright.web.limits import FILE_BYTES, FILE_S, MAP_TYPES
+from turnwright.web.limits import FILE_BYTES, MAP_TYPES, MAX_FILE_READ_S
 from turnwright.web.models import Causes, Id, Measurement
 from turnwright.web.packed import MEDIA_TYPE
 from turnwright.web.queue import Run, Runs
 from turnwright.web.references import CORRECTION, shown_name
-from turnwright.web.runs import A_FILE, RunId, job_of, line_of, one_file, the_run
+from turnwright.web.runs import A_FILE, RunId, find_run, job_of, line_of, send_file
 
 __all__ = ["router"]
 
@@ -32,18 +32,16 @@ PICTURES = {"measured": "error.npz", "residual": "left-1.npz", "predicted": "pre
 
 
 def _map_suffix(name: str) -> str:
-    """Return the ending of the name of a map's file.
+    """Return the extension of a map file.
 
     Raises
     ------
     HTTPException
-        If no map ends so.
+        If it is not the extension of a supported format.
     """
     suffix = File(name.replace("\\", "/")).suffix.lower()
     if suffix not in MAP_TYPES:
-        raise HTTPException(
-            422, f"the file ends in {suffix[:12]!r}, it can end in {', '.join(MAP_TYPES)}: bring one of these"
-        )
+        raise HTTPException(422, f"a measured map must end in {', '.join(MAP_TYPES)}, got {suffix[:12]!r}")
     return suffix
 
 
@@ -54,17 +52,17 @@ def _map_suffix(name: str) -> str:
 )
 async def bring(
     request: Request,
-    run: Annotated[str, Query(pattern="^[0-9a-f]{16}$", description="That cut the part.")],
-    name: Annotated[str, Query(min_length=1, max_length=200, description="What the file is called.")],
+    run: Annotated[str, Query(pattern="^[0-9a-f]{16}$", description="Identifier of the run that cut the part.")],
+    name: Annotated[str, Query(min_length=1, max_length=200, description="Name of the file.")],
 ) -> Id:
-    """Bring the file of an instrument, to be registered to its part and explained."""
+    """Upload a measured map; it is registered to its part and diagnosed."""
     runs: Runs = request.app.state.runs
-    cut = the_run(request, run, "run", "correct")
+    cut = find_run(request, run, "run", "correct")
     if cut.state != "done":
-        raise HTTPException(409, f"the run is {cut.state}: measure a part whose run is done")
+        raise HTTPException(409, f"the run must be done, it is {cut.state}")
     suffix = _map_suffix(name)
     with runs.new_folder() as folder:
-        # Whatever the file is called, its place and name on this disk are the server's own.
+        # The name on disk does not depend on the name of the upload.
         file = folder / f"measured{suffix}"
         await stored(request, file, UPLOAD_BYTES)
         measured = runs.add(
@@ -84,43 +82,43 @@ async def bring(
 )
 async def show(
     request: Request,
-    name: Annotated[str, Query(min_length=1, max_length=200, description="What the file is called.")],
+    name: Annotated[str, Query(min_length=1, max_length=200, description="Name of the file.")],
 ) -> Response:
-    """Return the picture of an instrument's map without a job, and what can be said of it; nothing is kept."""
+    """Return the picture and the facts of a measured map without a job; nothing is stored."""
     state = request.app.state
     suffix = _map_suffix(name)
     file = state.folder / "files" / f".{secrets.token_hex(16)}{suffix}"
     try:
         await stored(request, file, FILE_BYTES)
-        packed = await state.workers.ask(shown.lone_map, str(file), shown_name(name), limit_s=FILE_S)
+        packed = await state.workers.ask(shown.lone_map, str(file), shown_name(name), limit_s=MAX_FILE_READ_S)
     finally:
         file.unlink(missing_ok=True)
     return Response(packed, media_type=MEDIA_TYPE)
 
 
 @router.get("/{id}")
-async def measurement(id: RunId, request: Request) -> Measurement:  # noqa: A002 - the word of the contract
-    """Say what was found in a measured map."""
+async def measurement(id: RunId, request: Request) -> Measurement:  # noqa: A002 - the name in the API
+    """Return the diagnosis of a measured map."""
     runs: Runs = request.app.state.runs
-    run = the_run(request, id, "measure")
+    run = find_run(request, id, "measure")
     line = line_of(runs, run)
-    found: dict[str, Any] = {}
+    numbers: dict[str, Any] = {}
     with suppress(OSError, ValueError):
-        found = json.loads((runs.folder_of(run) / "out" / "shown.json").read_text(encoding="utf-8"))
-    found.pop("name", None)
-    better, predicted = _correction(runs, run), None
-    if better is not None:
+        numbers = json.loads((runs.folder_of(run) / "out" / "shown.json").read_text(encoding="utf-8"))
+    numbers.pop("name", None)
+    correction, predicted = _correction(runs, run), None
+    if correction is not None:
         with suppress(OSError, ValueError):
-            text = (runs.folder_of(better) / CORRECTION / "shown.json").read_text(encoding="utf-8")
+            text = (runs.folder_of(correction) / CORRECTION / "shown.json").read_text(encoding="utf-8")
             predicted = json.loads(text)
     return Measurement(
         id=run.id, name=run.name, run=run.of, state=line.state, sentence=run.sentence, progress=line.progress,
-        correction=None if better is None else better.id, predicted=predicted, **found,
+        correction=None if correction is None else correction.id, predicted=predicted, **numbers,
     )  # fmt: skip
 
 
 def _correction(runs: Runs, run: Run) -> Run | None:
-    """Return the last run that corrects by a measurement."""
+    """Return the last correction of a measurement."""
     return next((one for one in runs.all() if one.kind == "correct" and one.of == run.id), None)
 
 
@@ -141,51 +139,49 @@ async def measured_map(
     nx: Pixels = 400,
     ny: Pixels = 400,
 ) -> Response:
-    """Return the error as it was measured, what no cause explains of it, or what is predicted after the correction."""
+    """Return the measured error, its residual after diagnosis, or the predicted residual after correction."""
     state = request.app.state
-    run = the_run(request, id, "measure")
+    run = find_run(request, id, "measure")
     folder = state.runs.folder_of(run) / "out"
     if name == "predicted":
         better = _correction(state.runs, run)
         if better is None:
-            raise HTTPException(409, "nothing is predicted yet: choose what to correct first")
+            raise HTTPException(409, "nothing is predicted yet: choose the error sources to correct")
         folder = state.runs.folder_of(better) / CORRECTION
     file = folder / PICTURES[name]
     if not file.is_file():
-        raise HTTPException(409, f"there is no {name} map yet: wait until it is done")
+        raise HTTPException(409, f"there is no {name} map yet")
     packed = await state.workers.ask(shown.shown_map, str(file), state.runs.data(run), str(state.folder), nx, ny)
     return Response(packed, media_type=MEDIA_TYPE)
 
 
 @router.post("/{id}/correct", status_code=201)
 async def correct(id: RunId, chosen: Causes, request: Request) -> Id:  # noqa: A002
-    """Queue a run that writes the job with some causes taken into account, and its program."""
+    """Queue a run that corrects some error sources and writes the job and its program."""
     runs: Runs = request.app.state.runs
-    run = the_run(request, id, "measure")
+    run = find_run(request, id, "measure")
     if run.state != "done":
-        raise HTTPException(409, f"the measurement is {run.state}: wait until it is done")
-    told = json.loads((runs.folder_of(run) / "out" / "shown.json").read_text(encoding="utf-8"))
-    known = list(dict.fromkeys(one["cause"] for one in told["findings"]))
-    wrong = [cause for cause in chosen.causes if cause not in known]
-    if wrong:
-        raise HTTPException(
-            422, f"the causes to correct can be {', '.join(known)}, {wrong} was chosen: choose of these"
-        )
+        raise HTTPException(409, f"the measurement must be done, it is {run.state}")
+    shown_numbers = json.loads((runs.folder_of(run) / "out" / "shown.json").read_text(encoding="utf-8"))
+    causes = list(dict.fromkeys(one["cause"] for one in shown_numbers["findings"]))
+    unknown = [cause for cause in chosen.causes if cause not in causes]
+    if unknown:
+        raise HTTPException(422, f"causes must be among {', '.join(causes)}, got {unknown}")
     data = runs.data(run)
-    before = [cause for cause in known if cause in chosen.causes]
-    # As at the command line: the job states which causes are corrected, the rest is compensated as form.
-    data = {**data, "measurement": {**(data.get("measurement") or {}), "correct": before}}
+    chosen_causes = [cause for cause in causes if cause in chosen.causes]
+    # As on the command line: the job states the sources to correct, all others are compensated as form.
+    data = {**data, "measurement": {**(data.get("measurement") or {}), "correct": chosen_causes}}
     with runs.new_folder() as folder:
         try:
             (folder / run.file).hardlink_to(runs.folder_of(run) / run.file)
         except OSError:
             shutil.copyfile(runs.folder_of(run) / run.file, folder / run.file)
         name = f"{run.name}, corrected"
-        made = runs.add(
+        new_run = runs.add(
             folder, data, kind="correct", name=name, text=runs.text(run), of=run.id, file=run.file,
-            called=run.called, causes=tuple(before),
+            called=run.called, causes=tuple(chosen_causes),
         )  # fmt: skip
-    return Id(id=made.id)
+    return Id(id=new_run.id)
 
 
 @router.get("/{id}/files/{name}", response_class=FileResponse, responses=A_FILE)
@@ -195,11 +191,11 @@ async def measured_file(
     request: Request,
     part: Annotated[int, Query(ge=0, le=100_000, description="Which of several.")] = 0,
 ) -> FileResponse:
-    """Return the report and the numbers of a measurement, or the corrected job and program once they are there."""
-    run = the_run(request, id, "measure")
+    """Return the report and numbers of a measurement, or the corrected job and program."""
+    run = find_run(request, id, "measure")
     if name in ("report", "result"):
-        return one_file(request, run, name, part)
+        return send_file(request, run, name, part)
     better = _correction(request.app.state.runs, run)
     if better is None:
-        raise HTTPException(409, "nothing is corrected yet: choose what to correct first")
-    return one_file(request, better, name, part)
+        raise HTTPException(409, "nothing is corrected yet: choose the error sources to correct")
+    return send_file(request, better, name, part)

@@ -1,4 +1,4 @@
-"""What goes over the wire as JSON: the words of the OpenAPI schema."""
+"""JSON models of the API."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ __all__ = [
 
 
 def archived(description: str) -> dict[int | str, dict[str, Any]]:
-    """Return what the schema says of an answer that is a ZIP archive."""
+    """Return the OpenAPI responses of a route that returns a ZIP archive."""
     content = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
     return {200: {"description": description, "content": content}}
 
 
 class Model(BaseModel):
-    """A table of JSON."""
+    """A JSON object without additional properties."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -55,25 +55,25 @@ class Model(BaseModel):
 class Problem(Model):
     """Why a request is refused."""
 
-    detail: str = Field(description="One sentence: what, how much, the limit, the remedy.")
+    detail: str = Field(description="One sentence: field, limit, value, remedy.")
 
 
 class Fault(Model):
-    """What is wrong with one field."""
+    """A fault of one field."""
 
-    field: str = Field(description='Its place, such as "passes[1].feed", counting from 1; empty for the whole job.')
-    sentence: str = Field(description="What, how much, the limit, the remedy.")
+    field: str = Field(description='Path such as "passes[1].feed", counted from 1; empty for the whole job.')
+    sentence: str = Field(description="Field, limit, value, remedy.")
 
 
 class Limits(Model):
-    """What the server takes."""
+    """Limits of the server."""
 
-    body_bytes: int = Field(description="Of JSON. [byte]")
-    upload_bytes: int = Field(description="Of a measured file. [byte]")
-    file_bytes: int = Field(description="Of a file that a job names. [byte]")
-    points: int = Field(description="Of a program that is made from a page.")
-    at_a_time: int = Field(description="Runs that are carried out at a time; the others wait.")
-    map_types: list[str] = Field(description="Endings of measured files.")
+    body_bytes: int = Field(description="Size of a JSON request. [byte]")
+    upload_bytes: int = Field(description="Size of a measured file. [byte]")
+    file_bytes: int = Field(description="Size of a file that a job names. [byte]")
+    points: int = Field(description="Points of a program.")
+    at_a_time: int = Field(description="Number of parallel runs; the others wait.")
+    map_types: list[str] = Field(description="File name extensions of measured maps.")
 
 
 class About(Model):
@@ -99,30 +99,31 @@ class Toml(Model):
 
 
 class Data(Model):
-    """A job as data: what its file says, quantities as text with units."""
+    """A job as data, with quantities as text with units."""
 
     data: dict[str, Any]
 
 
 class Edited(Data):
-    """A job as data, and the text that it was before it was changed."""
+    """A job as data, and its text before the change."""
 
     toml: Annotated[str, MaxLen(BODY_BYTES)] = Field(
-        default="", description="Remarks and layout of this text are kept; without it the job is written anew."
+        default="",
+        description="Text whose comments and layout are kept; if empty, the job is written from the data alone.",
     )
 
 
 class Question(Data):
-    """A job and who asks, so that of several questions of one page only the last is answered."""
+    """A job and its client: of several requests of one client only the last is answered."""
 
-    client: Annotated[str, MaxLen(64)] = Field(default="", description="Any text that one page always sends.")
+    client: Annotated[str, MaxLen(64)] = Field(default="", description="Any text that identifies a page.")
 
 
 class Kept(Model):
-    """A file that was brought for a job."""
+    """An uploaded file for a job."""
 
-    reference: str = Field(description="By which a job names it.")
-    name: str = Field(description="What it is called beside the job when both are taken away.")
+    reference: str = Field(description="Reference for use in a job.")
+    name: str = Field(description="File name when it is downloaded with the job.")
     bytes: int
 
 
@@ -151,7 +152,7 @@ class Written(Model):
 
 
 class AccessFinding(Model):
-    """One thing that was looked at, see `turnwright.access.AccessFinding`."""
+    """One check of tool access, see `turnwright.access.AccessFinding`."""
 
     name: str
     value: float | None
@@ -163,7 +164,7 @@ class AccessFinding(Model):
 
 
 class Access(Model):
-    """Whether the tool reaches the part, see `turnwright.access.Access`."""
+    """Tool access to the part, see `turnwright.access.Access`."""
 
     ok: bool
     nose_radius_limit: float | None
@@ -175,18 +176,18 @@ class Access(Model):
 
 
 class Preview(Model):
-    """How long the program will be, by pass."""
+    """Length of the program by pass, and remarks."""
 
     points: dict[str, int]
     shortest_s: dict[str, float | None]
-    refused: list[str] = Field(description="Why a run would refuse the job.")
-    shape: dict[str, str] = Field(description="What the surface looks like over the clear aperture, by quantity.")
-    remarks: list[str] = Field(description="What was worked out for the surface and the job does not state.")
-    unjudged: list[str] = Field(description="Stated tolerances, which only a run judges.")
+    refused: list[str] = Field(description="Reasons why a run would refuse the job.")
+    shape: dict[str, str] = Field(description="Shape of the surface over the clear aperture, by quantity.")
+    remarks: list[str] = Field(description="Derived values that the job does not state.")
+    unjudged: list[str] = Field(description="Stated tolerances, which only a run evaluates.")
 
 
 class Check(Model):
-    """What can be said of a job at once."""
+    """Result of checking a job."""
 
     errors: list[Fault]
     access: Access | None
@@ -197,30 +198,30 @@ class Check(Model):
 
 RunKind = Literal["run", "compare", "measure", "correct"]
 RunState = Literal["queued", "running", "done", "failed", "cancelled"]
-Time = Annotated[str, Field(description="In UTC as ISO 8601 writes it.")]
+Time = Annotated[str, Field(description="ISO 8601 time in UTC.")]
 
 
 class NewRun(Edited):
     """A job to be carried out."""
 
     kind: Literal["run", "compare"]
-    name: Annotated[str, MaxLen(120)] = Field(default="", description="That of the part if empty.")
+    name: Annotated[str, MaxLen(120)] = Field(default="", description="Name; if empty, that of the part.")
 
 
 class Id(Model):
-    """What was begun."""
+    """Identifier of a new run."""
 
     id: str
 
 
 class Progress(Model):
-    """How far a whole run is."""
+    """Progress of a run."""
 
     stage: str
     step: int = Field(description="Number of the stage, counted from 1.")
     steps: int
-    fraction: float = Field(description="Of the work that is done; it never falls.")
-    left_s: float = Field(description="Until all is done, estimated.")
+    fraction: float = Field(description="Completed fraction of the work; it never decreases.")
+    left_s: float = Field(description="Estimated remaining time. [s]")
 
 
 class RunLine(Model):
@@ -233,18 +234,20 @@ class RunLine(Model):
     created: Time
     started: Time | None
     ended: Time | None
-    sentence: str = Field(description="How it ended.")
-    missed: bool = Field(description="Whether its part misses a stated tolerance.")
-    of: str = Field(description="The run that a measurement belongs to, or the measurement that a correction does.")
-    progress: Progress | None = Field(description="Of a run that is under way.")
+    sentence: str = Field(description="Outcome.")
+    missed: bool = Field(description="Whether the part misses a stated tolerance.")
+    of: str = Field(
+        description="Identifier of the measured run, for a measurement; of the measurement, for a correction."
+    )
+    progress: Progress | None = Field(description="Progress of a running run.")
 
 
 class RunFile(Model):
-    """A file that a run has left."""
+    """A file of a run."""
 
-    name: str = Field(description="By which it is asked for.")
-    part: int = Field(description="Which of several of that name; a program may have sub-programs.")
-    file: str = Field(description="What it is called on disk.")
+    name: str = Field(description="Label in the API.")
+    part: int = Field(description="Number among files of this label; a program may have sub-programs.")
+    file: str = Field(description="File name.")
     bytes: int
 
 
@@ -252,7 +255,7 @@ class RunDetail(RunLine):
     """A run."""
 
     data: dict[str, Any] = Field(description="The job; of a correction, the corrected one.")
-    toml: str = Field(description="What a person wrote of the job that was run or measured; empty if nobody did.")
+    toml: str = Field(description="Text of the job that was run or measured; empty if there is none.")
     files: list[RunFile]
 
 
@@ -262,7 +265,7 @@ class Lines(Model):
     lines: list[str]
     total: int
     places: list[tuple[float, float, float] | None] = Field(
-        description="Where the tip is after each line, in the part frame; null for one that moves nothing. [mm]"
+        description="Tip position after each line in the part frame; null for a line without motion. [mm]"
     )
 
 
@@ -273,7 +276,7 @@ class Line(Model):
 
 
 class Measurement(Model):
-    """A measured part; all but the first fields only when it is done."""
+    """A measured part; results are present only when it is done."""
 
     id: str
     name: str
@@ -294,13 +297,13 @@ class Measurement(Model):
     lenslets: list[dict[str, Any]] = []
     findings: list[dict[str, Any]] = []
     contributions: list[dict[str, Any]] = []
-    correction: str | None = Field(default=None, description="The last run that corrects by it.")
+    correction: str | None = Field(default=None, description="Identifier of the last correction.")
     predicted: dict[str, Any] | None = Field(
-        default=None, description="What is left by prediction, by simulation alone, and which tolerances it misses."
+        default=None, description="Predicted and simulated residual after correction, and the tolerances it misses."
     )
 
 
 class Causes(Model):
-    """What a correction takes into account."""
+    """Error sources to correct."""
 
     causes: Annotated[list[Annotated[str, MaxLen(60)]], MaxLen(40)]

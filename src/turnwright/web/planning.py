@@ -1,4 +1,4 @@
-"""Routes of a job that is typed: what it may hold, the examples, its file and its data, and whether it can be cut."""
+"""Routes for planning a job: schema, examples, conversion between text and data, and checks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from turnwright import __version__
 from turnwright.web import bundles, jobs
 from turnwright.web.examples import examples
 from turnwright.web.guard import BODY_BYTES, UPLOAD_BYTES
-from turnwright.web.limits import FILE_BYTES, MAP_TYPES, MOST_POINTS
+from turnwright.web.limits import FILE_BYTES, MAP_TYPES, MAX_POINTS
 from turnwright.web.models import (
     About,
     Check,
@@ -34,7 +34,7 @@ router = APIRouter(prefix="/api", tags=["planning"])
 
 @router.get("/about", response_model=About)
 async def about(request: Request) -> About:
-    """Say which version this is and what it takes."""
+    """Return version and limits of the server."""
     return About(
         version=__version__,
         examples=list(examples()),
@@ -42,7 +42,7 @@ async def about(request: Request) -> About:
             body_bytes=BODY_BYTES,
             upload_bytes=UPLOAD_BYTES,
             file_bytes=FILE_BYTES,
-            points=MOST_POINTS,
+            points=MAX_POINTS,
             at_a_time=request.app.state.at_a_time,
             map_types=list(MAP_TYPES),
         ),
@@ -51,21 +51,21 @@ async def about(request: Request) -> About:
 
 @router.get("/schema", response_model=dict[str, Any])
 async def schema(request: Request) -> Any:
-    """Return the JSON schema of a job: each field with its title, explanation, unit and default."""
+    """Return the JSON schema of a job: title, description, unit and default of each field."""
     return await request.app.state.workers.ask(job_schema, keep=True)
 
 
 @router.get("/examples", response_model=list[ExampleLine])
 async def list_examples() -> list[ExampleLine]:
-    """List the jobs to begin with."""
+    """List the examples."""
     return [ExampleLine(name=one.name, title=one.title, summary=one.summary) for one in examples().values()]
 
 
 @router.get("/examples/{name}", response_model=ExampleJob)
 async def example(name: str, request: Request) -> Any:
-    """Return a job to begin with."""
+    """Return an example."""
     if name not in examples():
-        raise HTTPException(404, f"there is no example of that name, there are {', '.join(examples())}: choose one")
+        raise HTTPException(404, f"example must be one of {', '.join(examples())}")
     toml = examples()[name].toml
     state = request.app.state
     return {"toml": toml, **await state.workers.ask(jobs.parse, toml, str(state.folder), keep=True)}
@@ -88,20 +88,20 @@ async def write(job: Edited, request: Request) -> Any:
 @router.post(
     "/job/bundle",
     response_class=Response,
-    responses=archived("A ZIP archive of job.toml and the files that it names, for the command line."),
+    responses=archived("ZIP archive of job.toml and its files, for the command line."),
 )
 async def bundle(job: Edited, request: Request) -> Response:
-    """Return a job as a file, with the files that it names beside it."""
+    """Return an archive of a job and the files that it names."""
     state = request.app.state
-    found = await state.workers.ask(bundles.bundle, job.data, str(state.folder), job.toml)
+    archive = await state.workers.ask(bundles.bundle, job.data, str(state.folder), job.toml)
     return Response(
-        found, media_type="application/zip", headers={"Content-Disposition": 'attachment; filename="job.zip"'}
+        archive, media_type="application/zip", headers={"Content-Disposition": 'attachment; filename="job.zip"'}
     )
 
 
 @router.post("/job/check", response_model=Check)
 async def check(job: Question, request: Request) -> Any:
-    """Say whether the tool reaches the part, how long the program will be, and what becomes of the material."""
+    """Check tool access, length of the program and uncut chip thickness."""
     state = request.app.state
     latest = f"check {job.client}" if job.client else ""
     return await state.workers.ask(jobs.check, job.data, str(state.folder), latest=latest)

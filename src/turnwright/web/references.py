@@ -1,8 +1,8 @@
-"""Files in a job that came from a page: only those that this server itself keeps, by a reference and never by a path.
+"""References to files in a job of the page: only files stored by this server can be named, never paths.
 
-A reference is ``examples/NAME`` for a file that comes with the examples, ``runs/ID/NAME`` for one that a run has left,
-such as the correction that belongs to a corrected job, or ``files/ID/NAME`` for one that was brought, of which the id
-alone says where it lies. Everything else is refused before the job is read.
+A reference is ``examples/NAME`` for a file of the examples, ``runs/ID/NAME`` for a file written by a run, such as the
+correction of a corrected job, or ``files/ID/NAME`` for an uploaded file, which is located by its ID alone. Anything
+else is refused before the job is read.
 """
 
 from __future__ import annotations
@@ -20,14 +20,13 @@ from turnwright.web.examples import example_files
 from turnwright.web.limits import FILE_ENDINGS
 
 __all__ = [
-    "BROUGHT",
     "BUNDLE",
     "CORRECTION",
-    "DEEPEST",
     "FILE_KEYS",
     "JOB",
+    "MAX_DEPTH",
+    "UPLOAD_REFERENCE",
     "Located",
-    "beside",
     "job_in",
     "kind_of",
     "located",
@@ -38,32 +37,33 @@ __all__ = [
     "require_flat",
     "shown_name",
     "text_in",
+    "unpack_references",
 ]
 
 FILE_KEYS = frozenset({"file", "correction", "waviness_file", "straightness_file", "mask"})
 """Keys of a job that name a file."""
 
 FILE_OR_NAME = frozenset({"material", "instrument"})
-"""Keys of a job that name a file if they end in ``.toml``."""
+"""Keys of a job that name a file if the value ends in ``.toml``."""
 
-DEEPEST = 40
-"""Tables and lists within each other."""
+MAX_DEPTH = 40
+"""Largest nesting depth of tables and lists."""
 
-TOO_DEEP = f"the job has tables within each other to a depth of more than {DEEPEST}: make it flat"
+TOO_DEEP = f"the nesting depth of a job must be at most {MAX_DEPTH}"
 
-MOST_VALUES = 500_000
+MAX_VALUES = 500_000
 
 JOB = "job.toml"
-"""A job as text, wherever it is kept."""
+"""File name of a job as text."""
 
 CORRECTION = "correction"
-"""Folder in that of a run for a corrected job and the files that it names."""
+"""Folder in that of a run with the corrected job and its files."""
 
 BUNDLE = "job.zip"
-"""What a run leaves whose job names files: the job with them beside it."""
+"""Archive of a job with its files, if it names any."""
 
-KEPT = re.compile(r"runs/([0-9a-f]{16})/([A-Za-z0-9_-]{1,60}\.[A-Za-z0-9]{1,8})")
-BROUGHT = re.compile(r"files/([0-9a-f]{32})/([A-Za-z0-9_-]{1,60}(\.[a-z0-9]{1,8}))")
+RUN_REFERENCE = re.compile(r"runs/([0-9a-f]{16})/([A-Za-z0-9_-]{1,60}\.[A-Za-z0-9]{1,8})")
+UPLOAD_REFERENCE = re.compile(r"files/([0-9a-f]{32})/([A-Za-z0-9_-]{1,60}(\.[a-z0-9]{1,8}))")
 
 
 class _Refused(Exception):  # noqa: N818
@@ -71,16 +71,16 @@ class _Refused(Exception):  # noqa: N818
 
 
 class Located(NamedTuple):
-    """A job with paths in it.
+    """A job with paths in place of references.
 
     Parameters
     ----------
     data
         The job.
     problems
-        What is wrong with its references.
+        Faults of its references.
     references
-        Those that lead to a file, with its path. A file may have several: as often as it was brought by other names.
+        Path by valid reference. A file that was uploaded under several names has several references.
     """
 
     data: dict[str, Any]
@@ -89,7 +89,7 @@ class Located(NamedTuple):
 
 
 def kind_of(field: str, key: str) -> str:
-    """Return which kind of file a field of a job names, see `turnwright.web.limits.FILE_ENDINGS`.
+    """Return the kind of file that a field of a job names, see `turnwright.web.limits.FILE_ENDINGS`.
 
     >>> kind_of("machine.file", "file"), kind_of("part.surface.file", "file"), kind_of("part.material", "material")
     ('machine', 'heights', 'material')
@@ -102,7 +102,7 @@ def kind_of(field: str, key: str) -> str:
 
 
 def shown_name(name: str) -> str:
-    r"""Return what a file is called, without folders and marks.
+    r"""Return the name of a file without folders and special characters.
 
     >>> shown_name("C:\\maps\\my <part>.x3p")
     'my _part_.x3p'
@@ -111,39 +111,35 @@ def shown_name(name: str) -> str:
 
 
 def plain_name(name: str) -> str:
-    """Return a name that any computer takes as that of a file, without its ending."""
+    """Return a portable file name without extension."""
     text = re.sub("[^A-Za-z0-9_-]+", "_", Path(shown_name(name)).stem)[:60].strip("_-")
-    # Windows takes a few short names for devices.
+    # Windows reserves these names for devices.
     return f"{text or 'file'}_" if re.fullmatch("(?i)con|prn|aux|nul|com.|lpt.", text) else text or "file"
 
 
 def place_of(folder: Path, name: str, kind: str, ending: str) -> Path:
-    """Return where a file that was brought lies."""
+    """Return the path of an uploaded file."""
     return folder / "files" / f"{name}-{kind}{ending}"
 
 
 def located(data: dict[str, Any], folder: Path) -> Located:
-    """Return a job with its references as paths, and what is wrong with them.
+    """Replace the references of a job by paths, and report invalid ones.
 
     Parameters
     ----------
     data
         The job as a page sent it.
     folder
-        Of the server.
+        Folder of the server.
     """
-    found = Located({}, [], {})
+    result = Located({}, [], {})
     count = 0
 
     def walked(value: object, field: str, key: str, depth: int) -> Any:
         nonlocal count
         count += 1
-        if depth > DEEPEST or count > MOST_VALUES:
-            raise _Refused(
-                TOO_DEEP
-                if depth > DEEPEST
-                else f"the job has more than {MOST_VALUES} values, the limit: make it shorter"
-            )
+        if depth > MAX_DEPTH or count > MAX_VALUES:
+            raise _Refused(TOO_DEEP if depth > MAX_DEPTH else f"a job must have at most {MAX_VALUES} values")
         if isinstance(value, dict):
             return {
                 name: walked(one, f"{field}.{name}" if field else str(name), str(name), depth + 1)
@@ -152,28 +148,28 @@ def located(data: dict[str, Any], folder: Path) -> Located:
         if isinstance(value, list):
             return [walked(one, f"{field}[{place}]", key, depth + 1) for place, one in enumerate(value, 1)]
         if isinstance(value, str) and "\0" in value:
-            found.problems.append({"field": field, "sentence": "holds a character that no text has: remove it"})
+            result.problems.append({"field": field, "sentence": "must not contain the null character"})
             return ""
         if _names_file(key, value):
-            return _path(value, field, key, folder, found)
+            return _path(value, field, key, folder, result)
         return value
 
     try:
-        return found._replace(data=walked(data, "", "", 0))
+        return result._replace(data=walked(data, "", "", 0))
     except _Refused as error:
         return Located({}, [{"field": "", "sentence": str(error)}], {})
 
 
 def require_flat(data: dict[str, Any]) -> None:
-    """Raise unless a job that was read can be walked: one key of many words makes tables as deep as it is long.
+    """Raise if a job is nested too deeply to be walked; a dotted key can create any depth.
 
     Raises
     ------
     InputError
-        If tables or lists within each other are too deep.
+        If the nesting depth exceeds `MAX_DEPTH`.
     """
     level: list[Any] = [data]
-    for _ in range(DEEPEST + 1):
+    for _ in range(MAX_DEPTH + 1):
         tables = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list)]
         level = [inner for one in tables for inner in one]
     if level:
@@ -184,21 +180,21 @@ def _names_file(key: str, value: object) -> bool:
     return key in FILE_KEYS or (key in FILE_OR_NAME and isinstance(value, str) and value.endswith(".toml"))
 
 
-def _path(value: object, field: str, key: str, folder: Path, found: Located) -> object:
-    """Return the file that a reference stands for, or note that it stands for none."""
+def _path(value: object, field: str, key: str, folder: Path, located: Located) -> object:
+    """Return the path of a reference, or record a fault."""
     if value is None:
         return None
     file = _file(value, kind_of(field, key), folder) if isinstance(value, str) else None
     if file is not None:
-        found.references[str(value)] = str(file)
+        located.references[str(value)] = str(file)
         return str(file)
     text = repr(value)
     text = text if len(text) <= 60 else f"{text[:57]}..."
-    found.problems.append(
+    located.problems.append(
         {
             "field": field,
-            "sentence": f"{key} is {text}, a job from a page can only name files that were brought to this field, come "
-            "with an example or were left by a run here: bring the file, or run the job by the command line",
+            "sentence": f"{key} must be an uploaded file, or a file of an example or a run, got {text}: upload it, "
+            "or use the command line",
         }
     )
     return None
@@ -208,22 +204,22 @@ def _file(reference: str, kind: str, folder: Path) -> Path | None:
     if reference in example_files():
         return example_files()[reference]
     file = None
-    if match := KEPT.fullmatch(reference):
+    if match := RUN_REFERENCE.fullmatch(reference):
         file = folder / "runs" / match.group(1) / CORRECTION / match.group(2)
-    elif (match := BROUGHT.fullmatch(reference)) and match.group(3) in FILE_ENDINGS.get(kind, ()):
+    elif (match := UPLOAD_REFERENCE.fullmatch(reference)) and match.group(3) in FILE_ENDINGS.get(kind, ()):
         file = place_of(folder, match.group(1), kind, match.group(3))
     return file if file is not None and file.is_file() and not file.is_symlink() else None
 
 
-def beside(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], dict[str, Path]]:
-    """Return a job with its references as names of files beside it, and those files by name.
+def unpack_references(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], dict[str, Path]]:
+    """Replace the references of a job by plain file names; return it with the files by name.
 
     Parameters
     ----------
     data
         The job as a page sent it.
     folder
-        Of the server.
+        Folder of the server.
     """
     references = {reference: Path(path) for reference, path in located(data, folder).references.items()}
     files: dict[str, Path] = {}
@@ -239,33 +235,33 @@ def beside(data: dict[str, Any], folder: Path) -> tuple[dict[str, Any], dict[str
 
 
 def text_in(run: Path) -> str:
-    """Return the job of a run as somebody wrote it, ends of lines and all; empty if nobody did."""
+    """Return the job of a run as text, with its line endings; empty if there is none."""
     with suppress(OSError, UnicodeDecodeError):
         return (run / JOB).read_bytes().decode("utf-8")
     return ""
 
 
 def job_in(run: Path, folder: Path) -> dict[str, Any]:
-    """Return the job that a run carries out, with references: that of a correction is the corrected one.
+    """Return the job of a run, with references; for a correction, the corrected job.
 
     Parameters
     ----------
     run
-        Its folder.
+        Folder of the run.
     folder
-        Of the server.
+        Folder of the server.
     """
     data: dict[str, Any] = json.loads((run / "job.json").read_text(encoding="utf-8"))
     corrected = run / CORRECTION / JOB
     if not corrected.is_file():
         return data
-    # Beside the corrected job stands what the correction has made; the rest is where it was before.
-    known = {str(path): name for name, path in example_files().items()}
-    known |= {path: name for name, path in located(data, folder).references.items()}
+    # Files of the correction are next to the corrected job; all others are unchanged.
+    references = {str(path): name for name, path in example_files().items()}
+    references |= {path: name for name, path in located(data, folder).references.items()}
 
     def reference(_: str, value: str) -> str:
-        mine = f"runs/{run.name}/{value}"
-        return known.get(value) or (mine if KEPT.fullmatch(mine) else value)
+        own_reference = f"runs/{run.name}/{value}"
+        return references.get(value) or (own_reference if RUN_REFERENCE.fullmatch(own_reference) else value)
 
     return renamed(tomllib.loads(corrected.read_text(encoding="utf-8")), reference)
 
@@ -276,11 +272,11 @@ class Named(NamedTuple):
     Parameters
     ----------
     field
-        Where.
+        Path of the field.
     kind
         See `kind_of`.
     name
-        As it stands there.
+        Value of the field.
     """
 
     field: str
@@ -290,7 +286,7 @@ class Named(NamedTuple):
 
 def named(data: dict[str, Any]) -> list[Named]:
     """Return the files that a job names."""
-    found: list[Named] = []
+    names: list[Named] = []
 
     def walked(value: object, field: str, key: str) -> None:
         if isinstance(value, dict):
@@ -300,14 +296,14 @@ def named(data: dict[str, Any]) -> list[Named]:
             for place, one in enumerate(value, 1):
                 walked(one, f"{field}[{place}]", key)
         elif isinstance(value, str) and _names_file(key, value):
-            found.append(Named(field, kind_of(field, key), value))
+            names.append(Named(field, kind_of(field, key), value))
 
     walked(data, "", "")
-    return found
+    return names
 
 
 def renamed(data: dict[str, Any], name: Callable[[str, str], str]) -> dict[str, Any]:
-    """Return a job with each name of a file as a function of its kind and its name says."""
+    """Replace each file name in a job by ``name(kind, file_name)``."""
 
     def walked(value: object, field: str, key: str) -> Any:
         if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""The JSON schema of a job for the form of the page: which keys name files, and which names a machine can have."""
+"""JSON schema of a job for the form of the page, with file kinds and known names."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from turnwright.web.references import FILE_KEYS, kind_of
 __all__ = ["job_schema"]
 
 FILE_FIELDS = {"MachineTable": "machine.file", "InstrumentTable": "measurement.instrument.file"}
-"""Fields of tables whose key ``file`` names no heights."""
+"""Tables whose key ``file`` does not name heights, with the field."""
 
 KNOWN_NAMES: dict[str, Callable[[], list[str]]] = {
     "MachineTable": machines,
     "InstrumentTable": lambda: list(Instrument.known()),
 }
-"""Names that the key ``name`` of a table can have."""
+"""Values of the key ``name`` of a table."""
 
 
 def job_schema() -> dict[str, Any]:
-    """Return the JSON schema of a job; a key that names a file says what that ``holds`` and its ``endings``."""
+    """Return the JSON schema of a job; a key that names a file has its kind in ``holds`` and its ``endings``."""
     schema = described()
-    for own, definition in [*schema["$defs"].items(), ("Job", schema)]:
-        for name, given in definition.get("properties", {}).items():
-            kind = given.pop("reads", kind_of(FILE_FIELDS.get(own, ""), name) if name in FILE_KEYS else "")
+    for table, definition in [*schema["$defs"].items(), ("Job", schema)]:
+        for name, description in definition.get("properties", {}).items():
+            kind = description.pop("reads", kind_of(FILE_FIELDS.get(table, ""), name) if name in FILE_KEYS else "")
             if not kind:
                 continue
-            given["holds"] = kind
-            given["endings"] = list(FILE_ENDINGS[kind])
+            description["holds"] = kind
+            description["endings"] = list(FILE_ENDINGS[kind])
             if kind == "material":
-                given["examples"] = list(Material.known())
+                description["examples"] = list(Material.known())
             else:
-                given["format"] = "reference"
-        if own in KNOWN_NAMES:
-            definition["properties"]["name"]["enum"] = KNOWN_NAMES[own]()
+                description["format"] = "reference"
+        if table in KNOWN_NAMES:
+            definition["properties"]["name"]["enum"] = KNOWN_NAMES[table]()
     return schema

@@ -1,4 +1,4 @@
-"""The workbench as a program: it holds its folder, starts what plans, then the server, and ends when it is asked to."""
+"""The workbench as a program: lock its folder, start the workers, serve until stopped."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ __all__ = ["serve_until_stopped"]
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Hold a folder for one server: two would throw away each other's half-made runs."""
+def _lock_folder(folder: Path) -> Iterator[None]:
+    """Lock a folder for one server; a second one would remove the first one's unfinished runs."""
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "server.lock").open("a") as lock:
         with suppress(ImportError):
@@ -28,13 +28,13 @@ def _alone(folder: Path) -> Iterator[None]:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 raise InputError(
-                    f"another server keeps its runs in {str(folder)!r}: open its page, or name another --folder"
+                    f"another server uses {str(folder)!r}: open its page, or choose another --folder"
                 ) from None
         yield
 
 
 def serve_until_stopped(
-    door: socket.socket,
+    listener: socket.socket,
     folder: Path,
     *,
     token: str | None,
@@ -42,28 +42,28 @@ def serve_until_stopped(
     at_a_time: int,
     ready: Callable[[], None],
 ) -> None:
-    """Serve the workbench until Ctrl-C or a polite kill.
+    """Serve the workbench until SIGINT (Ctrl-C) or SIGTERM.
 
     Parameters
     ----------
-    door
-        Bound to its address.
+    listener
+        Bound socket.
     folder
-        Where runs are kept.
+        Folder of the runs.
     token, origin, at_a_time
         See `turnwright.web.create_app`.
     ready
-        Called once a browser may come.
+        Called when the server accepts connections.
 
     Raises
     ------
     InputError
-        If another server has the folder, or the token is too short.
+        If another server uses the folder, or the token is too short.
     """
-    with _alone(folder), closing(planners()) as workers:
-        # Costly to import: meanwhile the first of them warms up.
+    with _lock_folder(folder), closing(planners()) as workers:
+        # Slow import, while the first worker warms up.
         from turnwright.web.app import create_app  # noqa: PLC0415
         from turnwright.web.server import answer  # noqa: PLC0415
 
         app = create_app(folder, token=token, origin=origin, at_a_time=at_a_time, workers=workers)
-        answer(app, door, ready)
+        answer(app, listener, ready)

@@ -1,4 +1,4 @@
-"""The server as a part of this process: it says when it is ready, and ends at a signal as a server ends."""
+"""The uvicorn server in this process, with request time limits and a ready callback."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 
 __all__ = ["TimedProtocol", "answer"]
 
-FAREWELL_S = 3
-"""For answers that are under way at the end."""
+SHUTDOWN_S = 3
+"""Time for open requests at shutdown. [s]"""
 
 
 HEAD_S = 20.0
-"""From the connection, or from the first byte on one that is kept, until the head of a request is whole."""
+"""Time limit for receiving the head of a request. [s]"""
 
 BODY_S = 60.0
-"""From the head of a request until its body is whole, and longer by what has arrived at the least rate."""
+"""Time limit for receiving the body of a request, extended by the received bytes over `MIN_RATE`. [s]"""
 
-LEAST_RATE = 20_000
-"""Slower than any line to a workshop. [byte/s]"""
+MIN_RATE = 20_000
+"""Smallest accepted data rate. [byte/s]"""
 
 
 class TimedProtocol(H11Protocol):
-    """Closes a connection whose request does not arrive in time."""
+    """HTTP/1.1 protocol that closes a connection whose request does not arrive in time."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -44,23 +44,23 @@ class TimedProtocol(H11Protocol):
         self._state: Any = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Wait for the first head."""
+        """Start the timer of the first request."""
         super().connection_made(transport)
         self._watch(0)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop waiting."""
+        """Stop the timer."""
         if self._timer is not None:
             self._timer.cancel()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Give a body more time by what it brings."""
+        """Extend the deadline of a body by the received bytes."""
         super().data_received(data)
         self._watch(len(data))
 
     def _watch(self, size: int) -> None:
-        """Set the deadline of what is arriving now."""
+        """Set the deadline of the current part of a request."""
         state, now = self.conn.their_state, self.loop.time()
         if state is not self._state or self._timer is None:
             self._since, self._received, self._state = now, 0, state
@@ -68,19 +68,19 @@ class TimedProtocol(H11Protocol):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        allowed = {h11.IDLE: HEAD_S, h11.SEND_BODY: BODY_S + self._received / LEAST_RATE}.get(state)
+        allowed = {h11.IDLE: HEAD_S, h11.SEND_BODY: BODY_S + self._received / MIN_RATE}.get(state)
         if allowed is not None and not self.transport.is_closing():
             self._timer = self.loop.call_at(self._since + allowed, self._expire, state)
 
     def _expire(self, state: Any) -> None:
-        """Close the connection unless what was waited for has arrived."""
+        """Close the connection if it is still in the same state."""
         self._timer = None
         if self.conn.their_state is state and not self.transport.is_closing():
             self.transport.abort()
 
 
 class _Server(uvicorn.Server):
-    """Says when it is ready, and when it is about to end."""
+    """Server that calls back when it is ready and when it shuts down."""
 
     def __init__(self, config: uvicorn.Config, ready: Callable[[], None], parting: Callable[[], None]) -> None:
         super().__init__(config)
@@ -88,7 +88,7 @@ class _Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """End at a wish to stop as a server ends, which is no error."""
+        """Shut down on SIGINT and SIGTERM without raising them again."""
         numbers = (signal.SIGINT, signal.SIGTERM)
         before = [signal.signal(number, self.handle_exit) for number in numbers]
         try:
@@ -98,31 +98,31 @@ class _Server(uvicorn.Server):
                 signal.signal(number, handler)
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        """Let go of the pages that listen, or the end would wait for them."""
+        """End the event streams first, or shutdown would wait for them."""
         self._parting()
         super().handle_exit(sig, frame)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to answer."""
+        """Start, then call ``ready``."""
         await super().startup(sockets)
         if self.started:
             self._ready()
 
 
-def answer(app: FastAPI, door: socket.socket, ready: Callable[[], None]) -> None:
-    """Answer whoever comes, until a signal.
+def answer(app: FastAPI, listener: socket.socket, ready: Callable[[], None]) -> None:
+    """Serve until SIGINT or SIGTERM.
 
     Parameters
     ----------
     app
-        Knows the answers.
-    door
-        Bound to its address.
+        ASGI application.
+    listener
+        Bound socket.
     ready
-        Called once a browser may come.
+        Called when the server accepts connections.
     """
     config = uvicorn.Config(
         app, http=TimedProtocol, log_level="critical", access_log=False, server_header=False, lifespan="on", ws="none",
-        timeout_graceful_shutdown=FAREWELL_S, h11_max_incomplete_event_size=64 * 2**10, proxy_headers=False,
+        timeout_graceful_shutdown=SHUTDOWN_S, h11_max_incomplete_event_size=64 * 2**10, proxy_headers=False,
     )  # fmt: skip
-    asyncio.run(_Server(config, ready, app.state.runs.hush).serve(sockets=[door]))
+    asyncio.run(_Server(config, ready, app.state.runs.end_streams).serve(sockets=[listener]))

@@ -1,4 +1,4 @@
-"""What a page shows of a measured part: numbers in one file, maps as pictures on a grid."""
+"""Data of a measured part for the page: numbers in one file, maps as gridded pictures."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 __all__ = ["lone_map", "picture", "shown_map", "write_predicted", "write_shown"]
 
-PIXELS = 600
-"""Longest side of a map that is shown without its job."""
+MAX_PIXELS = 600
+"""Longest side of a map that is shown without a job."""
 
-PERCENT = (0.5, 99.5)
-"""Of the heights that colours tell apart; a few spikes must not take all of them."""
+COLOUR_PERCENTILES = (0.5, 99.5)
+"""Percentiles of the heights that limit the colours, so that outliers do not take the whole range."""
 
 FIELDS = (
     "name", "cause", "value", "unit", "plausible", "standard_uncertainty", "interval", "rms_nm", "pv_nm", "determined",
@@ -38,17 +38,17 @@ LENSLET = (
 )  # fmt: skip
 
 
-def write_shown(measured: Measured, found: Diagnosis, out: Path) -> None:
-    """Write ``shown.json``: what the page tells of a measured part.
+def write_shown(measured: Measured, diagnosis: Diagnosis, out: Path) -> None:
+    """Write ``shown.json``, the data of a measured part for the page.
 
     Parameters
     ----------
     measured, found
-        The part, and why it is off.
+        Measured part and its diagnosis.
     out
-        Folder that exists.
+        Existing folder.
     """
-    lies, terms, lenses = measured.registration, measured.zernike, measured.lenslets
+    registration, terms, lenses = measured.registration, measured.zernike, measured.lenslets
     zernike = [] if terms is None else zip(terms.indices, terms.coefficients, terms.uncertainty, strict=True)
     numbers = {
         "name": measured.heights.name,
@@ -56,18 +56,18 @@ def write_shown(measured: Measured, found: Diagnosis, out: Path) -> None:
         "form_rms_nm": measured.form_rms_nm,
         "spikes": measured.spikes,
         "alignment": {
-            "pose": lies.pose,
-            "pivot": lies.pivot,
-            "std": lies.std,
-            "held": lies.held,
-            "count": lies.count,
-            "rms_nm": lies.rms_nm,
-            "sentences": (lies.sentences[0], *measured.open_questions),
+            "pose": registration.pose,
+            "pivot": registration.pivot,
+            "std": registration.std,
+            "held": registration.held,
+            "count": registration.count,
+            "rms_nm": registration.rms_nm,
+            "sentences": (registration.sentences[0], *measured.open_questions),
         },
         "roughness": measured.roughness,
         "zernike": [
-            {"index": int(index), "coefficient_nm": float(size) * 1e6, "uncertainty_nm": float(doubt) * 1e6}
-            for index, size, doubt in zernike
+            {"index": int(index), "coefficient_nm": float(size) * 1e6, "uncertainty_nm": float(uncertainty) * 1e6}
+            for index, size, uncertainty in zernike
         ],
         "psd": _psd(measured),
         "lenslets": [] if lenses is None else [{name: getattr(one, name) for name in LENSLET} for one in lenses],
@@ -79,21 +79,21 @@ def write_shown(measured: Measured, found: Diagnosis, out: Path) -> None:
                 "correctable": one.verdict == "correct",
                 "chosen": one.verdict == "correct",
             }
-            for one in found
+            for one in diagnosis
         ],
         "contributions": [
             {name: getattr(one, name) for name in ("name", "rms_nm", "uncertainty_nm", "common_nm", "why")}
-            for one in found.contributions
+            for one in diagnosis.contributions
         ],
-        "measured_rms_nm": found.measured_rms_nm,
-        "explained_rms_nm": found.explained_rms_nm,
-        "unexplained_rms_nm": found.unexplained_rms_nm,
+        "measured_rms_nm": diagnosis.measured_rms_nm,
+        "explained_rms_nm": diagnosis.explained_rms_nm,
+        "unexplained_rms_nm": diagnosis.unexplained_rms_nm,
     }
     (out / "shown.json").write_text(json.dumps(plain(numbers), allow_nan=False), encoding="utf-8")
 
 
 def _psd(measured: Measured) -> dict[str, Any] | None:
-    """Return the spectrum of what the part is off by, for a map on a grid."""
+    """Return the spectrum of the form error; ``None`` unless the map is on a grid."""
     with suppress(InputError):
         grid = measured.registration.error
         if grid.scattered or grid.x is None:
@@ -104,11 +104,11 @@ def _psd(measured: Measured) -> dict[str, Any] | None:
 
 
 def write_predicted(better: Correction, out: Path) -> None:
-    """Write the sizes of what a correction leaves and which tolerances that misses, for the page."""
+    """Write the predicted residual of a correction and the tolerances it misses, for the page."""
     sizes = {name: {"pv_nm": pv, "rms_nm": rms} for name, (pv, rms) in better.numbers_nm.items()}
     missed = [one.sentence for one in better.verdicts if one.kept is False]
-    told = sizes | {"missed": missed, "sentences": better.sentences}
-    (out / "shown.json").write_text(json.dumps(plain(told)), encoding="utf-8")
+    summary = sizes | {"missed": missed, "sentences": better.sentences}
+    (out / "shown.json").write_text(json.dumps(plain(summary)), encoding="utf-8")
 
 
 def shown_map(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) -> bytes:
@@ -117,19 +117,19 @@ def shown_map(file: str, data: dict[str, Any], folder: str, nx: int, ny: int) ->
 
 
 def lone_map(file: str, name: str) -> bytes:
-    """Return a measured map without its job as a packed picture, with what `turnwright show` says of it.
+    """Return a measured map as a packed picture, with the facts that `turnwright show` prints.
 
     Parameters
     ----------
     file
-        As the instrument wrote it.
+        Path of the measured file.
     name
-        What it is called where it comes from.
+        Original name of the file.
 
     Raises
     ------
     InputError
-        If it cannot be read; the message has that name.
+        If it cannot be read; the message contains ``name``.
     """
     try:
         heights = read_map(file)
@@ -140,18 +140,18 @@ def lone_map(file: str, name: str) -> bytes:
     if flat.x is None or flat.y is None or flat.scattered:
         x, y = (axis.ravel() for axis in flat.points())
         middle = [float(axis.min() + axis.max()) / 2 for axis in (x, y)]
-        reach = max(float(np.ptp(axis)) for axis in (x, y)) / 2 or 1.0
-        values = _means(x - middle[0], y - middle[1], flat.z.ravel(), np.sqrt(2) * reach, PIXELS, PIXELS)
-        reach *= float(np.sqrt(2))
-        ends = [[at - reach, at + reach] for at in middle]
+        half_width = max(float(np.ptp(axis)) for axis in (x, y)) / 2 or 1.0
+        values = _means(x - middle[0], y - middle[1], flat.z.ravel(), np.sqrt(2) * half_width, MAX_PIXELS, MAX_PIXELS)
+        half_width *= float(np.sqrt(2))
+        ends = [[at - half_width, at + half_width] for at in middle]
     else:
-        stride = -(-max(flat.z.shape) // PIXELS)
+        stride = -(-max(flat.z.shape) // MAX_PIXELS)
         values = flat.z[::stride, ::stride]
         ends = [[float(axis[::stride][0]), float(axis[::stride][-1])] for axis in (flat.x, flat.y)]
         ends = [[low, high] if high > low else [low - 0.5, low + 0.5] for low, high in ends]
     values = values * 1e6
-    known = values[np.isfinite(values)]
-    low, high = np.percentile(known, PERCENT) if known.size else (0.0, 0.0)
+    finite = values[np.isfinite(values)]
+    low, high = np.percentile(finite, COLOUR_PERCENTILES) if finite.size else (0.0, 0.0)
     header = {
         "name": name, "rows": rows, "unit": "nm", "x": ends[0], "y": ends[1], "low": float(low), "high": float(high),
         "diverging": True, "points": int(np.isfinite(heights.z).sum()),
@@ -165,17 +165,17 @@ def picture(file: str, radius: float, nx: int, ny: int) -> bytes:
     Parameters
     ----------
     file
-        As `turnwright.write_map` wrote it, heights at any places.
+        File from `turnwright.write_map`, gridded or scattered.
     radius
-        Clear radius of the part. [mm]
+        Semi-diameter of the clear aperture. [mm]
     nx, ny
-        Pixels along x and y; each has the mean of the points in it, or of its neighbours where it holds none.
+        Pixels along x and y. Each is the mean of its points, or of neighbouring pixels if it has none.
     """
     heights = read_map(file)
     x, y = heights.points()
     values = _means(x.ravel(), y.ravel(), heights.z.ravel(), radius, nx, ny) * 1e6
-    known = values[np.isfinite(values)]
-    low, high = np.percentile(known, PERCENT) if known.size else (0.0, 0.0)
+    finite = values[np.isfinite(values)]
+    low, high = np.percentile(finite, COLOUR_PERCENTILES) if finite.size else (0.0, 0.0)
     header = {
         "unit": "nm",
         "x": [-radius, radius],
@@ -191,15 +191,15 @@ def picture(file: str, radius: float, nx: int, ny: int) -> bytes:
 
 def _means(x: Floats, y: Floats, z: Floats, radius: float, nx: int, ny: int) -> Floats:
     """Return the mean height in each pixel. (ny, nx) [mm]."""
-    known = np.isfinite(z) & (np.hypot(x, y) <= radius * (1 + 1e-9))
-    x, y, z = x[known], y[known], z[known]
+    is_used = np.isfinite(z) & (np.hypot(x, y) <= radius * (1 + 1e-9))
+    x, y, z = x[is_used], y[is_used], z[is_used]
     column = np.clip(np.rint((x + radius) / (2 * radius) * (nx - 1)), 0, nx - 1).astype(np.int64)
     row = np.clip(np.rint((y + radius) / (2 * radius) * (ny - 1)), 0, ny - 1).astype(np.int64)
     at = row * nx + column
     count: Floats = np.bincount(at, minlength=nx * ny).astype(np.float64).reshape(ny, nx)
     total: Floats = np.bincount(at, weights=z, minlength=nx * ny).astype(np.float64).reshape(ny, nx)
     if z.size:
-        # A pixel between scattered points shows what stands around it, two pixels away at most.
+        # Empty pixels between scattered points are filled from neighbours up to two pixels away.
         for _ in range(2):
             empty = count == 0
             around_count, around_total = _neighbours(count), _neighbours(total)

@@ -1,4 +1,4 @@
-"""Routes to what is seen of a job that is only typed: its surface in any colour, the path, the edge in contact."""
+"""Routes for views of a job before it is run: surface maps, tool path and section through the cutting edge."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from turnwright.web.models import Model, Problem, Question
 from turnwright.web.packed import MEDIA_TYPE
 from turnwright.web.workers import Workers
 
-__all__ = ["PACKED", "apart", "router"]
+__all__ = ["PACKED", "path_worker", "router"]
 
 Quantity = Literal["height", "slope", "curvature", "clearance margin", "chip thickness"]
 
 
 class SurfaceQuestion(Question):
-    """What to colour a part with."""
+    """A request for a surface map."""
 
     quantity: Quantity = "height"
     pixels: Annotated[int, Field(ge=16, le=768)] = 256
 
 
 class PathQuestion(Question):
-    """How much of a path to show."""
+    """A request for the tool path."""
 
     points: Annotated[int, Field(ge=100, le=20_000)] = 6000
 
 
 class Place(Model):
-    """A place of the tip."""
+    """A position of the tool tip."""
 
     angle: Annotated[float, Field(ge=-1e7, le=1e7, description="Azimuth of the part under the tool. [rad]")]
     radius: Annotated[float, Field(ge=-1e4, le=1e4, description="Distance of the tip from the axis. [mm]")]
-    y: Annotated[float, Field(ge=-1e4, le=1e4, description="Its height above centre. [mm]")] = 0.0
-    feed: Annotated[float, Field(gt=0, le=1e3, description="How far apart turns stand there. [mm/rev]")] | None = None
+    y: Annotated[float, Field(ge=-1e4, le=1e4, description="Y position of the tip. [mm]")] = 0.0
+    feed: Annotated[float, Field(gt=0, le=1e3, description="Feed there. [mm/rev]")] | None = None
 
 
 class SectionQuestion(Question):
-    """Where to look at the edge."""
+    """A request for a section."""
 
     at: Place
 
@@ -54,63 +54,63 @@ PACKED: dict[int | str, dict[str, Any]] = {
         "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
     },
     413: {"model": Problem, "description": "The request is too large."},
-    422: {"model": Problem, "description": "The job has an error, or cannot be seen so."},
-    503: {"model": Problem, "description": "Too many questions wait."},
+    422: {"model": Problem, "description": "The job is invalid or cannot be shown."},
+    503: {"model": Problem, "description": "Too many requests are waiting."},
 }
-"""What a route answers that sends arrays."""
+"""OpenAPI responses of a route that returns arrays."""
 
 
-SLOW = ("adaptive tool servo", "quasi-elliptical tool servo")
-"""Strategies whose points are only known when all of them are."""
+SLOW_STRATEGIES = ("adaptive tool servo", "quasi-elliptical tool servo")
+"""Strategies that must be planned completely before any point is known."""
 
 
-def apart(request: Request) -> Workers:
-    """Return the one process for what takes long, so that nobody waits behind it."""
+def path_worker(request: Request) -> Workers:
+    """Return the separate worker process for slow paths."""
     state = request.app.state
     if getattr(state, "path_worker", None) is None:
         state.path_worker = Workers(1, threads=1, warm=jobs.warm)
-    found: Workers = state.path_worker
-    return found
+    workers: Workers = state.path_worker
+    return workers
 
 
 def _workers(request: Request, data: dict[str, Any]) -> Workers:
-    """Return who finds the path of a job."""
+    """Return the workers that compute the path of a job."""
     state = request.app.state
     strategy, passes = data.get("strategy"), data.get("passes")
-    told = [one for one in (strategy, *(passes if isinstance(passes, list) else ())) if isinstance(one, dict)]
-    if not any(one.get("kind") in SLOW or one.get("chord") is not None for one in told):
+    tables = [one for one in (strategy, *(passes if isinstance(passes, list) else ())) if isinstance(one, dict)]
+    if not any(one.get("kind") in SLOW_STRATEGIES or one.get("chord") is not None for one in tables):
         return state.workers  # type: ignore[no-any-return]
-    return apart(request)
+    return path_worker(request)
 
 
-async def _seen(
+async def _answer(
     workers: Workers, question: Question, what: Callable[..., bytes], *arguments: Any, keep: bool = True
 ) -> Response:
-    """Return what one of the processes packs; of equal questions of one page only the last counts."""
+    """Return the packed answer of a worker; only the last request of a kind by a client counts."""
     latest = f"{what.__name__} {question.client}" if question.client else ""
-    found = await workers.ask(what, question.data, *arguments, latest=latest, keep=keep)
-    return Response(found, media_type=MEDIA_TYPE)
+    packed = await workers.ask(what, question.data, *arguments, latest=latest, keep=keep)
+    return Response(packed, media_type=MEDIA_TYPE)
 
 
 @router.post("/surface", response_class=Response, responses=PACKED)
 async def view_surface(request: Request, question: SurfaceQuestion) -> Response:
-    """Return the part coloured by a quantity: values, and heights [mm] for the shape."""
+    """Return a surface map: heights [mm], and values of a quantity."""
     state = request.app.state
     workers = _workers(request, question.data) if question.quantity == "chip thickness" else state.workers
-    return await _seen(workers, question, seen.surface, str(state.folder), question.quantity, question.pixels)
+    return await _answer(workers, question, seen.surface, str(state.folder), question.quantity, question.pixels)
 
 
 @router.post("/path", response_class=Response, responses=PACKED)
 async def view_path(request: Request, question: PathQuestion) -> Response:
-    """Return turns of the finishing path with the tip in contact at every place [mm, rad]."""
+    """Return revolutions of the finishing path with exact contact points [mm, rad]."""
     workers = _workers(request, question.data)
-    return await _seen(workers, question, seen.path, str(request.app.state.folder), question.points)
+    return await _answer(workers, question, seen.path, str(request.app.state.folder), question.points)
 
 
 @router.post("/section", response_class=Response, responses=PACKED)
 async def view_section(request: Request, question: SectionQuestion) -> Response:
-    """Return part and edge in the plane of the edge at one place, and the cusps beside it [mm]."""
+    """Return the section of part and cutting edge at one position, with the neighbouring cusps [mm]."""
     at, state = question.at, request.app.state
     workers = state.workers if at.feed is not None else _workers(request, question.data)
     place = (at.angle, at.radius, at.y, at.feed)
-    return await _seen(workers, question, seen.section, str(state.folder), *place, keep=False)
+    return await _answer(workers, question, seen.section, str(state.folder), *place, keep=False)

@@ -1,7 +1,7 @@
-"""``python -m turnwright.web.worker RUN FOLDER NICE SECONDS BYTES``: carry out one run as the command line would.
+"""``python -m turnwright.web.worker RUN FOLDER NICE SECONDS BYTES``: carry out one run, like the command line.
 
-Reading a measured file may take so many seconds and bytes.
-It tells its progress in a file and ends when whoever started it is gone, which it hears by the end of its input.
+SECONDS and BYTES limit the reading of a measured file. The process writes its progress to a file and ends when its
+standard input is closed, that is, when the server has ended.
 """
 
 from __future__ import annotations
@@ -32,36 +32,36 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-READ = Step(stage="read the file", work=1.0)
-INDEX = Step(stage="index of the program", work=1.0)
+READ_STEP = Step(stage="read the file", work=1.0)
+INDEX_STEP = Step(stage="index of the program", work=1.0)
 
-HEIGHT_BYTES = 8
-"""Of a height in a file, usually."""
+TYPICAL_HEIGHT_BYTES = 8
+"""File size per measured height, for the progress estimate."""
 
-EVERY_S = 0.2
+PROGRESS_INTERVAL_S = 0.2
 GRACE_S = 2.0
 
 
-class _Teller:
-    """Writes the progress of the whole run, not more often than anybody looks."""
+class _ProgressWriter:
+    """Appends the progress of the whole run to a file, at most every `PROGRESS_INTERVAL_S`."""
 
     def __init__(self, file: Path, stop: Stop) -> None:
         self.file, self.stop = file, stop
         self.last, self.stage = 0.0, ""
-        self.whole = OverallProgress((), self._write)
+        self.overall = OverallProgress((), self._write)
 
     def expect(self, steps: Sequence[Step]) -> None:
-        """Say what the run will do, before the first of it."""
-        self.whole = OverallProgress(steps, self._write)
+        """Set the stages of the run, before the first of them."""
+        self.overall = OverallProgress(steps, self._write)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Say how far a stage is."""
+        """Report the progress of a stage."""
         self.stop.check()
-        self.whole(stage, done, total)
+        self.overall(stage, done, total)
 
     def _write(self, at: Overall) -> None:
         now = time.monotonic()
-        if at.stage == self.stage and now - self.last < EVERY_S:
+        if at.stage == self.stage and now - self.last < PROGRESS_INTERVAL_S:
             return
         self.last, self.stage = now, at.stage
         line = {
@@ -76,7 +76,7 @@ class _Teller:
 
 
 def main() -> int:
-    """Carry out a run and say in one line how it ended."""
+    """Carry out a run and print its outcome as one line of JSON."""
     run, server = Path(sys.argv[1]), Path(sys.argv[2])
     threading.Thread(target=_end_with_server, daemon=True).start()
     with suppress(AttributeError, OSError):
@@ -85,45 +85,45 @@ def main() -> int:
     with Stop(deaf=True) as stop:  # what it raises must be caught below
         try:
             stop.hear()
-            tell = _Teller(run / "progress.jsonl", stop)
+            progress = _ProgressWriter(run / "progress.jsonl", stop)
             record = json.loads((run / "state.json").read_text(encoding="utf-8"))
             with _new_folder(run) as out:
-                sentence, missed = KINDS[record["kind"]](run, server, out, record, tell)
+                sentence, missed = RUNNERS[record["kind"]](run, server, out, record, progress)
             state = "done"
         except KeyboardInterrupt:
-            state, sentence = "cancelled", "it was stopped"
+            state, sentence = "cancelled", "stopped"
         except TurnwrightError as error:
             sentence = str(error)
         except MemoryError as error:
-            sentence = f"the memory is not enough ({error}): take fewer points or a coarser map"
+            sentence = f"out of memory ({error}): use fewer points or a coarser map"
         except OSError as error:
             where = f" ({error.strerror})" if error.strerror else ""
-            sentence = f"the disk or the system refuses{where}, nothing was kept: free some space, then try again"
-        except Exception as error:  # noqa: BLE001 - this is where everything ends
+            sentence = f"disk or system error{where}, no results were written: free some space and try again"
+        except Exception as error:  # noqa: BLE001 - the outermost handler
             traceback.print_exc()
-            sentence = f"this is a defect of Turnwright ({type(error).__name__}), the log of the run tells more"
+            sentence = f"this is a defect of Turnwright ({type(error).__name__}), see the log of the run"
         stop.deaf = True
-        _say(state, " ".join(sentence.split()), missed=missed)
+        _print_outcome(state, " ".join(sentence.split()), missed=missed)
     return 0 if state == "done" else 1
 
 
-def _say(state: str, sentence: str, *, missed: bool = False) -> None:
+def _print_outcome(state: str, sentence: str, *, missed: bool = False) -> None:
     with suppress(OSError):
         line = json.dumps({"state": state, "sentence": shortened(sentence), "missed": missed})
         print(line, flush=True)  # noqa: T201 - the server reads it
 
 
 class Ended(NamedTuple):
-    """How a run ended, and whether its part misses a stated tolerance."""
+    """Outcome of a run, and whether the part misses a stated tolerance."""
 
     sentence: str
     missed: bool = False
 
 
 def _end_with_server() -> None:
-    """End this process when the server is gone, however it went."""
+    """End this process when the server has ended, even by a crash."""
     with suppress(OSError, ValueError):
-        while os.read(0, 1024):  # not sys.stdin, whose lock this thread would hold at the end
+        while os.read(0, 1024):  # not sys.stdin: this thread would hold its lock at exit
             pass
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(GRACE_S)
@@ -132,7 +132,7 @@ def _end_with_server() -> None:
 
 @contextmanager
 def _new_folder(run: Path) -> Iterator[Path]:
-    """Yield a folder that becomes ``out`` when all is well, and vanishes otherwise."""
+    """Yield a temporary folder; it is renamed to ``out`` on success and removed otherwise."""
     out = run / f".out-{os.getpid()}"
     out.mkdir()
     try:
@@ -143,13 +143,13 @@ def _new_folder(run: Path) -> Iterator[Path]:
 
 
 def _job(run: Path, server: Path) -> Job:
-    from turnwright.web.jobs import require  # noqa: PLC0415 - costly, and who is told to stop shall be heard before
+    from turnwright.web.jobs import require  # noqa: PLC0415 - slow import, after signals are handled
 
     return require(json.loads((run / "job.json").read_text(encoding="utf-8")), str(server))
 
 
 def _pack(run: Path, server: Path, out: Path) -> None:
-    """Keep the job with the files that it names, if it names any, as the command line takes them."""
+    """If the job names files, write it with them as an archive for the command line."""
     from turnwright.web.bundles import bundle  # noqa: PLC0415
 
     data = job_in(run, server)
@@ -157,90 +157,90 @@ def _pack(run: Path, server: Path, out: Path) -> None:
         (out / BUNDLE).write_bytes(bundle(data, str(server), text_in(run)))
 
 
-def _run(run: Path, server: Path, out: Path, _record: dict[str, Any], tell: _Teller) -> Ended:
-    """As ``turnwright run``."""
+def _run(run: Path, server: Path, out: Path, _record: dict[str, Any], progress: _ProgressWriter) -> Ended:
+    """Run ``turnwright run``."""
     from turnwright.job import steps_of_run  # noqa: PLC0415
 
     job = _job(run, server)
-    tell.expect((*steps_of_run(job), INDEX))
-    ended = _cut(job, out, tell)
+    progress.expect((*steps_of_run(job), INDEX_STEP))
+    ended = _cut(job, out, progress)
     _pack(run, server, out)
     return ended
 
 
-def _cut(job: Job, out: Path, tell: _Teller) -> Ended:
+def _cut(job: Job, out: Path, progress: _ProgressWriter) -> Ended:
     from turnwright import job as recipe, report  # noqa: PLC0415
     from turnwright.web.program import index  # noqa: PLC0415
 
-    result = recipe.run(job, progress=tell, out=out)
-    tell("report", 0, 1)
+    result = recipe.run(job, progress=progress, out=out)
+    progress("report", 0, 1)
     report.archive_run(result, out)
     report.write_report(result, out)
-    tell(INDEX.stage, 0, 1)
+    progress(INDEX_STEP.stage, 0, 1)
     index(out, job.machine)
     minutes = sum(one.limits.cycle_time_s for one in result.passes) / 60
     points = sum(one.points for one in result.passes)
     missing = sum(one.kept is False for one in result.verdicts)
-    clauses = [f"misses {missing} of {len(result.verdicts)} verdicts on its tolerances"] if missing else []
+    clauses = [f"misses {missing} of {len(result.verdicts)} tolerances"] if missing else []
     clauses.append(f"{points} points, {minutes:.1f} min")
     if result.warnings:
         clauses.append(f"{len(result.warnings)} warnings")
     return Ended(", ".join(clauses), missing > 0)
 
 
-def _compare(run: Path, server: Path, out: Path, _record: dict[str, Any], tell: _Teller) -> Ended:
-    """As ``turnwright compare``."""
+def _compare(run: Path, server: Path, out: Path, _record: dict[str, Any], progress: _ProgressWriter) -> Ended:
+    """Run ``turnwright compare``."""
     from turnwright import report  # noqa: PLC0415
     from turnwright.job import compare, steps_of_comparison  # noqa: PLC0415
 
     job = _job(run, server)
-    tell.expect(steps_of_comparison(job))
-    found = compare(job, progress=tell)
-    tell("report", 0, 1)
-    report.archive_comparison(found, out)
-    report.write_comparison(found, out)
+    progress.expect(steps_of_comparison(job))
+    comparison = compare(job, progress=progress)
+    progress("report", 0, 1)
+    report.archive_comparison(comparison, out)
+    report.write_comparison(comparison, out)
     _pack(run, server, out)
-    able = sum(not one.refused for one in found.candidates)
-    return Ended(f"{able} of {len(found.candidates)} strategies can cut it")
+    able = sum(not one.refused for one in comparison.candidates)
+    return Ended(f"{able} of {len(comparison.candidates)} strategies can cut the part")
 
 
-def _measured(run: Path, server: Path, tell: _Teller, record: dict[str, Any]) -> Measured:
-    """Read a measured file under limits, and register it."""
+def _measured(run: Path, server: Path, progress: _ProgressWriter, record: dict[str, Any]) -> Measured:
+    """Read a measured file within the limits, and register it."""
     from turnwright.job import measure, read_measurement  # noqa: PLC0415
     from turnwright.web.jobs import limit_memory  # noqa: PLC0415
 
     recipe, file = _job(run, server), run / record["file"]
-    seconds, most = float(sys.argv[4]), int(sys.argv[5])
-    tell.expect((READ, *_steps(recipe, file, record["kind"])))
-    tell(READ.stage, 0, 1)
-    with _deadline(seconds, f"the file is not read after {seconds:g} s, the limit: it is damaged, or too large"):
-        limit_memory(most)
+    seconds, max_bytes = float(sys.argv[4]), int(sys.argv[5])
+    progress.expect((READ_STEP, *_steps(recipe, file, record["kind"])))
+    progress(READ_STEP.stage, 0, 1)
+    with _deadline(seconds, f"reading the file took more than {seconds:g} s, the limit: it is damaged or too large"):
+        limit_memory(max_bytes)
         try:
             heights = read_measurement(recipe, file)
         except InputError as error:
             called = record["called"] or file.name
             raise InputError(str(error).replace(str(file), file.name).replace(file.name, called)) from None
-    tell(READ.stage, 1, 1)
-    return measure(recipe, replace(heights, name=record["called"] or heights.name), progress=tell)
+    progress(READ_STEP.stage, 1, 1)
+    return measure(recipe, replace(heights, name=record["called"] or heights.name), progress=progress)
 
 
 def _steps(job: Job, file: Path, kind: str) -> tuple[Step, ...]:
-    """Return what follows when a measured file of a kind of run is read; a corrected job is much like the job."""
+    """Return the stages after reading a measured file; those of the corrected job are estimated by the job."""
     from turnwright.job import steps_of_correction, steps_of_diagnosis, steps_of_run  # noqa: PLC0415
 
-    heights = [file.stat().st_size / HEIGHT_BYTES]
+    heights = [file.stat().st_size / TYPICAL_HEIGHT_BYTES]
     if kind == "measure":
         return steps_of_diagnosis(heights)
     *before, report = steps_of_correction(heights)
-    return (*before, Step(stage="report of the correction", work=report.work), *steps_of_run(job), INDEX)
+    return (*before, Step(stage="report of the correction", work=report.work), *steps_of_run(job), INDEX_STEP)
 
 
 @contextmanager
 def _deadline(seconds: float, sentence: str) -> Iterator[None]:
-    """End the process with a sentence unless the block is done in time: compiled code hears nothing else."""
+    """End the process with a message unless the block ends in time; compiled code cannot be interrupted otherwise."""
 
     def end() -> None:
-        _say("failed", sentence)
+        _print_outcome("failed", sentence)
         os._exit(1)
 
     timer = threading.Timer(seconds, end)
@@ -252,45 +252,45 @@ def _deadline(seconds: float, sentence: str) -> Iterator[None]:
         timer.cancel()
 
 
-def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], tell: _Teller) -> Ended:
-    """As ``turnwright diagnose``, and what the page shows of it."""
+def _diagnose(run: Path, server: Path, out: Path, record: dict[str, Any], progress: _ProgressWriter) -> Ended:
+    """Run ``turnwright diagnose`` and write the data of the page."""
     from turnwright import report  # noqa: PLC0415
     from turnwright.job import diagnose, missed  # noqa: PLC0415
     from turnwright.web.shown import write_shown  # noqa: PLC0415
 
-    measured = [_measured(run, server, tell, record)]
-    found = diagnose(measured, progress=tell)
-    tell("report", 0, 1)
+    measured = [_measured(run, server, progress, record)]
+    diagnosis = diagnose(measured, progress=progress)
+    progress("report", 0, 1)
     report.archive_measured(measured[0], out)
-    report.archive_diagnosis(measured, found, out)
-    report.write_diagnosis(measured, found, out)
-    write_shown(measured[0], found, out)
-    return Ended(found.summary, missed(measured[0].verdicts))
+    report.archive_diagnosis(measured, diagnosis, out)
+    report.write_diagnosis(measured, diagnosis, out)
+    write_shown(measured[0], diagnosis, out)
+    return Ended(diagnosis.summary, missed(measured[0].verdicts))
 
 
-def _correct(run: Path, server: Path, out: Path, record: dict[str, Any], tell: _Teller) -> Ended:
-    """As ``turnwright correct``, then as ``turnwright run`` of the job that it wrote."""
+def _correct(run: Path, server: Path, out: Path, record: dict[str, Any], progress: _ProgressWriter) -> Ended:
+    """Run ``turnwright correct``, then ``turnwright run`` of the corrected job."""
     from turnwright import report  # noqa: PLC0415
     from turnwright.job import Job, correct, diagnose, missed  # noqa: PLC0415
     from turnwright.web.shown import write_predicted  # noqa: PLC0415
 
-    measured = [_measured(run, server, tell, record)]
-    found = diagnose(measured, progress=tell)
-    better_folder = run / CORRECTION
-    shutil.rmtree(better_folder, ignore_errors=True)
-    better_folder.mkdir()
-    better = correct(measured[0].job, found, measured, out=better_folder, progress=tell)
-    tell("report of the correction", 0, 1)
-    report.archive_correction(measured, found, better, better_folder)
-    report.write_correction(measured, found, better, better_folder)
-    write_predicted(better, better_folder)
-    _cut(Job.load(better.file), out, tell)
+    measured = [_measured(run, server, progress, record)]
+    diagnosis = diagnose(measured, progress=progress)
+    correction_folder = run / CORRECTION
+    shutil.rmtree(correction_folder, ignore_errors=True)
+    correction_folder.mkdir()
+    correction = correct(measured[0].job, diagnosis, measured, out=correction_folder, progress=progress)
+    progress("report of the correction", 0, 1)
+    report.archive_correction(measured, diagnosis, correction, correction_folder)
+    report.write_correction(measured, diagnosis, correction, correction_folder)
+    write_predicted(correction, correction_folder)
+    _cut(Job.load(correction.file), out, progress)
     _pack(run, server, out)
-    pv, rms = better.numbers_nm["simulated" if better.predicted is None else "predicted"]
-    return Ended(f"predicted after the correction: PV {pv:.4g} nm, rms {rms:.4g} nm", missed(better.verdicts))
+    pv, rms = correction.numbers_nm["simulated" if correction.predicted is None else "predicted"]
+    return Ended(f"predicted after correction: PV {pv:.4g} nm, rms {rms:.4g} nm", missed(correction.verdicts))
 
 
-KINDS: dict[str, Callable[[Path, Path, Path, dict[str, Any], _Teller], Ended]] = {
+RUNNERS: dict[str, Callable[[Path, Path, Path, dict[str, Any], _ProgressWriter], Ended]] = {
     "run": _run,
     "compare": _compare,
     "measure": _diagnose,

@@ -1,4 +1,4 @@
-"""Processes that are kept warm for what a page waits for: the server itself computes nothing, so it always answers."""
+"""Persistent worker processes for interactive requests, so that the server stays responsive."""
 
 from __future__ import annotations
 
@@ -23,44 +23,44 @@ if TYPE_CHECKING:
 __all__ = ["Busy", "Superseded", "TooLong", "Workers", "planners"]
 
 LIMIT_S = 60.0
-"""What a page waits for at most; the worker is then ended."""
+"""Time limit for an answer; the worker process is then ended. [s]"""
 
-KEPT = 64
-"""Answers kept for an equal question."""
+MAX_ANSWERS = 64
+"""Cached answers."""
 
-KEPT_BYTES = 256 * 2**20
-"""And how large they may be together."""
+MAX_ANSWER_BYTES = 256 * 2**20
+"""Total size of the cached answers. [byte]"""
 
 PLANNERS = 2
-"""Processes kept warm for what a page waits for."""
+"""Number of worker processes."""
 
-LATER_S = 8.0
-"""Until the next process is started: the first page shall not share the processor with it. [s]"""
+START_DELAY_S = 8.0
+"""Delay before the next process starts, so that it does not slow down the first page. [s]"""
 
-PATIENCE_S = 2.0
-"""Or until a question has waited for so long behind another one. [s]"""
+MAX_WAIT_S = 2.0
+"""Waiting time of a request after which the next process starts. [s]"""
 
-REST_S = 0.3
-"""Silence after which a page is taken to be content: only then a process loads what may be asked for next. [s]"""
+IDLE_S = 0.3
+"""Time without requests after which a process loads what later requests may need. [s]"""
 
-WAITING = 64
-"""Questions that may wait; beyond these the server is overrun."""
+MAX_WAITING = 64
+"""Waiting requests above which new ones are refused."""
 
 
-class Superseded(TurnwrightError):  # noqa: N818 - it says what happened
-    """A later question of the same page made this one idle."""
+class Superseded(TurnwrightError):  # noqa: N818 - the name states what happened
+    """A later request of the same page replaced this one."""
 
 
 class TooLong(InputError):  # noqa: N818
-    """The answer takes longer than a page waits, or more memory than a worker has."""
+    """The answer exceeds the time or memory limit of a worker."""
 
 
 class Busy(TurnwrightError):  # noqa: N818
-    """More questions wait than a server takes."""
+    """Too many requests are waiting."""
 
 
 class _Process:
-    """One of them: it starts when it is due, and is lent to questions once it is warm."""
+    """A worker process: it starts when ``due`` is set and takes requests when ``warm`` is done."""
 
     def __init__(self, threads: int) -> None:
         self.pool = LocalPool(workers=1, threads=threads)
@@ -69,18 +69,18 @@ class _Process:
 
 
 class Workers:
-    """A few warm processes, each with one question at a time; the first starts at once.
+    """A few worker processes, each with one request at a time; the first starts at once.
 
     Parameters
     ----------
     count
-        How many.
+        Number of processes.
     threads
-        How many threads each may use.
+        Threads per process.
     warm
-        Called in each before any question.
+        Called in each process before any request.
     then
-        Called after that, one after the other, whenever nobody has asked anything for a moment.
+        Called afterwards, one after another, while no requests arrive.
     """
 
     def __init__(
@@ -88,8 +88,8 @@ class Workers:
     ) -> None:
         self.threads, self.warm, self.then = threads, warm, then
         self._closing = threading.Event()
-        self._open, self._asked = 0, -REST_S
-        self._processes = [self._start(LATER_S * number) for number in range(count)]
+        self._open, self._asked = 0, -IDLE_S
+        self._processes = [self._start(START_DELAY_S * number) for number in range(count)]
         self._free: asyncio.PriorityQueue[int] | None = None
         self._latest: dict[str, asyncio.Event] = {}
         self._running: dict[str, asyncio.Task[Any]] = {}
@@ -104,20 +104,20 @@ class Workers:
         keep: bool = False,
         limit_s: float = LIMIT_S,
     ) -> Any:
-        """Return what a function of a module answers in one of the processes.
+        """Call a function in one of the processes and return its result.
 
         Parameters
         ----------
         function
-            Called there with the arguments; what it raises is raised here.
+            Function of a module; its exceptions are raised here.
         arguments
             Plain data.
         latest
-            Names a question of which only the last one counts: one that still waits gives way with `Superseded`.
+            Key of requests of which only the last one counts: an earlier one that still waits raises `Superseded`.
         keep
-            Whether an equal question is answered from memory: its arguments must be data as JSON has it.
+            Whether the result is cached; the arguments must then be JSON data.
         limit_s
-            Until the process is ended and `TooLong` raised. [s]
+            Time limit; the process is then ended and `TooLong` raised. [s]
         """
         key = ""
         if keep:
@@ -129,7 +129,7 @@ class Workers:
         if key and key in self._running:
             task = self._running[key]
         else:
-            # A task of its own: who asked may go away, the process is then still at it.
+            # A separate task: it continues if the client disconnects.
             task = asyncio.create_task(self._answer(function, arguments, latest, limit_s))
             if key:
                 self._running[key] = task
@@ -139,40 +139,40 @@ class Workers:
         return await asyncio.shield(task)
 
     def close(self) -> None:
-        """End all processes, whatever they do."""
+        """Kill all processes."""
         self._closing.set()
         for one in self._processes:
             one.due.set()
             one.pool.kill()
 
     def _start(self, after_s: float = 0.0) -> _Process:
-        """Return a process that is warmed up after a while."""
+        """Return a process that starts after a delay."""
         one = _Process(self.threads)
         threading.Thread(target=self._warm_up, args=(one, after_s), daemon=True).start()
         return one
 
-    def _warm_up(self, one: _Process, after_s: float) -> None:
-        """Prepare a process; what stands against it, whoever asks it first will hear."""
-        one.due.wait(after_s)
+    def _warm_up(self, process: _Process, after_s: float) -> None:
+        """Prepare a process; an error is raised again by its first request."""
+        process.due.wait(after_s)
         with suppress(Exception):
-            one.pool.submit(self.warm).result()
-        one.warm.set_result(None)
+            process.pool.submit(self.warm).result()
+        process.warm.set_result(None)
         with suppress(Exception):
             for step in self.then:
-                while (left := self._left()) > 0 and not self._closing.wait(left):
+                while (delay := self._left()) > 0 and not self._closing.wait(delay):
                     pass
-                one.pool.submit(step).result()
+                process.pool.submit(step).result()
 
     def _left(self) -> float:
-        """Return for how long a page is not yet taken to be content, as far as that is known. [s]."""
-        return REST_S if self._open else self._asked + REST_S - time.monotonic()
+        """Return the remaining time until the server counts as idle. [s]."""
+        return IDLE_S if self._open else self._asked + IDLE_S - time.monotonic()
 
     def _lend(self, number: int, free: asyncio.PriorityQueue[int]) -> None:
-        """Let a process be asked, as soon as it is warm."""
+        """Make a process available as soon as it is warm."""
         loop = asyncio.get_running_loop()
 
         def lent(_: object) -> None:
-            with suppress(RuntimeError):  # the server has ended meanwhile
+            with suppress(RuntimeError):  # the server has ended
                 loop.call_soon_threadsafe(free.put_nowait, number)
 
         self._processes[number].warm.add_done_callback(lent)
@@ -182,7 +182,7 @@ class Workers:
         if task.cancelled() or task.exception() is not None:
             return
         self._answers[key] = task.result()
-        while len(self._answers) > KEPT or sum(_size(one) for one in self._answers.values()) > KEPT_BYTES:
+        while len(self._answers) > MAX_ANSWERS or sum(_size(one) for one in self._answers.values()) > MAX_ANSWER_BYTES:
             self._answers.popitem(last=False)
 
     async def _answer(
@@ -192,8 +192,8 @@ class Workers:
             self._free = asyncio.PriorityQueue()  # the first is the warmest
             for number in range(len(self._processes)):
                 self._lend(number, self._free)
-        if self._waiting >= WAITING:
-            raise Busy(f"{self._waiting} questions wait already, the limit is {WAITING}: ask again in a moment")
+        if self._waiting >= MAX_WAITING:
+            raise Busy(f"at most {MAX_WAITING} requests can wait, got {self._waiting}: try again later")
         self._open += 1
         try:
             number = await self._turn(self._free, latest)
@@ -206,37 +206,37 @@ class Workers:
             self._asked = time.monotonic()
 
     async def _turn(self, free: asyncio.PriorityQueue[int], latest: str) -> int:
-        """Wait for a process; give way to a later question of the same name."""
-        given_up = asyncio.Event()
+        """Wait for a process; raise `Superseded` if a later request has the same key."""
+        superseded = asyncio.Event()
         if latest:
             if latest in self._latest:
                 self._latest[latest].set()
-            self._latest[latest] = given_up
-        got, gone = asyncio.create_task(free.get()), asyncio.create_task(given_up.wait())
+            self._latest[latest] = superseded
+        got, gone = asyncio.create_task(free.get()), asyncio.create_task(superseded.wait())
         self._waiting += 1
         try:
-            while not (await asyncio.wait({got, gone}, timeout=PATIENCE_S, return_when=asyncio.FIRST_COMPLETED))[0]:
+            while not (await asyncio.wait({got, gone}, timeout=MAX_WAIT_S, return_when=asyncio.FIRST_COMPLETED))[0]:
                 self._hurry()
             if got.done():
                 return got.result()
-            raise Superseded("a later question took the place of this one: its answer counts")
+            raise Superseded("a later request replaced this one")
         finally:
             self._waiting -= 1
             gone.cancel()
             if not got.done():
                 got.cancel()
-            if self._latest.get(latest) is given_up:
+            if self._latest.get(latest) is superseded:
                 del self._latest[latest]
 
     def _hurry(self) -> None:
-        """Start the processes that are not due yet, if those that are warm have their hands full."""
+        """Start the remaining processes if the warm ones are busy."""
         if any(one.warm.done() for one in self._processes):
             for one in self._processes:
                 one.due.set()
 
     async def _in(self, number: int, function: Callable[..., Any], arguments: tuple[Any, ...], limit_s: float) -> Any:
         if self._closing.is_set():
-            raise Busy("the server is about to end: start it again, then ask again")
+            raise Busy("the server is shutting down")
         future: Future[Any] = self._processes[number].pool.submit(function, *arguments)
         try:
             return await asyncio.wait_for(asyncio.wrap_future(future), limit_s)
@@ -244,20 +244,20 @@ class Workers:
             if self._closing.is_set():
                 raise
             gone, self._processes[number] = self._processes[number], self._start()
-            # Once it is gone nobody writes into what it worked on, and Windows, too, lets that be removed.
+            # Wait until it has ended, so that its files can be removed on Windows, too.
             await asyncio.to_thread(gone.pool.kill)
             raise TooLong(
-                f"the answer takes more than {limit_s:g} s, the limit for what a page waits for: take fewer points or "
-                "a simpler surface, or start it as a run"
+                f"the answer takes more than {limit_s:g} s, the limit of the page: use fewer points or a simpler "
+                "surface, or start a run"
             ) from None
         except (WorkerDied, CancelledError) as error:
-            raise TooLong(f"the process that worked on it ended ({error}): take fewer points, then ask again") from None
+            raise TooLong(f"the worker process ended ({error}): use fewer points") from None
         except MemoryError as error:
-            raise TooLong(f"the memory is not enough ({error}): take fewer points") from None
+            raise TooLong(f"out of memory ({error}): use fewer points") from None
 
 
 def planners() -> Workers:
-    """Start the processes that plan what a page describes: each has all cores, for one question at a time."""
+    """Start the worker processes for planning; each may use all cores, for one request at a time."""
     then = (seen.warm_compiler, seen.warm_surface, jobs.warm_kernels)
     return Workers(PLANNERS, threads=cores(), warm=jobs.warm, then=then)
 
