@@ -289,7 +289,7 @@ def test_a_taken_folder_is_not_touched(place, capsys):
     job = written(place)
     (place / "out").mkdir()
     (place / "out" / "thesis.txt").write_text("years of work")
-    assert "is there already and not empty" in refused(place, job, capsys)
+    assert "already exists and is not empty" in refused(place, job, capsys)
 
 
 def test_a_folder_inside_a_file_is_refused(place, capsys):

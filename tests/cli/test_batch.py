@@ -39,7 +39,7 @@ def test_each_job_is_a_line_and_a_folder_and_none_is_done_twice(tmp_path, capsys
     assert wrong.startswith("wrong  failed: tool.nose_radius: '3 apples' has the unit 'apples'")
     assert other.startswith("other  ")
     assert gone.startswith("gone   failed: the job file")
-    assert last == f"2 of 4 jobs are done, their reports in {out}/JOB/report.html"
+    assert last == f"2 of 4 jobs are done, their reports are in {out}/JOB/report.html"
     assert sorted(file.name for file in out.iterdir()) == ["good", "other"]
     assert {"report.html", "result.json", "part.nc", "case.json"} <= {file.name for file in (out / "good").iterdir()}
     assert json.loads((out / "good" / "result.json").read_text())["passes"][0]["feed"] == pytest.approx(0.04)
@@ -50,16 +50,16 @@ def test_each_job_is_a_line_and_a_folder_and_none_is_done_twice(tmp_path, capsys
     good, wrong, other, gone, last = capsys.readouterr().out.splitlines()
     assert good.startswith("good   as before: ")
     assert other.startswith("other  failed: ")
-    assert "is there already and not empty" in other  # it is the folder of another job by now
+    assert "already exists and is not empty" in other  # it is the folder of another job by now
     assert {file: file.stat().st_mtime_ns for file in out.rglob("*")} == before
 
     assert main([*command[:2], files[2], "--out", str(out), "--force"]) == 0
-    assert "as before" not in capsys.readouterr().out.splitlines()[1]
+    assert "already done" not in capsys.readouterr().out.splitlines()[1]
     assert sorted(file.name for file in out.iterdir()) == ["good", "other", "other.old-1"]
 
     (out / "good" / "case.json").write_text("[1]")  # somebody else's
     assert main([*command[:2], files[2], "--out", str(out)]) == 2
-    assert "is there already and not empty" in capsys.readouterr().out.splitlines()[0]
+    assert "already exists and is not empty" in capsys.readouterr().out.splitlines()[0]
 
 
 def at_work(session):
@@ -92,7 +92,7 @@ def test_an_interrupted_study_keeps_finished_rows(how, tmp_path):
     assert process.returncode == (130 if how == signal.SIGINT else -signal.SIGKILL)
     if how == signal.SIGINT:
         assert said.splitlines()[-1] == (
-            f"turnwright: interrupted, what is finished stays in {out}: give the same command to go on"
+            f"turnwright: interrupted, finished jobs are in {out}: repeat the command to continue"
         )
         assert "Traceback" not in said
     while at_work(process.pid):  # its worker notices
@@ -108,7 +108,7 @@ def test_an_interrupted_study_keeps_finished_rows(how, tmp_path):
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
-        ([], "2 jobs are named 'a', and so would be their folders"),
+        ([], "2 jobs are named 'a'"),
         (["b"], "the number of workers is 0, it must be a whole number, 1 to 1000: give one"),
     ],
 )

@@ -56,7 +56,7 @@ def test_a_speed_that_the_path_is_too_short_for_ends_with_2(tmp_path, capsys):
         if code:
             assert re.search(r"spindle_rpm is 260 rev/min, .* 24\d\.\d+ rev/min, set by the C acceleration", said.err)
         else:
-            assert " min at 200 rpm, spindle speed as stated binds" in said.out
+            assert " min at 200 rpm, limited by spindle speed as stated" in said.out
             assert "200 rev/min" in (tmp_path / f"out {speed}" / "report.html").read_text(encoding="utf-8")
 
 
@@ -77,7 +77,7 @@ def test_a_batch_ends_with_the_gravest_code(tmp_path, capsys):
     assert lines[1].endswith("(exit code 4)")
     assert main(["run", over, wrong, "--out", str(tmp_path / "two"), "--workers", "1"]) == 2
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("over   as before: ")
+    assert lines[0].startswith("over   already done: ")
     assert lines[0].endswith("(exit code 4)")
     assert lines[1].endswith("(exit code 2)")
 

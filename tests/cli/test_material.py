@@ -139,8 +139,8 @@ def test_a_brittle_finish_is_warned_of_with_the_feed_that_holds(tmp_path):
     assert chips["thickest"] * 1e6 > 600
     assert any("brittle" in one and "feed at most" in one for one in told["warnings"])
     page = (out / "report.html").read_text()
-    assert "<h2>Chips</h2>" in page
-    assert "thickest chip" in page.lower()
+    assert "<h2>Uncut chip thickness</h2>" in page
+    assert "uncut chip thickness" in page.lower()
     # The feed that is named holds.
     feed = f"{chips['largest_feed'] * 1e3:.4f} um/rev"
     again = tw.run(Job.load(job(tmp_path, feed=feed)))

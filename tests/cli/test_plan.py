@@ -92,7 +92,7 @@ def test_what_is_there_is_kept(tmp_path, capsys):
     job = written(tmp_path, ("tolerances", TOLERANCES))
     before = job.read_bytes()
     assert main(["plan", str(job), "--out", str(job)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert job.read_bytes() == before
 
 

@@ -42,7 +42,7 @@ def test_the_rms_of_a_polar_map_is_that_over_its_area(tmp_path, capsys):
     (rms,) = re.findall(r"rms ([\d.]+) nm", capsys.readouterr().out)
     assert float(rms) == pytest.approx(HEIGHT / np.sqrt(8), rel=1e-3)
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert f"{rms} nm, within the clear radius" in page
+    assert f"{rms} nm, over the clear aperture" in page
     assert "17.7 nm rms" in page  # below the map of the error
 
 

@@ -183,9 +183,9 @@ def test_the_chips_of_every_pass_stand_in_a_table(tmp_path):
     text, chips = in_glass(tmp_path, critical='value = "600 nm"')
     thickest = f"{chips.thickest * 1e6:.3g} nm"
     assert f"finish ductile {thickest} 600 nm {100 * (1 - chips.thickest / 600e-6):.0f} %" in text
-    assert f"pass finish, up to {thickest}; the material bears 600 nm, which is exceeded nowhere." in text
-    assert "rough brittle, taken off later" in text
-    assert "effective rake of 0° to 0°" in text
+    assert f"pass finish, up to {thickest}; the critical chip thickness is 600 nm, exceeded nowhere." in text
+    assert "rough brittle, removed by later passes" in text
+    assert "Effective rake angle: 0° to 0°" in text
     assert "Ready to cut" in text
 
 
@@ -194,8 +194,8 @@ def test_a_margin_inside_its_uncertainty_is_not_ready_to_cut(tmp_path):
     text, chips = in_glass(tmp_path, critical='value = "450 nm"\nuncertainty = "90 nm"', ratio=20)
     margin, band = 100 * (1 - chips.thickest / 450e-6), 100 * 2 * 90 / 450
     assert abs(margin) < band
-    assert f"cannot be told {chips.thickest * 1e6:.3g} nm 450 nm {margin:.0f} ± {band:.3g} %" in text
-    assert "Cracks may stay" in text
+    assert f"uncertain {chips.thickest * 1e6:.3g} nm 450 nm {margin:.0f} ± {band:.3g} %" in text
+    assert "Brittle damage possible" in text
     assert "not certainly ductile: it cannot be told, the margin of" in text
 
 
@@ -214,14 +214,14 @@ def test_what_the_job_accepts_is_neither_good_nor_bad(small, tmp_path):
     findings = (dataclasses.replace(result.access.findings[0], ok=False), *result.access.findings[1:])
     access = dataclasses.replace(result.access, ok=False, findings=findings)
     text = read(write_report(dataclasses.replace(result, access=access), tmp_path / "page.html")).text
-    assert "Ready as accepted" in text
+    assert "Ready with exceptions" in text
     assert "not ok" in text
 
 
 def test_a_program_that_differs_from_its_plan_is_the_verdict(small, tmp_path):
     result, _ = small
     text = read(write_report(dataclasses.replace(result, rounding_nm=9.0, rounding_limit_nm=1.0), tmp_path)).text
-    assert "Not ready the program differs from the plan" in text
+    assert "Not ready rounding in the program exceeds its limit" in text
 
 
 def test_programs_that_are_gone_are_named_without_a_link(small, tmp_path):
@@ -251,7 +251,7 @@ def test_missing_points_and_many_large_maps_stay_legible_and_small(small, tmp_pa
     assert page.stat().st_size < 3e6, page.stat().st_size
     text = read(page).text
     assert "zone 3" in text
-    assert "2 more maps are in the folder" in text
+    assert "2 more maps are in the run folder" in text
     assert "–" in text
 
 
@@ -289,5 +289,5 @@ def test_a_foreign_program_beyond_the_machine_says_so(small, tmp_path):
     slow = dataclasses.replace(result.machine, block_rate_hz=1.0)
     limits = check_limits(result.motion, slow)
     text = read(write_backplot("foreign.nc", job, result.motion, limits, result.predictions, tmp_path / "p.html")).text
-    assert "Not within limits the machine cannot follow" in text
+    assert "Not within limits a machine limit is exceeded" in text
     assert limits.findings[0] in text

@@ -42,7 +42,7 @@ def test_a_picture_is_drawn_and_an_old_one_stays(tmp_path, capsys, suffix):
     first = picture.read_bytes()
     assert first[:4] in (b"\x89PNG", b"<?xm", b"%PDF")
     assert main(["show", str(tmp_path / "a.sdf"), "--picture", str(picture)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert picture.read_bytes() == first
 
 
@@ -75,8 +75,8 @@ def test_a_profile_is_shown_with_its_feed_and_scallops(tmp_path, capsys):
     assert "size: 962 points, 871.1 nm apart, 837.1 um" in out
     assert "feed: 10.17 um" in out
     assert "median 58.51 nm" in out
-    assert "a perfect nose of 200 um leaves scallops of 64.63 nm" in out
-    assert "as seen by zygo-nexview-10x" in out
+    assert "ideal scallop height of a 200 um nose: 64.63 nm" in out
+    assert "as measured by zygo-nexview-10x" in out
     assert "roughness over 5 sections of 80 um: Ra 8.427 nm" in out
     assert (tmp_path / "a.png").stat().st_size > 1000
     # A feed is stated as in a job.
@@ -95,9 +95,9 @@ def test_columns_of_a_profile_are_chosen_by_name(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--picture", "a.jpg"], "it can end in .png, .svg, .pdf"),
+        (["--picture", "a.jpg"], "must end in .png, .svg, .pdf"),
         (["--form", "cone"], "form is 'cone'"),
-        (["--nose-radius", "0.2 mm"], "add --profile"),
+        (["--nose-radius", "0.2 mm"], "--nose-radius"),
         (["--pixel-size", "2 um"], "states the size of its pixels"),
         (["--profile"], "not a profile"),
     ],

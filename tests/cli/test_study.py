@@ -80,7 +80,7 @@ def test_the_command_leaves_table_page_and_study(job_file, tmp_path, capsys):
         "job.toml", "report.html", "study.csv", "study.json", "study.parquet",
     ]  # fmt: skip
     assert not (tmp_path / "study.cases").exists()
-    assert "9 cases, 0 of them refused" in said.out
+    assert "9 cases, 0 failed" in said.out
     with (out / "study.csv").open(encoding="utf-8", newline="") as lines:
         head, *rows = csv.reader(lines)
     assert head == [
@@ -277,7 +277,7 @@ def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys,
     assert cli.main(asked) == 130
     said = capsys.readouterr().err
     kept = tmp_path / "out.cases"
-    assert f"interrupted, the finished cases stay in {kept}: give the same command to go on" in said
+    assert f"interrupted, finished cases are in {kept}: repeat the command to continue" in said
     assert not (tmp_path / "out").exists()
     before = {file.name: file.stat().st_mtime_ns for file in (kept / "rows").iterdir()}
     assert len(before) == 2
@@ -298,7 +298,7 @@ def test_an_interrupted_command_goes_on_where_it_was(job_file, tmp_path, capsys,
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (["--vary", "tool.nose_radius", "--measure", "sq_nm"], "names no field and values: write it such as"),
+        (["--vary", "tool.nose_radius", "--measure", "sq_nm"], "--vary must be FIELD=VALUES"),
         (["--vary", "tool.nos_radius=1 mm", "--measure", "sq_nm"], "did you mean tool.nose_radius?"),
         (["--vary", "tool.nose_radius=1 mm", "--measure", "sq_nmm"], "'sq_nmm' is not a measure: did you mean sq_nm?"),
         (["--vary", "tool.nose_radius=0.1..1 mm", "--measure", "sq_nm"], "has no single values for a grid"),
@@ -406,12 +406,12 @@ def test_a_study_of_refused_cases_keeps_its_rows(job_file, tmp_path, capsys):
     ])  # fmt: skip
     said = capsys.readouterr()
     assert code == 2
-    assert said.err.splitlines()[-1].startswith("turnwright: all 2 cases are refused, the first for this: ")
-    assert "2 cases, 2 of them refused" in said.out
+    assert said.err.splitlines()[-1].startswith("turnwright: all 2 cases failed, the first one: ")
+    assert "2 cases, 2 failed" in said.out
     found = Study.load(out)
     assert len(found) == 2
     assert not found.ok.any()
-    assert "Refused" in (out / "report.html").read_text(encoding="utf-8")
+    assert "Failed cases" in (out / "report.html").read_text(encoding="utf-8")
     assert not (tmp_path / "out.cases").exists()
 
 
@@ -478,7 +478,7 @@ def test_the_page_draws_any_study(job, threads, tmp_path, vary, design, pictures
     found = study(job, vary=vary, measure=["sq_nm", "minutes"], executor=threads, seed=1, **design)
     page = write_study(found, tmp_path).read_text(encoding="utf-8")
     assert page.count("<svg") == pictures
-    assert ("Refused" in page) == (not found.ok.all())
+    assert ("Failed cases" in page) == (not found.ok.all())
 
 
 def test_a_study_of_jobs_as_data_keeps_only_plain_data(job, threads, tmp_path):

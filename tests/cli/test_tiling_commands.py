@@ -78,7 +78,7 @@ def test_command(job, tmp_path, capsys):
     assert main(["tile", str(job), "--pixel", "2 um", "--out", str(out), "--tile", "128"]) == 0
     said = capsys.readouterr()
     assert "map: 401 x 401 pixels" in said.out
-    assert "beats with cusps" not in said.err
+    assert "aliases cusps" not in said.err
     numbers = json.loads((out / "tiled.json").read_text(encoding="utf-8"))
     # Away from the axis and the rim a flat keeps the cusps of the closed form.
     sq = (0.5 - np.sqrt(0.25 - 0.01**2 / 4)) * np.sqrt(4 / 45) * 1e6
@@ -95,7 +95,7 @@ def test_command(job, tmp_path, capsys):
     assert chunks(out / "map.zarr") == before
     capsys.readouterr()
     assert main(["tile", str(job), "--pixel", "4 um", "--out", str(tmp_path / "coarse")]) == 0
-    assert "the pixel of 4 um beats with cusps 10 um apart" in capsys.readouterr().err
+    assert "the pixel of 4 um aliases cusps at a feed of 10 um" in capsys.readouterr().err
     assert main(["tile", str(job), "--pixel", "3 um", "--out", str(out)]) == 2
     assert "holds the map of another motion, tool, surface or grid" in capsys.readouterr().err
 
@@ -129,20 +129,20 @@ def test_what_cannot_be_is_told_before_the_part_is_planned(job, tmp_path, capsys
             [*command, "--tile", "8"],
             "the width of a tile in pixels is 8, it must be a whole number, 64 to 32768: give one",
         ),
-        ([*command, "--tile", "256"], "holds the map of another job, tile or version"),
+        ([*command, "--tile", "256"], "holds the map of another job, tile size or version"),
         (
             [*command[:2], "--pixel", "3 um", *command[4:], "--tile", "128"],
             "holds the map of another motion, tool, sur",
         ),
         ([*command[:2], "--pixel", "1 m", "--out", str(tmp_path / "new")], "the map has 1 x 1 pixels"),
-        ([*command[:5], str(taken)], "is there already and holds something else: name another folder"),
-        ([*command[:5], str(file)], "letter.txt' is no folder, and the map needs one: name another"),
-        ([*command[:5], str(file / "deep")], "letter.txt' is no folder, and the map needs one: name another"),
+        ([*command[:5], str(taken)], "already exists and holds other files"),
+        ([*command[:5], str(file)], "letter.txt' is not a folder"),
+        ([*command[:5], str(file / "deep")], "letter.txt' is not a folder"),
         ([*command[:5], str(tmp_path / "new"), "--cluster", "tcp://127.0.0.1:9"], "no Dask scheduler answers at"),
     ):
         assert said in refused(*words)
     job.write_text(JOB.replace('feed = "10 um/rev"', 'feed = "9 um/rev"'), encoding="utf-8")
-    assert "holds the map of another job, tile or version" in refused(*command, "--tile", "128")
+    assert "holds the map of another job, tile size or version" in refused(*command, "--tile", "128")
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -157,7 +157,7 @@ def test_an_interrupt_keeps_the_finished_tiles_and_says_so(job, tmp_path):
         process.send_signal(signal.SIGINT)
         said = process.stderr.read()
     assert process.returncode == 130
-    assert said.splitlines()[-1].startswith("turnwright: interrupted, the finished tiles stay in")
+    assert said.splitlines()[-1].startswith("turnwright: interrupted, finished tiles are in")
     with pytest.raises(tw.InputError, match=r"has \d+ of \d+ tiles: finish it"):
         tw.studies.TiledMap.open(out / "map.zarr")
 

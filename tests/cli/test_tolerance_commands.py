@@ -150,7 +150,7 @@ def test_the_command_writes_a_table_and_a_page(tmp_path):
     ]  # fmt: skip
     with Stop() as stop:
         result = CliRunner().invoke(app, words, obj=Session(stop), catch_exceptions=False)
-    shares = re.findall(r"([0-9.]+)% of 16 parts keep all tolerances", result.output)
+    shares = re.findall(r"([0-9.]+)% of 16 parts meet all tolerances", result.output)
     assert result.exit_code == (0 if shares[-1] == "100.0" else 4), result.output
     assert "confirmed: " in result.output
     with (tmp_path / "out" / "cases.csv").open() as lines:

@@ -66,8 +66,8 @@ def test_a_run_predicts_what_the_servos_make_of_its_program(done):
         assert one["tracking"]["rms_nm"] == pytest.approx(np.sqrt(mean) * 1e6, rel=1e-9)
         assert one["tracking"]["pv_nm"] > 20
     page = (done / "out" / "report.html").read_text()
-    assert page.count("The servos add") == 2
-    assert "Servos add, PV" in page
+    assert page.count("Servo contribution: ") == 2
+    assert "Servo contribution, PV" in page
     assert set(read_maps(done / "out" / "run.h5")) == {"patch", "whole part"}
 
 
@@ -77,7 +77,7 @@ def test_a_backplot_tracks_any_program(done, tmp_path, capsys):
     program = str(done / "out" / "part.nc")
     assert main(["backplot", program, "--job", str(without), "--track", "--out", str(tmp_path / "maps")]) == 0
     said = capsys.readouterr()
-    assert "of it the servos" in said.out
+    assert "servo contribution" in said.out
     assert "track" in said.err.split()
     told = json.loads((tmp_path / "maps" / "backplot.json").read_text())
     for one in told:

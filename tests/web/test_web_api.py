@@ -355,7 +355,7 @@ def test_a_map_is_shown_without_a_job_and_not_kept(client, folder, tmp_path):
     assert unpack(answer.content)[1]["values"].shape == (600, 600)
     for name, content, sentence in (
         ("my map.x3p", b"PK\x03\x04 cut", "my map.x3p is an archive"),
-        ("a.exe", b"MZ", "it can end in"),
+        ("a.exe", b"MZ", "must end in"),
         ("a.npz", b"", "empty"),
     ):
         answer = client.post("/api/measurements/show", params={"name": name}, content=content)

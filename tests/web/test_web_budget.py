@@ -104,7 +104,7 @@ def test_the_routes_answer_and_say_what_is_missing(made: tuple[Path, tw.job.Resu
         assert client.get(f"/api/runs/{RUN}/budget").json() == _budget.budget(str(made[0]))
         for what in ("chips", "budget"):
             assert client.get(f"/api/runs/{'0' * 16}/{what}").status_code == 404
-    with pytest.raises(tw.InputError, match="no chips: give the part a stock"):
+    with pytest.raises(tw.InputError, match="stock and the material"):
         _made.chips(str(out), 33)
     (out / "run.h5").write_bytes(b"")
     with pytest.raises(tw.InputError, match="run it again"):

@@ -172,7 +172,7 @@ def test_an_empty_page_teaches_and_an_example_fills_it(bench):
     expect(page.locator("#welcome")).to_be_hidden()
     expect(page.locator("#verdict")).to_have_class("card verdict good")
     expect(page.locator("#run")).to_be_enabled()
-    expect(page.get_by_label("Place of the tool")).to_be_visible()  # from here on the scene keeps its size
+    expect(page.get_by_label("Position of the tool")).to_be_visible()  # from here on the scene keeps its size
     # The grid has shades, an empty canvas one colour, and a plane with its axes some dozens.
     shown = pixels(one.drawn("canvas.scene", colours=1500))
     page.get_by_label("Colour the part by").select_option("slope")
@@ -257,7 +257,7 @@ def test_remarks_stay_when_a_job_is_changed_undone_and_run(bench, by_hand, tmp_p
     assert one.download(links.get_by_role("link", name="Job as written")).decode() == wanted
     one.take(by_hand.parent / "job.toml")
     page.locator("#field-tool-nose_radius").fill("0.4 mm")
-    page.get_by_role("button", name="Take this job into the fields").click()
+    page.get_by_role("button", name="Edit this job").click()
     expect(feed).to_have_value("50 um/rev")
     assert one.download(save).decode() == wanted
     page.reload()
@@ -443,7 +443,7 @@ def test_two_terms_never_become_one(bench, tmp_path):
     name = one.page.get_by_label("name of term 2")
     name.fill("4")
     name.blur()
-    expect(one.page.locator("#foot")).to_contain_text("There is a term 4 already")
+    expect(one.page.locator("#foot")).to_contain_text("A term named 4 already exists")
     assert name.input_value() == "6"
     one.page.get_by_label("value of 6").fill("\N{MINUS SIGN}5e-8")
     assert one.store("job")["part"]["surface"]["terms"] == {"4": 2e-6, "6": -5e-8}
@@ -598,7 +598,7 @@ def test_the_wheel_leads_to_single_cusps(bench, motion):
     near = values[np.abs(y - at_y).argmin()][np.abs(x - at_x).argmin()]
     beside = np.abs(np.diff(values, axis=1)).max() + np.abs(np.diff(values, axis=0)).max()
     assert value == pytest.approx(near * 1e6, abs=beside * 1e6 + 0.01)
-    expect(page.locator("#panel-maps .mapbarrow")).to_contain_text("computed from the program")
+    expect(page.locator("#panel-maps .mapbarrow")).to_contain_text("simulated from the program")
 
 
 def turn(page, notches):
@@ -767,7 +767,7 @@ def test_an_injected_offset_is_found_and_corrected(bench, folder, tmp_path):
     assert main(["run", str(tmp_path / "job.toml"), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "part.nc").read_bytes() == program
     assert tw.Job.load(tmp_path / "job.toml").tool.offset[0] == pytest.approx(OFFSET, abs=doubt * 1e-3)
-    page.get_by_role("button", name="Take the corrected job into the fields").click()
+    page.get_by_role("button", name="Edit the corrected job").click()
     page.locator("#pill.good").wait_for()
 
 
@@ -790,9 +790,9 @@ def test_everything_is_reached_by_keys(bench):
     one = bench().look_at("run")
     page = one.page
     page.locator("#panel-maps canvas.mapcanvas").wait_for()
-    page.get_by_role("button", name="Take this job into the fields").click()
+    page.get_by_role("button", name="Edit this job").click()
     page.locator("#field-tool-nose_radius").wait_for()
-    page.get_by_label("Place of the tool on the finishing path").wait_for()
+    page.get_by_label("Position of the tool on the finishing path").wait_for()
     reached = []
     # The first round begins anywhere, and past its end is the browser itself.
     while [at["name"] for at in reached].count("Skip to the job") < 2:
@@ -804,7 +804,7 @@ def test_everything_is_reached_by_keys(bench):
     names = [at["name"] for at in reached]
     wanted = [
         "examples", "Open a job file", "run", "field-tool-nose_radius", "Colour the part by",
-        "Place of the tool on the finishing path", "Delete dish", "tab-maps",
+        "Position of the tool on the finishing path", "Delete dish", "tab-maps",
     ]  # fmt: skip
     places = [next((at for at, name in enumerate(names) if name.startswith(one)), None) for one in wanted]
     assert None not in places, (wanted, names)
@@ -1047,7 +1047,7 @@ def test_every_state_of_an_example_has_its_picture(chrome, tmp_path):
         keep("planned")
         page.locator("#run").click()
         page.locator("#outcome").wait_for()
-        page.locator("#outcome", has_text="to see what each adds").wait_for(state="hidden")
+        page.locator("#outcome", has_text="Simulating the finishing pass").wait_for(state="hidden")
         show_cut(one)
         keep("cut")
         page.get_by_role("button", name="Compare", exact=True).click()

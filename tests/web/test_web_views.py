@@ -112,7 +112,7 @@ def test_the_least_clearance_margin_seen_is_that_of_the_access() -> None:
     stated = {**data["tool"]}
     stated.pop("clearance")
     header, _ = unpack(_seen.surface({**data, "tool": stated}, "", "clearance margin", 65))
-    assert header["label"] == "clearance needed"
+    assert header["label"] == "required clearance"
 
 
 def test_the_chip_on_a_flat_is_the_round_chip() -> None:
@@ -121,7 +121,7 @@ def test_the_chip_on_a_flat_is_the_round_chip() -> None:
     np.testing.assert_allclose(arrays["values"], chip.thickest, rtol=1e-6)
     assert "expected" in header["note"]
     bare, arrays = unpack(_seen.surface(PLANE | {"part": {**PLANE["part"], "stock": "0 um"}}, "", "chip thickness", 16))
-    assert "add part.stock" in bare["refused"]
+    assert "part.stock" in bare["refused"]
     assert np.isnan(arrays["values"]).all()
     assert not arrays["z"].any()
 

@@ -37,8 +37,8 @@ def test_a_first_request_waits_for_the_warming_process():
 
 
 def test_a_question_behind_a_long_one_gets_a_process_of_its_own(monkeypatch):
-    monkeypatch.setattr(_workers, "LATER_S", 1000.0)
-    monkeypatch.setattr(_workers, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(_workers, "START_DELAY_S", 1000.0)
+    monkeypatch.setattr(_workers, "MAX_WAIT_S", 0.1)
 
     async def beside(workers):
         first = await workers.ask(os.getpid)
@@ -94,7 +94,7 @@ def test_who_waits_when_the_server_ends_is_told():
         waiting = asyncio.create_task(workers.ask(os.getpid))
         await asyncio.sleep(0)
         await asyncio.to_thread(workers.close)
-        with pytest.raises(Busy, match="about to end"):
+        with pytest.raises(Busy, match="shutting down"):
             await waiting
 
     carried_out(late)

@@ -1,4 +1,4 @@
-/* The way to the server: JSON, packed arrays, events, files. Every failure is an ApiError with one sentence. */
+/* Requests to the server: JSON, packed arrays, events, files. Every failure is an ApiError with one sentence. */
 
 export class ApiError extends Error {
   constructor(sentence, status) {
@@ -7,14 +7,14 @@ export class ApiError extends Error {
   }
 }
 
-/** The address of a path below /api, with what it asks. */
+/** The URL of a path below /api with a query. */
 export function address(path, query = {}) {
   const given = Object.entries(query).filter(([, value]) => value !== undefined && value !== null);
   const text = new URLSearchParams(given.map(([key, value]) => [key, String(value)])).toString();
   return `/api${path}${text ? `?${text}` : ""}`;
 }
 
-/** Told when the server is gone, and when it is back; by app.js. */
+/** Callback for a lost connection, set by app.js. */
 export const reach = { lost: () => {} };
 
 async function answer(path, options) {
@@ -24,7 +24,7 @@ async function answer(path, options) {
   } catch (error) {
     if (error.name === "AbortError") throw error;
     reach.lost();
-    throw new ApiError("The server does not answer: start turnwright serve again.", 0);
+    throw new ApiError("The server does not answer: restart turnwright serve.", 0);
   }
   if (response.ok) return response;
   let sentence = `The server answered ${response.status}.`;
@@ -32,7 +32,7 @@ async function answer(path, options) {
     const { detail } = await response.json();
     if (typeof detail === "string") sentence = detail;
   } catch {
-    // Not JSON: the number must do.
+    // Not JSON: keep the status code.
   }
   throw new ApiError(sentence, response.status);
 }
@@ -62,7 +62,7 @@ export async function remove(path) {
   await answer(address(path), { method: "DELETE" });
 }
 
-/** {header, arrays: {name: {data: Float32Array, shape}}} of what the server packed; nan where there is no value. */
+/** Unpack a message: {header, arrays: {name: {data: Float32Array, shape}}}; nan is a missing value. */
 export function unpack(buffer) {
   const view = new DataView(buffer);
   if (buffer.byteLength < 8 || view.getUint32(0) !== 0x54573031) {
@@ -96,29 +96,29 @@ export async function sendForPacked(path, query, file) {
   return unpack(await (await answer(address(path, query), options)).arrayBuffer());
 }
 
-/** Hear the events of a run: call.progress({stage, step, steps, fraction, left_s}), call.state({state, sentence}); return how to stop. */
+/** Subscribe to a run: call.progress({stage, step, steps, fraction, left_s}), call.state({state, sentence}); returns a function to stop. */
 export function events(id, call) {
   const source = new EventSource(address(`/runs/${id}/events`));
   const hear = (name) => source.addEventListener(name, (event) => call[name]?.(JSON.parse(event.data)));
   hear("progress");
   source.addEventListener("state", (event) => {
-    const told = JSON.parse(event.data);
-    call.state?.(told);
-    if (["done", "failed", "cancelled"].includes(told.state)) source.close();
+    const data = JSON.parse(event.data);
+    call.state?.(data);
+    if (["done", "failed", "cancelled"].includes(data.state)) source.close();
   });
   source.addEventListener("error", () => call.lost?.());
   return () => source.close();
 }
 
-/** POST the bytes of a file; `told(sent, total)` while they go. */
-export function upload(path, query, file, told = () => {}) {
+/** POST the bytes of a file; calls `progress(sent, total)`. */
+export function upload(path, query, file, progress = () => {}) {
   return new Promise((done, failed) => {
     const request = new XMLHttpRequest();
     request.open("POST", address(path, query));
     request.setRequestHeader("Content-Type", "application/octet-stream");
     request.responseType = "json";
-    request.upload.addEventListener("progress", (event) => told(event.loaded, event.total));
-    request.addEventListener("error", () => failed(new ApiError("The file did not reach the server: try again.", 0)));
+    request.upload.addEventListener("progress", (event) => progress(event.loaded, event.total));
+    request.addEventListener("error", () => failed(new ApiError("The upload failed: try again.", 0)));
     request.addEventListener("load", () => {
       if (request.status < 300) return done(request.response);
       const detail = request.response?.detail;

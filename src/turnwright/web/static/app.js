@@ -1,4 +1,4 @@
-/* The page itself: what it starts with, its bars and panes, keys, files in and out, light and dark. */
+/* The page: bars, panes, keys, files and themes. */
 
 import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
 import { get, postForFile, reach, upload } from "./api.js";
@@ -13,7 +13,7 @@ const $ = (id) => document.getElementById(id);
 
 // ------------------------------------------------------------------------------------------------------ what is kept
 
-/** What this browser remembers of the page's shape; it works as well without. */
+/** Layout settings in local storage, if available. */
 const kept = {
   read(key, otherwise) {
     try {
@@ -27,12 +27,12 @@ const kept = {
       if (value === null) localStorage.removeItem(`turnwright.${key}`);
       else localStorage.setItem(`turnwright.${key}`, value);
     } catch {
-      // A browser that keeps nothing: the page looks as it does at first.
+      // Local storage is not available.
     }
   },
 };
 
-/** The job outlives a reload of the page, in the same tab. */
+/** The job is kept across reloads in the same tab. */
 const tab = {
   read() {
     try {
@@ -45,7 +45,7 @@ const tab = {
     try {
       sessionStorage.setItem("turnwright.job", JSON.stringify(value));
     } catch {
-      // Too large or not allowed: the job can still be saved as a file.
+      // Too large, or session storage is not available.
     }
   },
 };
@@ -76,7 +76,7 @@ async function takeExample(name) {
   const before = openings();
   try {
     const example = await get(`/examples/${encodeURIComponent(name)}`);
-    // Whoever chose another one meanwhile wants that.
+    // Another one was chosen in the meantime.
     if (wanted !== name || before !== openings()) return;
     const known = state.examples.find((one) => one.name === name);
     takeJob({ job: example.data, toml: example.toml, errors: example.errors ?? [], title: known?.title ?? name });
@@ -106,15 +106,15 @@ async function takeFile(file) {
   }
 }
 
-/** Open a job that was saved with its files. */
+/** Open an archive of a job and its files. */
 async function takeArchive(file) {
   const most = state.about?.limits.file_bytes ?? Infinity;
-  if (file.size > most) return say(`${file.name} has ${Math.ceil(file.size / 2 ** 20)} MiB, the limit is ${most / 2 ** 20}: bring the files one by one.`, "bad");
+  if (file.size > most) return say(`${file.name} has ${Math.ceil(file.size / 2 ** 20)} MiB, the limit is ${most / 2 ** 20} MiB: upload the files one by one.`, "bad");
   const mine = (wanted = file);
   const before = openings();
   try {
     const { data, toml, errors } = await upload("/files/archive", {}, file);
-    // Whoever chose another one meanwhile wants that.
+    // Another one was chosen in the meantime.
     if (wanted !== mine || before !== openings()) return;
     takeJob({ job: data, toml, title: file.name.replace(/\.zip$/i, ""), errors });
     say("");
@@ -143,7 +143,7 @@ async function saveFile() {
   }
 }
 
-/** Job files may be dropped anywhere; what an instrument wrote goes to the panel that measures. */
+/** Dropped job files are opened; other files are uploaded as measurements. */
 function takeDrops() {
   const over = (event) => {
     if (![...event.dataTransfer.types].includes("Files")) return;
@@ -172,11 +172,11 @@ function Top({ panes }) {
   const going = runs.filter((run) => run.state === "running" || run.state === "queued").length;
   const refused = check?.preview?.refused?.length > 0;
   const word = !job ? null
-    : errors.length && check?.errors === errors && !check.access.ok ? { ok: false, text: "does not reach the part" }
-    : errors.length ? { ok: false, text: errors.length === 1 ? "1 field to mend" : `${errors.length} fields to mend` }
-    : !check ? { ok: null, text: checking ? "looking …" : "not judged" }
-    : check.access.ok && !refused ? { ok: true, text: "reaches the part" }
-    : { ok: false, text: check.access.ok ? "would be refused" : "does not reach the part" };
+    : errors.length && check?.errors === errors && !check.access.ok ? { ok: false, text: "no access to the part" }
+    : errors.length ? { ok: false, text: errors.length === 1 ? "1 field to correct" : `${errors.length} fields to correct` }
+    : !check ? { ok: null, text: checking ? "checking …" : "not checked" }
+    : check.access.ok && !refused ? { ok: true, text: "access to the part" }
+    : { ok: false, text: check.access.ok ? "would be refused" : "no access to the part" };
   return html`<${Fragment}>
     <span class="brand"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="M2 15q5 6 10 0t10 0" /><path d="m8.5 2.500h7l-2.300 9a1.2 1.250 0 0 1-2.400 0z" /></svg>Turnwright</span>
     <${Tool} icon="left" name="Job pane" keys="[" aria-controls="left" onClick=${() => panes.flip("left")} />
@@ -187,8 +187,8 @@ function Top({ panes }) {
     <h1 title=${job?.part?.name || title}>${job?.part?.name || title || "No job yet"}</h1>
     ${word && html`<span class=${`pill ${word.ok === null ? "" : word.ok ? "good" : "bad"}${checking ? " waiting" : ""}`} id="pill"><${Mark} ok=${word.ok} />${word.text}</span>`}
     <span class="gap"></span>
-    <button type="button" class="button" disabled=${!job || errors.length > 0} onClick=${() => start("compare")} title="Plan it by every strategy that the machine can do"><${Icon} name="compare" />Compare</button>
-    <button type="button" class="button accent" id="run" disabled=${!job || errors.length > 0} onClick=${() => start("run")} title="Plan, write the program, predict the surface  (Ctrl+Enter)"><${Icon} name="run" />Run${going > 0 && html` <span class="count">${going}</span>`}</button>
+    <button type="button" class="button" disabled=${!job || errors.length > 0} onClick=${() => start("compare")} title="Plan the finishing pass with every strategy of the machine"><${Icon} name="compare" />Compare</button>
+    <button type="button" class="button accent" id="run" disabled=${!job || errors.length > 0} onClick=${() => start("run")} title="Plan, write the program, simulate the surface  (Ctrl+Enter)"><${Icon} name="run" />Run${going > 0 && html` <span class="count">${going}</span>`}</button>
     <${Tool} icon=${theme === "dark" ? "sun" : "moon"} name=${theme === "dark" ? "Light" : "Dark"} keys="T" onClick=${switchTheme} />
     <${Tool} icon="help" name="Help and keys" keys="?" onClick=${() => $("help").showModal()} />
     <${Tool} icon="right" name="Results pane" keys="]" aria-controls="right" onClick=${() => panes.flip("right")} />
@@ -233,7 +233,7 @@ function Tabs({ panes }) {
     ${TABS.map(({ name, title }, index) => html`<button type="button" role="tab" id=${`tab-${name}`} aria-controls=${`panel-${name}`} aria-selected=${drawer === name ? "true" : "false"}
       tabindex=${drawer === name || (!drawer && index === 0) ? 0 : -1} title=${`${title}  (${index + 1})`} onClick=${() => set({ drawer: drawer === name && !ONE_PANE.matches ? null : name })}>${title}</button>`)}</div>
     <span class="gap"></span>
-    <${Tool} icon="tall" name="Taller or lower" keys="0" onClick=${() => panes.tall()} />
+    <${Tool} icon="tall" name="Larger or smaller" keys="0" onClick=${() => panes.tall()} />
     <${Tool} icon=${drawer ? "down" : "up"} name=${drawer ? "Close the lower area" : "Open the lower area"} keys="Esc" onClick=${() => set({ drawer: drawer ? null : "maps" })} /></div>`;
 }
 
@@ -259,7 +259,7 @@ function makePanes() {
 
   const show = (name, open) => {
     bench.dataset[name] = open ? "open" : "closed";
-    // On a tablet there is room for one of them beside the scene.
+    // On a tablet only one side pane fits next to the scene.
     if (open && NARROW.matches) bench.dataset[name === "left" ? "right" : "left"] = "closed";
   };
 
@@ -307,7 +307,7 @@ function makePanes() {
   };
 }
 
-/** On a phone one pane at a time has the screen; a row of buttons changes between them. */
+/** On a phone one pane is shown at a time, chosen by a row of buttons. */
 const VIEWS = { left: "Job", middle: "Scene", right: "Results", drawer: "Maps" };
 
 function Views() {
@@ -319,22 +319,22 @@ function Views() {
 // ------------------------------------------------------------------------------------------------------- empty state
 
 const STEPS = [
-  ["Describe", "Surface, tool, machine and strategy, as fields with units on the left or as TOML. Every field says what it means."],
-  ["See", "The part, the spiral and the tool in contact, and in an instant whether the tool reaches every place."],
-  ["Run", "The program is written, read back from disk, and cut on the computer: the surface it leaves, to the nanometre."],
-  ["Correct", "Drop what the instrument measured. What is wrong with tool, machine or mount comes with its uncertainty, and the next program without it."],
+  ["Describe", "Surface, tool, machine and strategy, as form fields with units or as TOML. Every field is explained."],
+  ["See", "The part, the spiral path and the tool in contact, with an immediate check of tool access."],
+  ["Run", "The NC program is written, and the surface it produces is simulated to the nanometre."],
+  ["Correct", "Drop a measured map. Errors of tool, machine and mount are identified with their uncertainty, and the next program corrects them."],
 ];
 
 function Welcome() {
   const { examples } = useStore(["examples"]);
   return html`<div class="welcome">
     <h2>From a prescription to a proven program</h2>
-    <p class="lead">Plan a diamond-turned part, see what the tool will leave, and turn a measurement back into a better job.</p>
+    <p class="lead">Plan a diamond-turned part, simulate its surface, and correct the job by a measurement.</p>
     <ol class="steps">${STEPS.map(([title, text]) => html`<li><h3>${title}</h3><p>${text}</p></li>`)}</ol>
-    <h3>Begin with an example</h3>
+    <h3>Start with an example</h3>
     <ul class="examples">${examples.map((one) => html`<li><button type="button" onClick=${() => takeExample(one.name)}><strong>${one.title}</strong><span>${one.summary}</span></button></li>`)}</ul>
     <p class="or"><button type="button" class="button" onClick=${openFile}><${Icon} name="open" />Open a job file</button>
-      <button type="button" class="button" onClick=${takeEmpty}><${Icon} name="plus" />Begin with a small sphere</button>
+      <button type="button" class="button" onClick=${takeEmpty}><${Icon} name="plus" />Start with a small sphere</button>
       <span class="quiet">or drop a job file anywhere on the page</span></p>
   </div>`;
 }
@@ -346,23 +346,23 @@ const KEYS = [
   ["Ctrl+O, Ctrl+S", "open, save the job file"],
   ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo (in a field: its text)"],
   ["1 … 6", "maps, profile, motion, compare, program, measure"],
-  ["0, Esc", "lower area taller or lower, closed"],
+  ["0, Esc", "resize, close the lower area"],
   ["[, ]", "job pane, results pane"],
   ["T", "light or dark"],
-  ["Tab, Shift+Tab", "through fields and buttons; a field then explains itself"],
-  ["↑ ↓", "in a field: its last digit up or down, with Shift ten times"],
+  ["Tab, Shift+Tab", "move through fields and buttons; the focused field is explained"],
+  ["↑ ↓", "in a field: step the last digit, with Shift ten steps"],
   ["← →  ↑ ↓", "on a splitter: move it; on a map or the scene: move the view"],
-  ["+, −", "on a map or the scene: closer, farther"],
+  ["+, −", "on a map or the scene: zoom in, out"],
 ];
 
 function Help() {
   return html`<${Fragment}>
     <header><h2 id="help-title">Help</h2><span class="gap"></span><${Tool} icon="close" name="Close" onClick=${() => $("help").close()} /></header>
     <div class="columns"><section><h3>Where things are</h3>
-      <p><strong>Left, the job.</strong> What is cut, with what, on what, how. A number alone gets the unit that stands in the field; any other unit can be written with it.</p>
-      <p><strong>Middle, the scene.</strong> The finished surface with z out of the part toward the tool, coloured by the map you choose; the spiral of the finishing pass; the tool where the slider puts it.</p>
-      <p><strong>Right, the results.</strong> Of the job as typed under Plan, of what was computed under Runs. A bar ends at its limit where the mark stands.</p>
-      <p><strong>Below, the evidence.</strong> Maps to single cusps (errors are cut minus design, positive where material is left), profiles along a line, axis motion against limits, strategies side by side, the program's text, measurements.</p></section>
+      <p><strong>Left, the job.</strong> Part, tool, machine and strategy. A number without a unit has the unit shown in the field; any other unit can be written with it.</p>
+      <p><strong>Middle, the scene.</strong> The nominal surface with z toward the tool, coloured by the chosen map; the spiral of the finishing pass; the tool at the position of the slider.</p>
+      <p><strong>Right, the results.</strong> The check of the current job under Plan, results under Runs. The mark on a bar is its limit.</p>
+      <p><strong>Below, the details.</strong> Maps down to single cusps (error is cut minus nominal surface, positive where material remains), profiles along a line, axis motion and limits, strategies, the program, measurements.</p></section>
     <section><h3>Keys</h3><table class="small keys"><tbody>${KEYS.map(([keys, text]) => html`<tr><th scope="row">${keys.split(", ").map((one, index) => html`${index ? " " : ""}<kbd>${one}</kbd>`)}</th><td>${text}</td></tr>`)}</tbody></table></section></div>
   </${Fragment}>`;
 }
@@ -374,7 +374,7 @@ function takeKeys(panes) {
       const act = { Enter: () => start("run"), s: saveFile, o: openFile }[event.key];
       if (act) {
         event.preventDefault();
-        // What stands in a field counts, also where a field takes it only when it is left.
+        // Commit the text of the focused field.
         typing?.blur();
         typing?.focus();
         return act();
@@ -398,23 +398,23 @@ function Foot() {
   const { notice, about, checking } = useStore(["notice", "about", "checking"]);
   const [now, tick] = useState(0);
   useEffect(() => {
-    // What went well need not stay.
+    // Messages of success disappear.
     if (notice?.kind !== "info") return undefined;
     const timer = setTimeout(() => say(""), 6000);
     return () => clearTimeout(timer);
   }, [notice]);
   useEffect(() => on("job", () => tick((times) => times + 1)), []);
-  return html`<span class=${notice ? `said ${notice.kind}` : "quiet"}>${notice ? notice.sentence : now || checking ? "Lengths in mm, error = cut minus design along z; the part's z points toward the tool." : "Ready."}</span>
+  return html`<span class=${notice ? `notice ${notice.kind}` : "quiet"}>${notice ? notice.sentence : now || checking ? "Lengths in mm; error = cut minus nominal surface along z; z points toward the tool." : "Ready."}</span>
     ${notice?.kind === "bad" && html`<${Tool} icon="close" name="Dismiss" onClick=${() => say("")} />`}
     <span class="gap"></span><span class="quiet">${about ? `Turnwright ${about.version}` : ""}</span>`;
 }
 
 // ---------------------------------------------------------------------------------------------- the server, if it goes
 
-const AGAIN = 2000; // ms between looks whether the server is back
+const RETRY_MS = 2000; // interval of attempts to reach the server
 let gone = 0;
 
-/** The server is gone: look for it until it is back, then ask again for what stands on the page. */
+/** Try to reach the server again, then reload the data of the page. */
 function lost() {
   if (gone) return;
   gone = setInterval(async () => {
@@ -422,14 +422,14 @@ function lost() {
     if (!answer?.ok) return;
     clearInterval(gone);
     gone = 0;
-    say("The server answers again.");
+    say("The server is available again.");
     await ask();
     if (state.job) checkSoon(0);
     refresh();
-  }, AGAIN);
+  }, RETRY_MS);
 }
 
-/** Ask for what the page itself needs, as far as it is not there. */
+/** Load the data that the page needs and does not have yet. */
 async function ask() {
   const once = async (path, key) => {
     if (state[key]?.length ?? state[key]) return;
@@ -446,7 +446,7 @@ async function ask() {
 
 let scene = null;
 
-/** The scene is large: it comes once the page stands, or with the first job. */
+/** Load the scene, which is large, after the page or with the first job. */
 function makeScene() {
   scene ??= import("./scene.js").then(({ mount }) => mount($("scene")));
   return scene;
@@ -454,7 +454,7 @@ function makeScene() {
 
 async function showScene() {
   const welcomed = state.job && !$("welcome").hidden;
-  // What was pressed to open the job leaves with the welcome: the reader goes on at the job.
+  // Move the focus to the job when the welcome page with the focused button is hidden.
   const follow = welcomed && $("welcome").contains(document.activeElement);
   $("welcome").hidden = Boolean(state.job);
   if (welcomed) set({ view: "left" });
@@ -484,7 +484,7 @@ async function begin() {
   on("drawer", ({ drawer }) => {
     $("bench").dataset.drawer = drawer ? "open" : "closed";
     if (!drawer && state.view === "drawer") set({ view: "middle" });
-    openTab(drawer).catch((error) => say(`This part of the page did not load (${error.message}): reload it.`, "bad"));
+    openTab(drawer).catch((error) => say(`This part of the page did not load (${error.message}): reload the page.`, "bad"));
   }, { now: true });
   on("job", () => showScene().catch((error) => say(`The scene did not load (${error.message}): reload the page.`, "bad")), { now: true });
   on("run", ({ run }) => {
@@ -493,10 +493,10 @@ async function begin() {
     set({ view: "right" });
   });
   reach.lost = lost;
-  // After the examples are painted: whoever is quick finds the scene made, or half made.
+  // Load the scene after the examples are painted.
   const stop = on("examples", () => {
     stop();
-    requestAnimationFrame(() => setTimeout(() => makeScene().catch(() => {}))); // with a job it is said
+    requestAnimationFrame(() => setTimeout(() => makeScene().catch(() => {}))); // the error is shown once there is a job
   });
   await ask();
   const last = tab.read();

@@ -1,13 +1,13 @@
-/* Charts: the profile of a line, the motion of the axes against their limits, the spectrum, and where the time goes. */
+/* Charts: profile along a line, axis motion and limits, spectrum, and time over radius. */
 
 import Plot from "./vendor/uplot.js";
 import { getPacked } from "./api.js";
-import { inks, said, scaleOf, ticks, tickText } from "./colour.js";
+import { inks, formatted, scaleOf, ticks, tickText } from "./colour.js";
 import { CLIENT, element } from "./dom.js";
 import { on, say, set, state } from "./state.js";
 import { count, duration, number } from "./ui.js";
 
-/** Series are told apart by colour and by dash. */
+/** Series differ in colour and dash. */
 const SERIES = {
   light: ["#0b5c7a", "#b2540b", "#5b3f96", "#0d6b58", "#8a1c4a"],
   dark: ["#6cc4e4", "#f0a35e", "#b9a2f2", "#63c7ae", "#f08bb4"],
@@ -38,7 +38,7 @@ function axis(label, unit, colours, { side, log = false, size } = {}) {
   };
 }
 
-/** Of the ticks of a logarithmic axis only the powers of ten. */
+/** Labels at powers of ten only on a logarithmic axis. */
 function decades(_plot, splits) {
   return splits.map((one) => (one !== null && Math.abs(Math.log10(one) - Math.round(Math.log10(one))) < 1e-9 ? one : null));
 }
@@ -49,10 +49,10 @@ function powerText(value) {
   return `10${[...String(power)].map((sign) => (sign === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(sign)])).join("")}`;
 }
 
-/** A chart in a box, which it follows in size and scheme.
+/** A chart that follows the size of its box and the theme.
 
     `x` and each of `series` is {label, unit, values, dash?, band?, fill?}; `limits` are values of y drawn across;
-    `empty` says why there is nothing. Returns {destroy, at(call)}: `at` hears the index under the pointer, or null. */
+    `empty` is the text without data. Returns {destroy, at(call)}: `at` receives the index under the pointer, or null. */
 export function chart(box, { x, series, limits = [], logX = false, logY = false, title = "", yRange = null, label = "", pointed = null }) {
   let plot = null;
   const figure = element("figure", { class: "chart", "aria-label": label || title });
@@ -111,7 +111,7 @@ export function chart(box, { x, series, limits = [], logX = false, logY = false,
   };
 }
 
-/** A range with some air, which shows a limit that is not far beyond the values. */
+/** A range with a margin, which includes a limit that is not far beyond the values. */
 function spread(low, high, limits, log) {
   if (!Number.isFinite(low) || !Number.isFinite(high)) return [0, 1];
   if (log) return [low / 1.6, high * 1.6];
@@ -155,7 +155,7 @@ export function mountProfile(panel) {
   const box = element("div", { class: "profile" });
   const head = element("div", { class: "bar" });
   const host = element("div", { class: "profilehost" });
-  const nothing = teach("A profile along any line", "Open a map, press Profile line (or hold Shift) and drag. Every point of it is computed anew from the program, so single cusps keep their shape.");
+  const nothing = teach("A profile along any line", "Open a map, press Profile line (or hold Shift) and drag. Every point is simulated from the program, so single cusps are resolved.");
   box.append(head, host);
   panel.append(nothing, box);
   let drawn = null;
@@ -169,8 +169,8 @@ export function mountProfile(panel) {
     if (!run || !line) return;
     const mine = (asking = new AbortController());
     box.classList.add("stale");
-    // The first line of a run waits until its program is read.
-    if (!drawn) head.replaceChildren(element("span", { role: "status" }, ["The surface along the line is computed from the program …"]));
+    // The first line of a run waits for its program to be read.
+    if (!drawn) head.replaceChildren(element("span", { role: "status" }, ["Simulating the surface along the line …"]));
     try {
       const { header, arrays } = await getPacked(`/runs/${run}/profile`, { ...line, n: 2400, client: `${CLIENT}${panel.id}` }, { signal: mine.signal });
       if (mine.signal.aborted) return;
@@ -192,7 +192,7 @@ export function mountProfile(panel) {
     const rq = Math.sqrt(good.reduce((sum, one) => sum + (one - mean) ** 2, 0) / good.length);
     const place = ([x, y]) => `(${number(x, 5)}, ${number(y, 5)})`;
     head.replaceChildren(
-      element("strong", {}, [`PV ${said(high - low, "mm")}`]), element("span", {}, [`rms ${said(rq, "mm")}`]), element("span", {}, [`length ${said(length, "mm")}`]),
+      element("strong", {}, [`PV ${formatted(high - low, "mm")}`]), element("span", {}, [`rms ${formatted(rq, "mm")}`]), element("span", {}, [`length ${formatted(length, "mm")}`]),
       element("span", { class: "quiet" }, [`from ${place([line.x0, line.y0])} to ${place([line.x1, line.y1])} mm, ${count(header.count)} places`]),
     );
     drawn?.destroy();
@@ -217,9 +217,9 @@ export function mountProfile(panel) {
 const KINDS = [["position", "Position"], ["speed", "Speed"], ["acceleration", "Acceleration"], ["jerk", "Jerk"]];
 const PER = { position: "", speed: "/s", acceleration: "/s²", jerk: "/s³" };
 
-/** How the axes move, each against its limits; the spectrum of one; where the time goes. */
+/** Axis motion and limits, the spectrum of an axis, and time over radius. */
 export function mountMotion(panel) {
-  const nothing = teach("How the axes move", "When a run is done: position, speed, acceleration and jerk of every axis against the limits of the machine, what each axis moves at every frequency, and where on the part the time goes.");
+  const nothing = teach("Axis motion", "When a run is done: position, speed, acceleration and jerk of every axis against the limits of the machine, what each axis moves at every frequency, and where on the part the time goes.");
   const kinds = element("div", { class: "segments", role: "radiogroup", "aria-label": "Quantity" });
   const about = element("span", { class: "quiet" });
   const head = element("div", { class: "bar" }, [kinds, about]);
@@ -287,7 +287,7 @@ export function mountMotion(panel) {
       const values = (name) => [...arrays[name].data].map((value) => value * factor);
       const limit = kind === "position" ? null : one.limits[kind];
       const limits = limit ? [{ value: limit * factor, text: `limit ${number(limit * factor, 3)} ${unit}` }] : [];
-      // What the machine was checked for is the motion before its program is rounded to decimals.
+      // The machine limits are checked on the motion before rounding in the program.
       const most = header.limits?.[`peak_${kind}`]?.[letter] ?? one.peaks[kind];
       const peak = kind === "position" ? "" : `, peak ${number(most * factor, 3)} ${unit}${limit ? ` (${number((100 * most) / limit, 2)} % of the limit)` : ", no limit stated"}`;
       const box = element("div");
@@ -305,7 +305,7 @@ export function mountMotion(panel) {
     const pairs = radii.map((radius, at) => [radius, times[at]]);
     if (backwards) pairs.reverse();
     charts.push(chart(box, {
-      title: `Time passed, ${backwards ? "from the rim inward" : "from the axis outward"}`, x: { label: "X, radius of the tip", unit: "mm", values: pairs.map(([radius]) => radius) },
+      title: `Time passed, ${backwards ? "from the edge inward" : "from the axis outward"}`, x: { label: "X, radius of the tip", unit: "mm", values: pairs.map(([radius]) => radius) },
       series: [{ label: "time passed", unit: time.unit, values: pairs.map(([, passed]) => passed), colour: 3 }],
     }));
     spectrumBox = element("div", { class: "spectrum" });

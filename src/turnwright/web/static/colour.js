@@ -1,4 +1,4 @@
-/* Colours of values: tables of uniform lightness, the scale of a unit, the colour bar.
+/* Colours of values: perceptually uniform tables, unit scales, the colour bar.
 
    Every table has 33 nodes, between which it goes straight in sRGB, made once:
    viridis, cividis   matplotlib's, for values: lightness grows evenly, readable with any colour vision
@@ -28,7 +28,7 @@ const NODES = {
 const LEVELS = 1024;
 const made = new Map();
 
-/** A table as 1024 pixels, as they lie in the memory of a canvas. */
+/** A table as 1024 pixels in the byte order of a canvas. */
 export function table(name) {
   if (!made.has(name)) {
     const nodes = Array.from({ length: 33 }, (_, k) => [0, 2, 4].map((at) => parseInt(NODES[name].substr(6 * k + at, 2), 16)));
@@ -45,7 +45,7 @@ export function table(name) {
   return made.get(name);
 }
 
-/** Which table shows a map in the scheme of the page. */
+/** The colour table of a map in the theme of the page. */
 export function tableOf(diverging, theme) {
   return diverging ? theme : "viridis";
 }
@@ -76,7 +76,7 @@ export function colourAt(share, name) {
   return `rgb(${pixel & 255} ${(pixel >> 8) & 255} ${(pixel >> 16) & 255})`;
 }
 
-/** {factor, unit}: what to multiply with, so that numbers up to `largest` in a server's unit read well. */
+/** {factor, unit}: display unit for numbers up to `largest` in a server's unit. */
 export function scaleOf(unit, largest) {
   const size = Math.abs(largest);
   if (unit === "mm") {
@@ -90,12 +90,12 @@ export function scaleOf(unit, largest) {
   return { factor: 1, unit };
 }
 
-const SAME = 3e-7; // of a value: what its 32 bits do not tell apart
+const FLOAT32_TOL = 3e-7; // relative resolution of float32
 
-/** The ends of a scale of colours; of values that are all the same but for rounding, some way to both sides of them. */
+/** The ends of a colour scale; a constant map gets a margin on both sides. */
 export function spanned(low, high) {
   const most = Math.max(Math.abs(low), Math.abs(high));
-  if (high - low > SAME * most) return [low, high];
+  if (high - low > FLOAT32_TOL * most) return [low, high];
   const half = 0.05 * most || 1e-9;
   return [(low + high) / 2 - half, (low + high) / 2 + half];
 }
@@ -103,7 +103,7 @@ export function spanned(low, high) {
 /** Round numbers between two ends, about `count` of them. */
 export function ticks(low, high, count = 5) {
   const span = high - low;
-  // Ends that rounding alone tells apart have no numbers between them.
+  // No ticks between ends that differ by rounding only.
   if (!(span > 1e-12 * Math.max(Math.abs(low), Math.abs(high))) || !Number.isFinite(span)) return [low];
   const raw = span / Math.max(1, count);
   const power = 10 ** Math.floor(Math.log10(raw));
@@ -113,7 +113,7 @@ export function ticks(low, high, count = 5) {
   return found;
 }
 
-/** As many digits as tell neighbouring ticks apart. */
+/** Tick labels with enough digits to be distinct. */
 export function tickText(value, marks) {
   if (marks.length < 2) return number(value, 4);
   const step = marks[1] - marks[0];
@@ -123,7 +123,7 @@ export function tickText(value, marks) {
   return value.toFixed(decimals).replace("-", "−");
 }
 
-/** The colours that the page's style has in force. */
+/** The current colours of the page style. */
 export function inks(element = document.documentElement) {
   const style = getComputedStyle(element);
   const dark = document.documentElement.dataset.theme === "dark";
@@ -135,7 +135,7 @@ export function inks(element = document.documentElement) {
   return Object.fromEntries(["ground", "face", "raised", "sunken", "line", "edge", "ink", "quiet", "accent", "good", "bad", "warn", "font"].map((name) => [name, read(name)]));
 }
 
-/** A canvas as large as its element, in device pixels; {context, width, height} in CSS pixels. */
+/** Fit a canvas to its element in device pixels; {context, width, height} in CSS pixels. */
 export function fitted(canvas) {
   const ratio = Math.min(3, window.devicePixelRatio || 1);
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
@@ -146,7 +146,7 @@ export function fitted(canvas) {
   return { context, width, height, ratio };
 }
 
-/** Draw a standing colour bar with its title and ticks. `low` and `high` in the server's unit. */
+/** Draw a vertical colour bar with title and ticks. `low` and `high` in the server's unit. */
 export function drawBar(canvas, { low, high, unit, label, name, clipped = false }) {
   const { context, width, height } = fitted(canvas);
   const { ink, quiet, line, font } = inks();
@@ -196,8 +196,8 @@ export function drawBar(canvas, { low, high, unit, label, name, clipped = false 
   }
 }
 
-/** A value in its unit, with a scale that its own size asks for. */
-export function said(value, unit, digits = 3) {
+/** A value in a suitable unit. */
+export function formatted(value, unit, digits = 3) {
   if (!Number.isFinite(value)) return "–";
   const { factor, unit: shown } = scaleOf(unit, value);
   return `${number(value * factor, digits)}${shown === "°" ? "" : "\u202f"}${shown}`;

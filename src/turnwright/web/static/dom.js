@@ -1,9 +1,9 @@
-/* Elements, frames, and the name of this page, for the views that draw themselves. */
+/* Helpers of the views: elements, animation frames and the identifier of this page. */
 
-/** What tells this page from another one of the same server. */
+/** Identifier of this page. */
 export const CLIENT = `${Date.now().toString(36)}${Math.random().toString(36).slice(2, 10)}`;
 
-/** Run `call` once a frame, however often it is asked for. */
+/** Limit `call` to once per animation frame. */
 export function framed(call) {
   let asked = false;
   return () => {

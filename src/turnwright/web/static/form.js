@@ -1,17 +1,17 @@
-/* The job on the left: fields made from the job's schema, or the same job as TOML; every change is checked at once. */
+/* The job pane: fields generated from the job schema, or the job as TOML; every change is checked at once. */
 
 import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
 import { post, upload } from "./api.js";
 import { say, set, state } from "./state.js";
 import { Icon, Tool, useStore } from "./ui.js";
 
-const PAUSE = 60; // ms without a key before a job is checked, while somebody types
+const CHECK_DELAY = 60; // ms after the last key before a job is checked
 const REST = 300; // ms after which a change stands alone, and is checked at once
 const PAUSE_TOML = 400; // ms without a key before text is read
 const STEPS_BACK = 200;
 const CLIENT = crypto.getRandomValues(new Uint32Array(2)).join("-");
 const NONE_YET = { passes: "One finishing pass, as the strategy says." };
-/** What a first entry of a list begins with. */
+/** Initial values of a new list entry. */
 const FIRST = {
   passes: { name: "finish" },
   "simulation.patches": { name: "middle", centre: ["0 mm", "0 mm"], size: ["100 um", "100 um"], pixel: "0.5 um" },
@@ -24,15 +24,15 @@ const past = [];
 const future = [];
 let lastEdit = { key: "", when: 0 };
 
-/** The last text that was read or written, and the job that it is the text of; its remarks are kept when the job changes. */
+/** The last text that was read or written, and its job; its comments are kept when the job changes. */
 let base = { job: null, toml: "" };
 
-/** The last text of the job: what has changed since is not in it yet. */
+/** The last text of the job, without later changes. */
 export const lastText = () => base.toml;
 
 let opened = 0; // jobs so far
 
-/** How many jobs were opened so far: what comes late is for the one that was there. */
+/** Number of opened jobs, to discard late answers for an earlier one. */
 export const openings = () => opened;
 
 /** Take a job as a whole: from an example, a file or the text `toml`; one that was changed since it was `written` keeps the
@@ -40,7 +40,7 @@ export const openings = () => opened;
 export function takeJob({ job, toml, written = "", title, errors = [], fresh = true, typed = false }) {
   if (!typed) {
     opened += 1;
-    reading += 1; // an answer on its way is of what was there before
+    reading += 1; // discard pending answers for the earlier job
     forgetText();
   }
   if (fresh) past.length = future.length = 0;
@@ -53,7 +53,7 @@ export function takeJob({ job, toml, written = "", title, errors = [], fresh = t
 
 function remember(key) {
   const now = Date.now();
-  // Letters typed into one field are one step back.
+  // Typing in one field is one undo step.
   if (key !== lastEdit.key || now - lastEdit.when > 1500) {
     past.push({ job: state.job, base });
     if (past.length > STEPS_BACK) past.shift();
@@ -110,10 +110,10 @@ const isTable = (value) => value !== null && typeof value === "object" && !Array
 let checkTimer = 0;
 let checking = null;
 let changed = -REST;
-let unjudged = ""; // why the job was not judged, as it was said
+let unchecked = ""; // message why the job could not be checked
 
-/** Check the job as it stands; what is still asked of an earlier one no longer counts. */
-export function checkSoon(pause = performance.now() - changed > REST ? 0 : PAUSE) {
+/** Check the current job; pending checks of an earlier one are discarded. */
+export function checkSoon(pause = performance.now() - changed > REST ? 0 : CHECK_DELAY) {
   changed = performance.now();
   clearTimeout(checkTimer);
   checking?.abort();
@@ -129,20 +129,20 @@ async function checkNow() {
   try {
     const answer = await post("/job/check", { data: state.job, client: CLIENT }, { signal: mine.signal });
     set({ errors: answer.errors, checking: false, ...(answer.access ? { check: answer } : {}) });
-    // What kept the server from judging the job before is over.
-    if (unjudged && state.notice?.sentence === unjudged) say("");
-    unjudged = "";
+    // The server can check the job again.
+    if (unchecked && state.notice?.sentence === unchecked) say("");
+    unchecked = "";
   } catch (error) {
-    // A later question took the place of this one: its answer comes.
+    // A later request replaced this one.
     if (error.name === "AbortError" || mine !== checking) return;
     if (error.status === 409) {
-      checkSoon(PAUSE);
+      checkSoon(CHECK_DELAY);
       return;
     }
-    // The last verdict was of another job.
+    // The last check was of another job.
     set({ checking: false, check: null });
-    unjudged = error.message;
-    say(unjudged, "bad");
+    unchecked = error.message;
+    say(unchecked, "bad");
   }
 }
 
@@ -153,27 +153,27 @@ function writeSoon() {
   writeTimer = setTimeout(() => writeNow().catch((error) => say(error.message, "bad")), PAUSE_TOML);
 }
 
-/** Write the job as the form holds it; what was typed meanwhile is written after it. */
+/** Write the job of the form as text; later changes are written afterwards. */
 async function writeNow() {
   clearTimeout(writeTimer);
   const { job } = state;
   if (!job || base.job === job) return;
   const before = base;
   const { toml, errors } = await post("/job/write", { data: job, toml: before.toml });
-  if (!toml) throw new Error(errors[0]?.sentence ?? "The job cannot be written as TOML: correct it.");
+  if (!toml) throw new Error(errors[0]?.sentence ?? "The job cannot be written as TOML.");
   if (job !== state.job || before !== base) return;
   base = { job, toml };
   set({ toml });
 }
 
-/** The job as text, waiting for what is still to be read and written. */
+/** The job as text, after pending reads and writes. */
 export async function currentToml() {
   await settled();
   while (base.job !== state.job) await writeNow();
   return state.toml;
 }
 
-/** Whether the job names files, which must go along with it. */
+/** Whether the job names files. */
 export function namesFiles(value = state.job) {
   if (typeof value === "string") return KEPT_FILE.test(value);
   return value !== null && typeof value === "object" && Object.values(value).some((one) => namesFiles(one));
@@ -182,7 +182,7 @@ export function namesFiles(value = state.job) {
 let reading = 0;
 let unread = null; // text that was typed and not read yet: {text, timer}
 
-/** Read text a moment after the last key. */
+/** Parse text shortly after the last key. */
 function readSoon(text) {
   clearTimeout(unread?.timer);
   unread = { text, timer: setTimeout(() => settled().catch((error) => say(error.message, "bad")), PAUSE_TOML) };
@@ -190,7 +190,7 @@ function readSoon(text) {
 
 let settling = Promise.resolve();
 
-/** Wait until what was typed as text is the job. It fails where the server did not read it, and the text waits then. */
+/** Wait until the typed text is parsed; rejects if the server could not parse it. */
 export function settled() {
   if (unread) {
     const mine = unread;
@@ -206,7 +206,7 @@ export function settled() {
   return settling;
 }
 
-/** The job goes on from elsewhere: text that still waits to be read no longer counts. */
+/** Discard text that is not yet parsed, because the job changed elsewhere. */
 function forgetText() {
   if (!unread) return;
   clearTimeout(unread.timer);
@@ -214,7 +214,7 @@ function forgetText() {
   settling = Promise.resolve();
 }
 
-/** Read a job file's text into the form; of text that is no job return why. A file that is none leaves the job as it is. */
+/** Parse the text of a job file into the form; returns the reason if it is not a job, which stays unchanged. */
 export async function readToml(text, { title, fresh = false } = {}) {
   const mine = (reading += 1);
   const { data, errors = [] } = await post("/job/parse", { toml: text });
@@ -222,7 +222,7 @@ export async function readToml(text, { title, fresh = false } = {}) {
   if (mine !== reading) return "";
   if (!Object.keys(data).length) {
     if (!fresh) set({ errors, toml: text });
-    return errors[0]?.sentence ?? "it is not a job file.";
+    return errors[0]?.sentence ?? "this is not a job file.";
   }
   takeJob({ job: data, toml: text, title, errors, fresh, typed: !fresh });
   return "";
@@ -304,7 +304,7 @@ function defaultText(node) {
 
 // ------------------------------------------------------------------------------------------------------- the errors
 
-/** The place of an error as the store counts, from 0; the server counts as people do, from 1. */
+/** The path of an error with indices from 0; the server counts from 1. */
 const normal = (field) => String(field ?? "").replace(/\[(\d+)\]/g, (_, place) => `.${place - 1}`).replace(/^\./, "");
 
 function errorsAt(path) {
@@ -312,13 +312,13 @@ function errorsAt(path) {
   return state.errors.filter((error) => normal(error.field) === here).map(sentenceOf);
 }
 
-/** The sentence without the name of its field, beside which it stands. */
+/** The message without the field name, since it is shown at the field. */
 function sentenceOf({ field, sentence }) {
   const rest = field && sentence.startsWith(field) ? sentence.slice(field.length) : "";
   return /^:? /.test(rest) ? rest.replace(/^:? /, "") : sentence;
 }
 
-/** Errors at or below a place. */
+/** Errors at or below a path. */
 function errorsWithin(path) {
   const here = path.join(".");
   return state.errors.filter((error) => normal(error.field) === here || normal(error.field).startsWith(`${here}.`));
@@ -333,29 +333,29 @@ function Wrong({ id, sentences }) {
 
 let explain = () => {};
 
-function telling(node, path) {
-  const tell = () => explain({ node, path });
-  return { onFocusIn: tell, onPointerEnter: tell };
+function explaining(node, path) {
+  const show = () => explain({ node, path });
+  return { onFocusIn: show, onPointerEnter: show };
 }
 
 function Explained() {
-  const [told, tell] = useState(null);
+  const [field, setField] = useState(null);
   useEffect(() => {
-    explain = tell;
+    explain = setField;
     return () => (explain = () => {});
   }, []);
-  if (!told) {
-    return html`<aside class="explain" aria-label="About the field" tabindex="0" aria-live="off"><p class="quiet">Point at a field, or go to it with Tab: its meaning is shown here.</p></aside>`;
+  if (!field) {
+    return html`<section role="complementary" class="explain" aria-label="About the field" tabindex="0" aria-live="off"><p class="quiet">Point at a field or focus it with Tab to see its description.</p></section>`;
   }
-  const { node, path } = told;
+  const { node, path } = field;
   const unit = shownUnit(node);
   const text = defaultText(node);
-  return html`<aside class="explain" id="explained" aria-label="About the field" tabindex="0" aria-live="off">
+  return html`<section role="complementary" class="explain" id="explained" aria-label="About the field" tabindex="0" aria-live="off">
     <h3>${titleOf(node, path.at(-1))} ${unit && html`<span class="unit">[${unit}]</span>`}</h3>
     ${node.description && html`<p>${node.description}</p>`}
-    ${node.holds && html`<p>Bring a file (${node.endings.join(", ")}) with the button beside it; it goes along with the job.</p>`}
-    <p class="quiet"><code>${path.map((key) => (typeof key === "number" ? key + 1 : key)).join(".")}</code>${text && html` · if left out: ${text}`}</p>
-  </aside>`;
+    ${node.holds && html`<p>Upload a file (${node.endings.join(", ")}) with the button next to the field; it is saved with the job.</p>`}
+    <p class="quiet"><code>${path.map((key) => (typeof key === "number" ? key + 1 : key)).join(".")}</code>${text && html` · default: ${text}`}</p>
+  </section>`;
 }
 
 // ------------------------------------------------------------------------------------------------------- the fields
@@ -363,7 +363,7 @@ function Explained() {
 const idOf = (path) => `field-${path.join("-").replace(/[^A-Za-z0-9-]/g, "_")}`;
 const NUMBER = /^[-+−]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$/i;
 
-/** What a text stands for: with the unit that the field is shown in where only a number was typed. */
+/** The value of a text; a number alone gets the unit of the field. */
 function readText(text, node) {
   const typed = text.trim().replace("−", "-");
   if (typed === "") return undefined;
@@ -383,7 +383,7 @@ function showValue(value) {
   return Array.isArray(value) ? value.join(", ") : typeof value === "object" ? JSON.stringify(value) : String(value);
 }
 
-/** The text with its first number one step of its last digit up or down. */
+/** The text with the last digit of its first number stepped up or down. */
 function nudged(text, steps) {
   const match = /[-+−]?\d*\.?\d+(?:e[-+]?\d+)?/i.exec(text);
   if (!match) return text;
@@ -393,7 +393,7 @@ function nudged(text, steps) {
   return text.slice(0, match.index) + moved + power + text.slice(match.index + match[0].length);
 }
 
-/** Text being typed stays as it is; a value from elsewhere replaces it. `take(typed)` says what the text stands for.
+/** Typed text stays as it is; a value from elsewhere replaces it. `take(typed)` returns the value of the text.
 
     The comparison belongs to the drawing itself: an effect runs after later keys, and would write an earlier value back. */
 function useTyped(value, take, shown = showValue) {
@@ -414,8 +414,8 @@ function useTyped(value, take, shown = showValue) {
   return { text, type, settle: () => write(shown(typedValue.current)) };
 }
 
-/** One box of text; the arrows move its last digit. */
-function Box({ node, path, value, change, label, wrong, hint, list, told, read = (typed) => readText(typed, node) }) {
+/** A text box; the arrow keys step its last digit. */
+function Box({ node, path, value, change, label, wrong, hint, list, describedBy, read = (typed) => readText(typed, node) }) {
   const { text, type, settle } = useTyped(value, (typed) => {
     const meaning = read(typed);
     change(meaning);
@@ -428,11 +428,11 @@ function Box({ node, path, value, change, label, wrong, hint, list, told, read =
     type(nudged(text, steps * (event.shiftKey ? 10 : 1)));
   };
   return html`<input id=${idOf(path)} type="text" autocomplete="off" spellcheck=${false} value=${text} placeholder=${hint} list=${list}
-    aria-label=${label} aria-invalid=${wrong ? "true" : null} aria-describedby=${told}
+    aria-label=${label} aria-invalid=${wrong ? "true" : null} aria-describedby=${describedBy}
     onInput=${(event) => type(event.target.value)} onKeyDown=${keys} onBlur=${settle} />`;
 }
 
-/** Lines of text: several values, rows of them. */
+/** A text area for several values or rows. */
 function Lines({ path, value, read, shown, rows, hint, wrong }) {
   const { text, type } = useTyped(value, (typed) => {
     const found = read(typed);
@@ -443,7 +443,7 @@ function Lines({ path, value, read, shown, rows, hint, wrong }) {
     aria-invalid=${wrong ? "true" : null} onInput=${(event) => type(event.target.value)} />`;
 }
 
-/** A list to choose from; the first row is for none, if there is a word for it. */
+/** A list to choose from; the first row is for no choice, if it has a label. */
 function Select({ path, options, chosen, none, wrong = false, choose }) {
   return html`<select id=${idOf(path)} aria-invalid=${wrong ? "true" : null}
     onChange=${(event) => choose(event.target.value === "" ? undefined : options[Number(event.target.value)])}>
@@ -452,11 +452,11 @@ function Select({ path, options, chosen, none, wrong = false, choose }) {
   </select>`;
 }
 
-/** A field: its name, what is typed or chosen, what is wrong with it. The name belongs to the box `of`; null where several make one value. */
-function Row({ node, path, required, children, wide = false, of = path, kind = "", wrong = errorsAt(path), told = node }) {
+/** A field with label, input and errors. The label belongs to the box `of`; null if several boxes make one value. */
+function Row({ node, path, required, children, wide = false, of = path, kind = "", wrong = errorsAt(path), explained = node }) {
   const title = titleOf(node, path.at(-1));
-  const name = html`${title}${required && html`<span class="needed" title="needed" aria-hidden="true">•</span>`}`;
-  return html`<div class=${`field${wide ? " wide" : ""}${wrong.length ? " bad" : ""}`} ...${telling(told, path)} ...${of === path ? {} : { role: "group", "aria-label": title }}>
+  const name = html`${title}${required && html`<span class="needed" title="required" aria-hidden="true">•</span>`}`;
+  return html`<div class=${`field${wide ? " wide" : ""}${wrong.length ? " bad" : ""}`} ...${explaining(explained, path)} ...${of === path ? {} : { role: "group", "aria-label": title }}>
     ${of ? html`<label for=${idOf(of)}>${name}</label>` : html`<span class="label">${name}</span>`}
     <div class=${`value ${kind}`}>${children}</div>
     <${Wrong} id=${`${idOf(path)}-wrong`} sentences=${wrong} />
@@ -470,38 +470,38 @@ function Text({ node, path, value, required }) {
   const wrong = errorsAt(path).length > 0;
   return html`<${Row} node=${node} path=${path} required=${required}>
     <${Box} node=${node} path=${path} value=${value} change=${(read) => edit(path, read)} label=${titleOf(node, path.at(-1))} wrong=${wrong} list=${known}
-      hint=${defaultText(node) || shownUnit(node)} told=${wrong ? `${idOf(path)}-wrong` : "explained"} />
+      hint=${defaultText(node) || shownUnit(node)} describedBy=${wrong ? `${idOf(path)}-wrong` : "explained"} />
     ${known && html`<datalist id=${known}>${node.examples.map((one) => html`<option value=${String(one)} />`)}</datalist>`}
     ${node.holds && html`<${Bring} node=${node} path=${path} />`}
   </${Row}>`;
 }
 
 const KEPT_FILE = /^(files|runs|examples)\/.*?([^/]+)$/;
-const FROM = { files: "brought", runs: "left by a run", examples: "of an example" };
+const FROM = { files: "uploaded", runs: "from a run", examples: "from an example" };
 
-/** A file that the job names: brought to the server here, or kept there already. */
+/** A file that the job names: uploaded here, or stored on the server. */
 function Named({ node, path, value, required }) {
   const [, where, name] = KEPT_FILE.exec(value ?? "") ?? [];
   if (!name) return html`<${Text} node=${node} path=${path} value=${value} required=${required} />`;
   return html`<${Row} node=${node} path=${path} required=${required}>
     <output id=${idOf(path)} class="file" title=${`${name}, ${FROM[where]}`}>${name}</output>
     <${Bring} node=${node} path=${path} />
-    <${Tool} icon="close" name=${`Take ${name} out of the job`} onClick=${() => edit(path, undefined)} />
+    <${Tool} icon="close" name=${`Remove ${name} from the job`} onClick=${() => edit(path, undefined)} />
   </${Row}>`;
 }
 
-/** The way of a file from the reader to the server. */
+/** Upload of a file for a field. */
 function Bring({ node, path }) {
   const [share, setShare] = useState(null);
   const picker = useRef(null);
   const take = async (file) => {
     const most = state.about?.limits.file_bytes ?? Infinity;
-    if (file.size > most) return say(`${file.name} has ${Math.ceil(file.size / 2 ** 20)} MiB, the limit is ${most / 2 ** 20}: bring a smaller one.`, "bad");
+    if (file.size > most) return say(`${file.name} has ${Math.ceil(file.size / 2 ** 20)} MiB, the limit is ${most / 2 ** 20} MiB.`, "bad");
     setShare(0);
     const mine = opened;
     try {
       const { reference } = await upload("/files", { kind: node.holds, name: file.name }, file, (sent, total) => setShare(sent / total));
-      // It was brought for the job that was there.
+      // The upload was for an earlier job.
       if (mine !== opened) return;
       edit(path, reference);
       say("");
@@ -514,7 +514,7 @@ function Bring({ node, path }) {
   return html`<${Fragment}>
     <input ref=${picker} id=${`${idOf(path)}-file`} type="file" hidden accept=${node.endings.join(",")} aria-label=${`File for ${titleOf(node, path.at(-1))}`}
       onChange=${(event) => { if (event.target.files[0]) take(event.target.files[0]); event.target.value = ""; }} />
-    <${Tool} icon="open" name=${share === null ? `Bring a file (${node.endings.join(", ")})` : `On its way, ${Math.round(100 * share)} %`}
+    <${Tool} icon="open" name=${share === null ? `Upload a file (${node.endings.join(", ")})` : `Uploading, ${Math.round(100 * share)} %`}
       disabled=${share !== null} onClick=${() => picker.current.click()} />
   </${Fragment}>`;
 }
@@ -556,19 +556,19 @@ const numberOr = (text) => {
   return NUMBER.test(typed) ? Number(typed) : text.trim();
 };
 
-/** Values in a line, parted by commas. */
+/** Values separated by commas. */
 function Series({ node, path, value, required }) {
   const wrong = sentencesWithin(path);
   const read = (typed) => {
     const parts = typed.split(/[,\n]/).map(numberOr).filter((part) => part !== "");
     return parts.length ? parts : undefined;
   };
-  return html`<${Row} node=${node} path=${path} required=${required} wide wrong=${wrong} told=${{ ...node, unit: shownUnit(resolve(node.items)) }}>
-    <${Lines} path=${path} value=${value} read=${read} rows=${(text) => Math.min(4, 1 + Math.floor(text.length / 33))} hint="values parted by commas" wrong=${wrong.length > 0} />
+  return html`<${Row} node=${node} path=${path} required=${required} wide wrong=${wrong} explained=${{ ...node, unit: shownUnit(resolve(node.items)) }}>
+    <${Lines} path=${path} value=${value} read=${read} rows=${(text) => Math.min(4, 1 + Math.floor(text.length / 33))} hint="values separated by commas" wrong=${wrong.length > 0} />
   </${Row}>`;
 }
 
-/** Rows of values, a row a line. */
+/** Rows of values, one per line. */
 function Rows({ node, path, value, required }) {
   const wrong = sentencesWithin(path);
   const columns = (resolve(node.items).prefixItems ?? []).map((one) => shownUnit(resolve(one)) || "number");
@@ -578,7 +578,7 @@ function Rows({ node, path, value, required }) {
     return rows.length ? rows.map((line) => line.split(",").map(numberOr)) : undefined;
   };
   return html`<${Row} node=${node} path=${path} required=${required} wide wrong=${wrong}>
-    <${Lines} path=${path} value=${value} read=${read} shown=${shown} rows=${(text) => Math.min(6, Math.max(2, text.split("\n").length))} hint=${`one a line: ${columns.join(", ")}`} wrong=${wrong.length > 0} />
+    <${Lines} path=${path} value=${value} read=${read} shown=${shown} rows=${(text) => Math.min(6, Math.max(2, text.split("\n").length))} hint=${`one per line: ${columns.join(", ")}`} wrong=${wrong.length > 0} />
   </${Row}>`;
 }
 
@@ -595,7 +595,7 @@ function Choices({ node, path, value }) {
   </${Row}>`;
 }
 
-/** The name of a term counts when its box is left; until then it is only text. */
+/** The name of a term is committed when its box loses focus. */
 function TermName({ name, label, rename }) {
   const [draft, write] = useState(null);
   const leave = () => {
@@ -612,9 +612,9 @@ function Terms({ node, path, value, required }) {
   const item = resolve(typeof node.additionalProperties === "object" ? node.additionalProperties : Object.values(node.patternProperties ?? {})[0] ?? {});
   const write = (list) => edit(path, list.length ? Object.fromEntries(list) : undefined);
   const rename = (index, name) => {
-    // A name that is there already would take the place of the other term.
+    // A duplicate name would replace the other term.
     if (entries.some(([key], at) => at !== index && key === name)) {
-      say(`There is a term ${name} already: give this one another name, or remove that one first.`, "bad");
+      say(`A term named ${name} already exists.`, "bad");
     } else write(entries.map((entry, at) => (at === index ? [name, entry[1]] : entry)));
   };
   return html`<${Row} node=${node} path=${path} required=${required} wide of=${null} kind="terms" wrong=${sentencesWithin(path)}>
@@ -645,19 +645,19 @@ function Field({ node: raw, path, value, required }) {
 
 const isApart = (node) => BLOCKS.has(kindOf(node)) || node.format === "reference";
 
-/** The fields of a table: what is needed or stated at once, the rest on demand. */
+/** The fields of a table: required or stated ones, the others on demand. */
 function Fields({ node, path, value, skip }) {
   const [all, showAll] = useState(false);
   const needed = new Set(node.required ?? []);
   const names = Object.keys(node.properties).filter((name) => name !== skip && constOf(resolve(node.properties[name])) === undefined);
-  // What it is called comes first, what stands in frames of its own last.
+  // The name comes first, nested tables last.
   const rank = (name) => (name === "name" ? 0 : BLOCKS.has(kindOf(resolve(node.properties[name]))) && name !== "surface" ? 2 : 1);
   names.sort((a, b) => rank(a) - rank(b));
-  // A field that is emptied stays, or it would leave under the hand that types.
+  // An emptied field stays visible while it is edited.
   const met = useRef({ opened, names: new Set() });
   if (met.current.opened !== opened) met.current = { opened, names: new Set() };
   const stated = (name) => needed.has(name) || kindOf(resolve(node.properties[name])) === "list" || value?.[name] !== undefined || errorsWithin([...path, name]).length > 0 || met.current.names.has(name);
-  // One plain field less is not worth a fold.
+  // A single hidden field is shown instead.
   const rest = names.filter((name) => !stated(name));
   const few = rest.length === 1 && !isApart(resolve(node.properties[rest[0]]));
   const shown = names.filter((name) => all || few || stated(name));
@@ -680,7 +680,7 @@ function Sub({ node, path, value }) {
   </div>`;
 }
 
-/** A table of one of several families: the choice swaps the fields, and keeps what both have. */
+/** A table of one of several families: a change keeps the common fields. */
 function Union({ node, path, value, required, bare = false }) {
   const { key, options } = unionOf(node);
   if (Array.isArray(value)) {
@@ -739,7 +739,7 @@ function List({ node, path, value }) {
 
 // ------------------------------------------------------------------------------------------------------- the groups
 
-/** What a folded group holds, in a few words. */
+/** Summary of a folded group. */
 function summary(node, value) {
   if (value === undefined) return "default";
   if (Array.isArray(value)) return value.length === 0 ? "none" : value.map((one) => one?.name ?? (typeof one === "string" ? one : "")).filter(Boolean).join(", ") || String(value.length);
@@ -770,9 +770,9 @@ function Group({ name, node: raw, value, required }) {
 
 function Fieldset() {
   const { job, schema, errors } = useStore(["job", "schema", "errors"]);
-  if (!schema) return html`<p class="quiet pad">Reading what a job is made of …</p>`;
+  if (!schema) return html`<p class="quiet pad">Loading the job schema …</p>`;
   if (!job) {
-    return html`<div class="pad quiet"><p>No job yet. Take an example, open a job file, or begin with an empty one: its fields come up here, each with its unit and its meaning.</p></div>`;
+    return html`<div class="pad quiet"><p>No job yet. Choose an example, open a job file or start with a new one to edit its fields here.</p></div>`;
   }
   const root = resolve(schema);
   const needed = new Set(root.required ?? []);
@@ -793,7 +793,7 @@ function TextPane() {
     setDraft(text);
     readSoon(text);
   };
-  // The draft stays until it is the text of the page, or a blur would show the text before it.
+  // Keep the draft until it is the text of the page; otherwise losing focus would show the earlier text.
   const leave = () => settled().then(() => unread ?? setDraft(null), (error) => say(error.message, "bad"));
   useEffect(() => {
     if (!unread) setDraft(null);

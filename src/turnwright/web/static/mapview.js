@@ -4,7 +4,7 @@
    only the answer to the last question counts. Rows of a map run from low to high y, pictures from the top down. */
 
 import { getPacked } from "./api.js";
-import { drawBar, fitted, inks, paint, said, scaleOf, spanned, tableOf, ticks, tickText } from "./colour.js";
+import { drawBar, fitted, formatted, inks, paint, scaleOf, spanned, tableOf, ticks, tickText } from "./colour.js";
 import { mountProfile } from "./charts.js";
 import { CLIENT, element, framed } from "./dom.js";
 import { on, say, set, state } from "./state.js";
@@ -15,7 +15,7 @@ const REST_MS = 90;
 const PATIENCE_MS = 700;
 const FINEST = 2e-6;
 
-/** One picture: values over an extent, as pixels of a canvas of its own. */
+/** A picture: values over an extent, as pixels of a canvas. */
 class Picture {
   constructor(packed) {
     const { header, arrays } = packed;
@@ -52,7 +52,7 @@ class Picture {
   }
 }
 
-/** A map that is looked at.
+/** An interactive map.
 
     `load(window, signal)` returns the packed map of {x0, x1, y0, y1, nx, ny}, or of all of it for null; `finer` is false
     for a map that has no more to show. Calls: `moved(window)`, `pointed([x, y] | null)`, `lined(line)`. */
@@ -98,7 +98,7 @@ export class MapView {
     this.box.replaceChildren();
   }
 
-  /** Forget everything and load anew; a `window` is kept if one is given. */
+  /** Clear the map and load it again, at a `window` if one is given. */
   async open(window = null) {
     this.asking?.abort();
     clearTimeout(this.resting);
@@ -119,13 +119,13 @@ export class MapView {
     }
   }
 
-  /** Until there is a map nothing can be asked of it. */
+  /** Disable the controls until the map is loaded. */
   busy(yes) {
     this.canvas.setAttribute("aria-busy", String(yes));
     this.calls.busy?.(yes);
   }
 
-  /** A view as wide and high as the canvas shows it, of equal scale along both axes, around the same middle. */
+  /** Fit a view to the canvas with equal scales, around the same centre. */
   shaped({ x0, x1, y0, y1 }) {
     const { width, height } = this.room();
     const scale = Math.max((x1 - x0) / width, (y1 - y0) / height, FINEST / 50);
@@ -133,7 +133,7 @@ export class MapView {
     return { x0: x - (scale * width) / 2, x1: x + (scale * width) / 2, y0: y - (scale * height) / 2, y1: y + (scale * height) / 2 };
   }
 
-  /** All of the map, with a little air. */
+  /** The whole map with a margin. */
   entire() {
     const [x, y] = [this.whole.x, this.whole.y];
     const air = 0.02 * (x[1] - x[0]);
@@ -159,7 +159,7 @@ export class MapView {
     return [MARGIN.left + ((x - x0) / (x1 - x0)) * width, MARGIN.top + ((y1 - y) / (y1 - y0)) * height];
   }
 
-  /** The view has moved: draw what there is now, and ask for better when it rests. */
+  /** The view has moved: draw the present pictures, and request a finer one when it stops. */
   move(view) {
     const limit = 1.6 * Math.max(this.whole.x[1] - this.whole.x[0], this.whole.y[1] - this.whole.y[0]);
     const size = Math.min(view.x1 - view.x0, view.y1 - view.y0);
@@ -178,7 +178,7 @@ export class MapView {
     if (this.finer) this.resting = setTimeout(() => this.sharpen(), REST_MS);
   }
 
-  /** Ask for the window in view, where the picture that is there is too coarse for it. */
+  /** Request the window in view if the present picture is too coarse. */
   async sharpen() {
     if (this.canvas.clientWidth < 30) return;
     const { x0, x1, y0, y1 } = this.view;
@@ -193,7 +193,7 @@ export class MapView {
     if (this.fine && this.fine.step < 1.3 * pixel && this.fine.covers(this.view)) return;
     const [wx, wy] = [this.whole.x, this.whole.y];
     const polar = this.whole.header.stored_pixel !== undefined && this.whole.header.name === "whole part";
-    // A little beyond the view, so that a small move needs no new picture; never beyond the part.
+    // Slightly larger than the view, so that a small move needs no request; never beyond the part.
     const beyond = 0.06 * (x1 - x0);
     const rim = polar ? [Math.max(wx[0], x0 - beyond), Math.min(wx[1], x1 + beyond), Math.max(wy[0], y0 - beyond), Math.min(wy[1], y1 + beyond)] : [x0 - beyond, x1 + beyond, y0 - beyond, y1 + beyond];
     if (!(rim[1] - rim[0] > FINEST / 2) || !(rim[3] - rim[2] > FINEST / 2)) return;
@@ -204,7 +204,7 @@ export class MapView {
     const high = rim[3] - rim[2];
     try {
       const [nx, ny] = [count(wide), count(high)];
-      // Where the last window took long, a coarse one comes first.
+      // Request a coarse window first if the last one took long.
       for (const parts of this.pace * nx * ny > PATIENCE_MS ? [3, 1] : [1]) {
         const [columns, rows] = [nx, ny].map((one) => Math.max(2, Math.round(one / parts)));
         const from = performance.now();
@@ -325,7 +325,7 @@ export class MapView {
     });
   }
 
-  /** Lay the profile along the middle of the view, for those without a pointer. */
+  /** Draw the profile along the middle of the view, by keyboard. */
   across() {
     const { x0, x1, y0, y1 } = this.view;
     const line = { x0: x0 + 0.1 * (x1 - x0), x1: x1 - 0.1 * (x1 - x0), y0: (y0 + y1) / 2, y1: (y0 + y1) / 2 };
@@ -340,7 +340,7 @@ export class MapView {
     const digits = Math.max(1, Math.min(6, Math.ceil(-Math.log10(span / 2000))));
     const where = `x ${x.toFixed(digits)} mm, y ${y.toFixed(digits)} mm`.replaceAll("-", "−");
     const unit = this.whole.header.unit;
-    this.readout.textContent = `${where}   ${Number.isFinite(value) ? said(value, unit, 4) : "no value"}`;
+    this.readout.textContent = `${where}   ${Number.isFinite(value) ? formatted(value, unit, 4) : "no value"}`;
     this.calls.pointed?.([x, y]);
   }
 
@@ -349,7 +349,7 @@ export class MapView {
     return fine !== undefined && !Number.isNaN(fine) ? fine : this.whole?.at(x, y) ?? NaN;
   }
 
-  /** The range of the colours: what is in view, but for the outermost of its values. */
+  /** The colour range: the values in view without the extremes. */
   range() {
     if (this.held) return this.held;
     const shown = this.fine && this.fine.covers(this.view) ? this.fine : this.whole;
@@ -384,7 +384,7 @@ export class MapView {
       const [half, halfUp] = [picture.step / 2, (picture.y[1] - picture.y[0]) / (picture.rows - 1) / 2];
       const [left, top] = this.toScreen(picture.x[0] - half, picture.y[1] + halfUp);
       const [right, bottom] = this.toScreen(picture.x[1] + half, picture.y[0] - halfUp);
-      // One pixel of a map, seen large, is a square: nothing is smoothed that was not computed.
+      // Enlarged pixels stay squares: no interpolation.
       context.imageSmoothingEnabled = (right - left) / picture.columns < 1;
       context.drawImage(picture.canvas, left, top, right - left, bottom - top);
     }
@@ -430,7 +430,7 @@ export class MapView {
   drawAxes(context, colours, room) {
     const { x0, x1, y0, y1 } = this.view;
     const scale = scaleOf("mm", x1 - x0 < 0.2 ? 0.01 : 1);
-    // Far from the axis and close up, numbers would grow long: then they count from a round place that is named.
+    // Close up and far from the axis, ticks are relative to a round offset that is shown.
     const origin = (low, high) => {
       const span = high - low;
       if (Math.max(Math.abs(low), Math.abs(high)) < 60 * span) return 0;
@@ -479,19 +479,19 @@ export class MapView {
   }
 }
 
-/** The panel of the maps of a run: which map, which quantity, the map, and the profile of the line drawn on it. */
+/** The panel of the maps of a run: choice of map and quantity, the map, and its profile line. */
 export function mount(panel) {
   const teach = element("div", { class: "teach" }, [
     element("h3", {}, ["Maps, down to single cusps"]),
-    element("p", {}, ["When a run is done, the surface that its program leaves stands here, cut minus design in nanometres. Turn the wheel to zoom: every window is computed anew from the program read back. Draw a line for a profile."]),
+    element("p", {}, ["The simulated surface of a finished run is shown here, as cut minus nominal surface in nanometres. Turn the wheel to zoom: every window is simulated from the program. Draw a line for a profile."]),
   ]);
   const names = element("select", { "aria-label": "Map", onchange: () => set({ map: names.value, window: null, line: null }) });
   const quantity = element("select", { "aria-label": "Quantity", onchange: () => open() }, [
-    element("option", { value: "error" }, ["error, cut − design"]), element("option", { value: "height" }, ["height of what is cut"]),
+    element("option", { value: "error" }, ["error, cut − nominal"]), element("option", { value: "height" }, ["height of the cut surface"]),
   ]);
   const lining = element("button", { type: "button", class: "button", "aria-pressed": "false", title: "Draw a line for a profile (or drag with Shift)" }, ["Profile line"]);
   const all = element("button", { type: "button", class: "button", title: "All of the map (Home, double click)" }, ["Whole map"]);
-  const hold = element("button", { type: "button", class: "button", "aria-pressed": "false", title: "Keep the range of the colours while zooming" }, ["Hold colours"]);
+  const hold = element("button", { type: "button", class: "button", "aria-pressed": "false", title: "Keep the colour range while zooming" }, ["Hold colours"]);
   const about = element("span", { class: "quiet" });
   const bar = element("div", { class: "bar mapbarrow" }, [names, quantity, lining, hold, all, element("span", { class: "gap" }), about]);
   const box = element("div", { class: "mapbox" });
@@ -501,16 +501,16 @@ export function mount(panel) {
 
   let shown = null;
   const profile = mountProfile(side);
-  const tell = (packed) => {
+  const describe = (packed) => {
     const { source, pixel, mean_of: many } = packed.header;
-    const from = source === "generated" ? "computed from the program" : many > 1 ? `mean of ${many} stored heights a pixel` : "as stored";
+    const from = source === "generated" ? "simulated from the program" : many > 1 ? `mean of ${many} stored heights per pixel` : "as stored";
     about.textContent = `${from}, pixel ${length(pixel)}`;
     return packed;
   };
   const view = new MapView(box, {
     load: async (window, signal) => {
       const asked = { name: shown.map, quantity: quantity.value, ...(window ?? {}), client: window ? CLIENT : undefined };
-      return tell(await getPacked(`/runs/${shown.run}/map`, asked, { signal }));
+      return describe(await getPacked(`/runs/${shown.run}/map`, asked, { signal }));
     },
     calls: {
       busy: (yes) => {

@@ -1,4 +1,4 @@
-/* A measurement brought back: where it lies on the part, how far off it is and why, and the job without that. */
+/* Measured parts: upload, registration, diagnosis and correction. */
 
 import { Fragment, html, render, useEffect, useRef, useState } from "./vendor/preact.js";
 import { get, getPacked, post, sendForPacked, upload } from "./api.js";
@@ -7,22 +7,22 @@ import { chart } from "./charts.js";
 import { editAgain, refresh } from "./runs.js";
 import { Bar, Downloads, Icon, Mark, Tool, bytes, count, doubted, height, number, percent, quantity, useStore } from "./ui.js";
 
-const AGAIN = 700; // ms between looks at a measurement that is worked on
+const POLL_MS = 700; // interval of updates while a measurement is processed
 const GOING = new Set(["queued", "running"]);
 
 let timer = 0;
-let wanted = null; // id of the measurement that was asked for last
+let wanted = null; // id of the last requested measurement
 let sending = () => {};
 let showing = () => {};
 
-/** Take an instrument's file, for the part of the run looked at. */
+/** Upload a measured map of the part of the selected run. */
 export async function take(file, of = measuredRun()) {
-  // Whoever is quick drops a file before the list of runs is there.
+  // A file may be dropped before the list of runs is loaded.
   if (!of) await refresh();
   const run = of ?? measuredRun();
-  if (!run) return say("Run the job first: a measurement is judged against the part that a run has planned.", "bad");
+  if (!run) return say("Run the job first: a measurement is compared with the part of a run.", "bad");
   const limit = state.about?.limits.upload_bytes;
-  if (limit && file.size > limit) return say(`${file.name} has ${bytes(file.size)}, the limit is ${bytes(limit)}: crop it.`, "bad");
+  if (limit && file.size > limit) return say(`${file.name} has ${bytes(file.size)}, the limit is ${bytes(limit)}.`, "bad");
   none();
   sending({ name: file.name, share: 0 });
   try {
@@ -35,7 +35,7 @@ export async function take(file, of = measuredRun()) {
   }
 }
 
-/** Show an instrument's file by itself: nothing of it is kept. */
+/** Show a measured map without a job; it is not stored. */
 async function look(file) {
   sending({ name: file.name, share: 1 });
   try {
@@ -53,23 +53,23 @@ function measuredRun() {
   return (looked ?? state.runs.find(fit))?.id ?? null;
 }
 
-/** Show no measurement, nor one that is on its way. */
+/** Clear the measurement and cancel a pending one. */
 function none() {
   clearTimeout(timer);
   wanted = null;
   set({ measurement: null });
 }
 
-/** Show a measurement, and follow it while it is worked on. */
+/** Show a measurement, and update it while it is processed. */
 export async function follow(id) {
   clearTimeout(timer);
   wanted = id;
   try {
     const measurement = { id, ...(await get(`/measurements/${id}`)) };
-    // Whoever chose another one meanwhile, or none, wants that.
+    // Another one was chosen in the meantime.
     if (wanted !== id) return;
     set({ measurement });
-    if (GOING.has(measurement.state)) timer = setTimeout(() => follow(id), AGAIN);
+    if (GOING.has(measurement.state)) timer = setTimeout(() => follow(id), POLL_MS);
     if (measurement.state === "failed") say(measurement.sentence ?? "The file could not be read.", "bad");
   } catch (error) {
     say(error.message, "bad");
@@ -86,15 +86,15 @@ function Drop({ sent, types }) {
   const fit = runs.filter((run) => run.state === "done" && ["run", "correct"].includes(run.kind));
   const [chosen, choose] = useState(null);
   const run = chosen ?? measuredRun();
-  if (sent) return html`<div class="drop"><h3>${sent.name}</h3><${Bar} share=${sent.share} kind="going" /><p>${sent.share < 1 ? `on its way, ${percent(sent.share)}` : "being read"}</p></div>`;
+  if (sent) return html`<div class="drop"><h3>${sent.name}</h3><${Bar} share=${sent.share} kind="going" /><p>${sent.share < 1 ? `uploading, ${percent(sent.share)}` : "reading"}</p></div>`;
   return html`<div class=${over ? "drop over" : "drop"} onDragOver=${() => setOver(true)} onDragLeave=${() => setOver(false)} onDrop=${() => setOver(false)}>
-    <h3>What did the instrument see?</h3>
-    <p>Drop a measured map here. It is found on the part, cleaned of spikes, and compared with the design; what is wrong with tool, machine or mount is told with its uncertainty, and a job without it is one click away.</p>
+    <h3>Measured map</h3>
+    <p>Drop a measured map here. It is registered to the part, outliers are removed, and the form error is attributed to tool, machine and mount, each with its uncertainty. The job can then be corrected.</p>
     ${fit.length > 0
       ? html`<p><label>Part of <select aria-label="The run that cut the part" onChange=${(event) => choose(event.target.value)}>${fit.map((one) => html`<option value=${one.id} selected=${one.id === run}>${one.name}</option>`)}</select></label></p>
         <p><button type="button" class="button accent" onClick=${() => input.current.click()}><${Icon} name="open" />Choose a file</button>
         <input type="file" hidden ref=${input} accept=${(types ?? []).join(",")} onChange=${(event) => event.target.files[0] && take(event.target.files[0], run)} /></p>`
-      : html`<p><strong>Run the job first:</strong> a measurement is judged against the part that a run has planned.</p>`}
+      : html`<p><strong>Run the job first:</strong> a measurement is compared with the part of a run.</p>`}
     <p><button type="button" class="button" onClick=${() => alone.current.click()}>Show a map without a job</button>
       <input type="file" hidden ref=${alone} accept=${(types ?? []).join(",")} onChange=${(event) => event.target.files[0] && look(event.target.files[0])} /></p>
     ${types && html`<p><small>${types.join(" ")}</small></p>`}
@@ -109,34 +109,34 @@ function Numbers({ title, rows }) {
   return html`<section class="card"><header><h3>${title}</h3></header><dl class="pairs">${given.map(([name, value]) => html`<dt>${name}</dt><dd class="number">${value}</dd>`)}</dl></section>`;
 }
 
-const SETTLED = 1e-6; // mm or rad: where a pose that is held has less, it is of rounding
+const POSE_TOL = 1e-6; // mm or rad: a smaller value of a fixed degree of freedom is rounding
 
 const PLACES = [["x", "mm"], ["y", "mm"], ["z", "mm"], ["rotation", "rad"], ["tilt_x", "rad"], ["tilt_y", "rad"]];
 
-/** The numbers of a pose, each with its standard uncertainty, or that it was held. */
+/** The degrees of freedom of the part pose with standard uncertainty, or marked as fixed. */
 function placed({ pose, std, held }) {
   const values = { x: pose.shift[0], y: pose.shift[1], z: pose.shift[2], rotation: pose.rotation, tilt_x: pose.tilt[0], tilt_y: pose.tilt[1] };
-  return PLACES.map(([name, unit]) => [name.replace("_", " "), held.includes(name) ? (Math.abs(values[name]) < SETTLED ? "held" : html`held at ${quantity(values[name], unit)}`) : doubted(values[name], std[name], unit)]);
+  return PLACES.map(([name, unit]) => [name.replace("_", " "), held.includes(name) ? (Math.abs(values[name]) < POSE_TOL ? "fixed" : html`fixed at ${quantity(values[name], unit)}`) : doubted(values[name], std[name], unit)]);
 }
 
 function Seen({ measurement }) {
   const { alignment, roughness } = measurement;
-  return html`<div><div class="panehead"><strong>${measurement.name}</strong><span class="gap"></span><${Tool} icon="close" name="Bring another measurement" onClick=${none} /></div>
+  return html`<div><div class="panehead"><strong>${measurement.name}</strong><span class="gap"></span><${Tool} icon="close" name="Upload another measurement" onClick=${none} /></div>
   <div class="scroll" role="region" tabindex="0" aria-label="Results of the measurement"><div class="cards">
-    <${Numbers} title="Off the design" rows=${[
+    <${Numbers} title="Form error" rows=${[
       ["form, PV", height(measurement.form_pv_nm)], ["form, RMS", height(measurement.form_rms_nm)],
-      ["beyond a change of pose", height(measurement.measured_rms_nm)], ["of it explained", height(measurement.explained_rms_nm)], ["left unexplained", height(measurement.unexplained_rms_nm)],
+      ["after registration, RMS", height(measurement.measured_rms_nm)], ["attributed, RMS", height(measurement.explained_rms_nm)], ["residual, RMS", height(measurement.unexplained_rms_nm)],
       ["roughness Sq", roughness && height(roughness.sq_nm)], ["roughness Sa", roughness && height(roughness.sa_nm)],
-      ["spikes taken out", count(measurement.spikes)],
+      ["outliers removed", count(measurement.spikes)],
     ]} />
-    ${alignment && html`<${Numbers} title="Where it lay" rows=${[...placed(alignment), ["points", count(alignment.count)], ["left after the fit, RMS", height(alignment.rms_nm)]]} />`}
+    ${alignment && html`<${Numbers} title="Part pose" rows=${[...placed(alignment), ["points", count(alignment.count)], ["residual of the fit, RMS", height(alignment.rms_nm)]]} />`}
     ${alignment?.sentences.length > 1 && html`<section class="card"><ul class="sentences quiet">${alignment.sentences.slice(1).map((sentence) => html`<li>${sentence}</li>`)}</ul></section>`}
     ${measurement.zernike.length > 0 && html`<section class="card"><header><h3>Zernike terms</h3><span class="gap"></span><span class="quiet">fringe, without pose</span></header><${Zernike} terms=${measurement.zernike} /></section>`}
     ${measurement.psd && html`<section class="card"><header><h3>Power spectral density</h3></header><${Spectrum} psd=${measurement.psd} /></section>`}
   </div></div></div>`;
 }
 
-/** Terms as bars about zero; piston, tilt and power are large where the mount or the radius is off, so the bars begin beyond them. */
+/** Terms as bars about zero, without piston, tilt and power, which depend on mount and radius. */
 function Zernike({ terms }) {
   const drawn = terms.filter(({ index }) => index > 4);
   const most = Math.max(...drawn.map(({ coefficient_nm }) => Math.abs(coefficient_nm)), 1e-9);
@@ -176,9 +176,9 @@ function Spectrum({ psd }) {
 // ----------------------------------------------------------------------------------------------------------- the maps
 
 const MAPS = [
-  ["measured", "Measured", "measured − design"],
-  ["residual", "Unexplained", "what no cause explains"],
-  ["predicted", "After correction", "predicted − design"],
+  ["measured", "Measured", "measured − nominal"],
+  ["residual", "Residual", "residual after diagnosis"],
+  ["predicted", "After correction", "predicted − nominal"],
 ];
 
 function Map_({ measurement }) {
@@ -209,7 +209,7 @@ function Map_({ measurement }) {
   </div>`;
 }
 
-/** A map without its job: header, size, missing heights, Sq, and its picture. */
+/** A measured map without a job: facts and picture. */
 function Lone({ packed }) {
   const { header } = packed;
   const box = useRef(null);
@@ -218,7 +218,7 @@ function Lone({ packed }) {
     let gone = false;
     import("./mapview.js").then(({ MapView }) => {
       if (gone) return;
-      view = new MapView(box.current, { load: async () => packed, finer: false, label: "height without its plane", calls: { pointed: (cursor) => set({ cursor }) } });
+      view = new MapView(box.current, { load: async () => packed, finer: false, label: "height, plane removed", calls: { pointed: (cursor) => set({ cursor }) } });
       view.open();
     });
     return () => {
@@ -227,8 +227,8 @@ function Lone({ packed }) {
     };
   }, [packed]);
   return html`<div class="measure" id="lone"><div><div class="panehead"><strong>${header.name}</strong><span class="gap"></span><${Tool} icon="close" name="Show another map" onClick=${() => showing(null)} /></div>
-    <div class="scroll" role="region" tabindex="0" aria-label="What the file says"><div class="cards"><${Numbers} title="The map" rows=${header.rows} /></div></div></div>
-    <div><div class="panehead"><strong>Without its plane</strong></div><div class="map" ref=${box}></div></div>
+    <div class="scroll" role="region" tabindex="0" aria-label="Facts of the file"><div class="cards"><${Numbers} title="The map" rows=${header.rows} /></div></div></div>
+    <div><div class="panehead"><strong>Plane removed</strong></div><div class="map" ref=${box}></div></div>
   </div>`;
 }
 
@@ -242,7 +242,7 @@ function Findings({ measurement }) {
   const run = runs.find((one) => one.id === correction);
   const [files, setFiles] = useState([]);
   useEffect(() => {
-    // What is predicted comes with the end of the correction.
+    // The prediction is available when the correction is done.
     if (run?.state !== "done") return;
     if (!predicted) follow(measurement.id);
     get(`/runs/${run.id}`).then((detail) => setFiles(detail.files), (error) => say(error.message, "bad"));
@@ -269,10 +269,10 @@ function Findings({ measurement }) {
   const going = run && GOING.has(run.state);
   const called = findings.filter((one) => one.correctable || one.rms_nm > 0.1 * measurement.measured_rms_nm);
   return html`<div>
-    <div class="panehead"><strong>Why it is off</strong><span class="gap"></span>${findings.length > called.length && html`<label class="flag"><input type="checkbox" checked=${all} onChange=${(event) => showAll(event.target.checked)} />all that was looked for</label>`}</div>
+    <div class="panehead"><strong>Error sources</strong><span class="gap"></span>${findings.length > called.length && html`<label class="flag"><input type="checkbox" checked=${all} onChange=${(event) => showAll(event.target.checked)} />all sources</label>`}</div>
     <div class="scroll pad">
-      ${!called.length && html`<p class="quiet">No source is certain: what is left is compensated as form, as far as it is certain.</p>`}
-      ${called.length > 0 && html`<p class="quiet" id="doubts">After ±: how far it may be off, in 95 of 100 cases, whatever the other sources, lobes of the spindle, drift and form share in it.</p>`}
+      ${!called.length && html`<p class="quiet">No error source is significant; the significant residual is compensated as form.</p>`}
+      ${called.length > 0 && html`<p class="quiet" id="doubts">±: 95 % interval, for any values of the other sources, spindle error motion, drift and form.</p>`}
       ${(all ? findings : called).map((one) => html`<div class="cause" key=${one.name}>
         <input type="checkbox" id=${`cause-${one.name}`} checked=${chosen.has(one.cause)} disabled=${!one.correctable} onChange=${() => flip(one.cause)} aria-describedby=${`why-${one.name}`} title="Correct this" />
         <label for=${`cause-${one.name}`}>${one.name}</label>
@@ -283,25 +283,25 @@ function Findings({ measurement }) {
     </div>
     <div class="decide">
       <div class="bar"><button type="button" class="button accent" id="correct" disabled=${going || asking} onClick=${correct}>${chosen.size ? `Correct ${chosen.size > 1 ? `these ${chosen.size}` : "this"} and the form` : "Correct the form"}</button>
-      ${going && html`<span class="quiet" role="status">${run.progress ? `${run.progress.stage}, ${percent(run.progress.done / (run.progress.total || 1))}` : "waits"}</span>`}
+      ${going && html`<span class="quiet" role="status">${run.progress ? `${run.progress.stage}, ${percent(run.progress.done / (run.progress.total || 1))}` : "waiting"}</span>`}
       ${predicted && run?.state === "done" && html`<${Predicted} predicted=${predicted} measured=${measurement.form_rms_nm} />`}</div>
       ${run?.state === "done" && html`<${Fragment}><${Downloads} path=${`/runs/${run.id}`} files=${files} only=${["job", "program", "table", "report", "correction"]} />
-        <button type="button" class="add" onClick=${() => editAgain(run.id)}><${Icon} name="left" />Take the corrected job into the fields</button></${Fragment}>`}
+        <button type="button" class="add" onClick=${() => editAgain(run.id)}><${Icon} name="left" />Edit the corrected job</button></${Fragment}>`}
       ${run?.state === "failed" && html`<p class="wrong">${run.sentence}</p>`}
     </div>
   </div>`;
 }
 
-/** What a correction leaves; one that misses a tolerance, or leaves no less than was measured, is not judged good. */
+/** Predicted residual of a correction; it is marked good if it meets all tolerances and is below the measured error. */
 function Predicted({ predicted, measured }) {
   const name = predicted.predicted ? "predicted" : "simulated";
   const { pv_nm, rms_nm } = predicted[name];
   const { missed, sentences = [] } = predicted;
   const better = rms_nm < measured;
-  return html`<span><${Mark} ok=${better && !missed.length} warn /> then ${name}: PV ${height(pv_nm)}, RMS ${height(rms_nm)}${better ? "" : `, no less than the ${height(measured)} that were measured`}${missed.map((sentence) => html`<p class="wrong">${sentence}</p>`)}${sentences.map((sentence) => html`<p class="quiet">${sentence}</p>`)}</span>`;
+  return html`<span><${Mark} ok=${better && !missed.length} warn /> then ${name}: PV ${height(pv_nm)}, RMS ${height(rms_nm)}${better ? "" : `, not below the measured ${height(measured)}`}${missed.map((sentence) => html`<p class="wrong">${sentence}</p>`)}${sentences.map((sentence) => html`<p class="quiet">${sentence}</p>`)}</span>`;
 }
 
-/** Where each lens sits against where it should: a table, and arrows drawn large. */
+/** Dislocations of lenslets: a table, and scaled arrows. */
 function Lenslets({ lenslets }) {
   const seen = lenslets.filter((one) => one.centre.every(Number.isFinite)).map((one) => ({ ...one, off: one.centre.map((value, axis) => value - one.design[axis]) }));
   const reach = Math.max(...lenslets.map(({ design }) => Math.max(...design.map(Math.abs))), 1e-9) * 1.4;
@@ -317,7 +317,7 @@ function Lenslets({ lenslets }) {
   return html`<section class="lenses"><h3>Lenses</h3>
     ${seen.length > 0 && html`<svg class="quiver" viewBox=${`${-reach} ${-reach} ${2 * reach} ${2 * reach}`} role="img" aria-label=${`Dislocation of ${seen.length} lenses, at most ${quantity(most, "mm")}`}>
       ${seen.map((one) => html`<g><title>${`lens ${one.number}`}</title><circle class="cell" cx=${one.design[0]} cy=${-one.design[1]} r=${0.018 * reach} vector-effect="non-scaling-stroke" /><text x=${one.design[0] - 0.05 * reach} y=${-one.design[1] + 0.03 * reach} font-size=${0.085 * reach} text-anchor="end">${one.number}</text><path class="arrow" vector-effect="non-scaling-stroke" d=${arrow(one)} /></g>`)}
-    </svg><p class="quiet">Found minus design, x to the right, y up; the longest arrow is ${quantity(most, "mm")}.</p>`}
+    </svg><p class="quiet">Measured minus nominal, x to the right, y up; the longest arrow is ${quantity(most, "mm")}.</p>`}
     <table class="small"><thead><tr><th>lens</th><th class="number">dx, µm</th><th class="number">dy, µm</th><th class="number">dz, nm</th><th class="number">ΔR, µm</th><th class="number">Sq, nm</th></tr></thead>
       <tbody>${lenslets.map((one) => html`<tr title=${one.finding}><th scope="row">${one.number}</th>${[0, 1].map((axis) => html`<td class="number">${one.centre[axis] === null ? "–" : number((one.centre[axis] - one.design[axis]) * 1e3)}</td>`)}
         <td class="number">${one.height === null ? "–" : number(one.height * 1e6)}</td><td class="number">${one.radius_error === null ? "–" : number(one.radius_error * 1e3)}</td><td class="number">${number(one.sq_nm)}</td></tr>`)}</tbody></table></section>`;
@@ -339,7 +339,7 @@ function Panel() {
   if (!measurement || sent || measurement.state === "failed") return html`<${Drop} sent=${sent} types=${types} />`;
   if (GOING.has(measurement.state)) {
     const { progress } = measurement;
-    return html`<div class="drop"><h3>${measurement.name ?? "Measurement"}</h3><${Bar} share=${progress?.total ? progress.done / progress.total : 0} kind="going" /><p role="status">${progress?.stage ?? "waits"}</p></div>`;
+    return html`<div class="drop"><h3>${measurement.name ?? "Measurement"}</h3><${Bar} share=${progress?.total ? progress.done / progress.total : 0} kind="going" /><p role="status">${progress?.stage ?? "waiting"}</p></div>`;
   }
   return html`<div class="measure" id="measured"><${Seen} measurement=${measurement} /><${Map_} measurement=${measurement} /><${Findings} key=${measurement.id} measurement=${measurement} /></div>`;
 }

@@ -1,4 +1,4 @@
-/* The program's text, as long as it may be: only the lines in sight are fetched and drawn. */
+/* The text of the program, of any length: only visible lines are loaded and drawn. */
 
 import { html, render, useEffect, useLayoutEffect, useRef, useState } from "./vendor/preact.js";
 import { get } from "./api.js";
@@ -6,15 +6,15 @@ import { on, say, set, state } from "./state.js";
 import { Downloads, count, number, useStore } from "./ui.js";
 
 const ROW = 18; // px of a line
-const CHUNK = 500; // lines asked for at a time
-const KEPT = 60; // chunks in memory
-const TALLEST = 4_000_000; // px; browsers end at some ten million
+const CHUNK = 500; // lines per request
+const MAX_CHUNKS = 60; // in memory
+const MAX_HEIGHT = 4_000_000; // px; browsers allow some ten million
 
-let chunks = new Map(); // first line -> what is known of its chunk
-let asked = new Map(); // first line -> the answer on its way
+let chunks = new Map(); // first line -> chunk
+let asked = new Map(); // first line -> pending request
 let run = null;
 
-/** The chunk that a line is in, once it is there; null if it cannot be had. */
+/** A promise of the chunk of a line; null if it cannot be loaded. */
 function chunkOf(line) {
   const first = line - (line % CHUNK);
   if (chunks.has(first)) return Promise.resolve(chunks.get(first));
@@ -27,7 +27,7 @@ async function fetchChunk(first, mine) {
     const answer = await get(`/runs/${mine}/program`, { first, count: CHUNK });
     if (mine !== run) return null;
     chunks.set(first, answer);
-    if (chunks.size > KEPT) chunks.delete(chunks.keys().next().value);
+    if (chunks.size > MAX_CHUNKS) chunks.delete(chunks.keys().next().value);
     return answer;
   } catch (error) {
     say(error.message, "bad");
@@ -42,7 +42,7 @@ function lineAt(line) {
   return chunk ? { text: chunk.lines[line % CHUNK], place: chunk.places[line % CHUNK] } : null;
 }
 
-/** What a line says, by kind, so that it reads at a glance. */
+/** A line with its words highlighted by kind. */
 function Words({ text }) {
   const comment = text.search(/[(;]/);
   const [code, rest] = comment < 0 ? [text, ""] : [text.slice(0, comment), text.slice(comment)];
@@ -56,7 +56,7 @@ function Text({ total }) {
   const [, again] = useState(0);
   const { block } = useStore(["block"]);
   const own = useRef(false);
-  const tall = Math.min(total * ROW, TALLEST);
+  const tall = Math.min(total * ROW, MAX_HEIGHT);
   const last = Math.max(0, total - rows);
 
   useLayoutEffect(() => {
@@ -73,7 +73,7 @@ function Text({ total }) {
   const move = (line) => {
     const next = Math.max(0, Math.min(last, Math.round(line)));
     goTo(next);
-    // The bar follows; its own event is not a wish of the reader's.
+    // Ignore the scroll event that this causes.
     own.current = true;
     box.current.scrollTop = last ? (next / last) * (tall - box.current.clientHeight) : 0;
   };
@@ -129,7 +129,7 @@ function Panel() {
     if (id && result) chunkOf(0).then((chunk) => chunk && setTotal(chunk.total));
   }, [id, result]);
   useEffect(() => {
-    // Where a line leads is shown on the part, as soon as the line is there.
+    // Show the tip position of the line on the part once it is loaded.
     setPlace(null);
     if (block === null || !result) return;
     chunkOf(block).then(() => {
@@ -145,7 +145,7 @@ function Panel() {
     let timer = 0;
     const stop = on("cursor", ({ cursor }) => {
       clearTimeout(timer);
-      // A line that was chosen has set the cursor itself.
+      // Ignore the cursor that a chosen line has set.
       if (!cursor || cursor === own.current) return;
       timer = setTimeout(async () => {
         try {
@@ -162,7 +162,7 @@ function Panel() {
     };
   }, [follow, id, result]);
   if (!id || !result || kind === "compare") {
-    return html`<div class="teach"><h3>The program, line by line</h3><p>When a run is done, its program stands here, every line of it. Click a line and its place lights up on the part; point at the part and its line comes up.</p></div>`;
+    return html`<div class="teach"><h3>The program, line by line</h3><p>The program of a finished run is shown here. Click a line to mark its point on the part; point at the part to find its line.</p></div>`;
   }
   return html`<div class="programs">
     <div class="bar">
@@ -173,7 +173,7 @@ function Panel() {
       <span class="quiet">of ${count(total)}</span>
       <label class="flag"><input type="checkbox" checked=${follow} onChange=${(event) => setFollow(event.target.checked)} />follow the pointer on the part</label>
       <span class="gap"></span>
-      ${place && html`<span class="number" title="Where the tip is after the line, in the frame of the part">x ${number(place[0], 5)}, y ${number(place[1], 5)}, z ${number(place[2], 5)} mm</span>`}
+      ${place && html`<span class="number" title="Tip position after the line, in the part frame">x ${number(place[0], 5)}, y ${number(place[1], 5)}, z ${number(place[2], 5)} mm</span>`}
       <${Downloads} path=${`/runs/${id}`} files=${files} only=${["program", "table"]} />
     </div>
     ${total > 0 ? html`<${Text} key=${id} total=${total} />` : html`<p class="quiet pad">Reading the program …</p>`}

@@ -1,4 +1,4 @@
-/* The runs: started, followed while they last, looked at when they are done. */
+/* The runs: start, follow, cancel, delete, and show their results. */
 
 import { html, useState } from "./vendor/preact.js";
 import { address, events, get, post, remove } from "./api.js";
@@ -7,31 +7,31 @@ import { say, set, state } from "./state.js";
 import { Bar, Mark, Tool, clock, duration, useStore } from "./ui.js";
 
 const GOING = new Set(["queued", "running"]);
-const EVERY = 5000; // ms between looks at the list while something goes on
+const POLL_MS = 5000; // interval of list updates while a run is active
 
-/** What is known of a run before it is looked at. */
+/** State of a run before its results are loaded. */
 const NOTHING = { result: null, made: null, files: [], maps: [], map: null, window: null, line: null, block: null };
 
-const heard = new Map(); // id -> how to stop hearing it
-const MOST_HEARD = 2; // a browser keeps six lines to a server, for all its pages: the list tells of further runs
+const streams = new Map(); // id -> function that closes the event stream
+const MAX_STREAMS = 2; // browsers allow six connections per server; further runs are followed by the list
 
 function change(id, values) {
   set({ runs: state.runs.map((run) => (run.id === id ? { ...run, ...values } : run)) });
 }
 
 function follow(run) {
-  if (heard.has(run.id) || heard.size >= MOST_HEARD || run.state !== "running" || document.visibilityState === "hidden") return;
+  if (streams.has(run.id) || streams.size >= MAX_STREAMS || run.state !== "running" || document.visibilityState === "hidden") return;
   const stop = events(run.id, {
     progress: (progress) => change(run.id, { progress }),
-    state: (told) => {
-      change(run.id, told);
-      if (GOING.has(told.state)) return;
-      heard.delete(run.id);
+    state: (event) => {
+      change(run.id, event);
+      if (GOING.has(event.state)) return;
+      streams.delete(run.id);
       refresh();
-      ended(run.id, told);
+      ended(run.id, event);
     },
   });
-  heard.set(run.id, stop);
+  streams.set(run.id, stop);
 }
 
 function ended(id, { state: how, sentence }) {
@@ -45,7 +45,7 @@ function ended(id, { state: how, sentence }) {
 
 let timer = 0;
 
-/** Ask for the list anew, and again while something goes on. */
+/** Reload the list, and repeat while a run is active. */
 export async function refresh() {
   clearTimeout(timer);
   try {
@@ -53,35 +53,35 @@ export async function refresh() {
     const before = new Map(state.runs.map((run) => [run.id, run]));
     set({ runs: runs.map((run) => ({ ...run, progress: run.progress ?? before.get(run.id)?.progress })) });
     for (const id of [state.run, state.comparison?.run, state.measurement?.id]) {
-      // One that was begun while the list was on its way is not in it yet.
+      // A run that was started during the request is not in the list yet.
       if (id && before.has(id) && !runs.some((run) => run.id === id)) forget(id);
     }
-    for (const [id, stop] of heard) {
+    for (const [id, stop] of streams) {
       if (runs.some((run) => run.id === id)) continue;
       stop();
-      heard.delete(id);
+      streams.delete(id);
     }
     for (const run of runs) {
       follow(run);
       const was = before.get(run.id);
-      // One that ended between two looks was not heard.
-      if (was && GOING.has(was.state) && !GOING.has(run.state) && !heard.has(run.id)) ended(run.id, run);
+      // A run that ended between two updates had no stream.
+      if (was && GOING.has(was.state) && !GOING.has(run.state) && !streams.has(run.id)) ended(run.id, run);
     }
   } catch (error) {
     say(error.message, "bad");
   }
-  if (state.runs.some((run) => GOING.has(run.state))) timer = setTimeout(refresh, state.runs.some((run) => run.state === "queued") ? 1000 : EVERY);
+  if (state.runs.some((run) => GOING.has(run.state))) timer = setTimeout(refresh, state.runs.some((run) => run.state === "queued") ? 1000 : POLL_MS);
 }
 
 let hearing = null;
 
-/** Hear of every change of the list, whoever makes it, while the page is looked at; of runs as well. */
+/** Subscribe to changes of the list while the page is visible. */
 function hear() {
   hearing?.close();
   hearing = null;
   if (document.visibilityState === "hidden") {
-    for (const stop of heard.values()) stop();
-    heard.clear();
+    for (const stop of streams.values()) stop();
+    streams.clear();
     return;
   }
   hearing = new EventSource(address("/runs/events"));
@@ -90,7 +90,7 @@ function hear() {
 
 let starting = false;
 
-/** Start a run or a comparison of the job as it stands; a double click starts one. */
+/** Start a run or a comparison of the current job; a double click starts only one. */
 export async function start(kind = "run") {
   if (starting) return;
   starting = true;
@@ -108,7 +108,7 @@ export async function start(kind = "run") {
   }
 }
 
-/** Fetch what a run found, and show it. */
+/** Load and show the results of a run. */
 export async function look(id) {
   const run = state.runs.find((one) => one.id === id);
   if (id !== state.run) set({ run: id, ...NOTHING });
@@ -135,7 +135,7 @@ export async function look(id) {
   return undefined;
 }
 
-/** Take the job that a run carried out into the fields. */
+/** Load the job of a run into the form. */
 export async function editAgain(id) {
   try {
     const { data, toml, name } = await get(`/runs/${id}`);
@@ -145,14 +145,14 @@ export async function editAgain(id) {
   }
 }
 
-/** Show nothing more of a run that is no longer there. */
+/** Clear the results of a deleted run. */
 function forget(id) {
   if (state.run === id) set({ run: null, ...NOTHING });
   if (state.comparison?.run === id) set({ comparison: null });
   if (state.measurement?.id === id) set({ measurement: null });
 }
 
-const dropping = new Set(); // ids on their way out: a double click asks once
+const dropping = new Set(); // ids being deleted, against double clicks
 
 async function drop(run) {
   if (dropping.has(run.id)) return;
@@ -172,7 +172,7 @@ async function drop(run) {
   }
 }
 
-const SAID = { queued: "waits", running: "runs", done: "done", failed: "failed", cancelled: "cancelled" };
+const STATE_TEXTS = { queued: "waiting", running: "running", done: "done", failed: "failed", cancelled: "cancelled" };
 
 function Run({ run, chosen }) {
   const [sure, ask] = useState(false);
@@ -182,14 +182,14 @@ function Run({ run, chosen }) {
   return html`<li class=${chosen ? "run chosen" : "run"} data-state=${run.state}>
     <button type="button" class="line" aria-pressed=${chosen ? "true" : "false"} onClick=${() => look(run.id)}>
       <${Mark} ok=${run.state === "done" ? !run.missed : run.state === "failed" ? false : null} warn=${run.missed} />
-      <span class="what"><strong>${run.name}</strong><small>${run.kind === "run" ? "" : `${run.kind}, `}${SAID[run.state] ?? run.state}${run.missed ? ", misses a tolerance" : ""}${run.created ? `, ${clock(run.created)}` : ""}</small></span>
+      <span class="what"><strong>${run.name}</strong><small>${run.kind === "run" ? "" : `${run.kind}, `}${STATE_TEXTS[run.state] ?? run.state}${run.missed ? ", misses a tolerance" : ""}${run.created ? `, ${clock(run.created)}` : ""}</small></span>
     </button>
     ${sure
       ? html`<span class="sure"><button type="button" class="button bad" onClick=${() => drop(run)}>Delete</button><button type="button" class="button" onClick=${() => ask(false)}>Keep</button></span>`
       : html`<${Tool} icon=${going ? "stop" : "bin"} name=${going ? `Cancel ${run.name}` : `Delete ${run.name}`} onClick=${() => (going ? drop(run) : ask(true))} />`}
     ${going && html`<div class="progress"><${Bar} share=${share} kind="going" />
-      <span role="status">${run.state === "queued" ? "behind the runs before it" : progress ? `step ${progress.step} of ${progress.steps}, ${progress.stage}: ${Math.floor(share * 100)} %` : "begins"}</span>
-      <span class="gap"></span>${progress?.steps > 0 && html`<span class="number">${duration(progress.left_s)} more</span>`}</div>`}
+      <span role="status">${run.state === "queued" ? "waiting for earlier runs" : progress ? `step ${progress.step} of ${progress.steps}, ${progress.stage}: ${Math.floor(share * 100)} %` : "starting"}</span>
+      <span class="gap"></span>${progress?.steps > 0 && html`<span class="number">${duration(progress.left_s)} left</span>`}</div>`}
     ${run.state === "failed" && run.sentence && html`<p class="wrong">${run.sentence}</p>`}
   </li>`;
 }
@@ -198,14 +198,14 @@ function Run({ run, chosen }) {
 export function Queue() {
   const { runs, run } = useStore(["runs", "run"]);
   if (!runs.length) {
-    return html`<p class="quiet pad">Nothing has run. <strong>Run</strong> plans the whole job, writes the program, reads it back and predicts the surface it leaves; <strong>Compare</strong> plans it by every strategy that the machine can do.</p>`;
+    return html`<p class="quiet pad">No runs yet. <strong>Run</strong> plans the job, writes the NC program and simulates the surface from it; <strong>Compare</strong> plans the finishing pass with every strategy of the machine.</p>`;
   }
   return html`<ul class="runs">${runs.map((one) => html`<${Run} key=${one.id} run=${one} chosen=${one.id === run} />`)}</ul>`;
 }
 
-/** Follow the runs; the list itself is drawn by the results pane. */
+/** Follow the runs; the results pane draws the list. */
 export function mount() {
-  // The first event comes at once; a page that nobody looks at has its list, too.
+  // The first event arrives at once; a hidden page loads the list, too.
   if (document.visibilityState === "hidden") refresh();
   hear();
   document.addEventListener("visibilitychange", hear);
@@ -214,8 +214,8 @@ export function mount() {
       document.removeEventListener("visibilitychange", hear);
       hearing?.close();
       clearTimeout(timer);
-      for (const stop of heard.values()) stop();
-      heard.clear();
+      for (const stop of streams.values()) stop();
+      streams.clear();
     },
   };
 }

@@ -10,7 +10,7 @@ import {
   SRGBColorSpace, UnsignedByteType, Vector2, Vector3, WebGLRenderer,
 } from "./vendor/three.js";
 import { getPacked, postPacked } from "./api.js";
-import { drawBar, fitted, inks, paint, said, scaleOf, spanned, tableOf, ticks, tickText } from "./colour.js";
+import { drawBar, fitted, formatted, inks, paint, scaleOf, spanned, tableOf, ticks, tickText } from "./colour.js";
 import { CLIENT, element, framed } from "./dom.js";
 import { surfaceOf } from "./seen.js";
 import { on, say, set, state } from "./state.js";
@@ -22,10 +22,10 @@ const POINTS = 6000;
 const SHOWN = 0.2;
 const STEEPEST = 0.9;
 const QUANTITIES = {
-  "The job as typed": [["height", "Height"], ["slope", "Slope"], ["curvature", "Curvature"], ["clearance margin", "Clearance margin"], ["chip thickness", "Chip, expected"]],
-  "The run looked at": [["error", "Error, cut − design"], ["chips", "Chip, found"]],
+  "Current job": [["height", "Height"], ["slope", "Slope"], ["curvature", "Curvature"], ["clearance margin", "Clearance margin"], ["chip thickness", "Chip thickness, estimated"]],
+  "Selected run": [["error", "Error, cut − nominal"], ["chips", "Chip thickness"]],
 };
-/** What a run has found over its part. */
+/** Results of a run over its part. */
 const FOUND = {
   error: (run, options) => getPacked(`/runs/${run}/map`, { name: "whole part", nx: 640, ny: 640 }, options),
   chips: (run, options) => getPacked(`/runs/${run}/chips`, { pixels: 384 }, options),
@@ -33,7 +33,7 @@ const FOUND = {
 const VIEWS = { iso: [1, -1.5, 0.95], top: [0, -1e-4, 1], side: [0, -1, 0.02] };
 const ignored = (error) => error.name === "AbortError" || error.status === 409;
 
-/** A factor for heights that a person can say: 1, 2, 5, 10, 20 and so on. */
+/** A round factor for heights: 1, 2, 5, 10, 20 ... */
 function plain(factor) {
   if (factor <= 1.3) return 1;
   const power = 10 ** Math.floor(Math.log10(factor));
@@ -43,13 +43,13 @@ function plain(factor) {
 /** An azimuth from 0.0 to 359.9 degrees. */
 const degrees = (angle) => `${(Number((((angle * 180) / Math.PI) % 360).toFixed(1)) % 360).toFixed(1)}°`;
 
-/** The largest of 1, 2, 5, 10 and so on that is no more than this. */
+/** The largest of 1, 2, 5, 10 ... that is not larger. */
 function round(most) {
   const power = 10 ** Math.floor(Math.log10(most));
   return (most >= 5 * power ? 5 : most >= 2 * power ? 2 : 1) * power;
 }
 
-/** The places on a disc of radius 1 at which the part is drawn, ring by ring from its middle, and the triangles between them. */
+/** The vertices of a unit disc, ring by ring from the centre, and its triangles. */
 function disc() {
   const count = RINGS * RAYS + 1;
   const places = new Float32Array(2 * count);
@@ -95,17 +95,17 @@ class View {
     });
     this.choose = element("select", { "aria-label": "Colour the part by", onchange: () => set({ quantity: this.choose.value }) },
       Object.entries(QUANTITIES).map(([label, group]) => element("optgroup", { label }, group.map(([value, title]) => element("option", { value }, [title])))));
-    this.times = element("select", { "aria-label": "Heights drawn larger by", title: "Heights are drawn larger by this factor", onchange: () => this.exaggerate(this.times.value === "auto" ? null : Number(this.times.value)) });
+    this.times = element("select", { "aria-label": "Height exaggeration", title: "Heights are exaggerated by this factor", onchange: () => this.exaggerate(this.times.value === "auto" ? null : Number(this.times.value)) });
     const views = [["iso", "Oblique", "From the front, above (Home)"], ["top", "Top", "From above, along z"], ["side", "Side", "From the side, along y"]].map(([name, text, title]) => element("button", { type: "button", class: "button", title, onclick: () => this.show(name) }, [text]));
     const flag = (name, title) => element("label", { class: "flag" }, [element("input", { type: "checkbox", checked: true, onchange: (event) => this.flip(name, event.target.checked) }), title]);
     this.tools = element("div", { class: "scenebar" }, [
       element("label", { class: "flag" }, ["Colour ", this.choose]), element("label", { class: "flag" }, ["z × ", this.times]), flag("path", "Path"), flag("tool", "Tool"), flag("inset", "Contact"), element("span", { class: "gap" }), ...views,
     ]);
     this.bar = element("canvas", { class: "scenecolours", role: "img", "aria-label": "Colour bar" });
-    this.inset = element("canvas", { class: "inset", role: "img", "aria-label": "The edge in contact with the part" });
+    this.inset = element("canvas", { class: "inset", role: "img", "aria-label": "Cutting edge in contact with the part" });
     this.note = element("p", { class: "scenenote" });
     this.readout = element("output", { class: "readout" });
-    this.slider = element("input", { type: "range", min: 0, max: 1, step: "any", value: 0, "aria-label": "Place of the tool on the finishing path" });
+    this.slider = element("input", { type: "range", min: 0, max: 1, step: "any", value: 0, "aria-label": "Position of the tool on the finishing path" });
     this.where = element("output", { class: "where" });
     this.scrub = element("div", { class: "scrub" }, [this.slider, this.where]);
     this.wait = element("span", { class: "mapwait", hidden: true }, ["looking …"]);
@@ -137,7 +137,7 @@ class View {
     this.face = new Mesh(new BufferGeometry(), new MeshLambertMaterial({ map: this.texture, side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }));
     this.wall = new Mesh(new BufferGeometry(), new MeshLambertMaterial({ side: DoubleSide }));
     this.part.add(this.face, this.wall);
-    // What draws them is compiled now, beside all else, rather than while somebody waits for the picture.
+    // Compile the shaders now, in parallel, rather than at the first picture.
     const alike = new Group().add(new LineSegments(new BufferGeometry(), new LineBasicMaterial()), this.label("", "#000"));
     this.scene.add(alike);
     this.renderer.compile(this.scene, this.camera);
@@ -145,7 +145,7 @@ class View {
     this.ray = new Raycaster();
     this.draw = framed(() => this.drawNow());
     this.canvas.addEventListener("webglcontextlost", () => {
-      this.wrong = "the graphics of this computer have given up: the picture comes back as soon as they do";
+      this.wrong = "the graphics context was lost; the picture returns when it is restored";
       this.tellNote();
     });
     this.canvas.addEventListener("webglcontextrestored", () => {
@@ -174,7 +174,7 @@ class View {
   }
 
   drawNow() {
-    // The light stands beside the camera, so that the shape reads from every side.
+    // The light moves with the camera, so that the shape is visible from every side.
     this.light.position.copy(this.camera.position).add(new Vector3(-0.8, 0.5, 1.1).multiplyScalar(this.camera.position.length() * 0.6));
     const low = this.stagebox.clientHeight < 240;
     for (const sprite of this.axes.children) {
@@ -188,13 +188,13 @@ class View {
     if (this.surface) this.box.dataset.drawn = String((Number(this.box.dataset.drawn) || 0) + 1);
   }
 
-  /** Look from one side because somebody wants to. */
+  /** Set a view direction on request. */
   show(name) {
     this.moved = false;
     this.look(name);
   }
 
-  /** The room that the notes leave to the part, its middle, and what else stands in it: colour bar and inset. [px] */
+  /** The free area for the part, its centre, and the areas of colour bar and inset. [px] */
   room() {
     const { clientWidth: width, clientHeight: height } = this.stagebox;
     const [left, right, top, bottom] = [14, width - 10, 10, height - (height < 240 ? 26 : 46)];
@@ -206,7 +206,7 @@ class View {
     return { width, height, left, right, top, bottom, taken, across: (84 + right - inset) / 2, down: (top + bottom) / 2 };
   }
 
-  /** Look from one side, as close as shows all of the part and its axes beside what else stands there. */
+  /** Set a view direction, as close as the free area shows the whole part and its axes. */
   look(name) {
     const radius = this.surface?.header.radius ?? 1;
     const { width, height, ...room } = this.room();
@@ -223,8 +223,8 @@ class View {
     const way = new Vector3(...VIEWS[name]).normalize();
     this.controls.target.set(0, 0, (ground + high) / 2);
     this.camera.clearViewOffset();
-    // Names and numbers of the axes stand a little beyond.
-    const [aside, above] = [22, 13];
+    // Axis labels need a margin.
+    const [lateral, above] = [22, 13];
     const seenFrom = (away) => {
       this.camera.position.copy(way).multiplyScalar(away).add(this.controls.target);
       Object.assign(this.camera, { near: away / 200, far: away * 20 });
@@ -233,14 +233,14 @@ class View {
       this.camera.updateMatrixWorld();
       return corners.map((one) => new Vector3(...one).project(this.camera)).map(({ x, y }) => [((x + 1) / 2) * width, ((1 - y) / 2) * height]);
     };
-    const free = (points, dx, dy) => points.every(([x, y]) => room.taken.every(([x0, x1, y0, y1]) => x + dx < x0 - aside || x + dx > x1 + aside || y + dy < y0 - above || y + dy > y1 + above));
+    const free = (points, dx, dy) => points.every(([x, y]) => room.taken.every(([x0, x1, y0, y1]) => x + dx < x0 - lateral || x + dx > x1 + lateral || y + dy < y0 - above || y + dy > y1 + above));
     const middle = (values) => (Math.min(...values) + Math.max(...values)) / 2;
     let away = 3 * radius;
     for (let turn = 0; turn < 60; turn++, away *= 1.05) {
       const points = seenFrom(away);
       const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
-      // How far it can be moved within the room: not at all while it is too large for it.
-      const [x0, x1] = [room.left + aside - Math.min(...xs), room.right - aside - Math.max(...xs)];
+      // The part can be moved only if it is smaller than the free area.
+      const [x0, x1] = [room.left + lateral - Math.min(...xs), room.right - lateral - Math.max(...xs)];
       const [y0, y1] = [room.top + above - Math.min(...ys), room.bottom - above - Math.max(...ys)];
       const steps = [0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9, 0, 1];
       const place = x1 < x0 || y1 < y0 ? null : steps.flatMap((v) => steps.map((u) => [x0 + u * (x1 - x0), y0 + v * (y1 - y0)])).find(([dx, dy]) => free(points, dx, dy));
@@ -255,7 +255,7 @@ class View {
     this.draw();
   }
 
-  /** The part stands where `look` has found room for it; once it was moved, in the middle of what is left. */
+  /** Place the part where `look` has found room; after a move, in the middle of the free area. */
   frame() {
     const { width, height, across, down } = this.room();
     const [x, y] = this.shifted && !this.moved ? this.shifted : [width / 2 - across, height / 2 - down];
@@ -265,22 +265,22 @@ class View {
 
   // ---------------------------------------------------------------------------------------------------- the surface
 
-  /** What is drawn: the job as typed, or for what a run has found, the job of that run. */
+  /** The job that is drawn: the current one, or that of the run for its results. */
   source() {
     const { quantity, run, made, job } = state;
     return FOUND[quantity] && run && made ? made : job;
   }
 
-  /** Why the run looked at cannot colour the part; empty where it can. */
+  /** Why the selected run cannot colour the part; empty if it can. */
   missing() {
     const { quantity, run, result, maps } = state;
     if (!FOUND[quantity]) return "";
-    if (!run || !result?.passes) return "no run is looked at that has cut a part: choose one under Runs, or run the job";
+    if (!run || !result?.passes) return "no finished run is selected: choose one under Runs, or run the job";
     if (quantity === "error") return maps.some(({ name }) => name === "whole part") ? "" : "the run has no map of the whole part";
-    return result.passes.at(-1).chips ? "" : "the run has found no chips: they need part.stock, and a part.material that Turnwright knows";
+    return result.passes.at(-1).chips ? "" : "the run has no chip data: set part.stock and a known part.material";
   }
 
-  /** Ask for the part in the chosen colours; the answer to the last question counts. */
+  /** Request the surface map of the chosen quantity; only the last answer counts. */
   async askSurface() {
     const { quantity, run } = state;
     const job = this.source();
@@ -302,7 +302,7 @@ class View {
     } catch (error) {
       if (ignored(error) || mine !== this.asking) return;
       this.wrong = error.message;
-      // A server that comes back has the job judged anew: then it is asked again.
+      // When the server is available again, the job is checked and the map requested again.
       this.looked = this.followed = null;
     }
     this.wait.hidden = true;
@@ -324,7 +324,7 @@ class View {
     this.draw();
   }
 
-  /** Heights at any place, between the four that are known. */
+  /** Bilinear interpolation of heights. */
   heightAt(x, y) {
     const { header, arrays } = this.surface;
     const [rows, columns] = arrays.z.shape;
@@ -339,12 +339,12 @@ class View {
     return (1 - t) * ((1 - s) * z[at] + s * z[at + 1]) + t * ((1 - s) * z[at + columns] + s * z[at + columns + 1]);
   }
 
-  /** The drawn height of a true one: larger about the middle of the part's own. */
+  /** The exaggerated height, scaled about mid-height of the part. */
   up(z) {
     return (z - this.middle) * this.scale;
   }
 
-  /** The slope that nearly all of the part stays below. */
+  /** The slope that almost all of the part stays below. */
   steepness() {
     const { header, arrays } = this.surface;
     const [rows, columns] = arrays.z.shape;
@@ -365,7 +365,7 @@ class View {
     this.factor = factor;
     const { radius, z_low: low, z_high: high } = this.surface.header;
     const span = Math.max(high - low, 1e-12);
-    // As high as reads well, but no steeper than a shape is still seen as one.
+    // Exaggerate heights for visibility, up to a limit on slope.
     const natural = Math.max(1, Math.min(1e7, plain(Math.min((SHOWN * 2 * radius) / span, STEEPEST / this.steepness()))));
     this.scale = factor ?? natural;
     this.middle = (low + high) / 2;
@@ -401,7 +401,7 @@ class View {
     geometry.computeVertexNormals();
     this.face.geometry.dispose();
     this.face.geometry = geometry;
-    // The body below, so that a part looks like one.
+    // The body below the surface.
     const lowest = Math.min(...Array.from({ length: RAYS }, (_, ray) => places[3 * (1 + (RINGS - 1) * RAYS + ray) + 2]), this.up(header.z_low));
     this.floor = lowest - 0.1 * radius;
     const body = new Float32Array(RAYS * 12);
@@ -421,7 +421,7 @@ class View {
     this.wall.geometry = wall;
   }
 
-  /** What is shown: values, their range, unit and label. */
+  /** The values shown, with their range, unit and label. */
   shown() {
     const of = this.found ?? this.surface;
     const { header } = of;
@@ -439,7 +439,7 @@ class View {
     const pixels = new Uint32Array(rows * columns);
     paint(of.arrays.values.data, columns, rows, low, high, tableOf(header.diverging, state.theme), pixels);
     const plain = new Color(inks().edge);
-    // Textures count rows from below, pictures from above; and no value is the colour of the bare part.
+    // Texture rows run from the bottom, picture rows from the top; missing values have the colour of the bare part.
     const bare = (255 << 24) | (Math.round(255 * plain.b) << 16) | (Math.round(255 * plain.g) << 8) | Math.round(255 * plain.r);
     const flipped = new Uint32Array(rows * columns);
     for (let row = 0; row < rows; row++) flipped.set(pixels.subarray(row * columns, (row + 1) * columns), (rows - 1 - row) * columns);
@@ -455,7 +455,7 @@ class View {
     this.drawColours();
   }
 
-  /** A map ends at the rim: the pixels just beyond it take the colour of their neighbours, so that no seam is drawn. */
+  /** Pixels just outside the edge take the colour of their neighbours, so that no seam is visible. */
   toRim(pixels, columns, rows) {
     for (let pass = 0; pass < 2; pass++) {
       const before = pixels.slice();
@@ -479,18 +479,18 @@ class View {
     const parts = [];
     if (this.wrong || this.bare) parts.push(this.wrong || this.bare);
     else if (this.surface) {
-      if (this.source() === state.made) parts.push("as the run has cut it");
+      if (this.source() === state.made) parts.push("job of the run");
       parts.push(this.scale === 1 ? "heights to scale" : `heights × ${this.scale.toLocaleString("en")}`);
       if (this.toolTimes > 1.05) parts.push(`tool × ${number(this.toolTimes, 2)}`);
       const { note } = this.shown().header;
       if (note) parts.push(note);
-      if (this.coming) parts.push("the path is on its way");
+      if (this.coming) parts.push("loading the path");
       else if (this.path) parts.push(this.path.header.note);
     }
     this.note.textContent = parts.join("  ·  ");
     this.note.title = this.note.textContent;
     this.note.classList.toggle("bad", Boolean(this.wrong));
-    this.note.classList.toggle("said", Boolean(this.bare));
+    this.note.classList.toggle("notice", Boolean(this.bare));
   }
 
   // ---------------------------------------------------------------------------------------------------------- axes
@@ -590,7 +590,7 @@ class View {
   setPath(path) {
     this.coming = false;
     this.path = path;
-    // At its first point the tool stands in the air, beside the part.
+    // At its first point the tool is in the air, clear of the part.
     if (path && state.place === 0) set({ place: 0.42 });
     this.makePath();
     this.placeTool();
@@ -626,7 +626,7 @@ class View {
     this.part.add(this.spiral);
   }
 
-  /** Number of the drawn point nearest to the place of the slider. */
+  /** Index of the drawn point nearest to the slider position. */
   index() {
     const fraction = this.path.arrays.fraction.data;
     let [low, high] = [0, fraction.length - 1];
@@ -638,11 +638,11 @@ class View {
     return state.place - fraction[low] < fraction[high] - state.place ? low : high;
   }
 
-  /** The insert in the plane of its edge: nose, flanks and a body that falls away at the clearance angle. */
+  /** The insert in the plane of its cutting edge: nose, flanks and a body relieved at the clearance angle. */
   makeTool() {
     this.part.remove(this.tool);
     const { nose_radius: nose, included, radius, clearance } = this.path.header;
-    // A nose of some micrometres on a part of some millimetres is drawn larger, and that is said.
+    // A very small nose is drawn enlarged, with a note.
     const drawn = Math.max(nose, 0.035 * radius);
     this.toolTimes = drawn / nose;
     const half = Math.min((included ?? Math.PI) / 2, 1.5);
@@ -703,7 +703,7 @@ class View {
     const [x, y, z] = arrays.position.data.subarray(3 * at, 3 * at + 3);
     const [cx, cy, cz] = arrays.contact.data.subarray(3 * at, 3 * at + 3);
     const angle = arrays.angle.data[at];
-    // An enlarged nose touches where the real one does: there it keeps its slope.
+    // An enlarged nose keeps the contact point and the slope there.
     const sweep = arrays.sweep.data[at];
     const grown = this.toolTimes * nose;
     if (this.scale === 1 && this.toolTimes < 1.05) this.tool.position.set(x, y, this.up(z));
@@ -730,7 +730,7 @@ class View {
     if (!this.visible.inset) return;
     this.sectionTimer = setTimeout(async () => {
       this.cutting?.abort();
-      // Meanwhile the path may have gone, or be another one.
+      // The path may have changed in the meantime.
       if (!this.path || at >= this.path.arrays.angle.data.length) return;
       const mine = (this.cutting = new AbortController());
       const { arrays, header, job } = this.path;
@@ -755,7 +755,7 @@ class View {
     if (width < 40 || !this.section) return;
     const colours = inks();
     if (height < 230) {
-      // In a low scene both stand side by side.
+      // In a low scene both are placed side by side.
       const half = Math.round(width * 0.48);
       this.drawTrue(context, colours, { left: 8, top: 20, width: half - 16, height: height - 28 });
       this.drawClose(context, colours, { left: half + 38, top: 20, width: width - half - 48, height: height - 42, title: half });
@@ -770,7 +770,7 @@ class View {
   drawTrue(context, colours, box) {
     const { header, arrays } = this.section;
     const { contact, tip, nose_radius: nose } = header;
-    // As wide as the nose, but no wider than shows the contact.
+    // As wide as the nose, but narrow enough to show the contact.
     const wide = Math.min(2.3 * nose, 2.3 * Math.abs(arrays.edge.data[0] - tip.radius));
     const scale = box.width / wide;
     const toScreen = (u, z) => [box.left + box.width / 2 + (u - tip.radius) * scale, box.top + box.height * 0.72 - (z - contact.z) * scale];
@@ -815,7 +815,7 @@ class View {
     context.restore();
     Object.assign(context, { font: `11px ${colours.font}`, fillStyle: colours.ink, textBaseline: "alphabetic", textAlign: "left" });
     const bar = round(wide / 3.5);
-    // The title is as long as the length of the bar leaves room for.
+    // The longest title that fits.
     const room = box.width - context.measureText(length(bar, 2)).width - 8;
     const title = ["Edge in contact, to scale", "Edge, to scale", "To scale", ""].find((one) => context.measureText(one).width <= room);
     context.fillText(title, box.left, 13);
@@ -826,7 +826,7 @@ class View {
     context.fillRect(right - bar * scale, box.top - 3, bar * scale, 2);
   }
 
-  /** The cusps beside the contact, heights in nanometres over the design. */
+  /** The cusps near the contact, heights in nanometres above the nominal surface. */
   drawClose(context, colours, box) {
     const { header, arrays } = this.section;
     const near = arrays.near.data;
@@ -865,7 +865,7 @@ class View {
     context.clip();
     if (Number.isNaN(arrays.edge_gap.data[near.length >> 1])) {
       Object.assign(context, { fillStyle: colours.quiet, textAlign: "center" });
-      context.fillText("outside the clear radius", box.left + box.width / 2, box.top + box.height / 2);
+      context.fillText("outside the clear aperture", box.left + box.width / 2, box.top + box.height / 2);
       context.restore();
       return;
     }
@@ -921,7 +921,7 @@ class View {
     this.draw();
   }
 
-  /** The place on the part under the pointer. */
+  /** The point on the part under the pointer. */
   hit(event) {
     const box = this.canvas.getBoundingClientRect();
     const at = new Vector2(((event.clientX - box.left) / box.width) * 2 - 1, 1 - ((event.clientY - box.top) / box.height) * 2);
@@ -937,7 +937,7 @@ class View {
     const column = Math.round(((x - header.x[0]) / (header.x[1] - header.x[0])) * (columns - 1));
     const row = Math.round(((y - header.y[0]) / (header.y[1] - header.y[0])) * (rows - 1));
     const value = arrays.values.data[row * columns + column];
-    this.readout.textContent = `x ${x.toFixed(3)} mm, y ${y.toFixed(3)} mm   ${said(value, unit, 4)}`.replaceAll("-", "−");
+    this.readout.textContent = `x ${x.toFixed(3)} mm, y ${y.toFixed(3)} mm   ${formatted(value, unit, 4)}`.replaceAll("-", "−");
   }
 
   showCursor(cursor) {
@@ -999,7 +999,7 @@ class View {
       const { errors, check, checking } = state;
       const job = this.source();
       if (!job) return;
-      // What cannot be read cannot be drawn: the scene follows when a job is judged. One that comes as a whole was read
+      // An invalid job cannot be drawn: the scene is updated after a check. A job that is opened as a whole was validated
       // before, and so was that of a run; whether a path can be laid is known afterwards.
       const judged = job === state.made || !checking;
       const read = job === state.made || (errors.length === 0 ? judged || (keys.has("job") && keys.has("errors")) : judged && check?.errors === errors);
@@ -1096,7 +1096,7 @@ export function mount(box) {
     box.classList.remove("scenebox");
     box.replaceChildren(element("div", { class: "teach" }, [
       element("h3", {}, ["The part cannot be drawn here"]),
-      element("p", {}, ["This browser has no 3-D graphics (WebGL): switch on hardware acceleration in its settings, or take another one."]),
+      element("p", {}, ["This browser has no 3-D graphics (WebGL): enable hardware acceleration, or use another browser."]),
       element("p", {}, ["Fields, verdict, runs, maps, profiles and programs work without it."]),
     ]));
     return { destroy: () => box.replaceChildren() };

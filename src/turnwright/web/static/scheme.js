@@ -1,8 +1,8 @@
-/* What the switch has chosen holds before anything is drawn: else a dark page would begin with a white one. */
+/* Apply the chosen theme before the first paint, to avoid a flash of the other one. */
 
 try {
   const chosen = localStorage.getItem("turnwright.theme");
   if (chosen) document.documentElement.dataset.theme = chosen;
 } catch {
-  // A browser that keeps nothing follows the system.
+  // Without local storage the system setting applies.
 }

@@ -1,4 +1,4 @@
-/* The part as the scene asks for it; also before the scene is there, so that one does not wait for the other. */
+/* Requests of surface maps, also ahead of the scene. */
 
 import { postPacked } from "./api.js";
 import { CLIENT } from "./dom.js";
@@ -11,14 +11,14 @@ function ask(job, quantity) {
   return { job, quantity, stop, answer: postPacked("/view/surface", { data: job, quantity, pixels: PIXELS, client: CLIENT }, { signal: stop.signal }) };
 }
 
-/** Ask what the scene will ask first. */
+/** Send the first request of the scene ahead. */
 export function askAhead(job, quantity) {
   ahead?.stop.abort();
   ahead = ask(job, quantity);
-  ahead.answer.catch(() => {}); // whoever takes the answer hears of it
+  ahead.answer.catch(() => {}); // the error is handled where the answer is used
 }
 
-/** The part in the colours of a quantity. */
+/** The surface map of a quantity. */
 export function surfaceOf(job, quantity, signal) {
   const [before, known] = [ahead, ahead?.job === job && ahead.quantity === quantity];
   ahead = null;

@@ -4,7 +4,7 @@
    on(["run", "map"], ({ run, map }) => draw(), { now: true });   // one call a frame, however many keys changed
    set({ place: 0.3 });
 
-   Every module exports mount(element, options?) -> { destroy() }, and draws itself anew from the store alone.
+   Every module exports mount(element, options?) -> { destroy() }, and renders from the store alone.
    Lengths are mm, angles rad, times s, as in the HTTP contract; x, y are of the part frame.
 
    key           what                                                                     set by
@@ -79,13 +79,13 @@ const listeners = new Set();
 let changed = new Set();
 let due = false;
 
-function tell() {
+function notify() {
   due = false;
   const keys = changed;
   changed = new Set();
   for (const listener of [...listeners]) {
     if (!listener.keys.some((key) => keys.has(key))) continue;
-    // A view that fails must not take the others with it.
+    // An error in one view must not affect the others.
     try {
       listener.call(state, keys);
     } catch (error) {
@@ -94,7 +94,7 @@ function tell() {
   }
 }
 
-/** Change keys of the store; those that listen are told before the next frame, once. */
+/** Change keys of the store; listeners are called once before the next frame. */
 export function set(values) {
   for (const [key, value] of Object.entries(values)) {
     if (!(key in state)) throw new Error(`the store has no key ${key}`);
@@ -104,11 +104,11 @@ export function set(values) {
   }
   if (changed.size && !due) {
     due = true;
-    queueMicrotask(tell);
+    queueMicrotask(notify);
   }
 }
 
-/** Call `call(state, changedKeys)` when one of `keys` has changed; return how to stop it. */
+/** Call `call(state, changedKeys)` when one of `keys` has changed; returns a function to stop. */
 export function on(keys, call, { now = false } = {}) {
   const listener = { keys: [].concat(keys), call };
   listeners.add(listener);
@@ -116,7 +116,7 @@ export function on(keys, call, { now = false } = {}) {
   return () => listeners.delete(listener);
 }
 
-/** Say one sentence at the foot of the page. */
+/** Show one sentence at the foot of the page. */
 export function say(sentence, kind = "info") {
   set({ notice: sentence ? { sentence, kind } : null });
 }

@@ -1,10 +1,10 @@
-/* What the panels share: the store as a hook, numbers with their units, icons and downloads. */
+/* Shared parts of the panels: store hook, number formats, icons and downloads. */
 
 import { html, useEffect, useState } from "./vendor/preact.js";
 import { address } from "./api.js";
 import { on, state } from "./state.js";
 
-/** The store, and a new drawing whenever one of `keys` changes. */
+/** The store; the component is rendered again whenever one of `keys` changes. */
 export function useStore(keys) {
   const [, again] = useState(0);
   useEffect(() => on(keys, () => again((count) => count + 1), { now: true }), []);
@@ -14,7 +14,7 @@ export function useStore(keys) {
 const NONE = "–";
 const GAP = "\u202f";
 
-/** A number with `digits` significant ones, thousands parted, a true minus. */
+/** A number with `digits` significant digits, thousands separators and a true minus sign. */
 export function number(value, digits = 3) {
   if (value === null || value === undefined || !Number.isFinite(value)) return NONE;
   if (value === 0) return "0";
@@ -85,7 +85,7 @@ const SCALES = {
   rad: [[180 / Math.PI, "°"], [1e3, "mrad"], [1e6, "µrad"]],
 };
 
-/** A value with its uncertainty, both in one unit, and no digit more than the uncertainty allows. */
+/** A value with its uncertainty in one unit, rounded to the uncertainty. */
 export function doubted(value, doubt, unit) {
   if (!Number.isFinite(value)) return NONE;
   if (!Number.isFinite(doubt) || doubt <= 0) return Math.abs(value) < 1e-9 && unit in SCALES ? `0${GAP}${SCALES[unit].at(-1)[1]}` : quantity(value, unit);
@@ -97,7 +97,7 @@ export function doubted(value, doubt, unit) {
   return `${/[1-9]/.test(text) ? text : text.replace("−", "")} ± ${whole(doubt * factor, decimals)}${shown ? GAP + shown : ""}`;
 }
 
-/** A time as a person says it. */
+/** A duration in h, min and s. */
 export function duration(seconds) {
   if (!Number.isFinite(seconds)) return NONE;
   if (seconds < 1) return `${number(seconds * 1000, 2)}${GAP}ms`;
@@ -113,14 +113,14 @@ export function bytes(value) {
   return scaled(value, [[1e-9, "GB"], [1e-6, "MB"], [1e-3, "kB"], [1, "B"]], 3);
 }
 
-/** A share as per cent. */
+/** A fraction as a percentage. */
 export function percent(share) {
   if (!Number.isFinite(share)) return NONE;
   const value = share * 100;
   return `${value >= 10 ? Math.round(value) : value >= 0.1 ? value.toFixed(1) : "<0.1"}${GAP}%`;
 }
 
-/** A point in time, of today as hours and minutes. */
+/** A time of day, with the date unless it is today. */
 export function clock(when) {
   const date = typeof when === "number" ? new Date(when * 1000) : new Date(when);
   if (Number.isNaN(date.getTime())) return "";
@@ -158,12 +158,12 @@ const PATHS = {
   idle: "M4 8h8",
 };
 
-/** A 16 px drawing of the page's own. */
+/** A 16 px icon. */
 export function Icon({ name }) {
   return html`<svg class="icon" viewBox="0 0 16 16" aria-hidden="true"><path d=${PATHS[name]} /></svg>`;
 }
 
-/** A button that is only a drawing, with its name for those who do not see it. */
+/** An icon button with an accessible name. */
 export function Tool({ icon, name, keys = "", ...rest }) {
   const title = keys ? `${name}  (${keys})` : name;
   return html`<button type="button" class="tool" title=${title} aria-label=${name} ...${rest}><${Icon} name=${icon} /></button>`;
@@ -172,11 +172,11 @@ export function Tool({ icon, name, keys = "", ...rest }) {
 /** A verdict by shape and colour. */
 export function Mark({ ok, warn = false }) {
   const kind = ok === null || ok === undefined ? "idle" : ok ? "yes" : warn ? "warn" : "no";
-  const said = { yes: "kept", no: "not kept", warn: "warning", idle: "not judged" }[kind];
-  return html`<span class=${`mark ${kind}`} role="img" aria-label=${said}><${Icon} name=${kind} /></span>`;
+  const label = { yes: "met", no: "not met", warn: "warning", idle: "not evaluated" }[kind];
+  return html`<span class=${`mark ${kind}`} role="img" aria-label=${label}><${Icon} name=${kind} /></span>`;
 }
 
-/** A share of a limit as a bar; the limit stands at four fifths, so that more than all of it can be seen. */
+/** Utilisation of a limit as a bar; the limit is at 80 % of its width, so that an excess is visible. */
 export function Gauge({ share, label, bad = share > 1 }) {
   const clipped = Math.max(0, Math.min(1.25, Number.isFinite(share) ? share : 0));
   return html`<svg class=${bad ? "gauge bad" : "gauge"} viewBox="0 0 100 4" preserveAspectRatio="none" role="meter"
@@ -187,15 +187,15 @@ export function Gauge({ share, label, bad = share > 1 }) {
   </svg>`;
 }
 
-/** A share of something as a plain bar. */
+/** A fraction as a plain bar. */
 export function Bar({ share, kind = "" }) {
   const width = Math.max(0, Math.min(1, Number.isFinite(share) ? share : 0)) * 100;
   return html`<svg class=${`share ${kind}`} viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true"><rect class="track" width="100" height="4" /><rect class="fill" width=${width} height="4" /></svg>`;
 }
 
-const FILES = { program: "Program", table: "Table of the fast tool", report: "Report", job: "Job", written: "Job as written", bundle: "Job with its files", correction: "Correction", archive: "Archive", result: "Numbers" };
+const FILES = { program: "Program", table: "Fast tool servo table", report: "Report", job: "Job", written: "Job as written", bundle: "Job with its files", correction: "Correction", archive: "Archive", result: "Numbers" };
 
-/** Links to the files of a run: [{name, part, file, bytes}]; many of one kind fold. */
+/** Links to the files of a run: [{name, part, file, bytes}]; several of one kind are folded. */
 export function Downloads({ path, files, only = Object.keys(FILES) }) {
   const link = ({ name, part, file, bytes: size }, title) => html`<a class="button" href=${address(`${path}/files/${name}`, part ? { part } : {})} download=${file} title=${`${file}, ${bytes(size)}`}><${Icon} name="save" />${title}</a>`;
   return html`<div class="downloads">
@@ -207,7 +207,7 @@ export function Downloads({ path, files, only = Object.keys(FILES) }) {
   </div>`;
 }
 
-/** Save text, or bytes, as a file of the reader's. */
+/** Download text or bytes as a file. */
 export function saveText(text, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob([text], { type: "text/plain" }));
@@ -216,7 +216,7 @@ export function saveText(text, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-/** A name that any computer takes as that of a file. */
+/** A portable file name. */
 export function fileName(title) {
   return title.normalize("NFKD").replace(/[^A-Za-z0-9]+/g, "-").replace(/^-+|-+$/g, "").toLowerCase() || "job";
 }

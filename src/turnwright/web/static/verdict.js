@@ -1,4 +1,4 @@
-/* The results on the right: what can be said of the job as it stands, and what the run looked at found. */
+/* The results pane: check of the current job, and results of the selected run. */
 
 import { Fragment, html, render, useEffect, useState } from "./vendor/preact.js";
 import { get } from "./api.js";
@@ -26,27 +26,27 @@ function Finding({ finding }) {
   return html`<li class=${finding.ok ? "finding" : "finding bad"}>
     <div class="line"><${Mark} ok=${finding.ok} /><strong>${finding.name}</strong><span class="gap"></span>
       ${finding.limit !== null && unit && html`<span class="number">${quantity(finding.value, unit)} <span class="quiet">of ${quantity(finding.limit, unit)}</span></span>`}
-      ${finding.where && html`<button type="button" class="tool" title="Show where" aria-label=${`Show where the ${finding.name} is least`} onClick=${() => point(finding.where)}><${Icon} name="place" /></button>`}
+      ${finding.where && html`<button type="button" class="tool" title="Show where" aria-label=${`Show where the ${finding.name} is critical`} onClick=${() => point(finding.where)}><${Icon} name="place" /></button>`}
     </div>
-    ${Number.isFinite(share) && html`<${Gauge} share=${share} bad=${!finding.ok} label=${`${finding.name}: share of its limit`} />`}
+    ${Number.isFinite(share) && html`<${Gauge} share=${share} bad=${!finding.ok} label=${`${finding.name}: utilisation of its limit`} />`}
     <p class=${finding.ok ? "quiet" : ""}>${finding.sentence}</p>
   </li>`;
 }
 
 function Plan() {
   const { job, check, errors, checking } = useStore(["job", "check", "errors", "checking"]);
-  if (!job) return html`<p class="quiet pad">Once there is a job, this is where it is judged: whether the tool reaches every place, how long the program is, what limits it.</p>`;
-  if (!check) return html`<p class="quiet pad">${errors.length ? "The fields marked on the left come first." : checking ? "Looking at the job …" : "The job could not be judged; the line at the foot says why."}</p>`;
+  if (!job) return html`<p class="quiet pad">The check of the job is shown here: tool access, length of the program, and limits.</p>`;
+  if (!check) return html`<p class="quiet pad">${errors.length ? "Correct the marked fields first." : checking ? "Checking the job …" : "The job could not be checked; see the message at the foot of the page."}</p>`;
   const { access, preview, chips = {}, warnings = [] } = check;
-  // Of a job that can be read the access is judged, even where its path is not.
+  // Tool access is checked even if the path cannot be planned.
   const stale = errors.length > 0 && check.errors !== errors;
   const refused = preview?.refused ?? [];
   const ok = access.ok && refused.length === 0 && !(errors.length > 0 && !stale);
-  return html`<${Fragment}>${errors.length > 0 && html`<section class="card bad"><header><h3>${stale ? "The job as typed has errors" : "No path can be laid"}</h3></header>
-      <ul class="sentences">${errors.slice(0, 4).map((error) => html`<li>${error.sentence}</li>`)}</ul>${stale && html`<p class="quiet">Below: the job before these errors.</p>`}</section>`}
+  return html`<${Fragment}>${errors.length > 0 && html`<section class="card bad"><header><h3>${stale ? "The job has errors" : "The path cannot be planned"}</h3></header>
+      <ul class="sentences">${errors.slice(0, 4).map((error) => html`<li>${error.sentence}</li>`)}</ul>${stale && html`<p class="quiet">Below: the last valid job.</p>`}</section>`}
     <div class=${stale ? "cards stale" : "cards"} aria-busy=${checking ? "true" : "false"}>
     <section class=${ok ? "card verdict good" : "card verdict bad"} id="verdict" aria-live="polite">
-      <${Mark} ok=${ok} /><div><h3>${ok ? "The tool reaches the part" : access.ok ? "A run would refuse the job" : "The tool does not reach the part"}</h3>
+      <${Mark} ok=${ok} /><div><h3>${ok ? "The tool has access to the part" : access.ok ? "A run would refuse the job" : "The tool has no access to the part"}</h3>
       ${refused.map((sentence) => html`<p>${sentence}</p>`)}</div>
     </section>
     <${Card} title="Access"><ul class="findings">${access.findings.map((finding) => html`<${Finding} key=${finding.name} finding=${finding} />`)}</ul></${Card}>
@@ -55,7 +55,7 @@ function Plan() {
       <dl class="facts">${Object.entries(preview.shape).map(([name, text]) => html`<dt>${name}</dt><dd>${text.replaceAll(" um", " µm")}</dd>`)}</dl>
       ${preview.remarks.map((sentence) => html`<p class="quiet">${sentence}</p>`)}</${Card}>`}
     ${preview?.unjudged.length > 0 && html`<${Card} title="Tolerances"><ul class="sentences">${preview.unjudged.map((sentence) => html`<li>${sentence}</li>`)}</ul></${Card}>`}
-    ${Object.keys(chips).length > 0 && html`<${Card} title="Chips"><ul class="sentences">${Object.entries(chips).map(([name, sentence]) => html`<li><strong>${name}</strong> ${String(sentence)}</li>`)}</ul></${Card}>`}
+    ${Object.keys(chips).length > 0 && html`<${Card} title="Uncut chip thickness"><ul class="sentences">${Object.entries(chips).map(([name, sentence]) => html`<li><strong>${name}</strong> ${String(sentence)}</li>`)}</ul></${Card}>`}
     ${warnings.length > 0 && html`<${Warnings} warnings=${warnings} />`}
     </div></${Fragment}>`;
 }
@@ -73,7 +73,7 @@ function Length({ preview }) {
     ${names.length > 1 && html`<table class="small"><thead><tr><th>pass</th><th class="number">points</th><th class="number">at least</th><th></th></tr></thead>
       <tbody>${names.map((name) => html`<tr><th scope="row">${name}</th><td class="number">${count(preview.points[name])}</td><td class="number">${duration(preview.shortest_s[name])}</td>
         <td class="meter"><${Bar} share=${(preview.shortest_s[name] ?? 0) / longest} /></td></tr>`)}</tbody></table>`}
-    <p class="quiet">By block rate and spindle alone; a run says what the slides need.</p>
+    <p class="quiet">By block rate and spindle speed only; a run includes the axis limits.</p>
   </${Card}>`;
 }
 
@@ -92,8 +92,8 @@ function Outcome() {
   const seconds = result.passes.reduce((sum, cut) => sum + cut.limits.cycle_time_s, 0);
   return html`<div class="cards" id="outcome">
     <${Tolerances} result=${result} />
-    <${Card} title="Surface left">
-      <table class="small"><thead><tr><th>where</th><th class="number">PV</th><th class="number">Sq</th><th class="number">Sa</th></tr></thead>
+    <${Card} title="Simulated surface">
+      <table class="small"><thead><tr><th>map</th><th class="number">PV</th><th class="number">Sq</th><th class="number">Sa</th></tr></thead>
       <tbody>${result.predictions.map(({ name, roughness, pv_nm }) => html`<tr class="pick" onClick=${() => set({ map: name, drawer: "maps", view: "drawer" })}>
         <th scope="row"><button type="button" class="link" onClick=${() => set({ map: name, drawer: "maps", view: "drawer" })}>${name}</button></th>
         <td class="number">${height(pv_nm ?? roughness.pv_nm)}</td><td class="number">${height(roughness.sq_nm)}</td><td class="number">${height(roughness.sa_nm)}</td></tr>`)}</tbody></table>
@@ -103,16 +103,16 @@ function Outcome() {
     <${Card} title="Cycle" side=${html`<span class="quiet">${result.dialect}</span>`}>
       <dl class="figures">
         <${Figure} label="cutting time">${duration(seconds)}</${Figure}>
-        <${Figure} label="limited by">${last.limits.binding ?? "nothing"}</${Figure}>
+        <${Figure} label="limited by">${last.limits.binding ?? "no limit"}</${Figure}>
         <${Figure} label="points">${count(result.passes.reduce((sum, cut) => sum + cut.points, 0))}</${Figure}>
         <${Figure} label="spindle">${number(last.spindle_rpm)} rpm</${Figure}>
       </dl>
       <${Limits} limits=${last.limits} name=${last.name} />
     </${Card}>
     <${Chips} passes=${result.passes} />
-    <${Card} title="Program"><p class="quiet">${count(result.program.lines)} lines in ${result.program.files.length === 1 ? "one file" : `${result.program.files.length} files`}, ${bytes(result.program.bytes)}; read back from disk within ${height(result.rounding_nm)} of the planned motion, decimals allow ${height(result.rounding_limit_nm)}.</p>
+    <${Card} title="Program"><p class="quiet">${count(result.program.lines)} lines in ${result.program.files.length === 1 ? "one file" : `${result.program.files.length} files`}, ${bytes(result.program.bytes)}; rounding changes the surface by ${height(result.rounding_nm)}, limit ${height(result.rounding_limit_nm)}.</p>
       <${Downloads} path=${`/runs/${run}`} files=${files} />
-      <p><button type="button" class="add" onClick=${() => editAgain(run)}><${Icon} name="left" />Take this job into the fields</button></p></${Card}>
+      <p><button type="button" class="add" onClick=${() => editAgain(run)}><${Icon} name="left" />Edit this job</button></p></${Card}>
   </div>`;
 }
 
@@ -123,8 +123,8 @@ function Tolerances({ result }) {
   const open = verdicts.filter(({ kept }) => kept === null);
   const head = missed.length ? `Misses ${missed.length === 1 ? "a tolerance" : `${missed.length} tolerances`}`
     : !ok ? "Not within all limits"
-    : open.length ? "Within all limits, not every tolerance judged"
-    : verdicts.length ? "Keeps its tolerances, within all limits" : "Within all limits; no tolerance is stated";
+    : open.length ? "Within all limits, some tolerances not evaluated"
+    : verdicts.length ? "Meets all tolerances, within all limits" : "Within all limits; no tolerance is stated";
   const good = ok && !missed.length && !open.length;
   return html`<section class=${good ? "card verdict good" : missed.length || !ok ? "card verdict bad" : "card verdict"}><${Mark} ok=${good} warn=${!missed.length && ok} />
     <div><h3>${head}</h3>${missed.length > 0 && !ok && html`<p>Not within all limits either.</p>`}
@@ -134,46 +134,46 @@ function Tolerances({ result }) {
 
 function Limits({ limits, name }) {
   const used = Object.entries(limits.utilisation).sort(([, a], [, b]) => b - a);
-  return html`<${Fragment}><h4>${name}: share of each limit</h4>
+  return html`<${Fragment}><h4>${name}: utilisation of limits</h4>
     <ul class="gauges">${used.slice(0, 6).map(([what, share]) => html`<li><span>${what}</span><${Gauge} share=${share} bad=${share > 1 + 1e-6} label=${what} /><span class="number">${percent(share)}</span></li>`)}</ul>
     ${limits.findings.length > 0 && html`<ul class="sentences">${limits.findings.map((finding) => html`<li>${finding.sentence ?? String(finding)}</li>`)}</ul>`}</${Fragment}>`;
 }
 
 const SHARES = [
-  ["cusp_away_nm", "cusps", "what the nose leaves between turns on an exact path, away from the axis"],
-  ["cusp_nm", "cusps at the axis", "what the nose leaves there, where the first or last turn has a neighbour on one side only"],
-  ["chord_nm", "between the points", "what the controller makes of the path from one point of the program to the next"],
-  ["rounding_nm", "decimals", "what the decimals of the program change"],
-  ["tracking_nm", "servos", "what the axes make of what they are told"],
+  ["cusp_away_nm", "cusps", "error of an exact path, away from the axis"],
+  ["cusp_nm", "cusps at the axis", "error of an exact path at the axis, where the first or last revolution has one neighbour only"],
+  ["chord_nm", "interpolation", "change by the controller's interpolation between points"],
+  ["rounding_nm", "decimals", "change by rounding in the program"],
+  ["tracking_nm", "servos", "change by the servo response of the axes"],
 ];
 
-/** Where the error comes from, as bars; finding it takes the server about as long as planning. */
+/** Error budget as bars; computing it takes about as long as planning. */
 function Budget({ run, result }) {
-  const [told, tell] = useState(null);
+  const [budget, setBudget] = useState(null);
   useEffect(() => {
     const asking = new AbortController();
-    tell(null);
-    get(`/runs/${run}/budget`, {}, { signal: asking.signal }).then(tell, (error) => error.name !== "AbortError" && tell({ refused: error.message }));
+    setBudget(null);
+    get(`/runs/${run}/budget`, {}, { signal: asking.signal }).then(setBudget, (error) => error.name !== "AbortError" && setBudget({ refused: error.message }));
     return () => asking.abort();
   }, [run, result]);
   const side = html`<span class="quiet">peak to valley</span>`;
-  if (!told) return html`<${Card} title="Error budget" side=${side}><p class="quiet" role="status">The finishing pass is simulated without chords, decimals and servos in turn, to see what each adds …</p></${Card}>`;
-  if (told.refused) return html`<${Card} title="Error budget" side=${side}><p class="quiet">${told.refused}</p></${Card}>`;
-  const entries = SHARES.filter(([key]) => Number.isFinite(told[key]) && !(key === "tracking_nm" && !told.servos) && !(key === "cusp_nm" && told.cusp_nm < 1.02 * told.cusp_away_nm))
-    .sort(([one], [other]) => told[other] - told[one]);
-  const most = Math.max(told.pv_nm ?? 0, ...entries.map(([key]) => told[key]));
+  if (!budget) return html`<${Card} title="Error budget" side=${side}><p class="quiet" role="status">Simulating the finishing pass with and without interpolation, rounding and servo response …</p></${Card}>`;
+  if (budget.refused) return html`<${Card} title="Error budget" side=${side}><p class="quiet">${budget.refused}</p></${Card}>`;
+  const entries = SHARES.filter(([key]) => Number.isFinite(budget[key]) && !(key === "tracking_nm" && !budget.servos) && !(key === "cusp_nm" && budget.cusp_nm < 1.02 * budget.cusp_away_nm))
+    .sort(([one], [other]) => budget[other] - budget[one]);
+  const most = Math.max(budget.pv_nm ?? 0, ...entries.map(([key]) => budget[key]));
   return html`<${Card} title="Error budget" side=${side}>
-    <ul class="gauges named" id="budget">${entries.map(([key, name, meaning]) => html`<li title=${meaning}><span>${name}</span><${Bar} share=${told[key] / most} /><span class="number">${height(told[key])}</span></li>`)}
-      <li class="sum"><span>all together</span><${Bar} share=${told.pv_nm / most} /><span class="number">${height(told.pv_nm)}</span></li></ul>
-    <p class="quiet">Each is found alone, so they do not add up; all together RMS ${height(told.rms_nm)}.${told.servos ? "" : " The machine file says nothing of its servos: their part is not in it."}</p></${Card}>`;
+    <ul class="gauges named" id="budget">${entries.map(([key, name, meaning]) => html`<li title=${meaning}><span>${name}</span><${Bar} share=${budget[key] / most} /><span class="number">${height(budget[key])}</span></li>`)}
+      <li class="sum"><span>total</span><${Bar} share=${budget.pv_nm / most} /><span class="number">${height(budget.pv_nm)}</span></li></ul>
+    <p class="quiet">Contributions are simulated separately and do not add up; total RMS ${height(budget.rms_nm)}.${budget.servos ? "" : " The servo contribution is not included: the machine file does not state the servo response."}</p></${Card}>`;
 }
 
-/** What each pass does to the material, where the run has found it. */
+/** Uncut chip thickness of each pass, with the ductile-mode check. */
 function Chips({ passes }) {
   const known = passes.filter(({ chips }) => chips);
   if (!known.length) return null;
-  return html`<${Card} title="Chips" side=${html`<button type="button" class="link quiet" onClick=${() => set({ quantity: "chips" })}>show on the part</button>`}>
-    <table class="small"><thead><tr><th></th><th>pass</th><th class="number">thickest</th><th class="number">brittle from</th></tr></thead>
+  return html`<${Card} title="Uncut chip thickness" side=${html`<button type="button" class="link quiet" onClick=${() => set({ quantity: "chips" })}>show on the part</button>`}>
+    <table class="small"><thead><tr><th></th><th>pass</th><th class="number">maximum</th><th class="number">critical</th></tr></thead>
     <tbody>${known.map(({ name, chips }) => html`<tr title=${chips.sentence}><td><${Mark} ok=${chips.ok} warn=${chips.ok !== true} /></td><th scope="row">${name}<small class="block">${chips.verdict}${Number.isFinite(chips.margin) ? `, margin ${percent(chips.margin)}` : ""}</small></th>
       <td class="number">${length(chips.thickest)}</td><td class="number">${chips.critical ? length(chips.critical) : "–"}</td></tr>`)}</tbody></table></${Card}>`;
 }
@@ -183,7 +183,7 @@ function Chips({ passes }) {
 function Pane() {
   const [tab, show] = useState("plan");
   const { runs, run } = useStore(["runs", "run"]);
-  // Whoever starts a run or looks at one wants to see it.
+  // Show the runs when one is started or selected.
   useEffect(() => on("run", ({ run: id }) => id && show("runs")), []);
   const busy = runs.filter((one) => one.state === "queued" || one.state === "running").length;
   const head = (name, title) => html`<button type="button" role="tab" aria-selected=${tab === name ? "true" : "false"} tabindex=${tab === name ? 0 : -1} onClick=${() => show(name)}
