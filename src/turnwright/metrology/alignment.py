@@ -75,10 +75,10 @@ class Alignment:
         along = float(np.sum(about * moved)) / spread
         across = float(np.sum(about[:, 0] * moved[:, 1] - about[:, 1] * moved[:, 0])) / spread
         turn = np.array([[along, -across], [across, along]])
-        rest = moved - about @ turn.T
+        residual = moved - about @ turn.T
         shift = to.mean(axis=0) - turn @ middle
         freedom = 2 * from_.shape[0] - 4
-        scatter = float(np.sqrt(np.sum(rest**2) / freedom)) if freedom else float("nan")
+        scatter = float(np.sqrt(np.sum(residual**2) / freedom)) if freedom else float("nan")
         dislocated = float(np.sum((moved - about) ** 2))
         return cls(
             shift=(float(shift[0]), float(shift[1])),
@@ -87,6 +87,6 @@ class Alignment:
             rotation_std=scatter / float(np.sqrt(spread)),
             scale=float(np.hypot(along, across)) - 1,
             scale_std=scatter / float(np.sqrt(spread)),
-            rest=frozen(rest, "rest", ndim=2),
-            share=1 - float(np.sum(rest**2)) / dislocated if dislocated > 0 else float("nan"),
+            rest=frozen(residual, "rest", ndim=2),
+            share=1 - float(np.sum(residual**2)) / dislocated if dislocated > 0 else float("nan"),
         )

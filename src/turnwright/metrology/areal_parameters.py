@@ -193,8 +193,8 @@ def _texture(residual: HeightMap, grid: Grid, sq: float) -> tuple[float, float, 
         return *nothing, ("Sal and Str cannot be stated: they need an even grid of at least 4 x 4 points",)
     if sq == 0:
         return *nothing, ("Sal and Str cannot be stated: the map is perfectly flat",)
-    correlation, known = _autocorrelation(residual.z)
-    lengths, fallen = _decay(correlation, known, steps[0].mean(), steps[1].mean())
+    correlation, has_overlap = _autocorrelation(residual.z)
+    lengths, fallen = _decay(correlation, has_overlap, steps[0].mean(), steps[1].mean())
     if not fallen.any():
         note = f"the autocorrelation stays above {CORRELATED} as far as it is known, so map a larger area"
         return *nothing, (f"Sal and Str cannot be stated: {note}",)
@@ -227,9 +227,9 @@ def _autocorrelation(z: Floats) -> tuple[Floats, Bools]:
     else:
         overlap = np.rint(correlate(valid.astype(np.float64)))
     product = correlate(np.where(valid, z - np.nanmean(z), 0.0)) / np.maximum(overlap, 1)
-    known = overlap >= max(OVERLAP * np.count_nonzero(valid), 1)
+    has_overlap = overlap >= max(OVERLAP * np.count_nonzero(valid), 1)
     # What is not known counts as correlated, lest a hole in the map look like an end of the lay.
-    return np.where(known, product / product[reach], 1.0), known
+    return np.where(has_overlap, product / product[reach], 1.0), has_overlap
 
 
 def _decay(correlation: Floats, known: Bools, dx: float, dy: float) -> tuple[Floats, Bools]:

@@ -145,14 +145,14 @@ def best_fit(
             raise InputError(
                 f"the best sphere of the map is flat, so a {form} has no start: give a surface to start from"
             )
-        given: Surface = Sphere(radius=start.parameters["radius"])
+        initial: Surface = Sphere(radius=start.parameters["radius"])
         if form == "conic":
-            given = Conic(radius=start.parameters["radius"], conic=0.0)
+            initial = Conic(radius=start.parameters["radius"], conic=0.0)
         vertex = [start.parameters[name] for name in ("x", "y", "z")]
     else:
-        given = form
+        initial = form
         vertex = [0.0, 0.0, float(np.nanmedian(heights.z - _sag(form, heights)))]
-    return _fitted(heights, _Revolved.of(given, vertex, along_normal=along_normal), free, distance)
+    return _fitted(heights, _Revolved.of(initial, vertex, along_normal=along_normal), free, distance)
 
 
 def fizeau_view(heights: HeightMap, *, radius: float | None = None) -> BestFit:
@@ -184,12 +184,12 @@ def fizeau_view(heights: HeightMap, *, radius: float | None = None) -> BestFit:
 def without_sphere(heights: HeightMap) -> HeightMap:
     """Return a map minus the best sphere in z; of those that fit points on one line equally well, the flattest."""
     model = _FreeSphere.of(heights, along_normal=False)
-    left = np.full(heights.z.shape, np.nan)
+    residual = np.full(heights.z.shape, np.nan)
     cloud = Cloud.of(heights, ~np.isnan(heights.z))
     size = float(np.nanmax(heights.z) - np.nanmin(heights.z)) or 1.0
-    parameters, _, _ = _gauss_newton(cloud, model, model.start, [0, 1, 2, 3], size, left, least_norm=True)
+    parameters, _, _ = _gauss_newton(cloud, model, model.start, [0, 1, 2, 3], size, residual, least_norm=True)
     _require_reach(model, parameters, cloud)
-    return replace(heights, z=left)
+    return replace(heights, z=residual)
 
 
 class _Model(ABC):
@@ -236,15 +236,15 @@ class _Plane(_Model):
 
     def terms(self, parameters: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
         c, p, q = parameters
-        left = z - c - p * x - q * y
+        residual = z - c - p * x - q * y
         terms = np.stack([np.ones_like(x), x, y])
         if self.along_normal:
             up = 1 / np.sqrt(1 + p * p + q * q)
             terms *= up
-            left *= up
-            terms[1] += left * p * up * up
-            terms[2] += left * q * up * up
-        return terms, left
+            residual *= up
+            terms[1] += residual * p * up * up
+            terms[2] += residual * q * up * up
+        return terms, residual
 
     def stated(self, parameters: Floats) -> tuple[Floats, Floats]:
         return parameters, np.eye(3)
@@ -292,7 +292,7 @@ class _FreeSphere(_Model):
         steep = np.sqrt(1 + p * p + q * q)
         length = np.sqrt(np.maximum(steep**2 + 2 * k * gap, EQUATOR))
         total = steep + length
-        left = -2 * gap / total
+        residual = -2 * gap / total
         by_gap = np.stack([1 - k * t, u, v, squares / 2])
         by_length = k * by_gap / length
         by_length[3] += gap / length
@@ -300,7 +300,7 @@ class _FreeSphere(_Model):
         by_length[2] += q / length
         by_length[1] += p / steep
         by_length[2] += q / steep
-        return 2 * by_gap / total + left / total * by_length, left
+        return 2 * by_gap / total + residual / total * by_length, residual
 
     def stated(self, parameters: Floats) -> tuple[Floats, Floats]:
         c, p, q, k = parameters.tolist()
@@ -391,7 +391,7 @@ class _Revolved(_Model):
         turn = pose.matrix
         shifted = (x - pose.shift[0], y - pose.shift[1], z - pose.shift[2])
         a, b, height = (turn[0, i] * shifted[0] + turn[1, i] * shifted[1] + turn[2, i] * shifted[2] for i in range(3))
-        left = np.zeros_like(z)
+        residual = np.zeros_like(z)
         foot = np.zeros((3, z.size))
         normal = np.zeros((3, z.size))
         by_shape: list[Floats] = []
@@ -399,15 +399,15 @@ class _Revolved(_Model):
         # there; each turn squares the error, or multiplies it by what is left over the radius of curvature.
         for _ in range(MAX_STEPS):
             way = normal if self.along_normal else np.repeat(turn[2][:, None], z.size, axis=1)
-            u, v, w = a - left * way[0], b - left * way[1], height - left * way[2]
+            u, v, w = a - residual * way[0], b - residual * way[1], height - residual * way[2]
             sag, slope, by_shape = self._sag(parameters, u, v)
             normal = np.stack([-slope * u, -slope * v, np.ones_like(u)])
             normal /= np.sqrt((normal * normal).sum(axis=0))
             along = 1.0 if self.along_normal else turn[2] @ normal
             more = (w - sag) * normal[2] / along
             foot = np.stack([u, v, sag])
-            left = left + more
-            if np.abs(more).max(initial=0.0) <= 1e-14 * (1 + np.abs(left).max(initial=0.0)):
+            residual = residual + more
+            if np.abs(more).max(initial=0.0) <= 1e-14 * (1 + np.abs(residual).max(initial=0.0)):
                 break
         fixed = np.stack([turn[i] @ normal for i in range(3)])  # the normal in the frame of the map
         columns = [*fixed]
@@ -421,7 +421,7 @@ class _Revolved(_Model):
             columns += [(fixed * (by @ foot)).sum(axis=0) for by in (about_x_by @ about_y, about_x @ about_y_by)]
         columns += [by * normal[2] for by in by_shape]
         terms = np.stack(columns)
-        return (terms if self.along_normal else terms / (turn[2] @ normal)), left
+        return (terms if self.along_normal else terms / (turn[2] @ normal)), residual
 
     def stated(self, parameters: Floats) -> tuple[Floats, Floats]:
         at = self.names.index("radius")
@@ -485,8 +485,8 @@ def _fitted(heights: HeightMap, model: _Model, free: Sequence[str] | None, dista
         parameters, _, _ = _gauss_newton(thin, normal, parameters, chosen, size)
     if thin is not cloud and np.count_nonzero(thin.used) > 4 * len(chosen):
         parameters, _, _ = _gauss_newton(thin, model, parameters, chosen, size)
-    left = np.full(heights.z.shape, np.nan)
-    parameters, sums, condition = _gauss_newton(cloud, model, parameters, chosen, size, left)
+    residual = np.full(heights.z.shape, np.nan)
+    parameters, sums, condition = _gauss_newton(cloud, model, parameters, chosen, size, residual)
     _require_reach(model, parameters, cloud)
     stated, by = model.stated(parameters)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -503,10 +503,10 @@ def _fitted(heights: HeightMap, model: _Model, free: Sequence[str] | None, dista
         held=MappingProxyType({name: value for name, value in values.items() if name not in names}),
         distance=distance,
         residual=replace(
-            heights, z=left, name=f"{heights.name} from {model.what.replace('a ', 'its best ', 1)}".strip()
+            heights, z=residual, name=f"{heights.name} from {model.what.replace('a ', 'its best ', 1)}".strip()
         ),
         rms_nm=sums.rms * NM,
-        pv_nm=float(np.nanmax(left) - np.nanmin(left)) * NM,
+        pv_nm=float(np.nanmax(residual) - np.nanmin(residual)) * NM,
         condition=condition,
     )
 
@@ -540,8 +540,8 @@ def _gauss_newton(
         now = parameters
 
         def terms(x: Floats, y: Floats, z: Floats, now: Floats = now) -> tuple[Floats, Floats]:
-            derivatives, rest = model.terms(now, x, y, z)
-            return derivatives[chosen], rest
+            derivatives, values = model.terms(now, x, y, z)
+            return derivatives[chosen], values
 
         sums = sums_over(cloud, terms, np.zeros(len(chosen)), left=left)
         if least_norm:

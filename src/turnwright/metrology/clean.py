@@ -173,7 +173,7 @@ def _differences(z: Floats) -> tuple[Floats, Floats]:
 
 def _kong(z: Floats, piece: Ints, threshold: float) -> tuple[Bools, tuple[float, ...], Bools]:
     """Return the spikes, the deviations and what was not judged, by mean and standard deviation."""
-    spikes, known = np.zeros(z.shape, dtype=bool), np.zeros(z.shape, dtype=bool)
+    spikes, judged = np.zeros(z.shape, dtype=bool), np.zeros(z.shape, dtype=bool)
     scales = []
     for axis, values in zip((1, 0), _differences(z), strict=True):
         mixed = np.diff(piece, axis=axis) != 0
@@ -181,13 +181,13 @@ def _kong(z: Floats, piece: Ints, threshold: float) -> tuple[Bools, tuple[float,
         for side in ((1, 0), (0, 1)):
             pad[axis] = side
             values[np.pad(mixed, pad)] = np.nan
-        here = ~np.isnan(values)
-        known |= here
-        if here.any():
-            mean, deviation = float(values[here].mean()), float(values[here].std())
+        valid = ~np.isnan(values)
+        judged |= valid
+        if valid.any():
+            mean, deviation = float(values[valid].mean()), float(values[valid].std())
             scales.append(deviation)
             spikes |= np.abs(values - mean) > max(threshold * deviation, QUIET)
-    return spikes, tuple(scales), ~known
+    return spikes, tuple(scales), ~judged
 
 
 def _robust(
@@ -226,8 +226,8 @@ def _around(places: Ints, z: Floats, *, closed: bool) -> Ints:
     columns = (places % n)[:, None, None] + offsets
     rows, columns = np.broadcast_arrays(rows % m if closed else rows, columns)
     inside = (rows >= 0) & (rows < m) & (columns >= 0) & (columns < n)
-    found = np.unique(rows[inside] * n + columns[inside])
-    return found[~np.isnan(z.flat[found])]
+    cells = np.unique(rows[inside] * n + columns[inside])
+    return cells[~np.isnan(z.flat[cells])]
 
 
 def _left_alone(z: Floats, spikes: Bools, *, closed: bool) -> Bools:
@@ -324,8 +324,8 @@ def _distance(heights: HeightMap, targets: Bools, *, padded: bool = False) -> Fl
         rim &= columns > 0
         columns, rows = columns * np.cos(rows), columns * np.sin(rows)
     points = np.stack([columns, rows], axis=-1)
-    found = np.asarray(cKDTree(points[rim]).query(points[1:-1, 1:-1].reshape(-1, 2), workers=-1)[0])
-    return np.where(targets[1:-1, 1:-1], 0.0, found.reshape(heights.z.shape))
+    distances = np.asarray(cKDTree(points[rim]).query(points[1:-1, 1:-1].reshape(-1, 2), workers=-1)[0])
+    return np.where(targets[1:-1, 1:-1], 0.0, distances.reshape(heights.z.shape))
 
 
 def _one_more(axis: Floats) -> Floats:
@@ -485,14 +485,14 @@ def _plate(z: Floats, unknown: Bools, dx: float, dy: float) -> Floats:
         first = first[((first >= 0) & (first + reach < (m, n))).all(axis=1)]
         points = np.stack([(first + offset) @ (n, 1) for offset in offsets], axis=1)
         points = points[~np.isnan(flat[points]).any(axis=1)]
-        known = flat[points] @ shares
+        heights = flat[points] @ shares
         numbers = number[points]
         equation = np.broadcast_to(np.arange(points.shape[0])[:, None] + total, points.shape)
         chosen = numbers >= 0
         rows.append(equation[chosen])
         columns.append(numbers[chosen])
         values.append(np.broadcast_to(shares, points.shape)[chosen])
-        right.append(-known)
+        right.append(-heights)
         total += points.shape[0]
     system = csc_array(
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(total, places.shape[0])

@@ -259,12 +259,12 @@ class Cusps:
         """
         chosen = (self.crest >= start) & (self.crest <= end)
         higher = (self.height_at >= start) & (self.height_at <= end)
-        found = _Crests(
+        crests = _Crests(
             self.crest[chosen], self.crest_z[chosen], self.run[chosen], self.height_at[higher], self.height_nm[higher],
             self.height_bias_nm[higher],
         )  # fmt: skip
         gaps = [(max(low, start), min(high, end)) for low, high in self.gaps if low < end and high > start]
-        return _summed_up(found, self.axis, gaps)
+        return _summed_up(crests, self.axis, gaps)
 
 
 def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | None = None) -> Cusps:
@@ -299,11 +299,11 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
     (0.01, 25.0)
     """
     searched = _prepared(profile)
-    found = _search(searched, feed, axis)
-    parts, rest = [found], _gaps(found.lines, profile.distance) if feed is None else []
-    while rest:
+    cusps = _search(searched, feed, axis)
+    parts, gaps = [cusps], _gaps(cusps.lines, profile.distance) if feed is None else []
+    while gaps:
         # Where the first feed leaves no cusps, there may be another.
-        start, end = rest.pop()
+        start, end = gaps.pop()
         inside = searched.between(start, end)
         try:
             other = _search(inside, None, axis)
@@ -312,7 +312,7 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
         if max(line.size for line in other.lines) < PERIODS:
             continue
         parts.append(other)
-        rest += _gaps(other.lines, inside.distance)
+        gaps += _gaps(other.lines, inside.distance)
     joined = _joined(parts)
     return _summed_up(joined, axis, sorted(_gaps(joined.lines, profile.distance)))
 
@@ -416,15 +416,15 @@ def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests
             f"the profile shows {crest.size} crests and no {FEWEST} that are neighbours: give the feed as a first "
             "guess, or a profile across the lay"
         )
-    found = _scallops(profile.distance[valid], level[valid], (z - level)[valid], crest, run, half)
-    if feed is None and _alternating(found.crest, found.run, found.height_at, found.height_nm):
+    scallops = _scallops(profile.distance[valid], level[valid], (z - level)[valid], crest, run, half)
+    if feed is None and _alternating(scallops.crest, scallops.run, scallops.height_at, scallops.height_nm):
         if 2 * guess * PERIODS > np.ptp(profile.distance):
             raise InputError(
                 f"every second crest is lower, and {2e3 * guess:.3g} um is more than the profile over {PERIODS}: "
                 "state the feed, or measure a longer profile"
             )
         return _search(profile, 2 * guess, axis)
-    return found
+    return scallops
 
 
 def _bridge(at: Floats, valid: Bools) -> Floats:
@@ -469,7 +469,7 @@ def _even(relative: Floats, apart: Bools, guess: float, *, given: bool) -> Bools
     square = np.full(off.size, off @ off / freedom)
     if off.size > LOCAL:
         square = ndimage.uniform_filter1d(off**2, LOCAL, mode="reflect")
-    whole = float(off @ off) <= UNEVEN**2 * freedom * max(off.size / LOCAL, 1)
+    is_even = float(off @ off) <= UNEVEN**2 * freedom * max(off.size / LOCAL, 1)
     # Of many stretches of noise one may be even by chance.
     limit = UNEVEN**2 if off.size <= LOCAL else EVEN_STRETCH**2
     if not given:
@@ -478,7 +478,7 @@ def _even(relative: Floats, apart: Bools, guess: float, *, given: bool) -> Bools
         shape = freedom * mean**2 / (OFF**4 * (1 - NOISE_NEAR * 4 / 5) - mean**2)
         limit = min(limit, mean * float(stats.gamma.ppf(BY_CHANCE, shape) / shape))
     good = square <= limit
-    if whole and (given or off.size > LOCAL):
+    if is_even and (given or off.size > LOCAL):
         return np.ones(relative.size, dtype=bool)
     if not good.any():
         raise InputError(
@@ -645,13 +645,13 @@ class _ValleyCurves(NamedTuple):
         both = np.full((2, crest.size), np.nan)
         both[0, 1:] = self.values(np.arange(crest.size - 1), crest[1:])
         both[1, :-1] = self.values(np.arange(crest.size - 1), crest[:-1])
-        known = np.isfinite(both)
-        total = np.where(known, both, 0.0).sum(axis=0)
-        return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
+        valid = np.isfinite(both)
+        total = np.where(valid, both, 0.0).sum(axis=0)
+        return np.where(valid.any(axis=0), total / np.maximum(valid.sum(axis=0), 1), np.nan)
 
     def crossings(self, crest: Floats) -> Floats:
         """Return where the curves on either side of each crest cross, or the crest where they do not. (n,) [mm]."""
-        found = crest.copy()
+        positions = crest.copy()
         inner = np.arange(1, crest.size - 1)
         near = 2 * CROSSING * np.minimum(self.scale[:-1], self.scale[1:])
         places = crest[inner, None] + near[:, None] * np.linspace(-1, 1, 41)
@@ -662,8 +662,8 @@ class _ValleyCurves(NamedTuple):
         rows = np.flatnonzero(up.any(axis=1))
         first = first[rows]
         share = -rise[rows, first] / (rise[rows, first + 1] - rise[rows, first])
-        found[inner[rows]] = places[rows, first] + share * (places[rows, first + 1] - places[rows, first])
-        return found
+        positions[inner[rows]] = places[rows, first] + share * (places[rows, first + 1] - places[rows, first])
+        return positions
 
     def lowest(self) -> tuple[Floats, Floats]:
         """Return place and height of the lowest point of each valley. Each (k,) [mm]."""
@@ -827,13 +827,13 @@ def _stretches(line: Floats, scatter: float) -> list[Stretch]:
     freedom = line.size - 2 * len(parts)
     if len(parts) > 1 and freedom > 0:
         parts = _parted(line, max(scatter, float(np.sqrt(square / freedom))))
-    found = []
+    stretches = []
     for part in parts:
         feed, feed_std, _ = _slope([part])
-        found.append(
+        stretches.append(
             Stretch(start=float(part[0]), end=float(part[-1]), feed=feed, feed_std=feed_std, count=int(part.size))
         )
-    return found
+    return stretches
 
 
 def _parted(line: Floats, scatter: float) -> list[Floats]:
@@ -855,9 +855,9 @@ def _parted(line: Floats, scatter: float) -> list[Floats]:
         cost = best[start] + residual / scatter**2 + price
         begin[end] = int(np.argmin(cost))
         best[end] = cost[begin[end]]
-    found = []
+    parts = []
     end = size
     while end > 0:
-        found.append(line[begin[end] : end])
+        parts.append(line[begin[end] : end])
         end = int(begin[end])
-    return found[::-1]
+    return parts[::-1]

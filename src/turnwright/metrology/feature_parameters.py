@@ -149,14 +149,14 @@ def features(heights: HeightMap, *, form: Form = "plane", pruning: float = 0.05,
             "across are filled"
         )
     area = int(np.count_nonzero(valid)) * dx * dy
-    found = {}
+    features = {}
     for name, side in (("peaks", 1.0), ("pits", -1.0)):
-        rows, columns, whole, beside = _summits(side * z, valid, least, border=border)
+        rows, columns, complete, cut_off = _summits(side * z, valid, least, border=border)
         size = rows.size
-        stated = size > 0 and whole >= LEAST_WHOLE * (whole + beside)
-        if beside:
+        stated = size > 0 and complete >= LEAST_WHOLE * (complete + cut_off)
+        if cut_off:
             notes.append(
-                f"{name} of {100 * beside / np.count_nonzero(valid):.2g} % of the area are left out, as their hills "
+                f"{name} of {100 * cut_off / np.count_nonzero(valid):.2g} % of the area are left out, as their hills "
                 f"reach a hole of more than {HOLE} points across"
             )
         if not stated:
@@ -167,13 +167,13 @@ def features(heights: HeightMap, *, form: Form = "plane", pruning: float = 0.05,
             notes.append(f"{size} significant {name}, the mean is of these")
         top = np.sort(side * z[rows, columns])[::-1][:FIVE]
         bend = _curvatures(z, rows, columns, dx, dy)
-        found[name] = (
+        features[name] = (
             size,
-            size / (area * whole / (whole + beside)) if stated else float("nan"),
+            size / (area * complete / (complete + cut_off)) if stated else float("nan"),
             float(top.mean()) * NM if stated else float("nan"),
             float(bend.mean()) if stated and bend.size else float("nan"),
         )
-    (peaks, spd, s5p, spc), (pits, svd, s5v, svc) = found["peaks"], found["pits"]
+    (peaks, spd, s5p, spc), (pits, svd, s5v, svc) = features["peaks"], features["pits"]
     return Features(
         s10z_nm=s5p + s5v,
         s5p_nm=s5p,
@@ -223,8 +223,8 @@ def _summits(z: Floats, valid: Bools, least: float, *, border: bool) -> tuple[In
         alive = np.setdiff1d(alive, np.concatenate([at_border, at_hole]))
     covered = np.bincount(hill[label[valid]], minlength=count + 1)
     rows, columns = np.unravel_index(best[alive], z.shape)
-    whole, beside = (int(covered[some].sum()) for some in (alive, at_hole))
-    return rows.astype(np.int64), columns.astype(np.int64), whole, beside
+    complete, cut_off = (int(covered[some].sum()) for some in (alive, at_hole))
+    return rows.astype(np.int64), columns.astype(np.int64), complete, cut_off
 
 
 def _pairs(values: np.ndarray, step: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -254,8 +254,8 @@ def _basins(z: Floats, valid: Bools) -> tuple[Ints, int]:
     highest, upward = np.full(z.shape, -np.inf), index.copy()
     for step in NEIGHBOURS:
         for back in (False, True):
-            here, there = (1, 0) if back else (0, 1)
-            best, way = _pairs(highest, step)[here], _pairs(upward, step)[here]
+            first, there = (1, 0) if back else (0, 1)
+            best, way = _pairs(highest, step)[first], _pairs(upward, step)[first]
             target, other = _pairs(index, step)[there], _pairs(z, step)[there]
             higher = other > best
             best[higher] = other[higher]
@@ -276,11 +276,11 @@ def _saddles(z: Floats, label: Ints, count: int) -> tuple[Ints, Ints, Floats]:
     """Return all pairs of hills that touch, and their highest saddle, the highest first."""
     keys, heights = [], []
     for step in NEIGHBOURS:
-        (one, other), (here, there) = _pairs(label, step), _pairs(z, step)
+        (one, other), (near_height, there) = _pairs(label, step), _pairs(z, step)
         across = (one != other) & (one > 0) & (other > 0)
         low, high = np.minimum(one[across], other[across]), np.maximum(one[across], other[across])
         keys.append(low * (count + 1) + high)
-        heights.append(np.minimum(here[across], there[across]))
+        heights.append(np.minimum(near_height[across], there[across]))
     key, height = np.concatenate(keys), np.concatenate(heights)
     order = np.argsort(-height, kind="stable")
     _, first = np.unique(key[order], return_index=True)

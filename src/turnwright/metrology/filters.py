@@ -164,23 +164,23 @@ def _steps(heights: HeightMap, along: str | None) -> tuple[float, ...]:
             + (", or bring it to a rectangular grid" if heights.polar else "")
         )
     axes = {"x": grid.columns, "y": grid.rows, "radius": grid.columns}
-    found = []
+    mean_steps = []
     for name in ("x", "y") if along is None else (along,):
         steps = np.diff(axes[name])
         if steps.size == 0:
             if along is not None:
                 raise InputError(f"the map has 1 value of {name}, a filter along it needs 2: filter along the other")
-            found.append(np.inf)
+            mean_steps.append(np.inf)
             continue
         if not is_even(axes[name]):
             raise InputError(
                 f"the steps of {name} are {steps.min():g} to {steps.max():g} mm, a filter needs them even to 1e-6: "
                 "bring the map to an even grid first"
             )
-        found.append(float(steps.mean()))
-    if not np.isfinite(found).any():
+        mean_steps.append(float(steps.mean()))
+    if not np.isfinite(mean_steps).any():
         raise InputError("the map has 1 point, a filter needs 2: measure more of the part")
-    return tuple(found)
+    return tuple(mean_steps)
 
 
 def _check_cutoff(heights: HeightMap, cutoff: float, along: str | None, steps: tuple[float, ...], name: str) -> None:
@@ -212,14 +212,14 @@ def _robust(z: Floats, valid: Bools, smooth: Callable[[Floats], Floats], wave: F
     """Weigh and smooth again until the bounds settle: one of the map, or one of each line."""
     weight, distance, change = np.empty_like(z), np.empty_like(z), np.empty(z.shape[0])
     # Points that do not count stand at nan, from where their weight falls to 0.
-    known = np.where(valid, z, np.nan)
+    measured = np.where(valid, z, np.nan)
     count = np.count_nonzero(valid)
-    bound = np.maximum(BOUND * _medians(np.abs(known - wave), apart=apart), QUIET)
+    bound = np.maximum(BOUND * _medians(np.abs(measured - wave), apart=apart), QUIET)
     for _ in range(STEPS):
 
         def weigh(start: int, stop: int, bound: Floats = bound) -> None:
             rows = slice(start, stop)
-            biweight(known[rows], wave[rows], bound[rows], weight[rows])
+            biweight(measured[rows], wave[rows], bound[rows], weight[rows])
 
         run_chunks(weigh, z.shape[0], LINES)
         new = smooth(weight)
@@ -227,7 +227,7 @@ def _robust(z: Floats, valid: Bools, smooth: Callable[[Floats], Floats], wave: F
         def move(start: int, stop: int, bound: Floats = bound, new: Floats = new) -> None:
             rows = slice(start, stop)
             # Where every point around is an outlier, the mean surface stays where it was.
-            advance(known[rows], new[rows], bound[rows], wave[rows], distance[rows], change[rows])
+            advance(measured[rows], new[rows], bound[rows], wave[rows], distance[rows], change[rows])
 
         run_chunks(move, z.shape[0], LINES)
         last, bound = bound, np.maximum(BOUND * _medians(distance, apart=apart), QUIET)
@@ -245,10 +245,10 @@ def _medians(distances: Floats, *, apart: bool) -> Floats:
     if not apart:
         return np.full(count, np.median(distances[~np.isnan(distances)]))
     ordered = np.sort(distances, axis=1)  # nan goes last
-    known = np.count_nonzero(~np.isnan(ordered), axis=1)
+    counts = np.count_nonzero(~np.isnan(ordered), axis=1)
     lines = np.arange(count)
-    middle = (ordered[lines, np.maximum(known - 1, 0) // 2] + ordered[lines, known // 2]) / 2
-    return np.where(known > 0, middle, 0.0)
+    middle = (ordered[lines, np.maximum(counts - 1, 0) // 2] + ordered[lines, counts // 2]) / 2
+    return np.where(counts > 0, middle, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

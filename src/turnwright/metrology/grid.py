@@ -143,13 +143,13 @@ def area_rms(heights: HeightMap, *, like: HeightMap | None = None) -> float:
         return float(np.sqrt(mean(heights.z**2, grid.row_width, grid.column_area)))
     if like is None:
         return float(np.sqrt(np.nanmean(heights.z**2)))
-    known, areas = ~np.isnan(heights.z), point_areas(like)[~np.isnan(like.z)]
-    if areas.size != known.size:
+    measured, areas = ~np.isnan(heights.z), point_areas(like)[~np.isnan(like.z)]
+    if areas.size != measured.size:
         raise InputError(
-            f"{known.size} scattered heights are like a map of {areas.size} valid ones: give the map that they were "
+            f"{measured.size} scattered heights are like a map of {areas.size} valid ones: give the map that they were "
             "taken from"
         )
-    return float(np.sqrt(np.average(heights.z[known] ** 2, weights=areas[known])))
+    return float(np.sqrt(np.average(heights.z[measured] ** 2, weights=areas[measured])))
 
 
 def point_areas(heights: HeightMap) -> Floats:

@@ -172,8 +172,8 @@ def sums_over(
     """
     k = parameters.size
     padded = k + -k % 4
-    known = np.zeros(padded)
-    known[:k] = parameters
+    padded_parameters = np.zeros(padded)
+    padded_parameters[:k] = parameters
     normal, spread, right = np.zeros((padded, padded)), np.zeros((padded, padded)), np.zeros(padded)
     totals = np.zeros(3)
     even, lock = cloud.even, Lock()
@@ -183,14 +183,14 @@ def sums_over(
         x, y, z, weight = cloud.take(start, stop)
         if z.size == 0:
             return
-        given, rest = model(x, y, z)
-        terms = given
-        if given.shape[0] != padded:
+        derivatives, residual = model(x, y, z)
+        terms = derivatives
+        if derivatives.shape[0] != padded:
             terms = np.zeros((padded, z.size))
-            terms[:k] = given
-        values = np.array(rest)
+            terms[:k] = derivatives
+        values = np.array(residual)
         mine, mine_spread, mine_right = np.zeros_like(normal), np.zeros_like(normal), np.zeros(padded)
-        least_squares.gram(terms, weight, values, known, mine, mine_right, whole)
+        least_squares.gram(terms, weight, values, padded_parameters, mine, mine_right, whole)
         if whole and not even:
             least_squares.gram(
                 terms, weight * weight, values.copy(), np.zeros(padded), mine_spread, mine_right * 0, True

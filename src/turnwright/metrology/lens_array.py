@@ -213,10 +213,10 @@ class Lenslets(Sequence[Lenslet]):
     @property
     def irregular(self) -> Floats:
         """The dislocations without shift, rotation and scale: the same in every frame. (n, 2) [mm]."""
-        rest = np.full((len(self.items), 2), np.nan)
+        irregular = np.full((len(self.items), 2), np.nan)
         if self.alignment is not None:
-            rest[self.measured] = self.alignment.rest
-        return rest
+            irregular[self.measured] = self.alignment.rest
+        return irregular
 
     @property
     def summary(self) -> str:
@@ -250,12 +250,12 @@ class Lenslets(Sequence[Lenslet]):
             f"{'height [um]':>13}{'R - design, +- [um]':>21}{'Sq [nm]':>9}{'PV [nm]':>9}{'covered':>9}"
         )
         lines = [heading]
-        for one, rest in zip(self.items, self.irregular, strict=True):
+        for one, irregular in zip(self.items, self.irregular, strict=True):
             places = f"{one.number:4d}{one.design[0]:10.4f}{one.design[1]:10.4f}"
             if not one.measured:
                 lines.append(f"{places}   {one.finding}")
                 continue
-            away = [1e3 * part for part in (*one.dislocation, max(one.centre_std), *rest)]
+            away = [1e3 * part for part in (*one.dislocation, max(one.centre_std), *irregular)]
             lines.append(
                 f"{places}{away[0]:12.3f}{away[1]:11.3f}{away[2]:8.3f}{away[3]:11.3f}{away[4]:11.3f}"
                 f"{1e3 * one.height:13.3f}{1e3 * one.radius_error:12.3f}{1e3 * one.radius_std:9.3f}"
@@ -271,9 +271,9 @@ class Lenslets(Sequence[Lenslet]):
             "radius_std_mm,tilt_x_rad,tilt_y_rad,sq_nm,pv_nm,scatter_nm,points,outliers,coverage,finding"
         )
         lines = [heading]
-        for one, rest in zip(self.items, self.irregular, strict=True):
+        for one, irregular in zip(self.items, self.irregular, strict=True):
             values = (
-                *one.design, *one.centre, *one.centre_std, *one.dislocation, *rest, one.height, one.height_std,
+                *one.design, *one.centre, *one.centre_std, *one.dislocation, *irregular, one.height, one.height_std,
                 one.radius, one.radius_error, one.radius_std, *one.tilt, one.sq_nm, one.pv_nm, one.scatter_nm,
             )  # fmt: skip
             cells = [str(one.number), *("" if np.isnan(value) else f"{value:.9g}" for value in values)]
@@ -369,28 +369,28 @@ def lenslets(
     _each(starts.shape[0], find)
     base = points_of_base(points, design, starts, outer)
     frame = "the part's frame: shift, rotation, tilt and height by the pose"
-    own = BaseForm(np.empty(0), np.empty((0, 0)), np.empty(0))
+    base_form = BaseForm(np.empty(0), np.empty((0, 0)), np.empty(0))
     # The second time from so near that the step is linear and what is left is form.
     for _ in range(2 if level and base.size >= FEWEST else 0):
-        correction, frame, own = level_on_base(points, base, design, starts, seen, rotation_std)
+        correction, frame, base_form = level_on_base(points, base, design, starts, seen, rotation_std)
         pose = correction.after(pose)
         points = place_points(heights, pose, design)
         starts[:, 0], starts[:, 1], _ = correction.apply(starts[:, 0], starts[:, 1], 0.0)
         base = points_of_base(points, design, starts, outer)
-    plain, points = points, without_form(points, design, own)
-    found: dict[int, Found] = {}
+    plain, points = points, without_form(points, design, base_form)
+    lenslets: dict[int, Found] = {}
 
     def fit(k: int) -> None:
-        found[k] = fit_lenslet(points, design, k, starts, free, inner, own)
+        lenslets[k] = fit_lenslet(points, design, k, starts, free, inner, base_form)
 
     _each(starts.shape[0], fit)
     points = plain
-    items = tuple(_lenslet(k, found[k], design) for k in range(starts.shape[0]))
+    items = tuple(_lenslet(k, lenslets[k], design) for k in range(starts.shape[0]))
     measured = [one for one in items if one.measured]
     alignment = None
     if len(measured) > 1:
         alignment = Alignment.of([one.design for one in measured], [one.centre for one in measured])
-    base = points_of_base(points, design, np.array([found[k].local for k in range(starts.shape[0])]), outer)
+    base = points_of_base(points, design, np.array([lenslets[k].local for k in range(starts.shape[0])]), outer)
     error, weight = errors_of_base(points, base, design)[0], points.weight[base]
     few = np.flatnonzero(np.isfinite(error))
     few, size = few[:: few.size // LEVELLING + 1], (float("nan"), float("nan"))
@@ -407,8 +407,8 @@ def lenslets(
         base_points=base.size,
         base_sq_nm=size[0],
         base_pv_nm=size[1],
-        base_form=own.surface(design),
-        base_form_std=dict(zip(design.terms, own.std.tolist(), strict=False)),
+        base_form=base_form.surface(design),
+        base_form_std=dict(zip(design.terms, base_form.std.tolist(), strict=False)),
     )
 
 

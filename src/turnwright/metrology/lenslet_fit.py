@@ -106,12 +106,12 @@ class Points(NamedTuple):
     def near(self, centre: Floats, radius: float) -> Ints:
         """Return which points lie within a radius of a centre. (k,)."""
         ends = np.floor((np.stack([centre[:2] - radius, centre[:2] + radius]) - self.low) / self.step)
-        (left, bottom), (right, top) = np.clip(ends, -1, self.squares).astype(np.int64)
-        left, right = max(left, 0), min(right, self.squares - 1)
+        (first_column, bottom), (right, top) = np.clip(ends, -1, self.squares).astype(np.int64)
+        first_column, right = max(first_column, 0), min(right, self.squares - 1)
         spans = [
-            np.arange(self.first[row * self.squares + left], self.first[row * self.squares + right + 1])
+            np.arange(self.first[row * self.squares + first_column], self.first[row * self.squares + right + 1])
             for row in range(max(bottom, 0), min(top, self.squares - 1) + 1)
-            if left <= right
+            if first_column <= right
         ]
         chosen = np.concatenate(spans) if spans else np.empty(0, dtype=np.int64)
         away = (self.x[chosen] - centre[0]) ** 2 + (self.y[chosen] - centre[1]) ** 2
@@ -222,7 +222,7 @@ def take_apart(part: Part, form: str, aperture: float | None, degree: int) -> De
             f"the surface of the part, a {type(part.surface).__name__}, holds {len(arrays)} lens arrays, it must hold "
             "1: give a LensArray, or a base with one added to it"
         )
-    rest = tuple(term for term in terms if term is not arrays[0])
+    others = tuple(term for term in terms if term is not arrays[0])
     array, inside = arrays[0], Pose()
     while isinstance(array, Placed):
         inside, array = inside.after(array.pose), array.surface
@@ -254,7 +254,7 @@ def take_apart(part: Part, form: str, aperture: float | None, degree: int) -> De
         lens = Sphere(radius=1 / mean).placed(shift=(0.0, 0.0, vertex))
     return Design(
         outer=outer,
-        base=(Sum(terms=rest) if len(rest) > 1 else rest[0]) if rest else None,
+        base=(Sum(terms=others) if len(others) > 1 else others[0]) if others else None,
         centres=centres,
         radii=radii,
         lens=lens,
@@ -295,12 +295,12 @@ def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -
         if (size <= FLAT * np.where(np.array(columns) == 3, reach, 1.0)).any():
             return {columns[int(np.argmin(size))]: 0.0}
         scaled = slopes[:, columns] / size
-        left = []
+        independent = []
         for k in range(len(columns)):
             others = np.delete(scaled, k, axis=1)
             missed = scaled[:, k] - others @ np.linalg.lstsq(others, scaled[:, k], rcond=None)[0]
-            left.append(float(np.mean(missed**2)))
-        return dict(zip(columns, left, strict=True))
+            independent.append(float(np.mean(missed**2)))
+        return dict(zip(columns, independent, strict=True))
 
     for column, share in alone(free).items():
         if share < TOLD_APART:
@@ -309,8 +309,8 @@ def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -
                 f"its effect, in squares, the limit is {TOLD_APART:g}: "
                 + ("leave the tilt fixed" if tilt else "fit a form with more curvature, or a larger aperture")
             )
-    known = np.isfinite(design.radius) and min(alone(sorted({*free, 3})).values()) >= TOLD_APART
-    return Free(columns=free, with_radius=sorted({*free, 3}) if known else None)
+    is_separable = np.isfinite(design.radius) and min(alone(sorted({*free, 3})).values()) >= TOLD_APART
+    return Free(columns=free, with_radius=sorted({*free, 3}) if is_separable else None)
 
 
 def model(design: Design, parameters: Floats, x: Floats, y: Floats, free: list[int]) -> tuple[Floats, Floats]:
@@ -352,21 +352,21 @@ def place_points(heights: HeightMap, pose: Pose, design: Design) -> Points:
         weight /= weight.max()
     x, y, z = pose.apply(x, y, z)
     part_x, part_y, _ = design.outer.apply(x, y, z)
-    kept = (part_x**2 + part_y**2 <= design.reach**2) & (weight > 0)
+    used = (part_x**2 + part_y**2 <= design.reach**2) & (weight > 0)
     if design.base is not None and (inside := design.base.inside(x, y)) is not None:
-        kept &= inside
-    if not kept.any():
+        used &= inside
+    if not used.any():
         raise InputError(
             f"0 of the {x.size} valid points of the map lie within the clear radius {design.reach:g} mm of the part: "
             "check the pose and the units"
         )
     step = max(float(design.radii.max()) / 2, design.reach / 1000)
     count = int(2 * design.reach / step) + 3
-    low = np.array([x[kept].min(), y[kept].min()])
+    low = np.array([x[used].min(), y[used].min()])
     across, along = ((part - start) / step for part, start in zip((x, y), low, strict=True))
-    cell = np.minimum(along[kept].astype(np.int64), count - 1) * count
-    cell += np.minimum(across[kept].astype(np.int64), count - 1)
-    order = np.flatnonzero(kept)[np.argsort(cell, kind="stable")]
+    cell = np.minimum(along[used].astype(np.int64), count - 1) * count
+    cell += np.minimum(across[used].astype(np.int64), count - 1)
+    order = np.flatnonzero(used)[np.argsort(cell, kind="stable")]
     x, y, z, weight = (np.ascontiguousarray(part[order]) for part in (x, y, z, weight))
     base = design.base.evaluate(x, y, 0)[0] if design.base is not None else 0.0
     first = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=count * count))])
@@ -488,8 +488,8 @@ def fit_lenslet(
         chosen = points.near(parameters, reach + grain)
         for rival in rivals:  # where cells touch, a lenslet's neighbour may stand inside of its circle
             x, y = points.x[chosen], points.y[chosen]
-            own = (x - parameters[0]) ** 2 + (y - parameters[1]) ** 2
-            chosen = chosen[own <= (x - rival[0]) ** 2 + (y - rival[1]) ** 2]
+            distance_squared = (x - parameters[0]) ** 2 + (y - parameters[1]) ** 2
+            chosen = chosen[distance_squared <= (x - rival[0]) ** 2 + (y - rival[1]) ** 2]
         if chosen.size < FEWEST:
             words = f"{chosen.size} points within {inner:g} of its radius, a fit needs {FEWEST}: measure more of it"
             return missing(parameters, chosen.size, 0.0, words)
@@ -500,12 +500,12 @@ def fit_lenslet(
         # A point at the rim counts with the share of its pixel that lies within, so that no point jumps in or out.
         grain = reach * float(np.sqrt(np.pi / chosen.size)) / 2
         weight = weight * np.clip((reach * (1 - np.hypot(u, v)) / grain + 1) / 2, 0, 1)
-        known = np.isfinite(error) & (weight > 0)
-        if np.count_nonzero(known) < FEWEST:
-            words = f"its form is defined at {np.count_nonzero(known)} points, a fit needs {FEWEST}: check the design"
+        valid = np.isfinite(error) & (weight > 0)
+        if np.count_nonzero(valid) < FEWEST:
+            words = f"its form is defined at {np.count_nonzero(valid)} points, a fit needs {FEWEST}: check the design"
             return missing(parameters, chosen.size, 0.0, words)
-        x, y, u, v, departure, weight = (part[known] for part in (x, y, u, v, departure, weight))
-        smooth = fit_smooth(u, v, error[known])
+        x, y, u, v, departure, weight = (part[valid] for part in (x, y, u, v, departure, weight))
+        smooth = fit_smooth(u, v, error[valid])
         x, y, u, v, departure, weight = (part[smooth.keep] for part in (x, y, u, v, departure, weight))
         gauss_newton(design, parameters, x, y, departure, weight, free.columns)
         if not np.hypot(*(parameters[:2] - design.centres[k])) < design.radii[k]:
@@ -524,8 +524,8 @@ def gauss_newton(
     for _ in range(STEPS):
         value, slopes = model(design, parameters, x, y, free)
         error = departure - value
-        known = np.isfinite(error)
-        step = least_squares_step(slopes[known], error[known], weight[known])
+        valid = np.isfinite(error)
+        step = least_squares_step(slopes[valid], error[valid], weight[valid])
         parameters[free] += step
         parameters[3] = max(parameters[3], -0.9)
         if np.hypot(*step[:2]) < 1e-9 * reach and np.abs(step[2:]).max() < 1e-9:
@@ -546,16 +546,18 @@ def judge(
         words = f"{coverage:.0%} of its aperture is measured, a fit needs {LEAST_COVERAGE:.0%}: measure more of it"
         return missing(parameters, x.size, coverage, words)
     spread = float(np.average((departure - np.average(departure, weights=weight)) ** 2, weights=weight))
-    left = float(np.average(error**2, weights=weight))
-    if left > spread / 2:
+    mean_square = float(np.average(error**2, weights=weight))
+    if mean_square > spread / 2:
         words = (
-            f"the form leaves {np.sqrt(left) * NM:.0f} nm rms of {np.sqrt(spread) * NM:.0f} nm, so no such lenslet is "
-            "there: check the pose and the design"
+            f"the form leaves {np.sqrt(mean_square) * NM:.0f} nm rms of {np.sqrt(spread) * NM:.0f} nm, so there is no "
+            "such lenslet: check the pose and the design"
         )
         return missing(parameters, x.size, coverage, words)
-    rest = error - fit_smooth(u, v, error).form
+    residual = error - fit_smooth(u, v, error).form
     covariance = np.full((6, 6), np.nan)
-    covariance[np.ix_(free.columns, free.columns)] = clustered_covariance(slopes, rest, weight, blocks, smooth.terms)
+    covariance[np.ix_(free.columns, free.columns)] = clustered_covariance(
+        slopes, residual, weight, blocks, smooth.terms
+    )
     if base.amplitudes.size:
         # What the form of the base is off moves what stands on it.
         moved = np.stack([least_squares_step(slopes, one, weight) for one in shapes_at(design, x, y)], axis=1)
@@ -565,7 +567,7 @@ def judge(
         other = parameters.copy()
         slopes = gauss_newton(design, other, x, y, departure, weight, free.with_radius)
         place = free.with_radius.index(3)
-        variance = clustered_covariance(slopes, rest, weight, blocks, smooth.terms)[place, place]
+        variance = clustered_covariance(slopes, residual, weight, blocks, smooth.terms)[place, place]
         growth = float(other[3]), float(np.sqrt(variance))
     return Found(
         parameters=parameters,
@@ -574,7 +576,7 @@ def judge(
         local=parameters[:2],
         residual=HeightMap(x=x - parameters[0], y=y - parameters[1], z=error, name="lenslet residual"),
         size_nm=size_nm(error, weight),
-        scatter_nm=float(np.sqrt(np.average(rest**2, weights=weight))) * NM,
+        scatter_nm=float(np.sqrt(np.average(residual**2, weights=weight))) * NM,
         points=x.size,
         outliers=outliers,
         coverage=coverage,
@@ -622,8 +624,8 @@ def level_on_base(
     base = base[:: base.size // LEVELLING + 1]
     weight = points.weight[base]
     error, slopes = errors_of_base(points, base, design)
-    known = np.isfinite(error)
-    base, error, slopes, weight = base[known], error[known], slopes[known], weight[known]
+    valid = np.isfinite(error)
+    base, error, slopes, weight = base[valid], error[valid], slopes[valid], weight[valid]
     middle = np.array([np.mean(points.x[base]), np.mean(points.y[base])])
     size = max(float(np.hypot(points.x[base] - middle[0], points.y[base] - middle[1]).max()), 1e-300)
     u, v = (points.x[base] - middle[0]) / size, (points.y[base] - middle[1]) / size
@@ -642,25 +644,25 @@ def level_on_base(
         unsure = float(np.hypot(lattice.rotation, lattice.rotation_std))
     tells = _rotation_of_base(design, (u, v, error, weight, blocks), level, shapes, turned, alike)
     if tells is not None:
-        whole, base_std = tells
+        rotation_known, base_std = tells
         by_base = base_std < (rotation_std if lattice is None else lattice.rotation_std)
         if lattice is not None:  # what the lenslets contradict is form
-            gap = abs(float(whole[-1]) + lattice.rotation)
+            gap = abs(float(rotation_known[-1]) + lattice.rotation)
             by_base &= gap <= AGREE * float(np.hypot(base_std, lattice.rotation_std))
         if by_base:
-            chosen, unsure = whole, base_std
+            chosen, unsure = rotation_known, base_std
     # What the terms leave errs together over a block, so it counts as it does.
-    left = error + slopes @ chosen[:-1] + turned * chosen[-1]
-    spread = fit_smooth(u, v, left)
-    covariance = clustered_covariance(slopes, left, weight, blocks, spread.terms)[3:, 3:]
+    residual = error + slopes @ chosen[:-1] + turned * chosen[-1]
+    spread = fit_smooth(u, v, residual)
+    covariance = clustered_covariance(slopes, residual, weight, blocks, spread.terms)[3:, 3:]
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - scipy is costly to import
 
     matrix = Rotation.from_rotvec([chosen[0], chosen[1], chosen[-1]]).as_matrix()
     words = (
         f"the part's frame: tilt and height by the base, shift by the pose, rotation by the {_words(by_base, unsure)}"
     )
-    own = BaseForm(chosen[3:-1], covariance, alike * unsure if np.isfinite(unsure) else 0.0 * alike)
-    return Pose.of(matrix, (0.0, 0.0, chosen[2])), words, own
+    base_form = BaseForm(chosen[3:-1], covariance, alike * unsure if np.isfinite(unsure) else 0.0 * alike)
+    return Pose.of(matrix, (0.0, 0.0, chosen[2])), words, base_form
 
 
 def _words(by_base: bool, unsure: float) -> str:
@@ -686,16 +688,16 @@ def _rotation_of_base(
     way = alike / max(float(np.sqrt(alike @ alike)), 1e-300)
     others = np.eye(alike.size) - np.outer(way, way)
     apart = np.concatenate([level, -shapes @ others, turned[:, None]], axis=1)
-    whole = -least_squares_step(apart, error, weight)
-    whole[3:-1] = others @ whole[3:-1]
-    left = error + apart @ whole
-    smooth = fit_smooth(u, v, left)
-    rest = left - smooth.form
-    noise = clustered_covariance(along[:, None], rest, weight, blocks, smooth.terms)[0, 0]
-    form = np.average(smooth.form**2, weights=weight) - smooth.terms * np.average(rest**2, weights=weight) / u.size
+    correction = -least_squares_step(apart, error, weight)
+    correction[3:-1] = others @ correction[3:-1]
+    residual = error + apart @ correction
+    smooth = fit_smooth(u, v, residual)
+    texture = residual - smooth.form
+    noise = clustered_covariance(along[:, None], texture, weight, blocks, smooth.terms)[0, 0]
+    form = np.average(smooth.form**2, weights=weight) - smooth.terms * np.average(texture**2, weights=weight) / u.size
     variance = float(noise) + max(float(form), 0.0) / strength**2
     if alike.size:
         # By so much the base seems turned for each mm of that form.
         leak = float(least_squares_step(apart, shapes @ way, weight)[-1])
-        variance += (leak * max(float(np.abs(whole[3:-1]).max()), UNSEEN)) ** 2
-    return whole, float(np.sqrt(variance))
+        variance += (leak * max(float(np.abs(correction[3:-1]).max()), UNSEEN)) ** 2
+    return correction, float(np.sqrt(variance))

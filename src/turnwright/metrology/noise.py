@@ -86,26 +86,26 @@ def map_noise(problem: Problem, some: Problem, state: Floats, heights: HeightMap
     heights, which
         The map, and the index of each point in it.
     """
-    left = _in_cells(problem, state) if heights.scattered else _in_runs(problem, state, heights, which)
-    white = max(left, FINEST)
+    scatter = _in_cells(problem, state) if heights.scattered else _in_runs(problem, state, heights, which)
+    white = max(scatter, FINEST)
     count = problem.points.shape[1]
     return _correlated(some, state, white, count)
 
 
 def _in_runs(problem: Problem, state: Floats, heights: HeightMap, which: Ints) -> float:
     """Return the scatter of third differences over a grid, along the direction of cutting where it can be. [mm]."""
-    known = np.zeros(heights.z.shape, dtype=np.bool_)
-    known.ravel()[which] = True
-    place = np.cumsum(known.ravel()) - 1
+    measured = np.zeros(heights.z.shape, dtype=np.bool_)
+    measured.ravel()[which] = True
+    place = np.cumsum(measured.ravel()) - 1
     random = np.random.default_rng(0)
-    found: list[Ints] = []
+    run_lengths: list[Ints] = []
     for axis in (0, 1):
-        begin = _begins(known, axis)
+        begin = _begins(measured, axis)
         if begin.size > RUNS:
             begin = np.sort(random.choice(begin, RUNS, replace=False))
         stride = heights.z.shape[1] if axis == 0 else 1
-        found.append(place[begin + stride * np.arange(RUN)[:, None]])
-    runs = np.concatenate(found, axis=1)
+        run_lengths.append(place[begin + stride * np.arange(RUN)[:, None]])
+    runs = np.concatenate(run_lengths, axis=1)
     if runs.size == 0:
         return 0.0
     few = problem.only(runs.ravel())
@@ -133,12 +133,12 @@ def _begins(known: Bools, axis: int) -> Ints:
     if known.shape[axis] < RUN:
         return np.empty(0, dtype=np.int64)
     count = known.shape[axis] - RUN + 1
-    whole = np.zeros(known.shape, dtype=np.bool_)
+    complete = np.zeros(known.shape, dtype=np.bool_)
     head = tuple(slice(0, count) if k == axis else slice(None) for k in (0, 1))
-    whole[head] = True
+    complete[head] = True
     for step in range(RUN):
-        whole[head] &= known[tuple(slice(step, step + count) if k == axis else slice(None) for k in (0, 1))]
-    return np.flatnonzero(whole)
+        complete[head] &= known[tuple(slice(step, step + count) if k == axis else slice(None) for k in (0, 1))]
+    return np.flatnonzero(complete)
 
 
 def _scatter(size: Floats) -> float:
@@ -181,36 +181,36 @@ def _in_cells(problem: Problem, state: Floats) -> float:
 
 def _correlated(some: Problem, state: Floats, white: float, count: int) -> MapNoise:
     """Add what errs together: its variance, and its power at long wavelengths, from means over cells."""
-    found = rows(some, state, slice(0, some.points.shape[1]))
-    if found.residual.size < FEWEST:
+    sample = rows(some, state, slice(0, some.points.shape[1]))
+    if sample.residual.size < FEWEST:
         return MapNoise(white, 0.0, 0.0, 0.0)
-    x, y, left = found.at[0], found.at[1], found.residual
+    x, y, residual = sample.at[0], sample.at[1], sample.residual
     low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
     u, v = 2 * (x - low[0]) / max(high[0] - low[0], 1e-300) - 1, 2 * (y - low[1]) / max(high[1] - low[1], 1e-300) - 1
-    terms = legvander2d(u, v, (SMOOTH, SMOOTH)).reshape(left.size, -1)
+    terms = legvander2d(u, v, (SMOOTH, SMOOTH)).reshape(residual.size, -1)
     degree = np.add.outer(np.arange(SMOOTH + 1), np.arange(SMOOTH + 1)).ravel()
     terms = terms[:, degree <= SMOOTH]
-    keep = np.ones(left.size, dtype=np.bool_)
+    keep = np.ones(residual.size, dtype=np.bool_)
     for _ in range(2):
-        solved = np.linalg.lstsq(terms[keep], left[keep], rcond=1e-12)[0]
-        rest = left - terms @ solved
-        keep = np.abs(rest) <= OUTLIER * max(robust_scatter(rest), FINEST)
-    x, y, rest = x[keep], y[keep], rest[keep]
-    excess = float(np.mean(rest**2)) * left.size / (left.size - terms.shape[1]) - white**2
-    cells = int(np.clip(np.sqrt(rest.size / CELL_POINTS), 4, MOST_CELLS))
+        solved = np.linalg.lstsq(terms[keep], residual[keep], rcond=1e-12)[0]
+        noise = residual - terms @ solved
+        keep = np.abs(noise) <= OUTLIER * max(robust_scatter(noise), FINEST)
+    x, y, noise = x[keep], y[keep], noise[keep]
+    excess = float(np.mean(noise**2)) * residual.size / (residual.size - terms.shape[1]) - white**2
+    cells = int(np.clip(np.sqrt(noise.size / CELL_POINTS), 4, MOST_CELLS))
     side = float((high - low).max()) / cells * (1 + 1e-9)
     number = ((y - low[1]) / side).astype(np.int64) * cells + ((x - low[0]) / side).astype(np.int64)
     points = np.bincount(number, minlength=cells * cells).reshape(cells, cells)
     there = points > 0
-    mean = np.bincount(number, weights=rest, minlength=cells * cells).reshape(cells, cells) / np.maximum(points, 1)
+    mean = np.bincount(number, weights=noise, minlength=cells * cells).reshape(cells, cells) / np.maximum(points, 1)
     both = [np.fft.rfft2(one, s=(2 * cells, 2 * cells)) for one in (mean * there, there.astype(np.float64))]
     products, pairs = (np.fft.irfft2(np.abs(one) ** 2, s=(2 * cells, 2 * cells)) for one in both)
     lag = np.minimum(np.arange(2 * cells), 2 * cells - np.arange(2 * cells))
     ring = np.rint(np.hypot(lag, lag[:, None])).astype(np.int64).ravel()
-    known = pairs.ravel() > 0.5
-    sums = np.bincount(ring[known], weights=products.ravel()[known])
-    weight = np.bincount(ring[known], weights=pairs.ravel()[known])
-    counts = np.bincount(ring[known])
+    valid = pairs.ravel() > 0.5
+    sums = np.bincount(ring[valid], weights=products.ravel()[valid])
+    weight = np.bincount(ring[valid], weights=pairs.ravel()[valid])
+    counts = np.bincount(ring[valid])
     correlation = sums / np.maximum(weight, 1.0)
     correlation[0] -= white**2 * float(np.mean(1 / points[there]))
     # Up to where it first changes its sign: what lies beyond is the form that the smooth terms left, and chance.
@@ -223,5 +223,5 @@ def _correlated(some: Problem, state: Floats, white: float, count: int) -> MapNo
     # As many of its independent cells as there were smooth terms went with them.
     share = max(1 - terms.shape[1] * power / excess / covered, LEAST_SHARE)
     excess, power = excess / share, power / share
-    per_point = covered / count * some.points.shape[1] / left.size
+    per_point = covered / count * some.points.shape[1] / residual.size
     return MapNoise(white, float(np.sqrt(excess)), float(np.sqrt(power / excess / np.pi)), power / excess / per_point)

@@ -113,9 +113,9 @@ def lattice_of(surface: Surface) -> Lattice:
     while isinstance(inner, Placed):
         turn, inner = turn + inner.rotation, inner.surface
     if isinstance(inner, Sum):
-        found = [lattice_of(term) for term in inner.terms]
-        fine = min(one.fine for one in found)
-        patterns = [one for one in found if one.steps is not None]
+        lattices = [lattice_of(term) for term in inner.terms]
+        fine = min(one.fine for one in lattices)
+        patterns = [one for one in lattices if one.steps is not None]
         steps = patterns[0].steps if len(patterns) == 1 else None
     elif isinstance(inner, LensArray):
         fine = inner.feature_size if inner.aperture is None else min(inner.feature_size, inner.aperture / 4)
@@ -137,17 +137,17 @@ def _repeat(centres: Floats) -> Floats | None:
     tree = cKDTree(centres)
     middle = int(np.argmin(np.hypot(*(centres - centres.mean(axis=0)).T)))
     shifts = centres[tree.query(centres[middle], k=min(25, centres.shape[0]))[1]] - centres[middle]
-    kept: list[Floats] = []
+    steps: list[Floats] = []
     for shift in shifts[1:]:
         length = np.hypot(*shift)
-        if kept and abs(kept[0][0] * shift[1] - kept[0][1] * shift[0]) < 0.3 * length * np.hypot(*kept[0]):
+        if steps and abs(steps[0][0] * shift[1] - steps[0][1] * shift[0]) < 0.3 * length * np.hypot(*steps[0]):
             continue
         meets = np.asarray(tree.query(centres + shift)[0]) < 1e-6 * length
         # What runs over the edge of a round array meets nothing.
         if meets.mean() > 0.4:
-            kept.append(shift)
-        if len(kept) == 2:
-            return np.array(kept)
+            steps.append(shift)
+        if len(steps) == 2:
+            return np.array(steps)
     return None
 
 
@@ -194,8 +194,8 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
     for width in (np.inf, CALM):
         # Calm, for what is no part of the part, such as a flange beyond its rim, must not pull.
         states = [start, *_valleys(tabled, begin, step, problem, free, width)]
-        found = (_refined(problem, each, free, size, calm=width < np.inf) for each in states)
-        fits += [one for one in found if one is not None]
+        refined = (_refined(problem, each, free, size, calm=width < np.inf) for each in states)
+        fits += [one for one in refined if one is not None]
     if pattern.steps is not None and fits:
         fits += _repeats(problem, fits, pattern.steps, state, reach, free, size, tabled)
     if fits:
@@ -236,7 +236,7 @@ def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Fl
 
     A turn about the part's axis turns the place of the pivot and adds to the rotation, which is the last of the angles.
     """
-    found: list[Fit] = []
+    fits: list[Fit] = []
     if clocking > 0:
         turns_tried = {round(2 * np.pi * k / n, 12) for n in FOLDS for k in range(1, n)}
         for turn in sorted(turns_tried):
@@ -246,11 +246,11 @@ def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Fl
             twin[3] = state[3] + (twin[3] + turn - state[3] + np.pi) % (2 * np.pi) - np.pi
             if abs(twin[3] - state[3]) > clocking:
                 continue
-            left = residuals(problem, twin)
-            left = left[np.isfinite(left)]
-            if left.size > LEAST * best.used and np.median(left * left) < POOR * best.cost + QUIET**2:
-                found.append(fit(problem, twin, free, size, steps=25, close=1e-9))
-    return found
+            residual = residuals(problem, twin)
+            residual = residual[np.isfinite(residual)]
+            if residual.size > LEAST * best.used and np.median(residual * residual) < POOR * best.cost + QUIET**2:
+                fits.append(fit(problem, twin, free, size, steps=25, close=1e-9))
+    return fits
 
 
 def _covering(problem: Problem, fits: list[Fit]) -> list[Fit]:
@@ -266,22 +266,22 @@ def level(problem: Problem, state: Floats, free: list[int], size: Floats) -> Flo
     if not tilts:
         return state
     calm = replace(problem, terms=(), normal=False, loss="huber")
-    left = residuals(calm, state[:6])
-    left = left[np.isfinite(left)]
-    if 2 in free and left.size:
-        state[2] -= float(np.median(left))
-    found = fit(calm, state[:6], tilts, size, steps=12, close=1e-6)
-    state[:6] = found.state
+    residual = residuals(calm, state[:6])
+    residual = residual[np.isfinite(residual)]
+    if 2 in free and residual.size:
+        state[2] -= float(np.median(residual))
+    untilted = fit(calm, state[:6], tilts, size, steps=12, close=1e-6)
+    state[:6] = untilted.state
     return state
 
 
 def _levelled(problem: Problem, state: Floats) -> Floats | None:
     """Return the points (3, n) as the state turns them, about the pivot, without gross outliers."""
-    found = rows(problem, state, slice(0, problem.points.shape[1]))
-    if found.which.size < 10:
+    sample = rows(problem, state, slice(0, problem.points.shape[1]))
+    if sample.which.size < 10:
         return None
-    limit = 4 * np.quantile(np.abs(found.residual), 0.95) + 1e-9
-    bad = found.which[np.abs(found.residual) > limit]
+    limit = 4 * np.quantile(np.abs(sample.residual), 0.95) + 1e-9
+    bad = sample.which[np.abs(sample.residual) > limit]
     arm = turns(state)[0] @ problem.points
     return np.ascontiguousarray(np.delete(arm, bad, axis=1))
 
@@ -396,17 +396,17 @@ def _scores(tabled: _Tabled, places: Floats, *, share: float = LEAST) -> Floats:
 
 def _peaks(places: Floats, score: Floats, apart: float, turn_apart: float, most: int) -> list[int]:
     """Return the best places that are not on the flank of a better one."""
-    kept: list[int] = []
+    chosen: list[int] = []
     order = np.argsort(score)[: np.count_nonzero(np.isfinite(score))]
     sorted_places = places[order]
     open_ = np.ones(order.size, dtype=np.bool_)
-    while len(kept) < most and open_.any():
+    while len(chosen) < most and open_.any():
         first = int(np.argmax(open_))
-        kept.append(int(order[first]))
+        chosen.append(int(order[first]))
         best = sorted_places[first]
         turn = np.abs((sorted_places[:, 2] - best[2] + np.pi) % (2 * np.pi) - np.pi)
         open_ &= (np.hypot(sorted_places[:, 0] - best[0], sorted_places[:, 1] - best[1]) > apart) | (turn > turn_apart)
-    return kept
+    return chosen
 
 
 def _valleys(
@@ -436,9 +436,9 @@ def _valleys(
             break
         pose = Pose.of(out[k, 5:].reshape(3, 3) @ levelled, (0.0, 0.0, 0.0))
         state = tabled.start.copy()
-        found = np.array([*out[k, 2:5], pose.rotation, *pose.tilt])
+        fitted = np.array([*out[k, 2:5], pose.rotation, *pose.tilt])
         pose_numbers = [one for one in free if one < 6]
-        state[pose_numbers] = found[pose_numbers]
+        state[pose_numbers] = fitted[pose_numbers]
         state[3] = tabled.start[3] + (state[3] - tabled.start[3] + np.pi) % (2 * np.pi) - np.pi
         gaps = [np.abs(state[:6] - other[:6]) for other in states]
         if all(max(gap[:2].max(), problem.within * gap[3:].max()) > step / 20 for gap in gaps):
@@ -451,12 +451,12 @@ def _refined(problem: Problem, state: Floats, free: list[int], size: Floats, *, 
     pose = [k for k in free if k < 6]
     if calm:
         state = fit(replace(problem, loss="tukey"), state, pose, size, steps=CALMING, close=1e-7).state
-    found = fit(problem, state, pose, size, steps=25, close=1e-7)
+    best = fit(problem, state, pose, size, steps=25, close=1e-7)
     if len(pose) < len(free):
         # Where a term and a turn pass for each other the pose alone goes half-way to a twin.
-        both = [fit(problem, one, free, size, steps=25, close=1e-9) for one in (found.state, state)]
-        found = min(both, key=lambda one: one.cost)
-    return found if found.used > 0 else None
+        both = [fit(problem, one, free, size, steps=25, close=1e-9) for one in (best.state, state)]
+        best = min(both, key=lambda one: one.cost)
+    return best if best.used > 0 else None
 
 
 def _most_repeats(steps: Floats, reach: float) -> int:
@@ -481,7 +481,7 @@ def _repeats(
     scores = _scores(tabled, places, share=COVER)
     most_score = POOR * float(scores[0].min())
     chosen = [int(k) for k in np.argsort(scores[0])[:MOST_REPEATS] if scores[0][k] <= most_score]
-    found = []
+    repeats = []
     for k in chosen:
         # Where a repeat is another cell of the pattern, the tilt that goes with its place is another.
         turn = _matrix_of(scores[2, k], scores[3, k], places[k, 2]) @ turns(start)[0]
@@ -489,8 +489,8 @@ def _repeats(
         moved = start.copy()
         numbers = [one for one in free if one < 6]
         moved[numbers] = np.array([*places[k, :2], scores[1, k], pose.rotation, *pose.tilt])[numbers]
-        found.append(_refined(problem, moved, free, size))
-    return [one for one in found if one is not None]
+        repeats.append(_refined(problem, moved, free, size))
+    return [one for one in repeats if one is not None]
 
 
 def _matrix_of(a: float, b: float, turn: float) -> Floats:

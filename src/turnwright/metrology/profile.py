@@ -189,10 +189,10 @@ def _shares(axis: Floats, at: Floats, nodes: int) -> tuple[np.ndarray, Floats, n
     first = np.clip(np.searchsorted(axis, at, side="right") - nodes // 2, 0, axis.size - nodes)
     near = axis[np.clip(np.searchsorted((axis[1:] + axis[:-1]) / 2, at), 0, axis.size - 1)]
     at = np.where(np.abs(near - at) <= slack, near, at)
-    known = axis[first + np.arange(nodes)[:, None]]
+    samples = axis[first + np.arange(nodes)[:, None]]
     share = np.ones((nodes, at.size))
     for i in range(nodes):
         for j in range(nodes):
             if i != j:
-                share[i] *= (at - known[j]) / (known[i] - known[j])
+                share[i] *= (at - samples[j]) / (samples[i] - samples[j])
     return first, share, inside

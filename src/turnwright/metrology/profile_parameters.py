@@ -176,12 +176,12 @@ def _element_spacing(z: Floats, step: float, height: float, length: float) -> tu
 
     An element is from where one hill begins to where the next one does.
     """
-    known = np.flatnonzero(~np.isnan(z))
-    if known.size < 2:
+    valid = np.flatnonzero(~np.isnan(z))
+    if valid.size < 2:
         return float("nan"), 0
-    wide = np.flatnonzero((np.diff(known) > 1) & (np.diff(known) * step >= length))
-    gaps = np.column_stack([known[wide], known[wide + 1]])
-    z = np.interp(np.arange(z.size), known, z[known])
+    wide = np.flatnonzero((np.diff(valid) > 1) & (np.diff(valid) * step >= length))
+    gaps = np.column_stack([valid[wide], valid[wide + 1]])
+    z = np.interp(np.arange(z.size), valid, z[valid])
     above = z > 0
     turns = np.flatnonzero(above[1:] != above[:-1])
     # Where the straight line between two points crosses the mean line, in steps.

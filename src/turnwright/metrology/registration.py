@@ -278,10 +278,10 @@ class Registration:
     @property
     def findings(self) -> tuple[tuple[DoubtKind, str], ...]:
         """What puts the pose in doubt: of which kind, and in a sentence."""
-        found: list[tuple[DoubtKind, str]] = [("undetermined", one.words) for one in self.undetermined]
+        findings: list[tuple[DoubtKind, str]] = [("undetermined", one.words) for one in self.undetermined]
         most = scatter(self.residual.z[~self.outliers]) * NM
         if self.rms_nm > TAILED * most and self.rms_nm > 1:
-            found.append(
+            findings.append(
                 (
                     "tails",
                     (
@@ -291,16 +291,16 @@ class Registration:
                 )
             )
         if self.held:
-            found.append(("held", f"{self._held_where}, and no result of the fit: {', '.join(self.held)}."))
+            findings.append(("held", f"{self._held_where}, and no result of the fit: {', '.join(self.held)}."))
         if self.lost > SAID * (self.count + self.lost):
             total = np.count_nonzero(self.outliers) + self.count + self.lost
-            found.append(("lost", f"{self.lost} of the map's {total} points lie beyond the part and do not count."))
+            findings.append(("lost", f"{self.lost} of the map's {total} points lie beyond the part and do not count."))
         near = self.rivals
         if near:
             first = ", ".join(f"{one:.4g}" for one in near[0].pose.shift)
             turn = np.rad2deg(near[0].pose.rotation)
             count = "Another pose fits" if len(near) == 1 else f"{len(near)} other poses fit"
-            found.append(
+            findings.append(
                 (
                     "ambiguous",
                     (
@@ -315,7 +315,7 @@ class Registration:
             if one.symmetric
         )
         if turned:
-            found.append(
+            findings.append(
                 (
                     "symmetric",
                     (
@@ -324,7 +324,7 @@ class Registration:
                     ),
                 )
             )
-        return tuple(found)
+        return tuple(findings)
 
     @property
     def _held_where(self) -> str:
@@ -444,24 +444,24 @@ def register(
     # What nothing fixes is not looked for.
     alike = not task.problem.terms and axisymmetric(part.surface, task.problem.within)
     sought = [k for k in task.free if k != ROTATION or not alike]
-    found = [one for one in search(few, task.start, sought, task.size, reach, clocking) if _enough(one)]
-    found = _on_the_part(few, found, sought, task.size)
-    if not found:
+    on_part = [one for one in search(few, task.start, sought, task.size, reach, clocking) if _enough(one)]
+    on_part = _on_the_part(few, on_part, sought, task.size)
+    if not on_part:
         raise InputError(
             f"of the map's {task.which.size} heights fewer than {len(task.free) + 2} come to lie within "
             f"{task.problem.within:g} mm of the part's axis from this start: check units and start, or give a larger "
             "reach"
         )
     # As many points as lay on the part where the search ended are to stay there.
-    seen = found[0].used / few.points.shape[1]
-    best = fit(some, found[0].state, sought, task.size, close=1e-10, least=COVER, seen=seen)
+    seen = on_part[0].used / few.points.shape[1]
+    best = fit(some, on_part[0].state, sought, task.size, close=1e-10, least=COVER, seen=seen)
     if task.noise is None:
         task = task._replace(seen=map_noise(task.problem, some, best.state, heights, task.which))
-    kept, fixed, directions = _decide(task, some, best, weak)
-    fits = _distinct(task, few, some, found, best, kept, fixed)
-    chosen, candidates = _candidates(task, some, fits, kept, seen)
-    final = fit(task.problem, chosen.state, kept, task.size, least=COVER, seen=seen)
-    return _answer(task, heights, final, some, kept, fixed, directions, candidates)
+    free_directions, fixed, directions = _decide(task, some, best, weak)
+    fits = _distinct(task, few, some, on_part, best, free_directions, fixed)
+    chosen, candidates = _candidates(task, some, fits, free_directions, seen)
+    final = fit(task.problem, chosen.state, free_directions, task.size, least=COVER, seen=seen)
+    return _answer(task, heights, final, some, free_directions, fixed, directions, candidates)
 
 
 def _task(
@@ -552,21 +552,21 @@ def _bends(surface: Surface, radius: float) -> Floats:
         disc &= inside
     x, y = x[disc], y[disc]
     z = surface.evaluate(x, y, 0)[0]
-    known = np.isfinite(z)
-    x, y, z = x[known], y[known], z[known]
-    found = np.full(6, np.nan)
+    valid = np.isfinite(z)
+    x, y, z = x[valid], y[valid], z[valid]
+    bend = np.full(6, np.nan)
     if z.size < FEWEST:
-        return found
+        return bend
     columns = np.stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2], axis=1)
     height, along_x, along_y, xx, xy, yy = np.linalg.lstsq(columns, z, rcond=None)[0]
     curvatures, ways = np.linalg.eigh([[xx, xy], [xy, yy]])
-    found[:2] = ways[:, 0]
+    bend[:2] = ways[:, 0]
     across = np.array([-ways[1, 0], ways[0, 0]])
     for k, way in enumerate((ways[:, 0], across)):
         if abs(curvatures[k]) * FARTHEST > 1:
             slope = along_x * way[0] + along_y * way[1]
-            found[2 + 2 * k : 4 + 2 * k] = -slope / curvatures[k], height + 1 / curvatures[k]
-    return found
+            bend[2 + 2 * k : 4 + 2 * k] = -slope / curvatures[k], height + 1 / curvatures[k]
+    return bend
 
 
 def _largest(term: Surface, radius: float) -> float:
@@ -691,18 +691,18 @@ def _decide(
         allowed += (best.cost + 9 * task.form**2) * best.used
     for count_held in range(len(wanted), 0, -1):
         for fixed in combinations(wanted, count_held):
-            kept = [k for k in task.free if k not in fixed]
+            free = [k for k in task.free if k not in fixed]
             for where in _places(task, some, best, fixed):
                 state = best.state.copy()
                 state[list(fixed)] = where
-                there = fit(some, state, kept, task.size, close=1e-9)
+                there = fit(some, state, free, task.size, close=1e-9)
                 before, after = costs(some, [best, there])
                 slack = chance(some, there.state - best.state, best.used, there.used) + ROUGHLY
                 if (
                     there.used >= WHOLE * best.used
                     and (after - before) * best.used <= allowed + slack * before * best.used
                 ):
-                    return kept, dict(zip(fixed, where.tolist(), strict=True)), directions
+                    return free, dict(zip(fixed, where.tolist(), strict=True)), directions
     # What the surface itself leaves open stays where the search ended: the start contradicts the heights.
     fixed_there = _where_it_ended(some, best, wanted[: sum(cause == "surface" for _, _, cause in directions)])
     return [k for k in task.free if k not in fixed_there], fixed_there, directions
@@ -796,11 +796,11 @@ def _candidates(
             fine.append(one)
     fine = [one for one in fine if one.used >= COVER * fine[0].used]
     cost = costs(some, fine)
-    left = np.array([one.cost for one in fine])
-    noise = max(left[0], FINEST**2) if task.noise is None else task.noise**2
+    fit_costs = np.array([one.cost for one in fine])
+    noise = max(fit_costs[0], FINEST**2) if task.noise is None else task.noise**2
     even = np.flatnonzero((cost - cost[0]) * fine[0].used <= EQUAL * noise)
     near = even[np.argmin([_apart(task, fine[k].state, task.start) for k in even])]
-    ratio = (left + QUIETEST**2) / (left[near] + QUIETEST**2)
+    ratio = (fit_costs + QUIETEST**2) / (fit_costs[near] + QUIETEST**2)
     # A pose no farther than its own uncertainty is not another one.
     unsure = _doubt(task, some, fine[near], kept, some.points.shape[1])
     variance, axes = np.linalg.eigh(unsure.noise)
@@ -865,15 +865,15 @@ def _answer(
 ) -> Registration:
     """Put together what was found."""
     problem = task.problem
-    left = residuals(problem, final.state)
+    residual = residuals(problem, final.state)
     names = [k for k in kept if k < 6]
     outliers = np.zeros(heights.z.shape, dtype=np.bool_)
-    good = np.isfinite(left)
+    good = np.isfinite(residual)
     if problem.loss != "linear":
-        stray = good & (np.abs(left) > STRAY * scatter(left))
+        stray = good & (np.abs(residual) > STRAY * scatter(residual))
         outliers.ravel()[task.which[stray]] = True
         good &= ~stray
-    rms = float(np.sqrt(problem.mean(left[good] ** 2, good))) if good.any() else 0.0
+    rms = float(np.sqrt(problem.mean(residual[good] ** 2, good))) if good.any() else 0.0
     unsure = _doubt(task, some, final, kept, final.used)
     unit = task.size[kept]
     noise, form = (one * np.outer(unit, unit) for one in unsure)
@@ -889,8 +889,8 @@ def _answer(
         form_error=task.form,
         amplitudes=final.state[6:],
         amplitudes_std=np.sqrt(np.diag(noise)[size:]),
-        residual=_filled(heights, task.which, left, "residual"),
-        error=_filled(heights, task.which, left + _terms(problem, final.state), "error"),
+        residual=_filled(heights, task.which, residual, "residual"),
+        error=_filled(heights, task.which, residual + _terms(problem, final.state), "error"),
         candidates=tuple(
             PoseCandidate(
                 pose=pose_of(one.state, task.pivot),
@@ -909,7 +909,7 @@ def _answer(
         outliers=outliers,
         count=int(good.sum()),
         rms_nm=rms * NM,
-        lost=int(task.which.size - np.count_nonzero(np.isfinite(left))),
+        lost=int(task.which.size - np.count_nonzero(np.isfinite(residual))),
         noise_nm=(task.noise if task.seen is None else max(task.seen.white, FAINTEST)) * NM,  # type: ignore[operator]
         correlated_nm=0.0 if task.seen is None else task.seen.correlated * NM,
         correlation_length=0.0 if task.seen is None else task.seen.length,

@@ -123,11 +123,11 @@ def _axis(n: int, width: float, powers: int, *, real: bool) -> Axis:
     length = fft.next_fast_len(max(n + half, 2 * half + 1), real=real)
     u = np.arange(-half, half + 1) / width
     bell = np.exp(-np.pi * u * u) / width
-    kept = min(length // 2, int(REACH * length / width)) + 1
+    count = min(length // 2, int(REACH * length / width)) + 1
     spectra = []
     for power in range(powers + 1):
         kernel = np.zeros(length)
         kernel[: half + 1] = (bell * u**power)[half:]
         kernel[length - half :] = (bell * u**power)[:half]
-        spectra.append(fft.rfft(kernel)[:kept] if real else fft.fft(kernel))
-    return Axis(length, kept, spectra)
+        spectra.append(fft.rfft(kernel)[:count] if real else fft.fft(kernel))
+    return Axis(length, count, spectra)

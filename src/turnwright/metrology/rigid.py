@@ -227,19 +227,19 @@ def _sums(problem: Problem, state: Floats, scale: float) -> _Sums:
 
     def work(start: int, stop: int) -> None:
         for k in range(start, stop):
-            found = rows(problem, state, blocks[k])
-            weight, cost = weights(found.residual, scale, problem.loss)
-            weight, cost = problem.weighed(weight, found.which), problem.weighed(cost, found.which)
+            block = rows(problem, state, blocks[k])
+            weight, cost = weights(block.residual, scale, problem.loss)
+            weight, cost = problem.weighed(weight, block.which), problem.weighed(cost, block.which)
             alike = problem.loss == "linear" and problem.area is None
-            weighted = found.columns if alike else found.columns * weight
+            weighted = block.columns if alike else block.columns * weight
             parts[k] = _Sums(
-                weighted @ found.columns.T,
-                weighted @ found.residual,
+                weighted @ block.columns.T,
+                weighted @ block.residual,
                 float(cost.sum()),
-                float((weight * found.residual) @ found.residual),
+                float((weight * block.residual) @ block.residual),
                 float(weight.sum()),
-                float(found.which.size if problem.area is None else problem.area[found.which].sum()),
-                found.which.size,
+                float(block.which.size if problem.area is None else problem.area[block.which].sum()),
+                block.which.size,
             )
 
     _each(work, len(blocks))
@@ -254,8 +254,8 @@ def residuals(problem: Problem, state: Floats) -> Floats:
 
     def work(start: int, stop: int) -> None:
         for k in range(start, stop):
-            found = rows(problem, state, blocks[k])
-            out[found.which] = found.residual
+            block = rows(problem, state, blocks[k])
+            out[block.which] = block.residual
 
     _each(work, len(blocks))
     return out
@@ -301,9 +301,9 @@ def fit(
         if new > 0.98 * scale:  # it shrinks as outliers lose their pull
             break
         scale = new
-        found = _march(problem, state, free, size, scale, steps, close, least, seen)
-        state, taken = found.state, taken + found.steps
-    return found._replace(steps=taken)
+        march = _march(problem, state, free, size, scale, steps, close, least, seen)
+        state, taken = march.state, taken + march.steps
+    return march._replace(steps=taken)
 
 
 def _march(
@@ -312,31 +312,31 @@ def _march(
 ) -> Fit:  # fmt: skip
     """Levenberg-Marquardt with the loss scaled once; undamped as long as that helps."""
     chosen = np.asarray(free, dtype=np.int64)
-    here = _sums(problem, state, scale)
-    damping, taken, idle, begun = 0.0, 0, 0, here.cost / max(here.area, 1e-300)
-    most = max(here.used, seen * problem.points.shape[1])
-    while taken < steps and here.used > 0 and chosen.size:
+    sums = _sums(problem, state, scale)
+    damping, taken, idle, begun = 0.0, 0, 0, sums.cost / max(sums.area, 1e-300)
+    most = max(sums.used, seen * problem.points.shape[1])
+    while taken < steps and sums.used > 0 and chosen.size:
         taken += 1
         unit = size[chosen]
-        normal = here.normal[np.ix_(chosen, chosen)] * np.outer(unit, unit)
-        right = here.right[chosen] * unit
+        normal = sums.normal[np.ix_(chosen, chosen)] * np.outer(unit, unit)
+        right = sums.right[chosen] * unit
         step = _solve(normal, right, damping)
         trial = _moved(problem, state, chosen, -step * unit)
         moved = float(np.abs(step).max(initial=0.0))
-        changed = float(np.sqrt(max(float(step @ normal @ step), 0.0) / max(here.weight, 1e-300)))
+        changed = float(np.sqrt(max(float(step @ normal @ step), 0.0) / max(sums.weight, 1e-300)))
         leans = float(np.abs(trial[4:6]).max())
         there = _sums(problem, trial, scale) if moved < 1e3 and leans < STEEPEST else None
         better = False
         if there is not None and there.used >= max(least * most, chosen.size + 1):
-            slack = chance(problem, trial - state, here.used, there.used)
-            better = there.cost / there.area <= here.cost / here.area * (1 + slack)
+            slack = chance(problem, trial - state, sums.used, there.used)
+            better = there.cost / there.area <= sums.cost / sums.area * (1 + slack)
             if there.used < WHOLE * most:  # no pose gains by losing points: each costs as much as an outlier
-                price = max(begun, OUTLIER_PRICE * here.cost / max(here.area, 1e-300))
-                better &= there.cost - price * there.area <= here.cost - price * here.area
+                price = max(begun, OUTLIER_PRICE * sums.cost / max(sums.area, 1e-300))
+                better &= there.cost - price * there.area <= sums.cost - price * sums.area
         gain = 0.0
         if better and there is not None:
-            gain = (here.cost / here.area - there.cost / there.area) * here.used
-            state, here, most = trial, there, max(most, there.used)
+            gain = (sums.cost / sums.area - there.cost / there.area) * sums.used
+            state, sums, most = trial, there, max(most, there.used)
             damping = 0.0 if damping < 1e-6 else damping / 10
         else:
             if moved < 1e-9:  # rounding decides the rest
@@ -344,14 +344,14 @@ def _march(
             damping = max(10 * damping, 1e-6)
             if damping > 1e8:
                 break
-        idle = 0 if gain > SETTLED * here.cost / max(here.area, 1e-300) else idle + 1
+        idle = 0 if gain > SETTLED * sums.cost / max(sums.area, 1e-300) else idle + 1
         if idle >= MOST_IDLE:  # the edge of the part stops it
             break
-        sure = np.sqrt(here.square / max(here.weight, 1e-300) / here.used)
+        sure = np.sqrt(sums.square / max(sums.weight, 1e-300) / sums.used)
         if damping < DAMPED and (moved <= close or changed <= max(EXACT, SETTLED * sure)):
             break
-    square = here.square / max(here.weight, 1e-300)
-    return Fit(state, here.normal, here.used, square, here.cost / max(here.area, 1e-300), scale, taken)
+    square = sums.square / max(sums.weight, 1e-300)
+    return Fit(state, sums.normal, sums.used, square, sums.cost / max(sums.area, 1e-300), scale, taken)
 
 
 def _moved(problem: Problem, state: Floats, chosen: Ints, step: Floats) -> Floats:
@@ -405,5 +405,5 @@ def _solve(normal: Floats, right: Floats, damping: float) -> Floats:
     scaled[np.diag_indices_from(scaled)] += damping
     values, vectors = np.linalg.eigh(scaled)
     along = vectors.T @ (right / width)
-    kept = values > 1e-15 * values[-1]
-    return np.asarray((vectors[:, kept] @ (along[kept] / values[kept])) / width)
+    significant = values > 1e-15 * values[-1]
+    return np.asarray((vectors[:, significant] @ (along[significant] / values[significant])) / width)

@@ -56,11 +56,11 @@ def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, pol
     basis = (_polar if polar else _rectangular)(grid, valid, degree)
     normal = _normal(basis, grid, valid)
     total = np.zeros(basis.terms.shape[1])
-    left = np.empty_like(z)
+    remainder = np.empty_like(z)
     last = np.inf
     for _ in range(MAX_STEPS):
         # Points on one line cannot carry every term; the solution of least norm is as good as any there.
-        step = np.linalg.lstsq(normal, _right(basis, grid, z, valid, total, left), rcond=1e-13)[0]
+        step = np.linalg.lstsq(normal, _right(basis, grid, z, valid, total, remainder), rcond=1e-13)[0]
         size = np.abs(step).max()
         if size >= last:
             break
@@ -68,8 +68,8 @@ def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, pol
         last = size
         if size <= SETTLED * np.abs(total).max():
             break
-    _right(basis, grid, z, valid, total, left)
-    return left
+    _right(basis, grid, z, valid, total, remainder)
+    return remainder
 
 
 def legendre(axis: Floats, degree: int) -> Floats:

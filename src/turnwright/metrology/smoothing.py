@@ -150,24 +150,24 @@ def smooth_table(
         What the heights stand beside already. The cutoff is chosen for both together, and the table holds both: so two
         maps of which each shows no more than noise count together, and what the first time was left of a wave is not.
     """
-    beside = np.zeros(z.size) if before is None else before.evaluate(x, y, 0)[0]
+    existing = np.zeros(z.size) if before is None else before.evaluate(x, y, 0)[0]
     # Cells, not points, are split: neighbours share the cell's noise only.
     cell = cutoff / PER_CUTOFF / 2
     column, row = (np.floor((at + reach) / cell).astype(np.int64) for at in (x, y))
     # Of a coarse grid only every second column of cells may hold points: those that do are counted.
     odd = sum(np.unique(one, return_inverse=True)[1] for one in (column, row)) % 2 == 1
-    whole = z + beside
-    halves = [_binned(x[chosen], y[chosen], whole[chosen], cell, reach) for chosen in (odd, ~odd)]
+    total = z + existing
+    halves = [_binned(x[chosen], y[chosen], total[chosen], cell, reach) for chosen in (odd, ~odd)]
     best: float | None = None
-    scale = robust_scatter(whole - np.median(whole))
+    scale = robust_scatter(total - np.median(total))
     inner = min(reach, float(max(np.abs(x).max(), np.abs(y).max())) + cutoff)
-    left = [half.z for half in halves]
-    last = _losses(halves, left, scale)
+    residual = [half.z for half in halves]
+    last = _losses(halves, residual, scale)
     for length in cutoff * math.sqrt(2) ** np.arange(LONGEST, -1, -1):
         if length > 2 * reach:
             continue
         if length < COSTLY * cutoff and not any(
-            _hangs_together(half, off, cell) for half, off in zip(halves, left, strict=True)
+            _hangs_together(half, off, cell) for half, off in zip(halves, residual, strict=True)
         ):
             break
         tables = [_smoothed(half, length, inner, COARSE) for half in halves]
@@ -175,7 +175,7 @@ def smooth_table(
         losses = _losses(halves, off, scale)
         better = last - losses
         if better.sum() > WORTH * better.std() * math.sqrt(better.size):
-            best, last, left = float(length), losses, off
+            best, last, residual = float(length), losses, off
     if best is None:
         flat = np.linspace(-reach, reach, 6)
         return Smooth(Gridded(x=flat, y=flat, z=np.zeros((6, 6))), None)
@@ -190,8 +190,8 @@ def sum_tables(table: Gridded, before: Gridded) -> Gridded:
     low, high = float(table.x[0]), float(table.x[-1])
     axis = np.linspace(low, high, math.ceil((high - low) / step - 1e-9) + 1)
     x, y = np.meshgrid(axis, axis)
-    known = before.evaluate(np.clip(x, before.x[0], before.x[-1]), np.clip(y, before.y[0], before.y[-1]), 0)[0]
-    return Gridded(x=axis, y=axis, z=table.evaluate(x, y, 0)[0] + known)
+    heights = before.evaluate(np.clip(x, before.x[0], before.x[-1]), np.clip(y, before.y[0], before.y[-1]), 0)[0]
+    return Gridded(x=axis, y=axis, z=table.evaluate(x, y, 0)[0] + heights)
 
 
 def _faded(table: Gridded, x: Floats, y: Floats, cutoff: float) -> Gridded:
@@ -266,9 +266,9 @@ def _plates(points: _Points, heights: Floats, cutoff: float, reach: float, fine:
     lower = normal.row >= normal.col
     np.add.at(band, (normal.row[lower] - normal.col[lower], normal.col[lower]), normal.data[lower])
     band[0] += 1e-13 * band[0].max()
-    found = solveh_banded(band, weighted.T @ heights.T, lower=True, overwrite_ab=True).T.reshape(-1, size, size)
+    solution = solveh_banded(band, weighted.T @ heights.T, lower=True, overwrite_ab=True).T.reshape(-1, size, size)
     at_knots = BSpline.design_matrix(knots, padded, 3)
-    return [Gridded(x=knots, y=knots, z=np.asarray(at_knots @ one @ at_knots.T)) for one in found]
+    return [Gridded(x=knots, y=knots, z=np.asarray(at_knots @ one @ at_knots.T)) for one in solution]
 
 
 def _at(table: Gridded, points: _Points) -> Floats:

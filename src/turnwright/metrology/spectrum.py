@@ -147,9 +147,9 @@ class AreaSpectrum:
         step = max(self._steps)
         ring = np.rint(self._radius / step).astype(np.int64)
         count = 1 + int(min(self.frequency_x[-1], self.frequency_y[-1]) / step + 1e-9)
-        kept = ring < count
-        bins = np.bincount(ring[kept], minlength=count)
-        density = np.bincount(ring[kept], weights=self.density[kept], minlength=count) / bins
+        inside = ring < count
+        bins = np.bincount(ring[inside], minlength=count)
+        density = np.bincount(ring[inside], weights=self.density[inside], minlength=count) / bins
         frequency = np.arange(count) * step
         edges = np.concatenate([[0.0], frequency + step / 2])
         return Spectrum(

@@ -218,10 +218,10 @@ def fit_edge(
     check_angle(tilt, "tilt", -np.pi / 4, np.pi / 4)
 
     # Along +X, and outward: the way the edge points, whichever of the two ways lets an arc fit better.
-    found = {sign: _fit_shape(toward_x * along, sign * across) for sign in (1.0, -1.0)}
-    sign = min(found, key=lambda way: found[way].cost)
+    shapes = {sign: _fit_shape(toward_x * along, sign * across) for sign in (1.0, -1.0)}
+    sign = min(shapes, key=lambda way: shapes[way].cost)
     a, b = toward_x * along, sign * across
-    shape = found[sign].shape
+    shape = shapes[sign].shape
     radius, centre, stroke, nose = _fit_nose(a, b, shape, _strokes(along))
     sweep, off = _polar(a, b, radius, centre[stroke])
     low, high = _ends(sweep, off, shape)
@@ -358,10 +358,10 @@ def _fit_nose(a: Floats, b: Floats, shape: Floats, strokes: Ints) -> tuple[float
     sweep, off = _polar(a, b, shape[2], shape[:2])
     arc = (sweep > BLEND - shape[3]) & (sweep < shape[4] - BLEND)
     # Strokes that hold too little of the arc are dust; numbers outside of the arc do not matter.
-    kept = np.flatnonzero(np.bincount(strokes[arc], minlength=1) >= FEWEST)
-    arc &= np.isin(strokes, kept)
-    stroke = np.clip(np.searchsorted(kept, strokes), 0, max(kept.size - 1, 0)).astype(np.int64)
-    circle = np.concatenate([shape[2:3], np.tile(shape[:2], max(kept.size, 1))])
+    strokes_used = np.flatnonzero(np.bincount(strokes[arc], minlength=1) >= FEWEST)
+    arc &= np.isin(strokes, strokes_used)
+    stroke = np.clip(np.searchsorted(strokes_used, strokes), 0, max(strokes_used.size - 1, 0)).astype(np.int64)
+    circle = np.concatenate([shape[2:3], np.tile(shape[:2], max(strokes_used.size, 1))])
     nose = np.zeros(a.size, dtype=np.bool_)
 
     def distance(circle: Floats, chosen: Bools) -> Floats:
@@ -409,19 +409,19 @@ def _smooth(sweep: Floats, off: Floats, cutoff: float) -> tuple[WavinessTable, F
         return np.asarray(make_smoothing_spline(at, values, lam=(cutoff / (2 * np.pi)) ** 4 / step)(at))
 
     deviation = smoothed(height)
-    left = off - np.interp(sweep, at, deviation)
+    residual = off - np.interp(sweep, at, deviation)
     # What each point of the table draws from every bin; bins this far apart share nothing, so one spline tells many.
     order, apart = np.arange(at.size), 8 * PER_CUTOFF
-    own, variance = 0.0, np.zeros(at.size)
+    trace, variance = 0.0, np.zeros(at.size)
     for first in range(min(apart, at.size)):
         drawn = smoothed((order % apart == first).astype(np.float64))
-        own += drawn[first::apart].sum()
+        trace += drawn[first::apart].sum()
         nearest = np.clip(
             first + apart * np.round((order - first) / apart).astype(np.int64), first, order[first::apart][-1]
         )
         variance += drawn**2 / count[filled][nearest]
-    together = _together(left[np.argsort(sweep)])
-    scatter = together * np.sum(left**2) / max(left.size - own * together, 1.0)
+    together = _together(residual[np.argsort(sweep)])
+    scatter = together * np.sum(residual**2) / max(residual.size - trace * together, 1.0)
     return WavinessTable(sweep=at, deviation=deviation), np.sqrt(variance * scatter)
 
 
@@ -436,8 +436,10 @@ def _together(values: Floats) -> float:
 def _radius_std(sweep: Floats, off: Floats, stroke: Ints) -> float:
     """Return the standard uncertainty of the radius of a circle fitted to points that scatter in a correlated way."""
     order = np.argsort(sweep)
-    own = stroke[:, None] == np.arange(stroke.max() + 1)  # each stroke has its own centre
-    slopes = np.column_stack([np.ones(sweep.size), own * np.sin(sweep)[:, None], own * np.cos(sweep)[:, None]])
+    indicator = stroke[:, None] == np.arange(stroke.max() + 1)  # each stroke has its own centre
+    slopes = np.column_stack(
+        [np.ones(sweep.size), indicator * np.sin(sweep)[:, None], indicator * np.cos(sweep)[:, None]]
+    )
     together = _together(off[order])
     variance = together * np.sum(off**2) / max(off.size - slopes.shape[1] * together, 1)
     return float(np.sqrt(variance * np.linalg.inv(slopes.T @ slopes)[0, 0]))

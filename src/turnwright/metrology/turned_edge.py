@@ -215,18 +215,18 @@ def _lines(
     if high - low > np.pi:  # a patch across the branch of the angle
         reach = reach % (2 * np.pi)
         low, high = float(reach.min()), float(reach.max())
-    found = []
+    lines = []
     for angle in low + (high - low) * (np.arange(LINES) + 0.5) / LINES:
         try:
             profile = line_profile(measured, axis, angle=float(angle), method="cubic")
-            found.append(_line(profile, removed, feed, known=True))
+            lines.append(_line(profile, removed, feed, known=True))
         except InputError:  # a line through a corner of the map shows too little
             continue
-    if not found:
+    if not lines:
         raise InputError(
             f"none of {LINES} lines through the axis at {axis} shows cusps: check the axis, or give the feed"
         )
-    return found
+    return lines
 
 
 def _holds(heights: HeightMap, axis: tuple[float, float]) -> bool:
@@ -315,8 +315,8 @@ def _solve(
     first = np.floor(valleys.u.min() / knot) - 1
     knots = knot * np.arange(first, np.ceil(valleys.u.max() / knot) + 2)
     fit, residual = _fit(lines, valleys, knots, measured, SHIFT * feed, radius, instrument, cutoff)
-    known = _uncertainty(valleys, knots, residual, fit)
-    return _as_tool(tool, knots, fit, known, residual, valleys.tip.size, cutoff, feed)
+    uncertainty = _uncertainty(valleys, knots, residual, fit)
+    return _as_tool(tool, knots, fit, uncertainty, residual, valleys.tip.size, cutoff, feed)
 
 
 def _fit(
@@ -328,15 +328,15 @@ def _fit(
     penalty = _penalty(knots, valleys.u.size, cutoff)
     target, weight, noise = measured - circle, np.ones(measured.size), float(np.std(measured - circle))
     for _ in range(PASSES):
-        found = _fitted(valleys, knots, radius, target, weight, penalty, (noise / shift_std) ** 2)
-        model = found.at(valleys, knots, radius)
-        seen = model + circle if instrument is None else _as_seen(lines, valleys, knots, found, radius, instrument)
+        fitted = _fitted(valleys, knots, radius, target, weight, penalty, (noise / shift_std) ** 2)
+        model = fitted.at(valleys, knots, radius)
+        seen = model + circle if instrument is None else _as_seen(lines, valleys, knots, fitted, radius, instrument)
         residual = measured - seen
         if instrument is not None:
             target = model + residual
         noise = max(_scatter(residual), 1e-12)
         weight = np.minimum(1.0, FAR * noise / np.maximum(np.abs(residual), 1e-300))
-    return found, residual
+    return fitted, residual
 
 
 class _Fit(NamedTuple):
@@ -349,8 +349,8 @@ class _Fit(NamedTuple):
 
     def at(self, valleys: _Valleys, knots: Floats, radius: float) -> Floats:
         """Return the heights over the nominal circle at all points."""
-        own = self.height[valleys.valley] + self.shift[valleys.valley] * valleys.u / radius
-        return np.asarray(own + np.interp(valleys.u, knots, self.edge))
+        of_valley = self.height[valleys.valley] + self.shift[valleys.valley] * valleys.u / radius
+        return np.asarray(of_valley + np.interp(valleys.u, knots, self.edge))
 
 
 def _fitted(
@@ -365,8 +365,8 @@ def _fitted(
     right = np.zeros(size)
     both: Floats = np.zeros((size, count, 2))
     for at, part in ((place, 1 - share), (place + 1, share)):
-        for other, rest in ((place, 1 - share), (place + 1, share)):
-            np.add.at(of_edge, (at, other), weight * part * rest)
+        for other, other_part in ((place, 1 - share), (place + 1, share)):
+            np.add.at(of_edge, (at, other), weight * part * other_part)
         np.add.at(right, at, weight * part * target)
         np.add.at(both[..., 0], (at, valleys.valley), weight * part)
         np.add.at(both[..., 1], (at, valleys.valley), weight * part * across)
@@ -374,9 +374,9 @@ def _fitted(
         np.bincount(valleys.valley, weights=weight * column, minlength=count)
         for column in (np.ones(across.size), across, across * across, target, across * target)
     ]
-    own = np.array([[sums[0], sums[1]], [sums[1], sums[2] + ridge]]).transpose(2, 0, 1)
+    blocks = np.array([[sums[0], sums[1]], [sums[1], sums[2] + ridge]]).transpose(2, 0, 1)
     own_right = np.stack(sums[3:], axis=1)
-    inverse = np.linalg.inv(own)
+    inverse = np.linalg.inv(blocks)
     reduced = np.einsum("nki,kij->nkj", both, inverse).reshape(size, -1)
     spread = np.linalg.inv(of_edge - reduced @ both.reshape(size, -1).T)
     edge = spread @ (right - reduced @ own_right.ravel())
@@ -409,7 +409,7 @@ def _as_seen(
         many = max(FINE, int(np.ceil(2.5 * step / _resolution(instrument))))
         fine = at[0] + step / many * np.arange(many * (at.size - 1) + 1)
         valid = ~np.isnan(line.profile.z)
-        known = np.interp(fine, at[valid], line.profile.z[valid])
+        heights = np.interp(fine, at[valid], line.profile.z[valid])
         form = np.interp(fine, at, line.form)
         lowest = np.full(fine.size, np.inf)
         inside = np.zeros(fine.size, dtype=bool)
@@ -418,13 +418,13 @@ def _as_seen(
             near = slice(*np.searchsorted(fine, (1.5 * before - 0.5 * after, 1.5 * after - 0.5 * before)))
             u = valleys.side[k] * (fine[near] - valleys.tip[k])
             edge = _circle(np.clip(u, -radius, radius), radius) + np.interp(u, knots, found.edge)
-            left = found.height[k] + edge + found.shift[k] * u / radius
-            lowest[near] = np.minimum(lowest[near], left)
+            model = found.height[k] + edge + found.shift[k] * u / radius
+            lowest[near] = np.minimum(lowest[near], model)
             inside[slice(*np.searchsorted(fine, (before, after)))] = True
-        surface = np.where(inside, lowest - form, known)
-        whole = Profile(distance=fine, z=surface, x=fine, y=np.zeros(fine.size))
+        surface = np.where(inside, lowest - form, heights)
+        profile = Profile(distance=fine, z=surface, x=fine, y=np.zeros(fine.size))
         chosen = valleys.line == n
-        seen = instrument.see(whole).z[::many]
+        seen = instrument.see(profile).z[::many]
         out[chosen] = (seen + line.form)[valleys.point[chosen]]
     return out
 
@@ -517,13 +517,13 @@ def _as_tool(
     chosen = (sweep > low) & (sweep < high)
     try:
         table = WavinessTable(sweep=sweep[chosen], deviation=deviation[chosen])
-        found = replace(tool, waviness=table)
+        compensated = replace(tool, waviness=table)
     except InputError as error:
         raise InputError(
             f"{count} valleys show an edge that no tool has ({error}): check nose_radius, axis and removed form"
         ) from error
     return TurnedEdge(
-        tool=found,
+        tool=compensated,
         sweep=frozen(sweep[chosen], "sweep"),
         deviation=frozen(deviation[chosen], "deviation"),
         deviation_std=frozen(std[chosen], "deviation_std"),

@@ -246,16 +246,16 @@ def _waves(error: HeightMap, tile_side: int) -> tuple[Floats, Floats, Floats]:
     for row in range(0, error.z.shape[0] - tile_side + 1, tile_side // 2):
         for column in range(0, error.z.shape[1] - tile_side + 1, tile_side // 2):
             tile = error.z[row : row + tile_side, column : column + tile_side]
-            known = np.isfinite(tile).ravel()
-            if known.mean() < KNOWN:
+            valid = np.isfinite(tile).ravel()
+            if valid.mean() < KNOWN:
                 continue
             heights = tile.ravel()
-            if known.all():
+            if valid.all():
                 flat = heights - terms @ (project @ heights)
             else:
-                some = terms * known[:, None]
-                solved = np.linalg.solve(some.T @ some, some.T @ np.where(known, heights, 0.0))
-                flat = np.where(known, heights - terms @ solved, 0.0)
+                some = terms * valid[:, None]
+                solved = np.linalg.solve(some.T @ some, some.T @ np.where(valid, heights, 0.0))
+                flat = np.where(valid, heights - terms @ solved, 0.0)
             flat = flat.reshape(tile.shape) * window
             spectrum = np.abs(np.fft.fft2(flat)) ** 2
             i, j = np.unravel_index(int(np.argmax(np.where(slow, 0.0, spectrum))), spectrum.shape)
@@ -366,23 +366,23 @@ def _blocks(error: HeightMap, numbers: Floats, turns: int) -> _Blocks | None:
         return cut.swapaxes(1, 2).reshape(rows * columns, side * side)
 
     x, y, z = blocked(x), blocked(y), blocked(error.z)
-    known = np.isfinite(z)
+    valid = np.isfinite(z)
     at_x, at_y = x.mean(axis=1), y.mean(axis=1)
     # Across a block that is too close to the centre the rings bend.
-    some = (known.mean(axis=1) > KNOWN) & (np.hypot(at_x - numbers[0], at_y - numbers[1]) > 1.5 * side * step)
+    some = (valid.mean(axis=1) > KNOWN) & (np.hypot(at_x - numbers[0], at_y - numbers[1]) > 1.5 * side * step)
     if np.count_nonzero(some) < 4 * BANDS:
         return None
-    x, y, z, known, at_x, at_y = x[some], y[some], z[some], known[some], at_x[some], at_y[some]
+    x, y, z, valid, at_x, at_y = x[some], y[some], z[some], valid[some], at_x[some], at_y[some]
     phase = _phase(x, y, numbers, turns)
     u, v = (x - at_x[:, None]) / (side * step), (y - at_y[:, None]) / (side * step)
     harmonics = int(np.clip(0.9 * np.pi / (numbers[2] * step), 1, HARMONICS))
     waves = [part for k in range(1, harmonics + 1) for part in (np.cos(k * phase), np.sin(k * phase))]
-    terms = np.stack([*waves, np.ones_like(u), u, v, u * u, u * v, v * v], axis=1) * known[:, None]
+    terms = np.stack([*waves, np.ones_like(u), u, v, u * u, u * v, v * v], axis=1) * valid[:, None]
     normal = terms @ terms.swapaxes(1, 2)
     # A little of the diagonal keeps a block of many missing points from a singular equation.
     normal += 1e-9 * np.eye(normal.shape[1]) * np.trace(normal, axis1=1, axis2=2)[:, None, None]
     inverse = np.linalg.inv(normal)
-    solved = (inverse @ (terms @ np.where(known, z, 0.0)[..., None]))[..., 0]
+    solved = (inverse @ (terms @ np.where(valid, z, 0.0)[..., None]))[..., 0]
     return _Blocks(
         x=at_x, y=at_y, amplitude=solved[:, 0] - 1j * solved[:, 1],
         weight=2 / (inverse[:, 0, 0] + inverse[:, 1, 1]), numbers=numbers, turns=turns,
@@ -435,7 +435,7 @@ def _fitted(blocks: _Blocks, turns: int, *, search: bool) -> _Rings | None:
         numbers = numbers + change
         if np.abs(change[:2]).max() * numbers[2] < 1e-6:
             break
-    whole = float(np.sum(weight * np.abs(turned) ** 2))
+    power = float(np.sum(weight * np.abs(turned) ** 2))
     coherent = float(np.sum(total * np.abs(means(turned)) ** 2))
     freedom = len(residual) - BANDS - 3
     variance = float(np.sum(weight * residual**2)) / freedom
@@ -449,7 +449,7 @@ def _fitted(blocks: _Blocks, turns: int, *, search: bool) -> _Rings | None:
         numbers=numbers,
         covariance=covariance[:2, :2],
         turns=turns,
-        misfit=whole - coherent,
+        misfit=power - coherent,
         variance=variance,
         explained=coherent,
     )
@@ -599,8 +599,8 @@ class _Defect:
             for width in (DEFECT_RADIUS / 5, DEFECT_RADIUS / 2)
             for power in (0.0, 0.7)
         )
-        own = float(self.residual @ self.residual)
-        return best - own < max(CERTAIN * self.noise**2, GRAIN * own)
+        cost = float(self.residual @ self.residual)
+        return best - cost < max(CERTAIN * self.noise**2, GRAIN * cost)
 
 
 def _radial(away: Floats) -> Floats:
@@ -620,13 +620,13 @@ def _is_alone(error: HeightMap, step: float, defect: _Defect) -> bool:
     flat = error.z - form @ np.linalg.lstsq(form[valid], error.z[valid], rcond=1e-12)[0]
 
     def smooth(sigma: float) -> tuple[Floats, Floats]:
-        known = ndimage.gaussian_filter(valid.astype(np.float64), sigma, mode="constant")
+        weight = ndimage.gaussian_filter(valid.astype(np.float64), sigma, mode="constant")
         return ndimage.gaussian_filter(np.where(valid, flat, 0.0), sigma, mode="constant") / np.maximum(
-            known, 1e-9
-        ), known
+            weight, 1e-9
+        ), weight
 
-    (fine, _), (coarse, known) = smooth(GRAIN_PIXELS), smooth(DEFECT_RADIUS / 2)
-    stands = np.abs(fine - coarse) * (valid & (known > 0.95))
+    (fine, _), (coarse, weight) = smooth(GRAIN_PIXELS), smooth(DEFECT_RADIUS / 2)
+    stands = np.abs(fine - coarse) * (valid & (weight > 0.95))
     away = np.hypot(x - defect.at[0], y - defect.at[1])
     inside, outside = (
         float(stands[one].max(initial=0.0)) for one in (away < DEFECT_RADIUS * step, away > 2 * DEFECT_RADIUS * step)

@@ -155,8 +155,8 @@ def fit_zernike(
             f"{len(indices)} Zernike terms need as many: correct the aperture"
         )
     cloud = replace(cloud, used=used)
-    left = np.full(heights.z.shape, np.nan)
-    solution, sums, condition = _fit(cloud, indices, indexing, (*centre, radius), left)
+    residual = np.full(heights.z.shape, np.nan)
+    solution, sums, condition = _fit(cloud, indices, indexing, (*centre, radius), residual)
     orders = [zernike_order(index, indexing) for index in indices]
     # The fit is of polynomials of rms 1; those of value 1 at the edge are smaller by the factor.
     factor = np.ones(len(orders)) if normal_terms else np.array([_factor(n, m) for n, m in orders])
@@ -173,7 +173,7 @@ def fit_zernike(
         normalised=normal_terms,
         radius=radius,
         centre=centre,
-        residual=replace(heights, z=left, name=f"{heights.name} beyond {len(indices)} Zernike terms".strip()),
+        residual=replace(heights, z=residual, name=f"{heights.name} beyond {len(indices)} Zernike terms".strip()),
         rms_nm=sums.rms * NM,
         condition=condition,
         valid=inside,
@@ -227,13 +227,13 @@ def _aperture(
     if centre is None and cloud.heights.polar:
         centre = (0.0, 0.0)
     if centre is None:
-        found, centre = _smallest_circle(*cloud.ends)
+        circle_radius, centre = _smallest_circle(*cloud.ends)
     else:
         at = finite_tuple(centre, "the centre of the aperture", 2)
         centre = at[0], at[1]
         x, y = cloud.ends
-        found = float(np.hypot(x - centre[0], y - centre[1]).max())
-    return positive(found if radius is None else radius, "the radius of the aperture", "mm"), centre
+        circle_radius = float(np.hypot(x - centre[0], y - centre[1]).max())
+    return positive(circle_radius if radius is None else radius, "the radius of the aperture", "mm"), centre
 
 
 def _smallest_circle(x: Floats, y: Floats) -> tuple[float, tuple[float, float]]:
