@@ -204,7 +204,7 @@ def test_what_the_heights_do_not_tell_apart_is_refused():
     from turnwright.errors import InputError
 
     sphere = seen(Sphere(radius=20.0), missing=0.0)
-    with pytest.raises(InputError, match=r"cannot tell .* apart .*: hold one of them fixed"):
+    with pytest.raises(InputError, match=r"cannot separate .*conic"):
         best_fit(sphere, "conic", free=("x", "y", "z", "tilt_x", "tilt_y", "radius"))
 
 
@@ -215,5 +215,5 @@ def test_a_search_that_leaves_the_heights_is_refused(steepness):
     radius, angle = np.linspace(0.0, 1.0, 201), np.linspace(0.0, 2.0 * np.pi, 361)[:-1]
     x, y = radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]
     roof = HeightMap(radius=radius, angle=angle, z=np.hypot(steepness * x, y))
-    with pytest.raises(InputError, match=r"sphere|least squares"):
+    with pytest.raises(InputError, match=r"sphere|sums of squares"):
         best_fit(roof, "sphere")

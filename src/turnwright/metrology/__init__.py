@@ -1,4 +1,4 @@
-"""What a height map says: its form, and the surface parameters of what remains."""
+"""Form, texture and registration of measured height maps."""
 
 from turnwright.metrology.alignment import Alignment
 from turnwright.metrology.areal_parameters import Roughness, roughness

@@ -1,4 +1,4 @@
-"""What an array of lenslets does as a whole: shift, rotation and scale."""
+"""Shift, rotation and scale of a lens array as a whole."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ __all__ = ["Alignment"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Alignment:
-    r"""The shift, rotation and scale that bring the design centres closest to the found ones.
+    r"""Shift, rotation and scale that bring the design centres closest to the measured ones.
 
-    What an array as a whole does, such as clocking of the part on the instrument or thermal growth, must not be
-    mistaken for an error of the machine from lens to lens: that is the rest.
+    They separate the movement of the array as a whole, such as clocking of the part on the instrument or thermal
+    growth, from the errors of the machine from lens to lens, which are the residual.
 
     Parameters
     ----------
@@ -30,11 +30,11 @@ class Alignment:
     rotation, rotation_std
         About the axis of the part, counter-clockwise seen from the tool. [rad]
     scale, scale_std
-        Of all distances, less one. [1]
+        Scale factor of all distances, minus one. [1]
     rest
-        Dislocations that remain. (n, 2) [mm]
+        Residual dislocations. (n, 2) [mm]
     share
-        How much of the dislocations, their mean removed, rotation and scale explain: share of the squares. [1]
+        Share of the sum of squares of the dislocations, their mean removed, that rotation and scale explain. [1]
     """
 
     shift: tuple[float, float]
@@ -48,12 +48,12 @@ class Alignment:
 
     @classmethod
     def of(cls, design: ArrayLike, centres: ArrayLike) -> Alignment:
-        """Fit found centres to design centres, both (n, 2) [mm], n at least 2.
+        """Fit measured centres to design centres, both (n, 2) [mm], n at least 2.
 
         Raises
         ------
         InputError
-            If there are fewer than two lenslets, not as many of one as of the other, or all in one place.
+            If there are fewer than two lenslets, the numbers of centres differ, or all centres coincide.
 
         >>> corners = np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
         >>> turned = Alignment.of(corners, corners @ [[1, 0.002], [-0.002, 1]])
@@ -70,7 +70,7 @@ class Alignment:
         about, moved = from_ - middle, to - to.mean(axis=0)
         spread = float(np.sum(about**2))
         if spread <= 0:
-            raise InputError("all design centres stand in one place, two places are needed: give other centres")
+            raise InputError("the design centres coincide, at least two must differ: give other centres")
         # As complex numbers a rotation with scale is one factor, found by linear least squares.
         along = float(np.sum(about * moved)) / spread
         across = float(np.sum(about[:, 0] * moved[:, 1] - about[:, 1] * moved[:, 0])) / spread

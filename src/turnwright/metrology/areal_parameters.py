@@ -1,7 +1,7 @@
-"""Surface parameters of what remains of a map without its form.
+"""Areal surface texture parameters of a map after removal of its form.
 
-surfalize and the like refuse maps with missing points (their parameters raise, or want the holes filled in), and none
-knows a polar grid, so the parameters are computed here; surfalize is the oracle of the tests.
+surfalize and similar libraries need maps without missing points, and none supports polar grids, so the parameters are
+computed here; the tests compare them with surfalize.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ Notes: TypeAlias = tuple[str, ...]
 NM = 1e6
 """Nanometres in a millimetre."""
 
-CORRELATED = 0.2
-"""Autocorrelation below which two places count as independent; ISO 25178-3 sets it."""
+DECAY_THRESHOLD = 0.2
+"""Autocorrelation at which Sal and Str are read (ISO 25178-3)."""
 
-OVERLAP = 0.1
-"""Share of the valid points that must still overlap at a lag for its autocorrelation to count."""
+MIN_OVERLAP_SHARE = 0.1
+"""Share of the valid points that must overlap at a lag for its autocorrelation to count."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Roughness:
-    r"""Surface parameters of ISO 25178-2:2021. What cannot be stated is nan, and ``notes`` says why.
+    r"""Surface parameters of ISO 25178-2:2021. Undefined parameters are nan; ``notes`` gives the reason.
 
     Parameters
     ----------
     sa_nm, sq_nm
-        Mean and root-mean-square of the heights left by the form. [nm]
+        Arithmetic mean and root mean square height of the residual. [nm]
     sp_nm, sv_nm
         Height of the highest peak and depth of the lowest valley, from zero. [nm]
     sz_nm, pv_nm
-        Highest minus lowest height: the standard's name and the optician's. [nm]
+        Highest minus lowest height, under its name in the standard and in optics. [nm]
     ssk, sku
         Skewness and kurtosis of the heights. [1]
     sdq
@@ -54,11 +54,11 @@ class Roughness:
     sal
         Shortest lag at which the autocorrelation has fallen to 0.2. [mm]
     str
-        ``sal`` over the longest such lag: 0 for a lay of one direction, 1 for none. [1]
+        ``sal`` over the longest such lag: near 0 for a unidirectional lay, 1 for an isotropic surface. [1]
     valid, missing
-        Number of heights counted, and of missing ones.
+        Number of valid and of missing heights.
     form
-        What was removed first; see `remove_form`.
+        Form removed first; see `remove_form`.
     notes
         Why a parameter is nan, or only a bound.
     """
@@ -82,27 +82,27 @@ class Roughness:
 
 
 def roughness(heights: HeightMap, *, form: Form = "plane") -> Roughness:
-    r"""Return the surface parameters of a map after its form is removed. Missing points are honoured everywhere.
+    r"""Return the surface parameters of a map after its form is removed. Missing points are left out.
 
     Height parameters are averages over the valid points; on a polar map each counts with its area
-    :math:`r\,dr\,d\theta`. It reaches from the first to the last radius; even radii that start half a step from the
-    axis are the middles of rings. With ``form="none"`` the heights count from zero, as they are.
+    :math:`r\,dr\,d\theta`. The map extends from the first to the last radius; evenly spaced radii that start half a
+    step from the axis are the middles of rings. With ``form="none"`` the heights are measured from zero.
 
     Gradients are differences of valid neighbours divided by their distance (on a full polar turn the last row meets
     the first): ``sdq`` sums the two directions' mean squares, ``sdr`` averages the two ways to cut each pixel cell
-    with four valid corners into triangles (ISO 25178-2:2021, D.15). A sine of n pixels per period so loses a
-    share of :math:`\pi^2 / 6 n^2` of its ``sdq``.
+    with four valid corners into triangles (ISO 25178-2:2021, D.15). A sine of n pixels per period therefore
+    loses a share of :math:`\pi^2 / 6 n^2` of its ``sdq``.
 
     The autocorrelation at a lag is the mean product over the points that overlap, divided by its value at lag 0. It is
-    followed by a cubic spline along straight rays (ISO 25178-2:2021, 4.3.1 and 4.3.2) over lags up to half of the field
-    at which a tenth of the valid points overlap. Where it does not fall to 0.2 along a ray, the ray counts as far as it
-    goes, so ``str`` is an upper bound, and ``notes`` says so. If no ray falls, or the grid is polar or not even (a
-    resampled map would have another autocorrelation), ``sal`` and ``str`` are nan.
+    interpolated by a cubic spline along straight rays (ISO 25178-2:2021, 4.3.1 and 4.3.2) over lags up to half of the
+    field at which a tenth of the valid points overlap. Where it does not fall to 0.2 along a ray, the full length of
+    the ray counts, so ``str`` is an upper bound, as ``notes`` states. If it falls along no ray, or the grid is polar or
+    uneven (resampling would change the autocorrelation), ``sal`` and ``str`` are nan.
 
     Parameters
     ----------
     heights
-        Map to judge. 2000 x 2000 points take a few seconds.
+        Measured map. 2000 x 2000 points take a few seconds.
     form
         See `remove_form`.
 
@@ -184,7 +184,7 @@ def _gradients(z: Floats, grid: Grid) -> tuple[float, float]:
 
 
 def _texture(residual: HeightMap, grid: Grid, sq: float) -> tuple[float, float, Notes]:
-    """Return sal [mm], str [1] and why they are what they are."""
+    """Return sal [mm], str [1] and the notes about them."""
     nothing = float("nan"), float("nan")
     steps = [np.diff(axis) for axis in (grid.columns, grid.rows)]
     if residual.polar:
@@ -196,13 +196,13 @@ def _texture(residual: HeightMap, grid: Grid, sq: float) -> tuple[float, float, 
     correlation, has_overlap = _autocorrelation(residual.z)
     lengths, fallen = _decay(correlation, has_overlap, steps[0].mean(), steps[1].mean())
     if not fallen.any():
-        note = f"the autocorrelation stays above {CORRELATED} as far as it is known, so map a larger area"
+        note = f"the autocorrelation stays above {DECAY_THRESHOLD} wherever it is known, so map a larger area"
         return *nothing, (f"Sal and Str cannot be stated: {note}",)
     sal, longest = float(lengths[fallen].min()), float(lengths.max())
     if fallen.all():
         return sal, sal / longest, ()
     note = (
-        f"str is an upper bound: the autocorrelation stays above {CORRELATED} along some direction to {longest:.3g} mm"
+        f"str is an upper bound: the autocorrelation stays above {DECAY_THRESHOLD} to {longest:.3g} mm in one direction"
     )
     return sal, min(sal / longest, 1.0), (note,)
 
@@ -227,20 +227,20 @@ def _autocorrelation(z: Floats) -> tuple[Floats, Bools]:
     else:
         overlap = np.rint(correlate(valid.astype(np.float64)))
     product = correlate(np.where(valid, z - np.nanmean(z), 0.0)) / np.maximum(overlap, 1)
-    has_overlap = overlap >= max(OVERLAP * np.count_nonzero(valid), 1)
-    # What is not known counts as correlated, lest a hole in the map look like an end of the lay.
+    has_overlap = overlap >= max(MIN_OVERLAP_SHARE * np.count_nonzero(valid), 1)
+    # Unknown values count as correlated, so that a hole does not look like the end of the lay.
     return np.where(has_overlap, product / product[reach], 1.0), has_overlap
 
 
 def _decay(correlation: Floats, known: Bools, dx: float, dy: float) -> tuple[Floats, Bools]:
-    """Follow the autocorrelation along rays over half a turn, to where it falls to `CORRELATED` or is no longer known.
+    """Return how far the autocorrelation stays above `DECAY_THRESHOLD` along rays over half a turn.
 
-    The rays end half a pixel apart on the border, and are searched every half pixel and then bisected.
+    The rays end half a pixel apart on the border. Each is searched every half pixel and then bisected.
 
     Returns
     -------
     lengths, fallen
-        Each ray's length, and whether it ended by falling. Each (n,) [mm]
+        Length of each ray [mm], and whether the threshold was reached. Each (n,)
     """
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
 
@@ -264,7 +264,7 @@ def _decay(correlation: Floats, known: Bools, dx: float, dy: float) -> tuple[Flo
         lost = ~known[row, column]
         share[rays[lost]] = (step - 1) / steps
         rays = rays[~lost]
-        low = at(rays, step / steps) <= CORRELATED
+        low = at(rays, step / steps) <= DECAY_THRESHOLD
         share[rays[low]] = step / steps
         fallen[rays[low]] = True
         rays = rays[~low]
@@ -274,7 +274,7 @@ def _decay(correlation: Floats, known: Bools, dx: float, dy: float) -> tuple[Flo
     low_end, high_end = share[ended] - 1 / steps, share[ended].copy()
     for _ in range(40):
         middle = (low_end + high_end) / 2
-        below = at(ended, middle) <= CORRELATED
+        below = at(ended, middle) <= DECAY_THRESHOLD
         high_end = np.where(below, middle, high_end)
         low_end = np.where(below, low_end, middle)
     share[ended] = (low_end + high_end) / 2

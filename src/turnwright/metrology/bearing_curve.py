@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 __all__ = ["Bearing", "bearing"]
 
 NM = 1e6
-CORE = 0.4
-"""Share of the area over which the curve is flattest; ISO 25178-2 sets it."""
+CORE_AREA_SHARE = 0.4
+"""Share of the area over which the core line is fitted (ISO 25178-2)."""
 
-LINES = 10_001
-"""Material ratios at which the flattest part of the curve is looked for, a hundredth of a percent apart."""
+RATIO_SAMPLES = 10_001
+"""Material ratios at which the flattest part of the curve is searched for, 0.01 % apart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,7 +33,7 @@ class Bearing:
     Parameters
     ----------
     height_nm, ratio
-        The curve: heights, falling, and the share of the area above each. (n,) [nm, 1]
+        The curve: descending heights, and the share of the area above each. (n,) [nm, 1]
     sk_nm, spk_nm, svk_nm
         Height of the core, and reduced heights of the peaks above and of the valleys below it. [nm]
     smr1, smr2
@@ -43,7 +43,7 @@ class Bearing:
     vvc_nm, vvv_nm
         Volume of void per area: from 10 to 80 %, and of the lowest 20 %. [nm]
     form
-        What was removed first.
+        Form removed first.
     """
 
     height_nm: Floats
@@ -60,7 +60,7 @@ class Bearing:
     form: Form
 
     def height_at_nm(self, ratio: float) -> float:
-        """Return the height that a share of the area lies above. [nm]."""
+        """Return the height above which a share of the area lies. [nm]."""
         return float(np.interp(between(ratio, "the material ratio", 0.0, 1.0, ""), self.ratio, self.height_nm))
 
     def ratio_at(self, height_nm: float) -> float:
@@ -71,8 +71,8 @@ class Bearing:
 def bearing(heights: HeightMap, *, form: Form = "plane") -> Bearing:
     """Return the bearing curve of a map after its form is removed; each valid point counts with its area.
 
-    The core is where the curve is flattest: the least drop over 40 % of the area, with a line of best fit over it whose
-    heights at 0 and at 100 % are the core's top and foot. Peaks and valleys beyond are triangles of equal area.
+    The core is the flattest part of the curve, with the least drop over 40 % of the area. The line of best fit over it
+    gives the top and the foot of the core at 0 and at 100 %. Peaks and valleys beyond are triangles of equal area.
 
     Parameters
     ----------
@@ -108,10 +108,10 @@ def bearing(heights: HeightMap, *, form: Form = "plane") -> Bearing:
         order = np.argsort(-z[valid])
         curve, weight = z[valid][order] * NM, area[order] / area.sum()
     if curve[0] == curve[-1]:
-        raise InputError("the heights of the map differ by 0 nm, a bearing curve needs more: it is perfectly flat")
+        raise InputError("the heights of the map differ by 0 nm, a bearing curve needs more than 0 nm")
     beyond = np.cumsum(weight)
     ratio = beyond - weight / 2
-    # The integral of the curve from 0 to a ratio: each height fills its own share.
+    # Integral of the curve from 0 to each ratio.
     edges, filled = np.append(0.0, beyond), np.append(0.0, np.cumsum(weight * curve))
 
     def above(share: float) -> float:
@@ -120,9 +120,9 @@ def bearing(heights: HeightMap, *, form: Form = "plane") -> Bearing:
     def below(share: float) -> float:
         return float((1 - share) * np.interp(share, ratio, curve) - (filled[-1] - np.interp(share, edges, filled)))
 
-    at = np.linspace(0, 1, LINES)
+    at = np.linspace(0, 1, RATIO_SAMPLES)
     height = np.interp(at, ratio, curve)
-    wide = round(CORE * (LINES - 1))
+    wide = round(CORE_AREA_SHARE * (RATIO_SAMPLES - 1))
     first = int(np.argmin(height[:-wide] - height[wide:]))
     core = slice(first, first + wide + 1)
     slope, top = np.polyfit(at[core], height[core], 1)

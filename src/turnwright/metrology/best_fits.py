@@ -1,7 +1,7 @@
-"""Planes, spheres, conics and even aspheres of best fit, with uncertainties; and the view of a Fizeau interferometer.
+"""Planes, spheres, conics and even aspheres of best fit, with uncertainties; and Fizeau interferograms.
 
-Two distances can be made least: along z, which is what a prescription's sag says, and along the normal of the fitted
-surface, which is what light at normal incidence sees. They differ by the cosine of the slope.
+Two distances can be minimised: along z, as sag is specified in a prescription, and along the normal of the fitted
+surface, as an interferometer measures at normal incidence. They differ by the cosine of the slope.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ Distance: TypeAlias = Literal["vertical", "normal"]
 
 NM = 1e6
 MAX_STEPS = 60
-START = 20_000
-"""Points with which the fit starts; all points then take one or two steps."""
+MAX_INITIAL_POINTS = 20_000
+"""Points used for the first iterations; one or two iterations over all points follow."""
 
-SETTLED = 1e-14
-"""Change of what is left, relative to the height of the map, at which the fit has come to rest."""
+CONVERGENCE_TOL = 1e-14
+"""Change of the residual, relative to the peak-to-valley of the map, at which the iteration stops."""
 
-EQUATOR = 1e-6
+MIN_COS_SQUARED = 1e-6
 """Squared cosine of the slope at which a fitted conic is taken to end."""
 
-POSE = ("x", "y", "z", "tilt_x", "tilt_y")
+POSE_NAMES = ("x", "y", "z", "tilt_x", "tilt_y")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,21 +49,21 @@ class BestFit:
     Parameters
     ----------
     surface
-        The fitted form, where it lies.
+        The fitted form, in the frame of the map.
     parameters, uncertainty
-        Those that were fitted, by name, and their standard uncertainties. [mm, rad, 1]
+        Fitted parameters by name, and their standard uncertainties. [mm, rad, 1]
     correlation
         Of the parameters, in their order. (k, k)
     held
-        Those of the form that were not fitted, by name.
+        Parameters of the form that were not fitted, by name.
     distance
-        Which distance was made least, and is the residual.
+        Distance that was minimised and that the residual states.
     residual
-        What the form leaves, positive above it. [mm]
+        Deviation from the fitted form, positive above it. [mm]
     rms_nm, pv_nm
         Of the residual. [nm]
     condition
-        Of the fit, each parameter brought to length one: how many digits the worst direction loses.
+        Condition number of the fit with parameters scaled to unit length.
     """
 
     surface: Surface
@@ -87,27 +87,27 @@ def best_fit(
 ) -> BestFit:
     r"""Fit a plane, a sphere, a conic or an even asphere by least squares over the valid points.
 
-    The sum of squared distances, each with the area of its point, is made least by Gauss-Newton with exact derivatives:
-    along z (``"vertical"``, least squares in sag), or from each point to the foot of its normal on the form
-    (``"normal"``, total least squares).
+    The sum of squared distances, weighted by the area of each point, is minimised by Gauss-Newton with exact
+    derivatives: along z (``"vertical"``, least squares in sag), or from each point to the foot of its normal on the
+    form (``"normal"``, total least squares).
 
-    A form is described by the radius of curvature and the conic constant, and by where its vertex lies and how its axis
-    leans (`turnwright.Pose`). Of a sphere tilt and decentre are one and the same, so its vertex is where its normal is
-    along z. On a small aperture others are nearly the same too: ``condition`` and ``correlation`` say so, and what the
-    heights do not tell apart is refused rather than guessed.
+    The parameters are the radius of curvature, the conic constant, the position of the vertex and the tilt of the axis
+    (`turnwright.Pose`). Tilt and decentre of a sphere are equivalent, so its vertex is where its normal is along z. On
+    a small aperture other parameters are nearly equivalent too, which ``condition`` and ``correlation`` show;
+    parameters that the heights cannot separate raise an error.
 
     Parameters
     ----------
     heights
         On any grid, or scattered.
     form
-        By name, or a surface to start from: its terms are what an even asphere has, and what is not free is held.
+        By name, or a surface to start from: its terms are those of the even asphere, and parameters not free are fixed.
     distance
         ``"vertical"`` or ``"normal"``.
     free
-        What is fitted, of ``"x"``, ``"y"``, ``"z"`` (vertex), ``"tilt_x"``, ``"tilt_y"``, ``"radius"``, ``"conic"`` and
-        ``"a4"``, ``"a6"``, ...; of a plane ``"z"`` at the origin, ``"slope_x"``, ``"slope_y"``. By default everything
-        but the tilts.
+        Fitted parameters, of ``"x"``, ``"y"``, ``"z"`` (vertex), ``"tilt_x"``, ``"tilt_y"``, ``"radius"``, ``"conic"``
+        and ``"a4"``, ``"a6"``, ...; of a plane ``"z"`` at the origin, ``"slope_x"``, ``"slope_y"``. By default
+        everything but the tilts.
 
     Raises
     ------
@@ -116,8 +116,8 @@ def best_fit(
 
     Notes
     -----
-    The uncertainties take what is left as independent noise of each point; where it is form error instead, which is not
-    independent from point to point, they are too small.
+    The uncertainties assume that the residuals are independent from point to point; where form error prevails, which
+    is spatially correlated, they are too small.
 
     >>> from turnwright.heightmap import HeightMap
     >>> x = np.linspace(-1, 1, 41)
@@ -143,7 +143,7 @@ def best_fit(
         start = best_fit(heights, "sphere")
         if not np.isfinite(start.parameters["radius"]):
             raise InputError(
-                f"the best sphere of the map is flat, so a {form} has no start: give a surface to start from"
+                f"the best-fit sphere of the map is flat, a {form} needs curvature: give a surface to start from"
             )
         initial: Surface = Sphere(radius=start.parameters["radius"])
         if form == "conic":
@@ -156,25 +156,25 @@ def best_fit(
 
 
 def fizeau_view(heights: HeightMap, *, radius: float | None = None) -> BestFit:
-    """Return a map as a Fizeau interferometer sees it: its departure from the best sphere, along the normal.
+    """Return the Fizeau interferogram of a map: its deviation from the best-fit sphere, along the normal.
 
     The rays of the transmission sphere meet the part along the normals of the sphere whose centre is their focus. The
-    operator brings that focus to the centre of the part, which is the fit. ``residual`` is positive where the part
-    stands above the sphere; a fringe is half a wavelength of it. It stays where it is in x and y: the foot of a ray
-    lies off by the departure times the slope, which is nanometres. The lens images the part by its angle, however,
-    x = R sin(angle), only if it obeys the sine condition; a camera's own distortion is the instrument's to correct.
+    operator nulls the interferogram by moving the part, which is the fit. ``residual`` is positive where the part lies
+    above the sphere; one fringe is half a wavelength. x and y are those of the map: the foot of a ray differs from them
+    by the deviation times the slope, which is nanometres. An instrument shows the same lateral scale, x = R sin(angle),
+    only if its lens obeys the sine condition; its own distortion is not modelled.
 
     Parameters
     ----------
     heights
-        The part itself, not its error.
+        Map of the surface itself, not of its form error.
     radius
-        Of the sphere, as for `turnwright.Sphere`, where the part is not moved along the axis to null the power but
-        stands at a stated distance from the focus. By default that of best fit. [mm]
+        Radius of the reference sphere, as for `turnwright.Sphere`, where the part is at a stated distance from the
+        focus instead of nulled for power. By default that of best fit. [mm]
 
     Sources
     -------
-    [Troutman2016]_ chapter 6; its Eq. 6.20 holds for a fit of least PV at small angles only, this is least squares.
+    [Troutman2016]_ chapter 6; its Eq. 6.20 is a fit of least PV for small angles, this is least squares.
     """
     if radius is None:
         return best_fit(heights, "sphere", distance="normal")
@@ -182,7 +182,7 @@ def fizeau_view(heights: HeightMap, *, radius: float | None = None) -> BestFit:
 
 
 def without_sphere(heights: HeightMap) -> HeightMap:
-    """Return a map minus the best sphere in z; of those that fit points on one line equally well, the flattest."""
+    """Return a map minus the best-fit sphere in z; for points on one line, minus the flattest of these."""
     model = _FreeSphere.of(heights, along_normal=False)
     residual = np.full(heights.z.shape, np.nan)
     cloud = Cloud.of(heights, ~np.isnan(heights.z))
@@ -193,7 +193,7 @@ def without_sphere(heights: HeightMap) -> HeightMap:
 
 
 class _Model(ABC):
-    """A form with parameters of its own, good for Gauss-Newton."""
+    """A form whose internal parameters suit Gauss-Newton."""
 
     names: tuple[str, ...]  # of the parameters that are stated
     default: tuple[str, ...]
@@ -206,11 +206,11 @@ class _Model(ABC):
 
     @abstractmethod
     def terms(self, parameters: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
-        """Return minus the derivatives of what is left by each parameter (k, n), and what is left (n,)."""
+        """Return minus the derivatives of the residual by each parameter (k, n), and the residual (n,)."""
 
     @abstractmethod
     def stated(self, parameters: Floats) -> tuple[Floats, Floats]:
-        """Return the parameters that are stated, and their derivatives by those of the fit. (k,), (k, k)."""
+        """Return the public parameters, and their derivatives by the internal ones. (k,), (k, k)."""
 
     @abstractmethod
     def surface(self, parameters: Floats) -> Surface:
@@ -255,10 +255,10 @@ class _Plane(_Model):
 
 
 class _FreeSphere(_Model):
-    """A sphere of any place, radius and sense.
+    """A sphere of any position, radius and sense of curvature.
 
-    That through (x0, y0, c) with slopes p, q there is k/2 (u² + v² + t²) + p u + q v - t = 0 with t = z - c: smooth in
-    k where the sphere is flat, unlike its centre and radius.
+    The sphere through (x0, y0, c) with slopes p, q there is k/2 (u² + v² + t²) + p u + q v - t = 0 with t = z - c. It
+    is smooth in the curvature k at a plane, unlike centre and radius.
     """
 
     names = default = ("x", "y", "z", "radius")
@@ -283,14 +283,14 @@ class _FreeSphere(_Model):
         if not self.along_normal:
             squares = u * u + v * v
             linear = k / 2 * squares + p * u + q * v
-            root = np.sqrt(np.maximum(1 - 2 * k * linear, EQUATOR))
+            root = np.sqrt(np.maximum(1 - 2 * k * linear, MIN_COS_SQUARED))
             t = 2 * linear / (1 + root)
             return np.stack([np.ones_like(u), u / root, v / root, (squares + t * t) / (2 * root)]), z - c - t
         t = z - c
         squares = u * u + v * v + t * t
         gap = k / 2 * squares + p * u + q * v - t
         steep = np.sqrt(1 + p * p + q * q)
-        length = np.sqrt(np.maximum(steep**2 + 2 * k * gap, EQUATOR))
+        length = np.sqrt(np.maximum(steep**2 + 2 * k * gap, MIN_COS_SQUARED))
         total = steep + length
         residual = -2 * gap / total
         by_gap = np.stack([1 - k * t, u, v, squares / 2])
@@ -329,19 +329,19 @@ class _FreeSphere(_Model):
             return False
         _, p, q, k = parameters
         u, v = x - self.middle[0], y - self.middle[1]
-        # Where the sphere ends, its root is zero; there it was only continued so that the next step could come back.
-        return bool((1 - 2 * k * (k / 2 * (u * u + v * v) + p * u + q * v)).min() <= EQUATOR)
+        # The root is zero at the equator; the sag is continued beyond it only so that the iteration can return.
+        return bool((1 - 2 * k * (k / 2 * (u * u + v * v) + p * u + q * v)).min() <= MIN_COS_SQUARED)
 
 
 class _Revolved(_Model):
-    """A conic with even terms, its vertex and axis anywhere; inside the fit its curvature takes the radius' place."""
+    """A conic with even terms and free vertex and axis; internally the curvature replaces the radius."""
 
     default: tuple[str, ...]
 
     def __init__(self, given: Surface, powers: tuple[int, ...], start: Floats, *, along_normal: bool) -> None:
         self.given, self.powers, self._start, self.along_normal = given, powers, start, along_normal
         shape = ("radius",) if isinstance(given, Sphere) else ("radius", "conic", *(f"a{power}" for power in powers))
-        self.names = (*(POSE[:3] if isinstance(given, Sphere) else POSE), *shape)
+        self.names = (*(POSE_NAMES[:3] if isinstance(given, Sphere) else POSE_NAMES), *shape)
         self.default = ("x", "y", "z", *shape)
         self.what = {Sphere: "a sphere", Conic: "a conic"}.get(type(given), "an even asphere")
 
@@ -373,7 +373,7 @@ class _Revolved(_Model):
         """Return height, its derivative by r²/2, and those by the shape, in the form's own frame."""
         c, k, coefficients = self._shape(parameters)
         s = u * u + v * v
-        root = np.sqrt(np.maximum(1 - (1 + k) * c * c * s, EQUATOR))
+        root = np.sqrt(np.maximum(1 - (1 + k) * c * c * s, MIN_COS_SQUARED))
         base = c * s / (1 + root)
         by_shape = [(s + (1 + k) * base * base) / (2 * root)]
         if not isinstance(self.given, Sphere):
@@ -395,8 +395,8 @@ class _Revolved(_Model):
         foot = np.zeros((3, z.size))
         normal = np.zeros((3, z.size))
         by_shape: list[Floats] = []
-        # The foot of the point is where it meets the form going down by what is left, along z or along the normal
-        # there; each turn squares the error, or multiplies it by what is left over the radius of curvature.
+        # The foot of a point lies on the form at the residual below it, along z or along the normal at the foot. Each
+        # iteration squares the error, or multiplies it by the residual over the radius of curvature.
         for _ in range(MAX_STEPS):
             way = normal if self.along_normal else np.repeat(turn[2][:, None], z.size, axis=1)
             u, v, w = a - residual * way[0], b - residual * way[1], height - residual * way[2]
@@ -448,7 +448,7 @@ class _Revolved(_Model):
         c, k, _ = self._shape(parameters)
         pose = self._pose(parameters)
         s = (x - pose.shift[0]) ** 2 + (y - pose.shift[1]) ** 2
-        return bool((1 - (1 + k) * c * c * s).min() <= EQUATOR)
+        return bool((1 - (1 + k) * c * c * s).min() <= MIN_COS_SQUARED)
 
 
 def _sag(form: Surface, heights: HeightMap) -> Floats:
@@ -478,9 +478,9 @@ def _fitted(heights: HeightMap, model: _Model, free: Sequence[str] | None, dista
     names = [model.names[at] for at in chosen]
     size = float(np.nanmax(heights.z) - np.nanmin(heights.z)) or 1.0
     parameters = model.start
-    thin = cloud.thinned(START)
+    thin = cloud.thinned(MAX_INITIAL_POINTS)
     if isinstance(model, _FreeSphere) and not model.along_normal and len(chosen) == len(model.start):
-        # Along the normal there is no equator to step over: from there a sphere that is nearly half is found too.
+        # The normal distance has no singularity at the equator, so that nearly hemispherical maps converge too.
         normal = _FreeSphere(model.middle, along_normal=True)
         parameters, _, _ = _gauss_newton(thin, normal, parameters, chosen, size)
     if thin is not cloud and np.count_nonzero(thin.used) > 4 * len(chosen):
@@ -518,8 +518,8 @@ def _require_reach(model: _Model, parameters: Floats, cloud: Cloud) -> None:
         stated = dict(zip(model.names, model.stated(parameters)[0], strict=True))
         reach = np.hypot(np.ptp(x), np.ptp(y)) / 2
         raise InputError(
-            f"the best {model.what.split()[-1]} has a radius of {stated['radius']:g} mm and does not reach over the "
-            f"map, whose half-width is {reach:g} mm: remove a polynomial instead"
+            f"the best {model.what.split()[-1]} has a radius of {stated['radius']:g} mm and does not cover the map, "
+            f"whose half-width is {reach:g} mm: remove a polynomial instead"
         )
 
 
@@ -533,7 +533,7 @@ def _gauss_newton(
     *,
     least_norm: bool = False,
 ) -> tuple[Floats, Sums, float]:
-    """Return the parameters of least squares, what they come from and the condition; set ``left``."""
+    """Return the fitted parameters, their sums and the condition; fill ``left`` with the residual."""
     names = [model.names[at] for at in chosen]
     last = np.inf
     for _ in range(MAX_STEPS):
@@ -548,9 +548,9 @@ def _gauss_newton(
             step, condition = np.linalg.lstsq(sums.normal, sums.right, rcond=1e-13)[0], np.nan
         else:
             step, condition = solve(sums.normal, sums.right, names, model.what)
-        # What the step changes of the heights, rms.
+        # Rms change of the heights.
         change = float(np.sqrt(max(float(step @ sums.normal @ step), 0.0) / sums.weight))
-        if change <= SETTLED * size or change >= last:
+        if change <= CONVERGENCE_TOL * size or change >= last:
             break
         parameters = parameters.copy()
         parameters[chosen] += step

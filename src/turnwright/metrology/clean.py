@@ -1,4 +1,4 @@
-"""What does not belong to the part: spikes, ragged edges, what lies beyond the aperture, and holes, on request."""
+"""Outlier removal, edge trimming, clear aperture and hole filling."""
 
 from __future__ import annotations
 
@@ -22,38 +22,37 @@ __all__ = ["Despiked", "Filled", "despike", "fill_holes", "keep_disc", "trim_edg
 
 Rule: TypeAlias = Literal["robust", "kong"]
 
-THRESHOLDS: dict[str, float] = {"robust": 5.0, "kong": 3.0}
-"""Standard deviations beyond which a point is a spike, unless others are asked for."""
+DEFAULT_THRESHOLD_SIGMA: dict[str, float] = {"robust": 5.0, "kong": 3.0}
+"""Default threshold of each rule, in standard deviations."""
 
-QUIET = 1e-9
-"""Least deviation that counts as noise: a picometre, below what any instrument reads. [mm]"""
+MIN_NOISE_MM = 1e-9
+"""Lower bound of the noise: 1 pm, below the resolution of any instrument."""
 
-UNEVEN = 1e-6
-"""Rounding of a length, over it."""
+LENGTH_TOL = 1e-6
+"""Relative rounding of a length."""
 
-CHUNK = 1 << 16
-"""Points that a thread judges at a time."""
+CHUNK_POINTS = 1 << 16
+"""Points that a thread processes at a time."""
 
-TOUCHING = np.ones((3, 3), dtype=bool)
+EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Despiked:
-    """A map without its spikes, and what they were.
+    """A map without outliers, and the outliers. See `despike`.
 
     Parameters
     ----------
     heights
-        The map, nan where spikes were.
+        The map, nan at the outliers.
     spikes
-        Where they were, the shape of the map.
+        True at the outliers. The shape of the map.
     scale
-        Standard deviation of the noise by which they were judged; for ``"kong"`` that of the second differences, across
-        and along. [mm]
+        Standard deviation of the noise; for ``"kong"`` that of the second differences, across and along. [mm]
     threshold
-        Beyond how many of them a point was a spike. [1]
+        Threshold of an outlier in standard deviations. [1]
     unjudged
-        Number of valid points with too few neighbours to be judged, or spared; they are kept.
+        Number of valid points not tested: too few neighbours, or within ``spare`` of a border. They stay in the map.
     """
 
     heights: HeightMap
@@ -64,12 +63,12 @@ class Despiked:
 
     @property
     def count(self) -> int:
-        """Number of spikes."""
+        """Number of outliers."""
         return int(np.count_nonzero(self.spikes))
 
     @property
     def places(self) -> Floats:
-        """Where they were, x and y. (count, 2) [mm]."""
+        """Positions of the outliers, x and y. (count, 2) [mm]."""
         x, y = self.heights.points()
         return np.stack([x[self.spikes], y[self.spikes]], axis=-1)
 
@@ -82,39 +81,39 @@ def despike(
     design: Surface | None = None,
     spare: float = 0.0,
 ) -> Despiked:
-    r"""Take out single points and small groups of them that stand out from their neighbours.
+    r"""Remove outliers: single points and small groups that stand out from their neighbours.
 
-    ``"robust"`` asks how far a point stands out from the mean of its two neighbours along the row, the column and both
-    diagonals (on a polar grid along the first two), at borders and holes from the line through the next two on one
-    side, and counts the least of these: a scratch, a ridge or a straight edge stands out in one direction and not along
-    itself. What the median of 5 x 5 neighbours does too is form. The noise is the median absolute deviation of the
-    second differences. The worst of touching points goes first, and its neighbours are judged again without it.
+    ``"robust"`` takes the deviation of a point from the mean of its two neighbours along the row, the column and both
+    diagonals (on a polar grid along the first two); at borders and holes, from the line through the next two points on
+    one side. The smallest of these deviations counts, so that scratches, ridges and straight edges stay. A deviation
+    that the median of 5 x 5 neighbours shares is form. The noise is the median absolute deviation of the second
+    differences. The largest of touching outliers is removed first, and its neighbours are tested again without it.
 
-    ``"kong"`` is the rule as published: whatever has a second difference along its row or its column further than 3
-    standard deviations from their mean, once. A spike swells that deviation, and takes its neighbours with it.
+    ``"kong"`` is the published rule, applied once: a point is an outlier if its second difference along the row or the
+    column is more than 3 standard deviations from the mean. An outlier increases that deviation and makes its
+    neighbours outliers too.
 
-    Edges of lenses and steps look like spikes to either. With the design given, both look at what is left of the map
-    without it, and compare no point with one of another smooth piece; a map that is not quite in register needs a
-    ``spare`` as wide as it is off.
+    Both rules mistake edges of lenses and steps for outliers. With ``design`` they test the residual and compare points
+    of the same smooth piece only; a map with a registration error needs a ``spare`` of that size.
 
     Parameters
     ----------
     heights
-        On a rectangular or polar grid; steps may be uneven only as far as the form is flat.
+        On a rectangular or polar grid; uneven steps need a flat form.
     rule
         ``"robust"`` or ``"kong"``.
     threshold
-        Standard deviations beyond which a point is a spike, by default 5 (robust) and 3 (Kong). [1]
+        Standard deviations beyond which a point is an outlier, by default 5 (robust) and 3 (Kong). [1]
     design
-        What the map should be, in the frame of the map.
+        Nominal surface in the frame of the map.
     spare
-        Distance from the borders of the design's pieces within which no point is judged. [mm]
+        Distance from the borders of the pieces of the design within which no point is tested. [mm]
 
     Raises
     ------
     InputError
-        If the rule is unknown, the threshold not positive, the points are scattered, or there is something to spare and
-        no design.
+        If the rule is unknown, the threshold is not positive, the points are scattered, or ``spare`` is given without
+        a design.
     DomainError
         If the design is not defined at a point of the map.
 
@@ -129,13 +128,15 @@ def despike(
     >>> found.places.tolist()
     [[30.0, 20.0]]
     """
-    if rule not in THRESHOLDS:
+    if rule not in DEFAULT_THRESHOLD_SIGMA:
         raise InputError(f'the rule is {rule!r}, it can be "robust" or "kong": choose one of them')
-    threshold = THRESHOLDS[rule] if threshold is None else positive(threshold, "the threshold", "deviations")
-    valid = valid_points(heights, 3, "a search for spikes")
+    threshold = (
+        DEFAULT_THRESHOLD_SIGMA[rule] if threshold is None else positive(threshold, "the threshold", "deviations")
+    )
+    valid = valid_points(heights, 3, "outlier removal")
     grid = measure(heights)
     if not spare >= 0 or (spare > 0 and design is None):
-        raise InputError(f"the distance to spare is {spare:g} mm, it needs a design and at least 0 mm: give both")
+        raise InputError(f"spare must be at least 0 mm, and 0 mm without a design, got {spare:g} mm")
     z, piece = np.array(heights.z), np.zeros(heights.z.shape, dtype=np.int64)
     judged = valid.copy()
     if design is not None:
@@ -166,13 +167,13 @@ def despike(
 def _differences(z: Floats) -> tuple[Floats, Floats]:
     """Return the second differences across and along, nan where a neighbour is missing."""
     across, along = np.empty_like(z), np.empty_like(z)
-    rows = max(CHUNK // z.shape[1], 1)
+    rows = max(CHUNK_POINTS // z.shape[1], 1)
     run_chunks(lambda start, stop: second_differences(z, start, stop, across, along), z.shape[0], rows)
     return across, along
 
 
 def _kong(z: Floats, piece: Ints, threshold: float) -> tuple[Bools, tuple[float, ...], Bools]:
-    """Return the spikes, the deviations and what was not judged, by mean and standard deviation."""
+    """Return the outliers by mean and standard deviation, the deviations, and the points not tested."""
     spikes, judged = np.zeros(z.shape, dtype=bool), np.zeros(z.shape, dtype=bool)
     scales = []
     for axis, values in zip((1, 0), _differences(z), strict=True):
@@ -186,16 +187,16 @@ def _kong(z: Floats, piece: Ints, threshold: float) -> tuple[Bools, tuple[float,
         if valid.any():
             mean, deviation = float(values[valid].mean()), float(values[valid].std())
             scales.append(deviation)
-            spikes |= np.abs(values - mean) > max(threshold * deviation, QUIET)
+            spikes |= np.abs(values - mean) > max(threshold * deviation, MIN_NOISE_MM)
     return spikes, tuple(scales), ~judged
 
 
 def _robust(
     z: Floats, piece: Ints, judged: Bools, threshold: float, *, closed: bool, ways: int
 ) -> tuple[Bools, tuple[float, ...], Bools]:
-    """Return the spikes, the deviation of the noise and what was not judged; takes the spikes out of ``z``."""
+    """Return the outliers, the noise and the points not tested; removes the outliers from ``z``."""
     spread = [np.abs(d - np.median(d)) for values in _differences(z) if (d := values[~np.isnan(values)]).size]
-    scale = max(robust_scatter(np.concatenate(spread)) / 6**0.5 if spread else 0.0, QUIET)
+    scale = max(robust_scatter(np.concatenate(spread)) / 6**0.5 if spread else 0.0, MIN_NOISE_MM)
     least = 2 if min(z.shape) > 1 else 1
     amount = np.full(z.shape, np.nan)
     spikes = np.zeros(z.shape, dtype=bool)
@@ -205,7 +206,7 @@ def _robust(
         def judge(start: int, stop: int, index: Ints = index) -> None:
             stand_out(z, piece, closed, ways, least, index[start:stop], amount)
 
-        run_chunks(judge, index.size, CHUNK)
+        run_chunks(judge, index.size, CHUNK_POINTS)
         high = np.flatnonzero((np.abs(amount) > threshold * scale) & judged)
         chosen = np.zeros(high.size, dtype=bool)
         prominent(amount, closed, threshold * scale, high, chosen)
@@ -219,7 +220,7 @@ def _robust(
 
 
 def _around(places: Ints, z: Floats, *, closed: bool) -> Ints:
-    """Return the flat places of the valid points within two steps of some places."""
+    """Return the flat indices of the valid points within two steps of some points."""
     m, n = z.shape
     offsets = np.arange(-2, 3)
     rows = (places // n)[:, None, None] + offsets[:, None]
@@ -231,10 +232,10 @@ def _around(places: Ints, z: Floats, *, closed: bool) -> Ints:
 
 
 def _left_alone(z: Floats, spikes: Bools, *, closed: bool) -> Bools:
-    """Return what has no valid neighbour left, and a spike among those it had: the middle of a broad spike."""
+    """Return the points without valid neighbours and next to an outlier: the middle of a broad outlier."""
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
 
-    ring = TOUCHING.copy()
+    ring = EIGHT_NEIGHBOURS.copy()
     ring[1, 1] = False
     mode: Literal["wrap", "constant"] = "wrap" if closed else "constant"
     padded = [np.pad(mask, ((1, 1), (0, 0)), mode=mode) for mask in (~np.isnan(z), spikes)]
@@ -252,14 +253,14 @@ def trim_edge(heights: HeightMap, width: float, *, holes: bool = False) -> Heigh
     heights
         On a rectangular or polar grid.
     width
-        Distance within which points are taken off. [mm]
+        Distance from the edge within which points are removed. [mm]
     holes
-        Whether to trim around the holes inside too.
+        Whether to trim around inner holes too.
 
     Raises
     ------
     InputError
-        If the width is not positive or nothing would be left.
+        If the width is not positive or no point would remain.
 
     >>> from turnwright.heightmap import HeightMap
     >>> whole = HeightMap(x=np.arange(5.0), y=np.arange(5.0), z=np.zeros((5, 5)))
@@ -272,22 +273,22 @@ def trim_edge(heights: HeightMap, width: float, *, holes: bool = False) -> Heigh
     outside = missing if holes else _outside(missing, closed=measure(heights).closed)
     near = _distance(heights, outside, padded=True) <= width
     if not (valid & ~near).any():
-        raise InputError(f"trimming {width:g} mm leaves nothing of the map {heights.name!r}: trim less")
+        raise InputError(f"trimming {width:g} mm leaves no point of the map {heights.name!r}: trim less")
     return replace(heights, z=np.where(near, np.nan, heights.z))
 
 
 def _outside(missing: Bools, *, closed: bool) -> Bools:
-    """Return what is missing and connected to the frame around the map; a closed grid has no frame at its seam."""
+    """Return the missing points connected to the frame around the map; a closed grid has no frame at its seam."""
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
 
     if closed:
         missing = missing.copy()
         missing[0], missing[-1] = missing[-2], missing[1]
-    label = ndimage.label(missing, TOUCHING)[0]
+    label = ndimage.label(missing, EIGHT_NEIGHBOURS)[0]
     frame = [label[:, 0], label[:, -1]] if closed else [label[:, 0], label[:, -1], label[0], label[-1]]
     out = set(np.concatenate(frame).tolist()) - {0}
     while closed:
-        # The same row stands at both ends, under labels of its own.
+        # The same rows are at both ends, with different labels.
         same = {*zip(label[0], label[-2], strict=True), *zip(label[1], label[-1], strict=True)}
         more = {int(one) for pair in same if out & set(pair) for one in pair} - {0} - out
         if not more:
@@ -297,7 +298,7 @@ def _outside(missing: Bools, *, closed: bool) -> Bools:
 
 
 def _distance(heights: HeightMap, targets: Bools, *, padded: bool = False) -> Floats:
-    """Return how far every point is from the nearest target, inf if there is none. The shape of the map [mm].
+    """Return the distance of every point from the nearest target, inf without targets. The shape of the map [mm].
 
     ``padded`` targets have a frame around the map, one step wide.
     """
@@ -315,8 +316,8 @@ def _distance(heights: HeightMap, targets: Bools, *, padded: bool = False) -> Fl
         return np.asarray(ndimage.distance_transform_edt(~targets, sampling=sampling))[1:-1, 1:-1]
     if grid.closed:
         targets[0], targets[-1] = targets[-2], targets[1]
-    # Only targets that touch something else can be the nearest.
-    rim = targets & ndimage.binary_dilation(~targets, TOUCHING)
+    # Only targets at the border of the set can be the nearest.
+    rim = targets & ndimage.binary_dilation(~targets, EIGHT_NEIGHBOURS)
     if grid.closed:
         rim[[0, -1]] = False
     columns, rows = np.broadcast_arrays(axes[0], axes[1][:, None])
@@ -329,14 +330,14 @@ def _distance(heights: HeightMap, targets: Bools, *, padded: bool = False) -> Fl
 
 
 def _one_more(axis: Floats) -> Floats:
-    """Return an axis with one more step at either end."""
+    """Return an axis extended by one step at either end."""
     if axis.size == 1:
         return np.array([axis[0] - 1, axis[0], axis[0] + 1])
     return np.concatenate([[2 * axis[0] - axis[1]], axis, [2 * axis[-1] - axis[-2]]])
 
 
 def _borders(piece: Ints, *, closed: bool) -> Bools:
-    """Return the points whose neighbour in the row or column is of another piece; missing ones, -1, are of none."""
+    """Return the points next to another piece in the row or column; missing points, -1, belong to none."""
     border = np.zeros(piece.shape, dtype=bool)
     for axis in (0, 1):
         following = np.roll(piece, -1, axis=axis)
@@ -348,16 +349,16 @@ def _borders(piece: Ints, *, closed: bool) -> Bools:
 
 
 def keep_disc(heights: HeightMap, radius: float, *, centre: tuple[float, float] = (0.0, 0.0)) -> HeightMap:
-    """Return the map without what lies outside a round aperture.
+    """Return the map within a round clear aperture.
 
     Parameters
     ----------
     heights
         On any grid, or scattered.
     radius
-        Of the aperture. [mm]
+        Semi-diameter of the aperture. [mm]
     centre
-        Its middle, x and y. [mm]
+        Its centre, x and y. [mm]
 
     Raises
     ------
@@ -383,18 +384,18 @@ def keep_disc(heights: HeightMap, radius: float, *, centre: tuple[float, float] 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Filled:
-    """A map with holes filled in, and which heights are made up.
+    """A map with filled holes. See `fill_holes`.
 
     Parameters
     ----------
     heights
         The map.
     filled
-        Where its heights were not measured, the shape of the map.
+        True at the filled heights, which were not measured. The shape of the map.
     holes
-        Number of holes filled.
+        Number of filled holes.
     left
-        Number of holes left, because they are larger.
+        Number of holes not filled, because they are larger.
     """
 
     heights: HeightMap
@@ -404,11 +405,11 @@ class Filled:
 
 
 def fill_holes(heights: HeightMap, largest: float) -> Filled:
-    """Fill the holes inside a map with the plate of least bending, held by all that surrounds them.
+    """Fill the holes inside a map with a thin plate of least bending energy.
 
-    That is the biharmonic surface through the two rings of points around a hole; polynomials of degree 3 come out
-    exactly where both rings are valid. What is missing and connected to the outside stays missing. Heights that nobody
-    measured are no measurement: fill only for what cannot do without.
+    The plate is the biharmonic surface through the two rings of points around a hole; it reproduces polynomials of
+    degree 3 exactly where both rings are valid. Missing points connected to the outside stay missing. Filled heights
+    are not measured: fill only for evaluations that need complete maps.
 
     Parameters
     ----------
@@ -441,17 +442,16 @@ def fill_holes(heights: HeightMap, largest: float) -> Filled:
     steps = [np.diff(axis) for axis in (grid.columns, grid.rows)]
     if heights.polar or any(axis.size < 3 or not is_even(axis) for axis in (grid.columns, grid.rows)):
         raise InputError(
-            "holes are filled on even rectangular grids of at least 3 x 3 points, and the map has another: bring it to "
-            "such a grid first"
+            "filling holes needs an even rectangular grid of at least 3 x 3 points, the map has another: resample it"
         )
     dx, dy = (float(step.mean()) for step in steps)
     missing = np.pad(~valid, 1, constant_values=True)
     inside = (missing & ~_outside(missing, closed=False))[1:-1, 1:-1]
-    label, count = ndimage.label(inside, TOUCHING)
+    label, count = ndimage.label(inside, EIGHT_NEIGHBOURS)
     small = [False]
     for rows, columns in ndimage.find_objects(label):
         extent = max((rows.stop - rows.start) * dy, (columns.stop - columns.start) * dx)
-        small.append(extent <= largest * (1 + UNEVEN))
+        small.append(extent <= largest * (1 + LENGTH_TOL))
     filled = np.array(small)[label]
     z = np.array(heights.z)
     if filled.any():
@@ -461,7 +461,7 @@ def fill_holes(heights: HeightMap, largest: float) -> Filled:
 
 
 def _plate(z: Floats, unknown: Bools, dx: float, dy: float) -> Floats:
-    """Return the unknown heights that bend least: the least squares of all second differences that touch them."""
+    """Return the unknown heights of least bending: least squares of all second differences that contain them."""
     from scipy.sparse import csc_array  # noqa: PLC0415 - only this needs it
     from scipy.sparse.linalg import spsolve  # noqa: PLC0415
 
@@ -470,7 +470,7 @@ def _plate(z: Floats, unknown: Bools, dx: float, dy: float) -> Floats:
     number[unknown.ravel()] = np.arange(np.count_nonzero(unknown))
     mean = float(np.nanmean(z))
     flat = np.where(unknown, 0.0, z - mean).ravel()
-    # Each kind: how far from its first point the others are, in rows and columns, and their shares.
+    # For each second derivative: the offsets of its points in rows and columns, and their weights.
     kinds = [
         ([(0, 0), (0, 1), (0, 2)], np.array([1, -2, 1]) / dx**2),
         ([(0, 0), (1, 0), (2, 0)], np.array([1, -2, 1]) / dy**2),

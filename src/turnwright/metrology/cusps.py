@@ -35,104 +35,102 @@ __all__ = ["Cusps", "Stretch", "find_cusps"]
 
 NM = 1e6
 
-FORM = 4
-"""Degree of the polynomial that is taken off before the spectrum is searched."""
+FORM_DEGREE = 4
+"""Degree of the polynomial removed before the spectrum is searched."""
 
-ROUNDING = 64 * float(np.finfo(np.float64).eps)
-"""Scatter of the heights over the highest of them, below which they are rounded and no more."""
+ROUNDING_TOL = 64 * float(np.finfo(np.float64).eps)
+"""Scatter of the heights, relative to the highest of them, that is rounding only."""
 
-FEWEST = 3
-"""Cusps in a profile, at least."""
+MIN_CUSPS = 3
 
-PERIODS = 8
-"""Cusps in a profile whose feed is not given, at least: fewer cannot be distinguished from waviness."""
+MIN_PERIODS = 8
+"""Least number of cusps in a profile whose feed is not given: fewer cannot be distinguished from waviness."""
 
-POINTS = 4
-"""Points in a cusp, at least."""
+MIN_POINTS_PER_CUSP = 4
 
-SPIKE = 5.0
-"""Height of a spike over its two neighbours on either side, over the step that one in ten heights exceeds."""
+SPIKE_RATIO = 5.0
+"""Height of a spike over the median of five neighbours, relative to the 90th percentile of the height steps."""
 
-LOWER = 0.6
-"""Height of every second crest over that of the others, below which it is none of a pass."""
+ALTERNATION_RATIO = 0.6
+"""Ratio of the median heights of odd and even scallops below which they belong to one cusp of twice the period."""
 
-CHANCE = 1e-4
-"""How likely noise alone may show a period that counts."""
+PERIOD_FALSE_ALARM = 1e-4
+"""Probability that noise alone shows a period that counts."""
 
-WIDE, LEAST_BINS = 1.5, 24
-"""Frequencies among which a period must stand out: to either side by this factor, and upward at least so many."""
+NOISE_BAND_FACTOR, MIN_NOISE_BINS = 1.5, 24
+"""Width of the band whose median gives the noise at a frequency: this factor to either side, and at least so many bins
+upward."""
 
-STRONGER = 3.0
-"""Density of the feed over that of its harmonic, at least; a sawtooth has 4 times that of its second."""
+FUNDAMENTAL_RATIO = 3.0
+"""Least ratio of the power densities of the feed and of its harmonic; a sawtooth has 4 for the second harmonic."""
 
-BASE, SMOOTH = 0.5, 0.06
-"""Standard deviations of the Gaussians that take off what is longer than a cusp, and the noise, over the feed."""
+HIGH_PASS_SIGMA, LOW_PASS_SIGMA = 0.5, 0.06
+"""Standard deviations of the Gaussians that remove waves longer than a cusp, and noise, relative to the feed."""
 
-APART = 0.6
-"""Distance of two crests, over the feed, at least."""
+MIN_CREST_DISTANCE = 0.6
+"""Least distance of two crests, relative to the feed."""
 
-PROMINENCE = 0.25
-"""Height of a crest above its valleys, over the range of the heights, at least."""
+MIN_PROMINENCE = 0.25
+"""Least height of a crest above its valleys, relative to the range of the heights."""
 
-AROUND = 0.1
-"""Half the width over which a parabola finds a crest or a valley, over the feed."""
+PARABOLA_HALF_WIDTH = 0.1
+"""Half the width of the parabola that locates a crest or a valley, relative to the feed."""
 
-OFF = 0.25
-"""Share of the feed by which the spacing of two crests may be off it, and they still be neighbours."""
+SPACING_TOL = 0.25
+"""Largest deviation of the spacing of two neighbouring crests from the feed, relative to the feed."""
 
-BY_CHANCE = 1e-3
-"""How likely noise may space its crests as evenly as those that count."""
+EVENNESS_FALSE_ALARM = 1e-3
+"""Probability that the crests of noise are spaced as evenly as those that count."""
 
-UNEVEN = 0.12
-"""Root mean square of the spacings off their median, over the feed, up to which they count; noise has 0.18."""
+MAX_SPACING_RMS = 0.12
+"""Largest rms deviation of the spacings from their median, relative to the feed; noise has 0.18."""
 
-NOISE_NEAR = 0.7
-"""Share of the spacings of noise that are off by less than `OFF`, spread evenly; the others count as off by it."""
+NOISE_NEAR_SHARE = 0.7
+"""Share of the spacings of noise that deviate by less than `SPACING_TOL`, uniformly; the others count as that much."""
 
-EVEN_STRETCH = 0.10
-"""The same for a stretch of a profile that is not even as a whole."""
+MAX_STRETCH_SPACING_RMS = 0.10
+"""As `MAX_SPACING_RMS`, for part of a profile whose spacings are uneven as a whole."""
 
-LOCAL = 15
-"""Spacings whose median is the feed at a place, and whose scatter counts there."""
+SPACING_WINDOW = 15
+"""Number of spacings over which the local feed (median) and the local scatter are taken."""
 
-GAP = 2.0
-"""Feeds between two crests, or a crest and an end of the profile, beyond which they leave a gap."""
+MIN_GAP_FEEDS = 2.0
+"""Distance between two crests, or from a crest to the end of the profile, that counts as a gap. [feeds]"""
 
-DEGREES = (2, 3, 4, 6, 8, 10, 12)
-"""Of the polynomial through a valley; what the heights bear decides."""
+VALLEY_DEGREES = (2, 3, 4, 6, 8, 10, 12)
+"""Degrees tried for the polynomial through a valley; an information criterion selects one."""
 
-ROUND = 4
-"""Degree of the polynomial through a valley up to which it is that of a round nose."""
+MAX_ROUND_DEGREE = 4
+"""Largest degree of the polynomial through a valley that still describes a round nose."""
 
-SHAPE_ERROR = 15.0
-"""Variance of a scallop's height from that of a shape of degree 4, over that of a height and the number of heights;
+SHAPE_VARIANCE_FACTOR = 15.0
+"""Variance of the scallop height from a shape of degree 4, times the number of heights over the variance of one;
 the Legendre polynomials of degree 2 and 4 give 45/4 + 225/64."""
 
-CREST_ERROR = 4.0
-"""Height that misplaced crests add, over that of a scallop and the inverse of its heights, over the square of the ratio
-of noise and height; from simulated profiles of 6 to 40 heights a cusp."""
+CREST_ERROR_FACTOR = 4.0
+"""Height added by misplaced crests, relative to the scallop height, times the number of heights in a cusp over the
+squared ratio of noise and scallop height; from simulated profiles of 6 to 40 heights a cusp."""
 
-ALIKE = 16
-"""Valleys that share a shape, about."""
+VALLEYS_PER_SHAPE = 16
+"""Approximate number of neighbouring valleys that share one shape."""
 
-FAR = 2.5
-"""Mean deviations from a valley's curve at which the weight of a height begins to fall (Huber)."""
+HUBER_DEVIATIONS = 2.5
+"""Mean deviations from the curve of a valley at which the weight of a height begins to fall (Huber)."""
 
-CROSSING = 0.3
-"""Share of the feed by which two valleys may cross off the crest between them."""
+MAX_CROSSING_SHIFT = 0.3
+"""Largest distance of the crossing of two valleys from the crest between them, relative to the feed."""
 
-SHORTEST = 4
-"""Crests of a stretch, at least."""
+MIN_STRETCH_CRESTS = 4
 
-LOCATED = 5e-3
-"""Share of the feed to which a crest is located at best: its tip falls between points."""
+MIN_CREST_SCATTER = 5e-3
+"""Lower bound of the scatter of the crests, relative to the feed: a tip falls between points."""
 
-CORRELATION = 0.25
-"""Of the errors of neighbouring crests, which share a valley: at its ends the error of its tilt has 3 times the
-variance of that of its height, and moves both crests alike where that of its height moves them apart."""
+CREST_CORRELATION = 0.25
+"""Correlation of the errors of neighbouring crests, which share a valley. At the ends of a valley the error of its tilt
+has 3 times the variance of that of its height; tilt moves both crests the same way, height in opposite ways."""
 
-PENALTY = 4.0
-"""Times log(n): how much better another stretch must fit, in units of the crests' scatter."""
+STRETCH_PENALTY = 4.0
+"""Penalty of a further stretch, in units of the variance of the crests; multiplied by log(n)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,7 +240,7 @@ class Cusps:
     def _mean_std(self, spread: float) -> float:
         """Return the standard uncertainty of a mean of heights of this spread: neighbours share a valley."""
         off = self.height_nm - self.scallop_mean_nm
-        if off.size < FEWEST:
+        if off.size < MIN_CUSPS:
             return float("nan")
         square = float(off @ off)
         correlation = float(np.clip(off[1:] @ off[:-1] / square, 0.0, 0.9)) if square > 0 else 0.0
@@ -309,7 +307,7 @@ def find_cusps(profile: Profile, *, feed: float | None = None, axis: float | Non
             other = _search(inside, None, axis)
         except InputError:
             continue
-        if max(line.size for line in other.lines) < PERIODS:
+        if max(line.size for line in other.lines) < MIN_PERIODS:
             continue
         parts.append(other)
         gaps += _gaps(other.lines, inside.distance)
@@ -329,14 +327,14 @@ class _Crests(NamedTuple):
 
     def counted(self) -> _Crests:
         """Return the crests of the runs that count."""
-        many = np.bincount(self.run)[self.run] >= FEWEST if self.run.size else np.zeros(0, dtype=bool)
+        many = np.bincount(self.run)[self.run] >= MIN_CUSPS if self.run.size else np.zeros(0, dtype=bool)
         return self._replace(crest=self.crest[many], crest_z=self.crest_z[many], run=self.run[many])
 
     @property
     def lines(self) -> list[Floats]:
         """The crests of each run that counts."""
         runs = [self.crest[self.run == one] for one in np.unique(self.run)]
-        return [line for line in runs if line.size >= FEWEST]
+        return [line for line in runs if line.size >= MIN_CUSPS]
 
 
 def _joined(parts: list[_Crests]) -> _Crests:
@@ -355,10 +353,10 @@ def _gaps(lines: list[Floats], distance: Floats) -> list[tuple[float, float]]:
     gaps, last, reach = [], float(distance[0]), 0.0
     for line in sorted(lines, key=lambda one: float(one[0])):
         feed = float(np.median(np.diff(line)))
-        if line[0] - last > GAP * max(feed, reach):
+        if line[0] - last > MIN_GAP_FEEDS * max(feed, reach):
             gaps.append((last, float(line[0])))
         last, reach = float(line[-1]), feed
-    if distance[-1] - last > GAP * reach:
+    if distance[-1] - last > MIN_GAP_FEEDS * reach:
         gaps.append((last, float(distance[-1])))
     return gaps
 
@@ -367,12 +365,13 @@ def _prepared(profile: Profile) -> Profile:
     """Return the profile without its spikes."""
     profile.step  # noqa: B018 - refuses uneven distances
     valid = ~np.isnan(profile.z)
-    if np.count_nonzero(valid) < POINTS * FEWEST:
+    if np.count_nonzero(valid) < MIN_POINTS_PER_CUSP * MIN_CUSPS:
         raise InputError(
-            f"the profile has {np.count_nonzero(valid)} valid heights, cusps need {POINTS * FEWEST}: measure more of it"
+            f"the profile has {np.count_nonzero(valid)} valid heights, cusps need {MIN_POINTS_PER_CUSP * MIN_CUSPS}: "
+            "measure a longer one"
         )
     z = np.interp(profile.distance, profile.distance[valid], profile.z[valid])
-    if np.std(_without_form(profile.distance, z)) <= ROUNDING * np.abs(z).max():
+    if np.std(_without_form(profile.distance, z)) <= ROUNDING_TOL * np.abs(z).max():
         raise InputError("the profile is flat, it shows no cusps: give one across the lay")
     return replace(profile, z=np.where(valid & ~spikes(z), profile.z, np.nan))
 
@@ -382,7 +381,7 @@ def spikes(z: Floats) -> Bools:
     from scipy import ndimage  # noqa: PLC0415 - costly to import
 
     steps = float(np.quantile(np.abs(np.diff(z)), 0.9))
-    return np.asarray(np.abs(z - ndimage.median_filter(z, 5, mode="nearest")) > SPIKE * steps)
+    return np.asarray(np.abs(z - ndimage.median_filter(z, 5, mode="nearest")) > SPIKE_RATIO * steps)
 
 
 def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests:
@@ -391,36 +390,38 @@ def _search(profile: Profile, feed: float | None, axis: float | None) -> _Crests
 
     step = profile.step
     valid = ~np.isnan(profile.z)
-    if np.count_nonzero(valid) < POINTS * FEWEST:
-        raise InputError(f"{np.count_nonzero(valid)} valid heights are too few for cusps, which need {POINTS * FEWEST}")
+    if np.count_nonzero(valid) < MIN_POINTS_PER_CUSP * MIN_CUSPS:
+        raise InputError(
+            f"the profile has {np.count_nonzero(valid)} valid heights, cusps need {MIN_POINTS_PER_CUSP * MIN_CUSPS}"
+        )
     z = np.interp(profile.distance, profile.distance[valid], profile.z[valid])
     guess = _strongest_period(profile, z, step) if feed is None else positive(feed, "the feed", "mm")
-    if guess < POINTS * step or guess * FEWEST > np.ptp(profile.distance):
+    if guess < MIN_POINTS_PER_CUSP * step or guess * MIN_CUSPS > np.ptp(profile.distance):
         raise InputError(
-            f"the feed is {guess * 1e3:.3g} um, the limits are {POINTS} steps, {POINTS * step * 1e3:.3g} um, and the "
-            f"profile over {FEWEST}, {np.ptp(profile.distance) / FEWEST * 1e3:.3g} um: give another first guess, or "
-            "measure with smaller pixels"
+            f"the feed must be from {MIN_POINTS_PER_CUSP * step * 1e3:.3g} um ({MIN_POINTS_PER_CUSP} steps) to "
+            f"{np.ptp(profile.distance) / MIN_CUSPS * 1e3:.3g} um (a profile of {MIN_CUSPS} cusps), got "
+            f"{guess * 1e3:.3g} um: give another first guess, or measure with smaller pixels"
         )
     # Where crests and valleys stand is looked for without form and waviness; how high they are is not.
     z = _without_form(profile.distance, z)
-    level = z - ndimage.gaussian_filter1d(z, BASE * guess / step)
-    flat = ndimage.gaussian_filter1d(level, SMOOTH * guess / step)
-    least = PROMINENCE * float(np.ptp(np.percentile(flat, (5, 95))))
-    tops, _ = signal.find_peaks(flat, distance=max(int(APART * guess / step), 1), prominence=least)
-    half = max(int(AROUND * guess / step), 1)
-    tops = tops[_bridge(profile.distance, valid)[tops] <= 2 * AROUND * guess]
+    level = z - ndimage.gaussian_filter1d(z, HIGH_PASS_SIGMA * guess / step)
+    flat = ndimage.gaussian_filter1d(level, LOW_PASS_SIGMA * guess / step)
+    least = MIN_PROMINENCE * float(np.ptp(np.percentile(flat, (5, 95))))
+    tops, _ = signal.find_peaks(flat, distance=max(int(MIN_CREST_DISTANCE * guess / step), 1), prominence=least)
+    half = max(int(PARABOLA_HALF_WIDTH * guess / step), 1)
+    tops = tops[_bridge(profile.distance, valid)[tops] <= 2 * PARABOLA_HALF_WIDTH * guess]
     crest = np.array([_turning_point(profile.distance, level, int(top), half)[0] for top in tops])
     run = _runs(crest, guess, axis, given=feed is not None)
-    if np.bincount(run, minlength=1).max() < FEWEST:
+    if np.bincount(run, minlength=1).max() < MIN_CUSPS:
         raise InputError(
-            f"the profile shows {crest.size} crests and no {FEWEST} that are neighbours: give the feed as a first "
+            f"the profile shows {crest.size} crests and no {MIN_CUSPS} that are neighbours: give the feed as a first "
             "guess, or a profile across the lay"
         )
     scallops = _scallops(profile.distance[valid], level[valid], (z - level)[valid], crest, run, half)
     if feed is None and _alternating(scallops.crest, scallops.run, scallops.height_at, scallops.height_nm):
-        if 2 * guess * PERIODS > np.ptp(profile.distance):
+        if 2 * guess * MIN_PERIODS > np.ptp(profile.distance):
             raise InputError(
-                f"every second crest is lower, and {2e3 * guess:.3g} um is more than the profile over {PERIODS}: "
+                f"every second crest is lower, and {2e3 * guess:.3g} um is more than the profile over {MIN_PERIODS}: "
                 "state the feed, or measure a longer profile"
             )
         return _search(profile, 2 * guess, axis)
@@ -437,7 +438,7 @@ def _bridge(at: Floats, valid: Bools) -> Floats:
 
 
 def _without_form(at: Floats, z: Floats) -> Floats:
-    return np.asarray(z - np.polynomial.Legendre.fit(at, z, min(FORM, z.size // 8))(at))
+    return np.asarray(z - np.polynomial.Legendre.fit(at, z, min(FORM_DEGREE, z.size // 8))(at))
 
 
 def _runs(crest: Floats, guess: float, axis: float | None, *, given: bool) -> Ints:
@@ -445,15 +446,17 @@ def _runs(crest: Floats, guess: float, axis: float | None, *, given: bool) -> In
     from scipy import ndimage  # noqa: PLC0415 - costly to import
 
     spacing, middle = np.diff(crest), (crest[1:] + crest[:-1]) / 2
-    near = np.abs(spacing / guess - 1) < 2 * OFF
+    near = np.abs(spacing / guess - 1) < 2 * SPACING_TOL
     feed = np.full(spacing.size, guess)
     if near.any():
-        usual = ndimage.median_filter(spacing[near], LOCAL, mode="nearest")
-        feed = np.interp(middle, middle[near], usual if usual.size > LOCAL else np.full_like(usual, np.median(usual)))
+        usual = ndimage.median_filter(spacing[near], SPACING_WINDOW, mode="nearest")
+        feed = np.interp(
+            middle, middle[near], usual if usual.size > SPACING_WINDOW else np.full_like(usual, np.median(usual))
+        )
     relative = spacing / feed
     apart = np.zeros(spacing.size, dtype=bool) if axis is None else (crest[:-1] < axis) & (crest[1:] >= axis)
     even = _even(relative, apart, guess, given=given)
-    broken = apart | ~even | (np.abs(relative - 1) > OFF)
+    broken = apart | ~even | (np.abs(relative - 1) > SPACING_TOL)
     return np.concatenate([[0], np.cumsum(broken)]).astype(np.int64)[: crest.size]
 
 
@@ -462,32 +465,32 @@ def _even(relative: Floats, apart: Bools, guess: float, *, given: bool) -> Bools
     from scipy import ndimage, stats  # noqa: PLC0415 - costly to import
 
     # Where crests are missed, their neighbours stand whole feeds apart.
-    off = np.minimum(np.abs(relative - np.maximum(np.rint(relative), 1)), OFF)[~apart]
-    if off.size < FEWEST - 1:
+    off = np.minimum(np.abs(relative - np.maximum(np.rint(relative), 1)), SPACING_TOL)[~apart]
+    if off.size < MIN_CUSPS - 1:
         return np.ones(relative.size, dtype=bool)
-    freedom = min(off.size, LOCAL) - 1
+    freedom = min(off.size, SPACING_WINDOW) - 1
     square = np.full(off.size, off @ off / freedom)
-    if off.size > LOCAL:
-        square = ndimage.uniform_filter1d(off**2, LOCAL, mode="reflect")
-    is_even = float(off @ off) <= UNEVEN**2 * freedom * max(off.size / LOCAL, 1)
+    if off.size > SPACING_WINDOW:
+        square = ndimage.uniform_filter1d(off**2, SPACING_WINDOW, mode="reflect")
+    is_even = float(off @ off) <= MAX_SPACING_RMS**2 * freedom * max(off.size / SPACING_WINDOW, 1)
     # Of many stretches of noise one may be even by chance.
-    limit = UNEVEN**2 if off.size <= LOCAL else EVEN_STRETCH**2
+    limit = MAX_SPACING_RMS**2 if off.size <= SPACING_WINDOW else MAX_STRETCH_SPACING_RMS**2
     if not given:
         # The means of noise follow a gamma distribution with the mean and the variance of these squares.
-        mean = OFF**2 * (1 - NOISE_NEAR * 2 / 3)
-        shape = freedom * mean**2 / (OFF**4 * (1 - NOISE_NEAR * 4 / 5) - mean**2)
-        limit = min(limit, mean * float(stats.gamma.ppf(BY_CHANCE, shape) / shape))
+        mean = SPACING_TOL**2 * (1 - NOISE_NEAR_SHARE * 2 / 3)
+        shape = freedom * mean**2 / (SPACING_TOL**4 * (1 - NOISE_NEAR_SHARE * 4 / 5) - mean**2)
+        limit = min(limit, mean * float(stats.gamma.ppf(EVENNESS_FALSE_ALARM, shape) / shape))
     good = square <= limit
-    if is_even and (given or off.size > LOCAL):
+    if is_even and (given or off.size > SPACING_WINDOW):
         return np.ones(relative.size, dtype=bool)
     if not good.any():
         raise InputError(
             f"{off.size + 1} crests about {1e3 * guess:.3g} um apart scatter by {100 * np.sqrt(square.min()):.2g} % of "
-            f"it (at most {100 * OFF:g} % each), as those of noise do; cusps scatter by less than "
+            f"it (at most {100 * SPACING_TOL:g} % each), as those of noise do; cusps scatter by less than "
             f"{100 * np.sqrt(limit):.2g} %: check the feed if it is given, state it if not, or measure with less noise"
         )
     even = np.ones(relative.size, dtype=bool)
-    even[~apart] = ndimage.maximum_filter1d(good, LOCAL)
+    even[~apart] = ndimage.maximum_filter1d(good, SPACING_WINDOW)
     return even
 
 
@@ -495,36 +498,36 @@ def _alternating(crest: Floats, run: Ints, at: Floats, heights: Floats) -> bool:
     """Return whether every second crest of the longest run is much lower: a wave of the edge within each cusp."""
     longest = crest[run == np.argmax(np.bincount(run))] if run.size else crest
     inside = heights[(at >= longest[0]) & (at <= longest[-1])] if longest.size else heights
-    if inside.size < 2 * SHORTEST:
+    if inside.size < 2 * MIN_STRETCH_CRESTS:
         return False
     low, high = sorted((float(np.median(inside[::2])), float(np.median(inside[1::2]))))
-    return low < LOWER * high
+    return low < ALTERNATION_RATIO * high
 
 
 def _strongest_period(profile: Profile, z: Floats, step: float) -> float:
     """Return the period of the strongest slopes, between four points and an eighth of the profile. [mm]."""
-    spectrum = line_psd(replace(profile, z=z), form=min(FORM, z.size // 8), window="hann")
+    spectrum = line_psd(replace(profile, z=z), form=min(FORM_DEGREE, z.size // 8), window="hann")
     frequency, density = spectrum.frequency, spectrum.density
-    allowed = (frequency >= PERIODS / np.ptp(profile.distance)) & (frequency <= 1 / (POINTS * step))
+    allowed = (frequency >= MIN_PERIODS / np.ptp(profile.distance)) & (frequency <= 1 / (MIN_POINTS_PER_CUSP * step))
     if not density[allowed].any():
         raise InputError("the profile is flat, it shows no cusps: give one across the lay")
     # Of noise each density is its mean times a number of exponential distribution.
     outstanding = density / np.maximum(_surroundings(density), 1e-300)
-    limit = float(np.log(density.size / CHANCE))
+    limit = float(np.log(density.size / PERIOD_FALSE_ALARM))
     score = np.where(allowed & (outstanding > limit), density * frequency**2, 0.0)
     if not score.any():
         most = int(np.argmax(np.where(allowed, outstanding, 0.0)))
         raise InputError(
             f"no cusps stand out of the profile's noise: its strongest period, {1e3 / frequency[most]:.3g} um, has "
             f"{outstanding[most]:.2g} times the power of those around it, the limit is {limit:.2g}: state the feed if "
-            f"there are fewer than {PERIODS} cusps, measure with less noise, or give a profile across the lay"
+            f"there are fewer than {MIN_PERIODS} cusps, measure with less noise, or give a profile across the lay"
         )
     top = int(np.argmax(score))
     # Sharp cusps have strong harmonics: where half or a third of the frequency is stronger, that is the feed.
     for part in (3, 2):
         low = top // part
         lower = low - 1 + int(np.argmax(density[low - 1 : low + 3])) if low > 1 else top
-        if allowed[lower] and density[lower] > STRONGER * density[top]:
+        if allowed[lower] and density[lower] > FUNDAMENTAL_RATIO * density[top]:
             top = lower
             break
     around = slice(max(top - 1, 0), top + 2)
@@ -537,7 +540,12 @@ def _surroundings(density: Floats) -> Floats:
     size = density.size
     centres = np.unique(np.rint(np.geomspace(1, size - 1, int(4 * np.log2(size)))).astype(np.int64))
     means = [
-        float(np.median(density[max(int(c / WIDE), 1) : max(int(WIDE * c), c + LEAST_BINS) + 1])) / np.log(2)
+        float(
+            np.median(
+                density[max(int(c / NOISE_BAND_FACTOR), 1) : max(int(NOISE_BAND_FACTOR * c), c + MIN_NOISE_BINS) + 1]
+            )
+        )
+        / np.log(2)
         for c in centres
     ]
     return np.asarray(np.interp(np.log(np.maximum(np.arange(size), 1)), np.log(centres), means))
@@ -568,10 +576,10 @@ def _scallops(at: Floats, level: Floats, form: Floats, crest: Floats, run: Ints,
     half
         Points to either side of a crest or a valley that belong to it.
     """
-    place, fit = crest, _valley_curves(at, level, crest, run, DEGREES)
+    place, fit = crest, _valley_curves(at, level, crest, run, VALLEY_DEGREES)
     # Parabolas cross at the tip of a sharp crest, also in noise; curves through waves of the edge need not.
-    crossed = _valley_curves(at, level, crest, run, DEGREES[:1]).crossings(crest)
-    refined = _valley_curves(at, level, crossed, run, DEGREES)
+    crossed = _valley_curves(at, level, crest, run, VALLEY_DEGREES[:1]).crossings(crest)
+    refined = _valley_curves(at, level, crossed, run, VALLEY_DEGREES)
     if refined.is_round and refined.misfit < fit.misfit:
         place, fit = crossed, refined
     low_at, low = fit.lowest()
@@ -592,8 +600,8 @@ def _scallops(at: Floats, level: Floats, form: Floats, crest: Floats, run: Ints,
 def _shared_error(fit: _ValleyCurves, count: int, height: float) -> float:
     """Return how far noise may have moved all scallops together: their shape, and the crests between them. [nm]."""
     noise, points = NM * fit.noise, fit.points / max(count, 1)
-    shape = noise * np.sqrt(SHAPE_ERROR / max(fit.points, 1))
-    return float(np.hypot(shape, CREST_ERROR * noise**2 / (max(height, noise) * max(points, 1.0))))
+    shape = noise * np.sqrt(SHAPE_VARIANCE_FACTOR / max(fit.points, 1))
+    return float(np.hypot(shape, CREST_ERROR_FACTOR * noise**2 / (max(height, noise) * max(points, 1.0))))
 
 
 def _over_valleys(crest: Floats, top: Floats, low_at: Floats, low: Floats, at: Floats, form: Floats) -> Floats:
@@ -632,7 +640,7 @@ class _ValleyCurves(NamedTuple):
     @property
     def is_round(self) -> bool:
         """Whether the heights bear no other shape than that of a round nose."""
-        return bool(self.curve.shape[1] - 1 <= ROUND)
+        return bool(self.curve.shape[1] - 1 <= MAX_ROUND_DEGREE)
 
     def values(self, valley: Ints, place: Floats) -> Floats:
         """Return the heights of valleys at places."""
@@ -653,7 +661,7 @@ class _ValleyCurves(NamedTuple):
         """Return where the curves on either side of each crest cross, or the crest where they do not. (n,) [mm]."""
         positions = crest.copy()
         inner = np.arange(1, crest.size - 1)
-        near = 2 * CROSSING * np.minimum(self.scale[:-1], self.scale[1:])
+        near = 2 * MAX_CROSSING_SHIFT * np.minimum(self.scale[:-1], self.scale[1:])
         places = crest[inner, None] + near[:, None] * np.linspace(-1, 1, 41)
         before = np.repeat(inner[:, None] - 1, 41, axis=1)
         rise = self.values(before, places) - self.values(before + 1, places)
@@ -684,7 +692,7 @@ def _valley_curves(at: Floats, z: Floats, crest: Floats, run: Ints, degrees: tup
     blocks = []
     for one in np.unique(run[members]):
         valleys = members[run[members] == one]
-        for part in np.array_split(valleys, max(round(valleys.size / ALIKE), 1)):
+        for part in np.array_split(valleys, max(round(valleys.size / VALLEYS_PER_SHAPE), 1)):
             scale[part] = float(np.median(crest[part + 1] - crest[part])) / 2
             blocks.append(part)
     best = _ValleyCurves(middle, scale, np.full((count, 3), np.nan))
@@ -717,7 +725,7 @@ def _shape(basis: Floats, z: Floats, valley: Ints, count: int) -> tuple[Floats, 
     """
     tilt, common = basis[:, 1], basis[:, 2:]
     along = (np.arange(count) - (count - 1) / 2) / max(count - 1, 1)
-    if count > FEWEST:
+    if count > MIN_CUSPS:
         common = np.hstack([common, common * along[valley, None]])
     number = common.shape[1] + 2 * count
     starts = np.flatnonzero(np.diff(valley, prepend=-1))
@@ -736,7 +744,7 @@ def _shape(basis: Floats, z: Floats, valley: Ints, count: int) -> tuple[Floats, 
         weighted = (weight[:, None] * bare[:, :-1]).T
         shape = np.linalg.lstsq(weighted @ bare[:, :-1], weighted @ bare[:, -1], rcond=None)[0]
         residual = bare[:, -1] - bare[:, :-1] @ shape
-        far = FAR * float(np.mean(np.abs(residual)))
+        far = HUBER_DEVIATIONS * float(np.mean(np.abs(residual)))
         weight = np.minimum(1.0, far / np.maximum(np.abs(residual), 1e-300))
     curve = np.empty((count, basis.shape[1]))
     curve[:, 0] = height[:, -1] - height[:, :-1] @ shape
@@ -759,19 +767,21 @@ def _summed_up(found: _Crests, axis: float | None, gaps: list[tuple[float, float
     counted = found.counted()
     if not counted.run.size:
         raise InputError(
-            f"the profile shows {found.crest.size} crests and no {FEWEST} that are neighbours: choose more"
+            f"the profile shows {found.crest.size} crests and no {MIN_CUSPS} that are neighbours: choose more"
         )
     crest, height, at, heights = counted.crest, counted.crest_z, counted.height_at, counted.height_nm
     run = np.unique(counted.run, return_inverse=True)[1].astype(np.int64)
     regular = _off_axis(crest, run, axis)
     lines = [crest[(run == one) & regular] for one in range(int(run[-1]) + 1)]
-    lines = [line for line in lines if line.size >= FEWEST]
+    lines = [line for line in lines if line.size >= MIN_CUSPS]
     if not lines:
-        raise InputError(f"the profile shows no {FEWEST} neighbouring crests away from its axis: measure a longer one")
+        raise InputError(
+            f"the profile shows no {MIN_CUSPS} neighbouring crests away from its axis: measure a longer one"
+        )
     # Runs of another feed than that of the longest do not make its mean.
     longest = max(lines, key=lambda line: float(line[-1] - line[0]))
     usual = _slope([longest])[0]
-    feed, feed_std, _ = _slope([line for line in lines if abs(_slope([line])[0] / usual - 1) < OFF])
+    feed, feed_std, _ = _slope([line for line in lines if abs(_slope([line])[0] / usual - 1) < SPACING_TOL])
     stretches = [one for line in lines for one in _stretches(line, _crest_scatter(line, lines))]
     return Cusps(
         crest=frozen(crest, "crest"),
@@ -791,12 +801,12 @@ def _summed_up(found: _Crests, axis: float | None, gaps: list[tuple[float, float
 def _crest_scatter(line: Floats, lines: list[Floats]) -> float:
     """Return how far the crests of a run scatter, by those of all runs of its feed. [mm]."""
     feed = float(np.median(np.diff(line)))
-    alike = [one for one in lines if abs(float(np.median(np.diff(one))) / feed - 1) < OFF]
+    alike = [one for one in lines if abs(float(np.median(np.diff(one))) / feed - 1) < SPACING_TOL]
     # Of a series with variance s² and the correlation c between neighbours, second differences have (6 - 8 c) s², and
     # means over many (1 + 2 c) s².
     second = np.concatenate([np.diff(one, 2) for one in alike])
-    ratio = (1 + 2 * CORRELATION) / (6 - 8 * CORRELATION)
-    return max(robust_scatter(second) * float(np.sqrt(ratio)), LOCATED * feed)
+    ratio = (1 + 2 * CREST_CORRELATION) / (6 - 8 * CREST_CORRELATION)
+    return max(robust_scatter(second) * float(np.sqrt(ratio)), MIN_CREST_SCATTER * feed)
 
 
 def _slope(lines: list[Floats]) -> tuple[float, float, float]:
@@ -839,14 +849,14 @@ def _stretches(line: Floats, scatter: float) -> list[Stretch]:
 def _parted(line: Floats, scatter: float) -> list[Floats]:
     """Return the cheapest parting of a run, each part with a line and a price of its own."""
     size = line.size
-    price = PENALTY * np.log(size)
+    price = STRETCH_PENALTY * np.log(size)
     number = np.arange(size) - (size - 1) / 2
     off = line - np.polyval(np.polyfit(number, line, 1), number)
     sums = np.array([np.concatenate([[0.0], np.cumsum(one)]) for one in (off, number * off, off * off)])
     best = np.array([0.0] + [np.inf] * size)
     begin = np.zeros(size + 1, dtype=np.int64)
-    for end in range(min(SHORTEST, size), size + 1):
-        start = np.arange(end - min(SHORTEST, size) + 1)
+    for end in range(min(MIN_STRETCH_CRESTS, size), size + 1):
+        start = np.arange(end - min(MIN_STRETCH_CRESTS, size) + 1)
         count = end - start
         total, moment, square = sums[:, end, None] - sums[:, start]
         middle = number[start] + (count - 1) / 2

@@ -1,12 +1,12 @@
 r"""Feature parameters of a surface: its hills and dales, and the direction of its texture.
 
-Every point belongs to the hill on which a steepest ascent from it ends (watershed). A hill whose peak stands less than
-5 % of Sz above its highest saddle is added to the hill beyond that saddle, the lowest first (Wolf pruning); so a hill
-is significant by what is known as the persistence of its peak. Dales are the hills of the surface turned upside down.
+Every point belongs to the hill on which the steepest ascent from it ends (watershed). A hill whose peak is less than
+5 % of Sz above its highest saddle is merged with the hill beyond that saddle, the lowest first (Wolf pruning). Dales
+are the hills of the inverted surface.
 
-Holes of a few missing points are filled first (`fill_holes`), as a missing point would otherwise be a border and take
-its hill away. Hills that reach the border of the map or a larger hole are left out, as their peak may lie beyond. The
-area of those at the border counts, as is usual; those beside a hole are taken to be as dense as the others.
+Holes of a few missing points are filled first (`fill_holes`); otherwise a missing point would exclude its hill. Hills
+that reach the border of the map or a larger hole are left out, as their peak may lie beyond. As usual, the area of
+hills at the border counts; hills next to a hole are assumed to be as dense as the others.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ __all__ = ["Features", "features"]
 
 NM = 1e6
 
-FIVE = 5
-"""Peaks, and pits, that the height parameters average."""
+AVERAGED_SUMMITS = 5
+"""Number of peaks, and of pits, averaged by the height parameters."""
 
-SECTOR = np.deg2rad(1.0)
+SECTOR_WIDTH_RAD = np.deg2rad(1.0)
 """Width of the sectors of the angular spectrum."""
 
-NEAR = np.deg2rad(8.0)
+DIRECTION_HALF_WIDTH_RAD = np.deg2rad(8.0)
 """Half the width of the sector over which the strongest direction is averaged."""
 
-HOLE = 5
-"""Points across the largest hole that is filled."""
+MAX_HOLE_POINTS = 5
+"""Largest extent of a hole that is filled. [points]"""
 
-LEAST_WHOLE = 0.5
-"""Least area of the hills that holes leave whole, over that of all away from the border: small ones are left first."""
+MIN_COMPLETE_SHARE = 0.5
+"""Least area of the hills that reach no hole, relative to that of all hills away from the border."""
 
-NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
-"""Half of the eight neighbours of a point; the others are their opposites."""
+NEIGHBOUR_STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""Half of the eight neighbours of a point; the others are opposite."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Features:
-    """Feature parameters and texture direction of ISO 25178-2:2021. What cannot be stated is nan; ``notes`` says why.
+    """Feature parameters and texture direction of ISO 25178-2:2021. Undefined ones are nan; see ``notes``.
 
     Parameters
     ----------
@@ -64,16 +64,15 @@ class Features:
     spc, svc
         Mean curvature of these peaks, and of these pits (negative). [1/mm]
     std
-        Direction in which the waves of the texture follow each other, from +x toward +y, in [0, π); the lay lies across
-        it. [rad]
+        Direction of the wave vector of the texture, from +x toward +y, in [0, π); the lay is perpendicular to it. [rad]
     peaks, pits
-        How many are significant.
+        Number of significant peaks and pits.
     pruning
-        Share of Sz below which a hill or a dale is none of its own.
+        Share of Sz below which a hill or a dale is merged.
     form
-        What was removed first.
+        Form removed first.
     notes
-        Why a parameter is nan, or of fewer than five; what was filled, and what large holes left out.
+        Parameters that are nan or rest on fewer than five peaks; filled holes; areas left out at large holes.
     """
 
     s10z_nm: float
@@ -101,16 +100,16 @@ def features(heights: HeightMap, *, form: Form = "plane", pruning: float = 0.05,
     form
         See `remove_form`.
     pruning
-        Share of Sz that a peak must stand above its highest saddle.
+        Least height of a peak above its highest saddle, as a share of Sz.
     border
-        Whether hills and dales that reach the border of the measured area, or a hole, count: their peak may lie beyond.
-        The grooves of turning always reach it.
+        Whether hills and dales that reach the border of the measured area, or a hole, count, although their peak may
+        lie beyond. The grooves of turning always reach it.
 
     Notes
     -----
-    Holes of up to five points across are filled with the plate of least bending. Hills and dales beside larger ones are
-    left out with their area; where these cover more than those that are whole, the parameters are nan. Wide hills reach
-    a hole more often: where a third of a random surface is left out, its densities are some 10 % high.
+    Holes of up to five points across are filled with the plate of least bending. Hills and dales next to larger
+    holes are left out with their area; where these cover more than the complete ones, the parameters are nan. Wide
+    hills reach a hole more often: with a third of a random surface left out, the densities are about 10 % too high.
 
     Raises
     ------
@@ -119,8 +118,8 @@ def features(heights: HeightMap, *, form: Form = "plane", pruning: float = 0.05,
 
     Sources
     -------
-    ISO 25178-2:2021, 4.3.4 and 5, from memory and as surfalize has it. Oracles: surfalize, grids of bumps in closed
-    form, a brute-force flooding.
+    ISO 25178-2:2021, 4.3.4 and 5, as implemented in surfalize; not checked against the text. Oracles: surfalize, grids
+    of bumps in closed form, a brute-force flooding.
 
     >>> from turnwright.heightmap import HeightMap
     >>> x = 0.001 * np.arange(121)
@@ -133,39 +132,43 @@ def features(heights: HeightMap, *, form: Form = "plane", pruning: float = 0.05,
     valid_points(heights, 9, "feature parameters")
     grid = measure(heights)
     if heights.polar:
-        raise InputError("the map has a polar grid, its features need a rectangular one: take a rectangular patch")
+        raise InputError(
+            "the map has a polar grid, feature parameters need a rectangular one: resample a rectangular patch"
+        )
     if any(axis.size < 3 or not is_even(axis) for axis in (grid.columns, grid.rows)):
-        raise InputError("the map is no even grid of at least 3 x 3 points, features need one: interpolate it first")
+        raise InputError(
+            "feature parameters need an even grid of at least 3 x 3 points, the map has another: resample it first"
+        )
     dx, dy = (float(np.diff(axis).mean()) for axis in (grid.columns, grid.rows))
     flat = remove_form(heights, form)
     mean, least = float(np.nanmean(flat.z)), pruning * float(np.nanmax(flat.z) - np.nanmin(flat.z))
-    filling = fill_holes(flat, HOLE * max(dx, dy))
+    filling = fill_holes(flat, MAX_HOLE_POINTS * max(dx, dy))
     z = filling.heights.z - mean
     valid = ~np.isnan(z)
     notes = []
     if filling.holes:
         notes.append(
-            f"{np.count_nonzero(filling.filled)} missing points in {filling.holes} holes of at most {HOLE} points "
-            "across are filled"
+            f"{np.count_nonzero(filling.filled)} missing points in {filling.holes} holes of at most "
+            f"{MAX_HOLE_POINTS} points across are filled"
         )
     area = int(np.count_nonzero(valid)) * dx * dy
     features = {}
     for name, side in (("peaks", 1.0), ("pits", -1.0)):
         rows, columns, complete, cut_off = _summits(side * z, valid, least, border=border)
         size = rows.size
-        stated = size > 0 and complete >= LEAST_WHOLE * (complete + cut_off)
+        stated = size > 0 and complete >= MIN_COMPLETE_SHARE * (complete + cut_off)
         if cut_off:
             notes.append(
                 f"{name} of {100 * cut_off / np.count_nonzero(valid):.2g} % of the area are left out, as their hills "
-                f"reach a hole of more than {HOLE} points across"
+                f"reach a hole of more than {MAX_HOLE_POINTS} points across"
             )
         if not stated:
             share = "all" if size == 0 else "most"
             where = "" if border else f": {share} reach the border or a hole (border=True counts them)"
             notes.append(f"no significant {name}{where}")
-        elif size < FIVE:
+        elif size < AVERAGED_SUMMITS:
             notes.append(f"{size} significant {name}, the mean is of these")
-        top = np.sort(side * z[rows, columns])[::-1][:FIVE]
+        top = np.sort(side * z[rows, columns])[::-1][:AVERAGED_SUMMITS]
         bend = _curvatures(z, rows, columns, dx, dy)
         features[name] = (
             size,
@@ -192,9 +195,9 @@ def features(heights: HeightMap, *, form: Form = "plane", pruning: float = 0.05,
 
 
 def _summits(z: Floats, valid: Bools, least: float, *, border: bool) -> tuple[Ints, Ints, int, int]:
-    """Return rows and columns of the peaks that stand more than ``least`` above their highest saddle.
+    """Return rows and columns of the peaks more than ``least`` above their highest saddle.
 
-    The other values count the points of their hills, and of those that reach a hole and not the border.
+    The other values are the numbers of points of their hills, and of hills that reach a hole but not the border.
     """
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
 
@@ -207,7 +210,7 @@ def _summits(z: Floats, valid: Bools, least: float, *, border: bool) -> tuple[In
     summit[flat[order]] = order  # the last one written is the highest
     hill = _pruned(z.ravel()[summit], _saddles(z, label, count), count, least)
     alive = np.flatnonzero(hill == np.arange(count + 1))[1:]
-    # A hill that was added to another may have had the higher peak.
+    # A merged hill may have had the higher peak.
     best = summit.copy()
     for one in np.flatnonzero(hill != np.arange(count + 1)):
         if z.ravel()[summit[one]] > z.ravel()[best[hill[one]]]:
@@ -216,10 +219,10 @@ def _summits(z: Floats, valid: Bools, least: float, *, border: bool) -> tuple[In
     if not border:
         measured = ndimage.binary_fill_holes(valid, structure=np.ones((3, 3), dtype=np.bool_))
         assert measured is not None  # noqa: S101 - it returns an array where none is given
-        open_sides = _beside(~measured)
+        open_sides = _neighbours_of(~measured)
         open_sides[[0, -1]] = open_sides[:, [0, -1]] = True
         at_border = np.unique(hill[label[open_sides & valid]])
-        at_hole = np.setdiff1d(hill[label[_beside(measured & ~valid) & valid]], at_border)
+        at_hole = np.setdiff1d(hill[label[_neighbours_of(measured & ~valid) & valid]], at_border)
         alive = np.setdiff1d(alive, np.concatenate([at_border, at_hole]))
     covered = np.bincount(hill[label[valid]], minlength=count + 1)
     rows, columns = np.unravel_index(best[alive], z.shape)
@@ -235,10 +238,10 @@ def _pairs(values: np.ndarray, step: tuple[int, int]) -> tuple[np.ndarray, np.nd
     return values[: rows - down, low:high], values[down:, low + across : high + across]
 
 
-def _beside(there: Bools) -> Bools:
-    """Return the points that have one of the eight neighbours there."""
+def _neighbours_of(there: Bools) -> Bools:
+    """Return the points with at least one of the eight neighbours in a set."""
     near = np.zeros(there.shape, dtype=bool)
-    for step in NEIGHBOURS:
+    for step in NEIGHBOUR_STEPS:
         one, other = _pairs(near, step)
         first, second = _pairs(there, step)
         one |= second
@@ -247,12 +250,12 @@ def _beside(there: Bools) -> Bools:
 
 
 def _basins(z: Floats, valid: Bools) -> tuple[Ints, int]:
-    """Return the hill of each point, from 1, and 0 where there is none: by steepest ascent over eight neighbours."""
+    """Return the number of the hill of each point by steepest ascent, 0 at invalid points, and the number of hills."""
     from scipy import ndimage  # noqa: PLC0415 - only this needs it
 
     index = np.arange(z.size, dtype=np.int64).reshape(z.shape)
     highest, upward = np.full(z.shape, -np.inf), index.copy()
-    for step in NEIGHBOURS:
+    for step in NEIGHBOUR_STEPS:
         for back in (False, True):
             first, there = (1, 0) if back else (0, 1)
             best, way = _pairs(highest, step)[first], _pairs(upward, step)[first]
@@ -262,7 +265,7 @@ def _basins(z: Floats, valid: Bools) -> tuple[Ints, int]:
             way[higher] = target[higher]
     top = ~(highest > z) & valid
     pointer = np.where(top, index, upward).ravel()
-    while True:  # each jump doubles the way that is gone
+    while True:  # each pass doubles the length of the path
         further = pointer[pointer]
         if np.array_equal(further, pointer):
             break
@@ -273,9 +276,9 @@ def _basins(z: Floats, valid: Bools) -> tuple[Ints, int]:
 
 
 def _saddles(z: Floats, label: Ints, count: int) -> tuple[Ints, Ints, Floats]:
-    """Return all pairs of hills that touch, and their highest saddle, the highest first."""
+    """Return all pairs of adjacent hills and their highest saddle, in descending order."""
     keys, heights = [], []
-    for step in NEIGHBOURS:
+    for step in NEIGHBOUR_STEPS:
         (one, other), (near_height, there) = _pairs(label, step), _pairs(z, step)
         across = (one != other) & (one > 0) & (other > 0)
         low, high = np.minimum(one[across], other[across]), np.maximum(one[across], other[across])
@@ -290,7 +293,7 @@ def _saddles(z: Floats, label: Ints, count: int) -> tuple[Ints, Ints, Floats]:
 
 def _pruned(peak: Floats, saddles: tuple[Ints, Ints, Floats], count: int, least: float) -> Ints:
     """Return the significant hill that each hill belongs to."""
-    joined = list(range(count + 1))  # what is connected above the saddle
+    joined = list(range(count + 1))  # sets of hills connected above the saddle
     hill = list(range(count + 1))
     tallest = peak.tolist()
 
@@ -314,7 +317,7 @@ def _pruned(peak: Floats, saddles: tuple[Ints, Ints, Floats], count: int, least:
 
 
 def _curvatures(z: Floats, rows: Ints, columns: Ints, dx: float, dy: float) -> Floats:
-    """Return minus half the Laplacian at points, where their neighbours are known. [1/mm]."""
+    """Return minus half the Laplacian at points whose neighbours are valid. [1/mm]."""
     inside = (rows > 0) & (rows < z.shape[0] - 1) & (columns > 0) & (columns < z.shape[1] - 1)
     i, j = rows[inside], columns[inside]
     across = (z[i, j - 1] - 2 * z[i, j] + z[i, j + 1]) / dx**2
@@ -333,7 +336,7 @@ def _direction(z: Floats, valid: Bools, dx: float, dy: float) -> float:
     along_y, along_x = fft.fftfreq(z.shape[0], dy)[:, None], fft.fftfreq(z.shape[1], dx)
     reach = min(0.5 / dx, 0.5 / dy)
     size = np.hypot(along_x, along_y)
-    # Within the circle that both axes sample, without what the window smears around zero.
+    # Within the circle that both axes sample, without the main lobe of the window.
     counted = (size <= reach) & (
         (np.abs(along_x) > 1.5 / (z.shape[1] * dx)) | (np.abs(along_y) > 1.5 / (z.shape[0] * dy))
     )
@@ -341,11 +344,11 @@ def _direction(z: Floats, valid: Bools, dx: float, dy: float) -> float:
     if not power.any():
         return float("nan")
     angle = np.arctan2(along_y, along_x) % np.pi
-    count = round(np.pi / SECTOR)
-    sector = np.minimum((angle / SECTOR).astype(np.int64), count - 1)
+    count = round(np.pi / SECTOR_WIDTH_RAD)
+    sector = np.minimum((angle / SECTOR_WIDTH_RAD).astype(np.int64), count - 1)
     density = np.bincount(sector.ravel(), weights=power.ravel(), minlength=count)
     smooth = density + np.roll(density, 1) + np.roll(density, -1)
-    strongest = (float(np.argmax(smooth)) + 0.5) * SECTOR
+    strongest = (float(np.argmax(smooth)) + 0.5) * SECTOR_WIDTH_RAD
     off = (angle - strongest + np.pi / 2) % np.pi - np.pi / 2
-    near = np.abs(off) <= NEAR
+    near = np.abs(off) <= DIRECTION_HALF_WIDTH_RAD
     return float((strongest + (power[near] @ off[near]) / power[near].sum()) % np.pi)

@@ -1,6 +1,6 @@
-"""Filters of ISO 16610 over maps with missing points, and the bands that ISO 25178-3 makes of a surface with them.
+"""Filters of ISO 16610 for maps with missing points, and the bands of a surface after ISO 25178-3.
 
-Libraries refuse maps with missing points, or fill them in first; here a missing point weighs nothing and stays missing.
+Missing points have zero weight and stay missing; other libraries refuse such maps or fill the points first.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from turnwright._validate import check_numbers, positive
 from turnwright.errors import InputError
 from turnwright.metrology.form import Form, remove_form
 from turnwright.metrology.grid import measure, valid_points
-from turnwright.metrology.regression import WIDTHS, regress
+from turnwright.metrology.regression import GAUSSIAN_WIDTHS, regress
 from turnwright.progress import run_chunks
 
 if TYPE_CHECKING:
@@ -28,31 +28,30 @@ __all__ = ["Along", "Bands", "Nesting", "filter_map", "separate_bands"]
 Kind: TypeAlias = Literal["gaussian", "robust", "spline"]
 Along: TypeAlias = Literal["x", "y", "radius"]
 
-ORDERS: dict[str, int] = {"gaussian": 1, "robust": 2}
-"""Orders of the local polynomial unless others are asked for."""
+DEFAULT_ORDERS: dict[str, int] = {"gaussian": 1, "robust": 2}
+"""Default order of the local polynomial."""
 
-FINEST = 5
-"""Steps of the grid in the shortest cutoff: there the sampled Gaussian still passes 0.5000 of a wave at the cutoff (at
-4 steps 0.501), and ISO 25178-3 asks for as many."""
+MIN_CUTOFF_STEPS = 5
+"""Grid steps in the shortest cutoff (ISO 25178-3): the sampled Gaussian still transmits 0.5000 at the cutoff
+(0.501 at 4 steps)."""
 
-UNEVEN = 1e-6
-"""Rounding of a length, over it."""
+LENGTH_TOL = 1e-6
+"""Relative rounding of a length."""
 
-BOUND = 4.4478
-"""Tukey's bound over the median of the residuals, three standard deviations of Gaussian noise; ISO 16610-31."""
+TUKEY_BOUND = 4.4478
+"""Tukey's bound over the median absolute residual: three standard deviations of Gaussian noise (ISO 16610-31)."""
 
-SETTLED = 3e-3
-"""Change of the bound, and root-mean-square change of the mean surface, below which a robust filter has settled, over
-the bound."""
+CONVERGENCE_TOL = 3e-3
+"""Change of the bound, and rms change of the mean surface, at which a robust filter has converged; relative to the
+bound."""
 
-QUIET = 1e-9
-"""Bound below which residuals say nothing: a picometre. [mm]"""
+MIN_BOUND_MM = 1e-9
+"""Lower bound of Tukey's bound: 1 pm."""
 
-STEPS = 50
-"""Steps after which an iteration gives up."""
+MAX_ITERATIONS = 50
 
-LINES = 16
-"""Lines that a thread takes at a time."""
+CHUNK_LINES = 16
+"""Lines that a thread processes at a time."""
 
 
 def filter_map(
@@ -63,16 +62,16 @@ def filter_map(
     order: int | None = None,
     along: Along | None = None,
 ) -> HeightMap:
-    r"""Return what is longer than the cutoff: the mean line or surface. Missing points stay missing and weigh nothing.
+    r"""Return the mean line or surface: waves longer than the cutoff. Missing points have zero weight.
 
-    ``"gaussian"`` fits, at every point, a polynomial of degree ``order`` to its surroundings, weighted with a Gaussian:
-    order 0 is their weighted mean, order 1 follows planes and order 2 curved forms up to borders and holes. Away from
-    them orders 0 and 1 are the Gaussian filter, which passes :math:`2^{-(\lambda_c/\lambda)^2}` of a wave, and order 2
-    passes more of longer and less of shorter waves; all pass 0.50 at the cutoff, in every direction. ``"robust"``
-    repeats that while points far from the mean surface lose their weight, by Tukey's function with a bound of 4.4478
-    times the median distance, until bound and mean surface change by less than 0.3 % of the bound. ``"spline"``, along
-    lines only, is the natural cubic smoothing spline, which passes
-    :math:`1/(1 + (\sin(\pi d/\lambda)/\sin(\pi d/\lambda_c))^4)` at the step d.
+    ``"gaussian"`` fits, at every point, a polynomial of degree ``order`` to its neighbourhood with Gaussian weights:
+    order 0 is the weighted mean, order 1 follows planes and order 2 curved forms up to borders and holes. Away from
+    them orders 0 and 1 are the Gaussian filter, which transmits :math:`2^{-(\lambda_c/\lambda)^2}` of a wave, and order
+    2 transmits more of longer and less of shorter waves; all transmit 0.50 at the cutoff, in every direction.
+    ``"robust"`` iterates with reduced weights for points far from the mean surface, by Tukey's biweight with a bound of
+    4.4478 times the median distance, until bound and mean surface change by less than 0.3 % of the bound. ``"spline"``,
+    along lines only, is the natural cubic smoothing spline, which transmits :math:`1/(1 + (\sin(\pi d/\lambda)/\sin(\pi
+    d/\lambda_c))^4)` at the step d.
 
     Sums run over the whole map: the Gaussian is cut only where it is below the rounding of doubles, not at the
     cutoff, where the standard allows it.
@@ -82,20 +81,20 @@ def filter_map(
     heights
         On an even rectangular grid, or on a polar one along its radius.
     cutoff
-        Nesting index: wavelength of which half passes, at least 5 steps of the grid and at most its extent. [mm]
+        Nesting index: wavelength of 50 % transmission, at least 5 steps of the grid and at most its extent. [mm]
     kind
         ``"gaussian"``, ``"robust"`` or ``"spline"``.
     order
         0, 1 or 2; by default 1, and 2 for a robust filter. A spline has none.
     along
-        ``None`` filters areas; ``"x"``, ``"y"`` or ``"radius"`` every line in that direction as a profile of its own,
-        with a bound of its own.
+        ``None`` filters areas; ``"x"``, ``"y"`` or ``"radius"`` filters every line in that direction as a separate
+        profile.
 
     Raises
     ------
     InputError
         If kind, order and direction do not fit the map or each other, the cutoff does not fit the grid, or a robust
-        filter does not settle.
+        filter does not converge.
 
     Sources
     -------
@@ -113,7 +112,7 @@ def filter_map(
     valid = valid_points(heights, 1, "a filter")
     steps = _steps(heights, along)
     _check_cutoff(heights, cutoff, along, steps, "the cutoff")
-    # A mean of zero keeps the digits of the sums for what varies.
+    # A mean of zero preserves the digits of the sums.
     mean = float(heights.z[valid].mean())
     z = heights.z - mean
     if along == "y":
@@ -121,7 +120,7 @@ def filter_map(
     if kind == "spline":
         out = _spline(z, cutoff / steps[0])
     else:
-        width = WIDTHS[order] * cutoff
+        width = GAUSSIAN_WIDTHS[order] * cutoff
         # A map of one line has no step across it, and any width will do.
         points = [width / step if np.isfinite(step) else 1.0 for step in steps]
         widths = points[0], (points[1] if along is None else None)
@@ -148,7 +147,7 @@ def _order(kind: str, order: int | None, along: str | None) -> int:
         )
     if order is not None and (isinstance(order, bool) or order not in (0, 1, 2)):
         raise InputError(f"the order of the filter is {order!r}, it can be 0, 1 or 2: choose one of them")
-    return ORDERS.get(kind, 0) if order is None else order
+    return DEFAULT_ORDERS.get(kind, 0) if order is None else order
 
 
 def _steps(heights: HeightMap, along: str | None) -> tuple[float, ...]:
@@ -186,17 +185,17 @@ def _steps(heights: HeightMap, along: str | None) -> tuple[float, ...]:
 def _check_cutoff(heights: HeightMap, cutoff: float, along: str | None, steps: tuple[float, ...], name: str) -> None:
     """Raise unless the grid is fine enough and wide enough for a cutoff."""
     coarsest = max(step for step in steps if np.isfinite(step))
-    if cutoff < FINEST * coarsest * (1 - UNEVEN):
+    if cutoff < MIN_CUTOFF_STEPS * coarsest * (1 - LENGTH_TOL):
         raise InputError(
-            f"{name} is {cutoff:g} mm, the limit is {FINEST} steps of the grid, {FINEST * coarsest:g} mm: filter "
-            "longer waves, or measure with smaller pixels"
+            f"{name} must be at least {MIN_CUTOFF_STEPS * coarsest:g} mm ({MIN_CUTOFF_STEPS} steps of the grid), got "
+            f"{cutoff:g} mm: filter longer waves, or measure with smaller pixels"
         )
     axes = [getattr(heights, axis) for axis in (("x", "y") if along is None else (along,))]
     extent = max(float(np.ptp(axis) + step) for axis, step in zip(axes, steps, strict=True) if axis.size > 1)
-    if cutoff > extent * (1 + UNEVEN):
+    if cutoff > extent * (1 + LENGTH_TOL):
         raise InputError(
-            f"{name} is {cutoff:g} mm, the limit is the extent of the map, {extent:g} mm: filter shorter waves, or "
-            "remove a form instead"
+            f"{name} must be at most {extent:g} mm (the extent of the map), got {cutoff:g} mm: filter shorter "
+            "waves, or remove a form instead"
         )
 
 
@@ -204,43 +203,43 @@ def _spline(z: Floats, cutoff: float) -> Floats:
     """Return the smoothing spline of every line; the cutoff in points."""
     out = np.empty_like(z)
     stiffness = (2 * np.sin(np.pi / cutoff)) ** -4
-    run_chunks(lambda start, stop: spline(z[start:stop], stiffness, out[start:stop]), z.shape[0], LINES)
+    run_chunks(lambda start, stop: spline(z[start:stop], stiffness, out[start:stop]), z.shape[0], CHUNK_LINES)
     return out
 
 
 def _robust(z: Floats, valid: Bools, smooth: Callable[[Floats], Floats], wave: Floats, *, apart: bool) -> Floats:
-    """Weigh and smooth again until the bounds settle: one of the map, or one of each line."""
+    """Iterate weights and smoothing until the bounds converge: one for the map, or one for each line."""
     weight, distance, change = np.empty_like(z), np.empty_like(z), np.empty(z.shape[0])
-    # Points that do not count stand at nan, from where their weight falls to 0.
+    # Missing points are nan, which gives them zero weight.
     measured = np.where(valid, z, np.nan)
     count = np.count_nonzero(valid)
-    bound = np.maximum(BOUND * _medians(np.abs(measured - wave), apart=apart), QUIET)
-    for _ in range(STEPS):
+    bound = np.maximum(TUKEY_BOUND * _medians(np.abs(measured - wave), apart=apart), MIN_BOUND_MM)
+    for _ in range(MAX_ITERATIONS):
 
         def weigh(start: int, stop: int, bound: Floats = bound) -> None:
             rows = slice(start, stop)
             biweight(measured[rows], wave[rows], bound[rows], weight[rows])
 
-        run_chunks(weigh, z.shape[0], LINES)
+        run_chunks(weigh, z.shape[0], CHUNK_LINES)
         new = smooth(weight)
 
         def move(start: int, stop: int, bound: Floats = bound, new: Floats = new) -> None:
             rows = slice(start, stop)
-            # Where every point around is an outlier, the mean surface stays where it was.
+            # Where all neighbours are outliers, the mean surface stays unchanged.
             advance(measured[rows], new[rows], bound[rows], wave[rows], distance[rows], change[rows])
 
-        run_chunks(move, z.shape[0], LINES)
-        last, bound = bound, np.maximum(BOUND * _medians(distance, apart=apart), QUIET)
-        if change.sum() <= SETTLED**2 * count and (np.abs(bound - last) <= SETTLED * bound).all():
+        run_chunks(move, z.shape[0], CHUNK_LINES)
+        last, bound = bound, np.maximum(TUKEY_BOUND * _medians(distance, apart=apart), MIN_BOUND_MM)
+        if change.sum() <= CONVERGENCE_TOL**2 * count and (np.abs(bound - last) <= CONVERGENCE_TOL * bound).all():
             return wave
     raise InputError(
-        f"the robust filter has not settled within {SETTLED * 100:g} % after {STEPS} steps: take a longer cutoff, or "
-        "remove outliers and form first"
+        f"the robust filter has not converged to {CONVERGENCE_TOL * 100:g} % after {MAX_ITERATIONS} iterations: use a "
+        "longer cutoff, or remove outliers and form first"
     )
 
 
 def _medians(distances: Floats, *, apart: bool) -> Floats:
-    """Return the median of what is not nan, of all or of each line, for each line; 0 where there is nothing."""
+    """Return the median of the valid values, of all or of each line, for each line; 0 for an empty line."""
     count = distances.shape[0]
     if not apart:
         return np.full(count, np.median(distances[~np.isnan(distances)]))
@@ -253,18 +252,18 @@ def _medians(distances: Floats, *, apart: bool) -> Floats:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nesting:
-    """Where the bands of a surface begin and end, after ISO 25178-3: S-filter, F-operation, L-filter, in this order.
+    """Bands of a surface after ISO 25178-3: S-filter, F-operation, L-filter, in this order.
 
     Parameters
     ----------
     s_filter
-        Nesting index of the S-filter, which takes off what is shorter; ``None`` for none. [mm]
+        Nesting index of the S-filter, which removes shorter waves; ``None`` for none. [mm]
     form
         What the F-operation removes; see `remove_form`.
     l_filter
-        Nesting index of the L-filter, which takes off what is longer; ``None`` for none. [mm]
+        Nesting index of the L-filter, which removes longer waves; ``None`` for none. [mm]
     kind, order, along
-        How to filter; see `filter_map`. The S-filter of a robust L-filter is Gaussian.
+        Type of filter; see `filter_map`. The S-filter of a robust L-filter is Gaussian.
 
     Raises
     ------
@@ -287,27 +286,27 @@ class Nesting:
                 positive(index, f"the nesting index of the {name}-filter", "mm")
         if self.s_filter is not None and self.l_filter is not None and self.s_filter >= self.l_filter:
             raise InputError(
-                f"the nesting index of the S-filter is {self.s_filter:g} mm, the limit is that of the L-filter, "
-                f"{self.l_filter:g} mm: S takes off what is shorter and L what is longer, so exchange them"
+                f"the nesting index of the S-filter must be below that of the L-filter, {self.l_filter:g} mm, got "
+                f"{self.s_filter:g} mm: S removes shorter waves, L removes longer waves"
             )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bands:
-    """A surface in its bands: noise + form + waviness + roughness is what was measured.
+    """A surface in its bands: noise + form + waviness + roughness is the measured map.
 
     Parameters
     ----------
     nesting
-        Where they begin and end.
+        Limits of the bands.
     noise
-        What the S-filter took off. [mm]
+        Waves removed by the S-filter. [mm]
     form
-        What the F-operation took off. [mm]
+        Form removed by the F-operation. [mm]
     waviness
-        What the L-filter took off: the long waves of the SF-surface; all zero without one. [mm]
+        Waves removed by the L-filter, the long waves of the SF-surface; zero without an L-filter. [mm]
     roughness
-        What is left, the SL-surface; without an L-filter the SF-surface. [mm]
+        Residual, the SL-surface; without an L-filter the SF-surface. [mm]
     """
 
     nesting: Nesting
@@ -318,24 +317,24 @@ class Bands:
 
     @property
     def sf_surface(self) -> HeightMap:
-        """Waviness and roughness: what S-filter and F-operation leave."""
+        """Waviness and roughness: the surface after S-filter and F-operation."""
         return replace(self.roughness, z=self.waviness.z + self.roughness.z)
 
     @property
     def sl_surface(self) -> HeightMap:
-        """The roughness by its name in the standard."""
+        """The roughness, under its name in the standard."""
         return self.roughness
 
 
 def separate_bands(heights: HeightMap, nesting: Nesting) -> Bands:
-    """Take a surface apart: S-filter, F-operation, L-filter.
+    """Separate a surface into bands: S-filter, F-operation, L-filter.
 
     Parameters
     ----------
     heights
-        Missing points weigh nothing and stay missing.
+        Missing points have zero weight and stay missing.
     nesting
-        Where the bands begin and end.
+        Limits of the bands.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Forms fitted by least squares: what is taken off before a texture is judged."""
+"""Removal of form by least squares before texture is evaluated."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ MAX_DEGREE = 10
 def remove_form(heights: HeightMap, form: Form) -> HeightMap:
     r"""Return the map without its form, fitted by least squares over the valid points.
 
-    On a polar map every point counts with the area it stands for, :math:`r\,dr\,d\theta`. A combination of the terms of
-    a polynomial that shows a three-millionth as much over the valid points as another, as at degree 10 over a narrow
-    slice, is not told from rounding, and stays in the map.
+    On a polar map every point counts with its area, :math:`r\,dr\,d\theta`. Combinations of polynomial terms whose
+    effect on the valid points is below 1/3,000,000 of the largest, as at degree 10 over a narrow slice, cannot be
+    distinguished from rounding and stay in the map.
 
     Parameters
     ----------
     heights
         Missing points stay missing.
     form
-        ``"none"``; ``"mean"``, a constant; ``"plane"``; a whole number, the total degree of a polynomial in x and y;
-        or ``"sphere"``, the sphere of best fit in z, of any position, radius and sense (a plane is one of them).
+        ``"none"``; ``"mean"``, a constant; ``"plane"``; an integer, the total degree of a polynomial in x and y;
+        or ``"sphere"``, the best-fit sphere in z, of any position, radius and sense of curvature (planes included).
 
     Raises
     ------
@@ -42,7 +42,7 @@ def remove_form(heights: HeightMap, form: Form) -> HeightMap:
 
     Sources
     -------
-    ISO 25178-3 (association of the form by total least squares is replaced by that in z: optics is specified in sag).
+    ISO 25178-3; least squares in z replace total least squares, because optics are specified in sag.
 
     >>> import numpy as np
     >>> from turnwright.heightmap import HeightMap

@@ -1,4 +1,4 @@
-"""What a grid of heights weighs: steps, areas and means, rectangular or polar, missing points left out."""
+"""Steps, areas and area-weighted means of rectangular and polar grids with missing points."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ if TYPE_CHECKING:
 
 __all__ = ["Grid", "area_rms", "mean", "measure", "valid_points"]
 
-EVEN = 1e-6
-"""Share of a step by which steps may differ and still be even: files state six digits or more."""
+EVEN_STEP_TOL = 1e-6
+"""Relative difference of steps that still counts as even: files state six digits or more."""
 
 
 class Grid(NamedTuple):
-    """A rectangular or polar grid: how long its steps are, and how much area its points and cells stand for.
+    """Steps of a rectangular or polar grid, and areas of its points and cells.
 
-    A point of a rectangular grid is the middle of a whole pixel. A polar map reaches from its first to its last radius,
-    and a sector of one from its first to its last azimuth: see `_ring_areas` and `_azimuth_widths`.
+    A point of a rectangular grid is the centre of a pixel. A polar map extends from its first to its last radius, and
+    a sector from its first to its last azimuth: see `_ring_areas` and `_azimuth_widths`.
     """
 
     columns: Floats
     rows: Floats
     stretch: Floats  # length of one unit of the row axis, at each column: 1, or the radius
     closed: bool  # the row after the last one is the first
-    column_area: Floats  # area for each point per unit of row: its width, or that of its ring
+    column_area: Floats  # area of each point per unit of row: width, or ring area
     row_width: Floats
     column_step_area: Floats  # the same between neighbouring columns
     row_step: Floats
@@ -40,7 +40,7 @@ def measure(heights: HeightMap) -> Grid:
     heights.require_calibrated()
     if heights.scattered:
         raise InputError(
-            f"the {heights.z.size} heights are scattered points, what is asked needs a grid: bring them to one first"
+            f"the {heights.z.size} heights are scattered points, this evaluation needs a grid: resample them first"
         )
     polar = heights.radius is not None
     columns, rows = (heights.radius, heights.angle) if polar else (heights.x, heights.y)
@@ -48,7 +48,7 @@ def measure(heights: HeightMap) -> Grid:
         raise InputError("a height map lacks an axis: give x and y, or radius and angle")
     if polar and columns[0] < 0:
         raise InputError(f"the height map has radius {columns[0]:g} mm, the limit is 0 mm: give radii, not diameters")
-    # A full turn is one whose gap at the end is no wider than the widest step.
+    # A full circle closes with a gap no wider than the widest step.
     gap = 2 * np.pi - (rows[-1] - rows[0])
     closed = polar and rows.size > 2 and 1e-9 < gap <= np.diff(rows).max() * (1 + 1e-6)
     return Grid(
@@ -64,7 +64,7 @@ def measure(heights: HeightMap) -> Grid:
 
 
 def _edges(axis: Floats) -> Floats:
-    """Return the borders of the pixels around the values of an axis; the first and last pixel are whole."""
+    """Return the borders of the pixels around the values of an axis; the first and the last pixel are symmetric."""
     if axis.size == 1:
         return np.array([axis[0] - 0.5, axis[0] + 0.5])
     middle = (axis[1:] + axis[:-1]) / 2
@@ -72,15 +72,15 @@ def _edges(axis: Floats) -> Floats:
 
 
 def _ring_areas(radii: Floats) -> Floats:
-    """Return the area per radian that each radius stands for, exact for values that are straight between radii.
+    """Return the area per radian of each radius, exact for values that are linear between radii.
 
-    The rings reach from the first radius to the last, unless even radii start half a step from the axis: they are then
-    the middles of rings that reach from the axis to half a step beyond the last. Both are of second order in the step.
+    The rings extend from the first radius to the last. Evenly spaced radii that start half a step from the axis are
+    instead the middles of rings from the axis to half a step beyond the last. Both are of second order in the step.
     """
     if radii.size == 1:
         return np.ones(1)
     steps = np.diff(radii)
-    if np.ptp(steps) <= EVEN * steps[0] and abs(2 * radii[0] - steps[0]) <= EVEN * steps[0]:
+    if np.ptp(steps) <= EVEN_STEP_TOL * steps[0] and abs(2 * radii[0] - steps[0]) <= EVEN_STEP_TOL * steps[0]:
         return np.asarray(radii * steps[0])
     areas = np.zeros_like(radii)
     areas[:-1] += steps * (2 * radii[:-1] + radii[1:]) / 6
@@ -89,9 +89,9 @@ def _ring_areas(radii: Floats) -> Floats:
 
 
 def _azimuth_widths(angles: Floats, *, closed: bool) -> Floats:
-    """Return half the gaps from each azimuth to its neighbours: around the turn if it is closed, else within the map.
+    """Return half the gaps from each azimuth to its neighbours, across the seam if the circle is closed.
 
-    The first azimuth once more at the end of a full turn so has half the width of the others, as the first itself.
+    If the first azimuth is repeated at the end of a full circle, both have half the width of the others.
     """
     if angles.size == 1:
         return np.ones(1)
@@ -103,7 +103,7 @@ def _azimuth_widths(angles: Floats, *, closed: bool) -> Floats:
 
 
 def mean(values: Floats, rows: Floats, columns: Floats) -> float:
-    """Average over what is not nan, each value weighted by its row and its column; nan if there is nothing."""
+    """Average the valid values, weighted by row and column; nan without valid values."""
     missing = np.isnan(values)
     if missing.any():
         weight = rows @ (~missing).astype(np.float64) @ columns
@@ -116,21 +116,21 @@ def mean(values: Floats, rows: Floats, columns: Floats) -> float:
 def area_rms(heights: HeightMap, *, like: HeightMap | None = None) -> float:
     """Return the root mean square of a map over its area. [mm].
 
-    A point of a rectangular map stands for its pixel. A polar map reaches from its first to its last radius; even radii
-    that start half a step from the axis are the middles of rings. The values between two radii are straight, so the
-    error falls with the square of the step.
+    A point of a rectangular map counts with its pixel. A polar map extends from its first to its last radius; evenly
+    spaced radii that start half a step from the axis are the middles of rings. Values are interpolated linearly between
+    radii, so the error falls with the square of the step.
 
     Parameters
     ----------
     heights
-        Missing ones are left out. Those of scattered points count alike unless ``like`` is given.
+        Missing heights are left out. Scattered points have equal weights unless ``like`` is given.
     like
-        The grid that scattered points were taken from: one for each of its valid heights, in their order.
+        The gridded map that the scattered points were taken from: one point for each valid height, in order.
 
     Raises
     ------
     InputError
-        If the scattered points are not as many as the valid heights of ``like``.
+        If the numbers of scattered points and of valid heights of ``like`` differ.
 
     >>> from turnwright.heightmap import HeightMap
     >>> radius, angle = np.linspace(0, 1, 51), np.linspace(0, 2 * np.pi, 24, endpoint=False)
@@ -146,14 +146,14 @@ def area_rms(heights: HeightMap, *, like: HeightMap | None = None) -> float:
     measured, areas = ~np.isnan(heights.z), point_areas(like)[~np.isnan(like.z)]
     if areas.size != measured.size:
         raise InputError(
-            f"{measured.size} scattered heights are like a map of {areas.size} valid ones: give the map that they were "
-            "taken from"
+            f"like must have as many valid heights as there are scattered points, {measured.size}, got {areas.size}: "
+            "give the map that the points were taken from"
         )
     return float(np.sqrt(np.average(heights.z[measured] ** 2, weights=areas[measured])))
 
 
 def point_areas(heights: HeightMap) -> Floats:
-    """Return the area that each height stands for, 1 for scattered ones. The shape of the map [mm²]."""
+    """Return the area of each height, 1 for scattered points. The shape of the map [mm²]."""
     if heights.scattered:
         return np.ones(heights.z.shape)
     grid = measure(heights)
@@ -161,7 +161,7 @@ def point_areas(heights: HeightMap) -> Floats:
 
 
 def valid_points(heights: HeightMap, needed: int, what: str) -> Bools:
-    """Return where the map has heights, and raise unless there are ``needed`` of them."""
+    """Return the mask of valid heights, and raise if there are fewer than ``needed``."""
     valid = ~np.isnan(heights.z)
     count = int(np.count_nonzero(valid))
     if count < needed:

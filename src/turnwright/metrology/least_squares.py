@@ -1,4 +1,4 @@
-"""Least squares over the points of a map, whatever its grid: in chunks, on all cores, with uncertainties."""
+"""Least squares over the points of any map: in chunks, on all cores, with uncertainties."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ if TYPE_CHECKING:
 
 __all__ = ["Cloud", "Sums", "solve", "sums_over"]
 
-CHUNK = 8000
-"""Points at a time: some dozens of terms then stay in the cache."""
+CHUNK_POINTS = 8000
+"""Points processed at a time, so that a few dozen terms stay in the cache."""
 
-CONDITION = 1e7
-"""Condition at which the normal equations no longer hold a digit."""
+MAX_CONDITION = 1e7
+"""Condition number beyond which the normal equations have no correct digit."""
 
 Model: TypeAlias = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
-"""From x, y and z (n,) to the derivatives by each parameter (k, n), and what is left of z (n,)."""
+"""From x, y and z (n,) to the derivatives by each parameter (k, n) and the residual (n,)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cloud:
-    """The points of a map that count: where they are, and with which area, its mean 1 over the whole grid."""
+    """Positions and weights of the used points of a map; the weights are areas with a mean of 1 over the grid."""
 
     heights: HeightMap
     used: Bools
-    columns: Floats  # of a grid; of scattered points their x
+    columns: Floats  # axis of a grid, or x of scattered points
     rows: Floats
     column_weight: Floats
     row_weight: Floats
 
     @classmethod
     def of(cls, heights: HeightMap, used: Bools) -> Cloud:
-        """Weigh every point of a grid with its area; scattered ones count alike."""
+        """Weight the points of a grid by area; scattered points equally."""
         if heights.scattered:
             heights.require_calibrated()
             x, y = heights.points()
@@ -61,11 +61,11 @@ class Cloud:
 
     @property
     def even(self) -> bool:
-        """Whether all points count alike."""
+        """Whether all points have equal weights."""
         return all(np.ptp(weight) <= 1e-6 * weight.max() for weight in (self.column_weight, self.row_weight))
 
     def thinned(self, count: int) -> Cloud:
-        """Return about ``count`` of the points, evenly over rows and columns."""
+        """Return about ``count`` of the points, evenly spaced in rows and columns."""
         number = int(np.count_nonzero(self.used))
         if number <= count:
             return self
@@ -86,8 +86,8 @@ class Cloud:
 
     @property
     def chunk(self) -> int:
-        """Rows at a time; points, where they are scattered."""
-        return CHUNK if self.heights.scattered else max(CHUNK // self.columns.size, 1)
+        """Number of rows, or of scattered points, in a chunk."""
+        return CHUNK_POINTS if self.heights.scattered else max(CHUNK_POINTS // self.columns.size, 1)
 
     def take(self, start: int, stop: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Return x, y, z and the weights of the points used in some rows. Each (n,)."""
@@ -105,7 +105,7 @@ class Cloud:
 
     @property
     def ends(self) -> tuple[Floats, Floats]:
-        """The first and the last used point of every row (of scattered points all): their hull is that of all."""
+        """First and last used point of every row, or all scattered points: their hull is that of all points."""
         if self.heights.scattered:
             return self.columns[self.used], self.rows[self.used]
         some = np.flatnonzero(self.used.any(axis=1))
@@ -117,7 +117,7 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sums:
-    """What least squares needs of all points: normal matrix, right-hand side, and sums of weights and squares."""
+    """Sums over all points: normal matrix, right-hand side, weights and squares."""
 
     normal: Floats
     spread: Floats  # the normal matrix with squared weights
@@ -128,14 +128,13 @@ class Sums:
 
     @property
     def rms(self) -> float:
-        """Root mean square of what is left."""
+        """Root mean square of the residual."""
         return float(np.sqrt(self.square / self.weight))
 
     def covariance(self) -> Floats:
-        """Covariance of the parameters for independent noise, alike in all points, as large as what is left.
+        """Covariance of the parameters for independent noise, equal at all points, estimated from the residual.
 
-        A weight is the area of a point, not a statement of its noise, so it enters as W does in A⁻¹ B A⁻¹ with A = X'WX
-        and B = X'W²X.
+        Weights are areas, not inverse variances, so the covariance is A⁻¹ B A⁻¹ with A = X'WX and B = X'W²X.
         """
         scale = 1 / np.sqrt(np.diag(self.normal))
         inverse = np.linalg.inv(self.normal * scale * scale[:, None]) * scale * scale[:, None]
@@ -157,18 +156,18 @@ def sums_over(
     Parameters
     ----------
     model
-        Derivatives and what is left of the heights.
+        Returns derivatives and residuals.
     parameters
-        Those whose terms are to be taken off too, for a linear model; else zeros. (k,)
+        Parameters of a linear model whose terms are subtracted too; else zeros. (k,)
     whole
-        Whether the normal matrix is wanted; else it is zeros.
+        Whether to compute the normal matrix; else it is zeros.
     left
-        Set to what is left, where a point is used.
+        Filled with the residual at the used points.
 
     Raises
     ------
     InputError
-        If a sum is no finite number, as where a search leaves a form that the heights are far from.
+        If a sum is not finite, because the heights are too far from the form.
     """
     k = parameters.size
     padded = k + -k % 4
@@ -178,7 +177,7 @@ def sums_over(
     totals = np.zeros(3)
     even, lock = cloud.even, Lock()
 
-    @np.errstate(all="ignore")  # what is not finite is refused below
+    @np.errstate(all="ignore")  # sums that are not finite raise an error below
     def work(start: int, stop: int) -> None:
         x, y, z, weight = cloud.take(start, stop)
         if z.size == 0:
@@ -207,8 +206,8 @@ def sums_over(
     normal, spread = (np.tril(one) + np.tril(one, -1).T for one in (normal[:k, :k], spread[:k, :k]))
     if not all(np.isfinite(total).all() for total in (normal, spread, right[:k], totals)):
         raise InputError(
-            "the heights are so far from the form that is fitted that the sums of least squares overflow, the limit is "
-            "1e308: fit another form, or remove outliers"
+            "the heights are so far from the fitted form that the sums of squares exceed 1e308: fit another form, or "
+            "remove outliers"
         )
     return Sums(
         normal=normal,
@@ -221,27 +220,26 @@ def sums_over(
 
 
 def solve(normal: Floats, right: Floats, names: Sequence[str], what: str) -> tuple[Floats, float]:
-    """Return the step of the normal equations, and the condition of the terms, each brought to length one.
+    """Return the solution of the normal equations, and the condition number of the terms scaled to unit length.
 
     Raises
     ------
     InputError
-        If the points cannot tell the parameters apart, with those that are confused.
+        If the points do not determine the parameters; the message names them.
     """
     length = np.sqrt(np.diag(normal))
     blind = [name for name, size in zip(names, length, strict=True) if not size > 0]
     if blind:
         raise InputError(
-            f"the valid heights say nothing of {len(blind)} parameters of {what} ({', '.join(blind)}), the limit is "
-            "0: hold them fixed or leave them out"
+            f"the valid heights do not determine {', '.join(blind)} of {what}: fix these parameters or leave them out"
         )
     values, vectors = np.linalg.eigh(normal / length / length[:, None])
     condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
-    if condition > CONDITION:
+    if condition > MAX_CONDITION:
         share = np.abs(vectors[:, 0])
         confused = [names[i] for i in np.argsort(-share)[:6] if share[i] > 0.1]
         raise InputError(
-            f"the heights cannot tell {', '.join(confused)} of {what} apart (condition {condition:.1e}, the limit "
-            f"is {CONDITION:.0e}): hold one of them fixed or leave it out, or measure more of the part"
+            f"the heights cannot separate {', '.join(confused)} of {what} (condition {condition:.1e}, the limit is "
+            f"{MAX_CONDITION:.0e}): fix one of them or leave it out, or measure more of the part"
         )
     return vectors @ (vectors.T @ (right / length) / values) / length, condition

@@ -30,8 +30,8 @@ from turnwright.heightmap import HeightMap
 from turnwright.metrology.alignment import Alignment
 from turnwright.metrology.grid import valid_points
 from turnwright.metrology.lenslet_fit import (
-    FEWEST,
-    LEVELLING,
+    MAX_LEVELLING_POINTS,
+    MIN_POINTS,
     BaseForm,
     Design,
     Found,
@@ -61,17 +61,16 @@ if TYPE_CHECKING:
 
 __all__ = ["Lenslet", "Lenslets", "base_forms", "has_lenslets", "lenslets"]
 
-DEGREE = 4
-"""Degree of the form that a base may have if the caller says nothing."""
+DEFAULT_BASE_DEGREE = 4
 
-SAID, NM = 3, 1e6
-"""Terms of the base's form that a summary names; nm in a mm."""
+SUMMARY_TERMS, NM = 3, 1e6
+"""Number of base form terms in a summary; nanometres in a millimetre."""
 
-MOST_DEGREE = 12
-"""Degree of the form of a base that a map between lenslets can tell."""
+MAX_BASE_DEGREE = 12
+"""Highest degree of the base form that the surface between the lenslets determines."""
 
-REGISTERED = 100_000
-"""Points that are enough to register an array, which is then levelled on its base."""
+MAX_REGISTRATION_POINTS = 100_000
+"""Points used to register an array before it is levelled on its base."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -230,7 +229,9 @@ class Lenslets(Sequence[Lenslet]):
             return words
         # What is uncertain may be as large as it is uncertain, so it is named too.
         std = self.base_form_std
-        terms = sorted(dict(self.base_form.terms).items(), key=lambda term: -np.hypot(term[1], std[term[0]]))[:SAID]
+        terms = sorted(dict(self.base_form.terms).items(), key=lambda term: -np.hypot(term[1], std[term[0]]))[
+            :SUMMARY_TERMS
+        ]
         named = ", ".join(f"ANSI {number} {value * NM:.3g} +- {std[number] * NM:.2g} nm" for number, value in terms)
         return f"{words}; form of the base at the rim: {named}"
 
@@ -294,7 +295,7 @@ def lenslets(
     tilt: bool = False,
     aperture: float | None = None,
     level: bool = True,
-    base_degree: int = DEGREE,
+    base_degree: int = DEFAULT_BASE_DEGREE,
 ) -> Lenslets:
     """Find every lenslet of a measured array: its centre, its height, its radius, and the form error it has.
 
@@ -371,7 +372,7 @@ def lenslets(
     frame = "the part's frame: shift, rotation, tilt and height by the pose"
     base_form = BaseForm(np.empty(0), np.empty((0, 0)), np.empty(0))
     # The second time from so near that the step is linear and what is left is form.
-    for _ in range(2 if level and base.size >= FEWEST else 0):
+    for _ in range(2 if level and base.size >= MIN_POINTS else 0):
         correction, frame, base_form = level_on_base(points, base, design, starts, seen, rotation_std)
         pose = correction.after(pose)
         points = place_points(heights, pose, design)
@@ -393,8 +394,8 @@ def lenslets(
     base = points_of_base(points, design, np.array([lenslets[k].local for k in range(starts.shape[0])]), outer)
     error, weight = errors_of_base(points, base, design)[0], points.weight[base]
     few = np.flatnonzero(np.isfinite(error))
-    few, size = few[:: few.size // LEVELLING + 1], (float("nan"), float("nan"))
-    if few.size >= FEWEST:
+    few, size = few[:: few.size // MAX_LEVELLING_POINTS + 1], (float("nan"), float("nan"))
+    if few.size >= MIN_POINTS:
         x, y = (part[base[few]] / design.reach for part in (points.x, points.y))
         keep = few[fit_smooth(x, y, error[few]).keep]
         size = size_nm(error[keep], weight[keep])
@@ -418,13 +419,13 @@ def _check(inner: float, outer: float, form: str, base_degree: int) -> None:
     between(outer, "outer, where the base begins,", inner, 10.0, "lens radii")
     if form not in ("design", "sphere"):
         raise InputError(f'form is {form!r}, it can be "design" or "sphere": choose one of them')
-    if not 0 <= base_degree <= MOST_DEGREE or base_degree == 1:
+    if not 0 <= base_degree <= MAX_BASE_DEGREE or base_degree == 1:
         raise InputError(
-            f"base_degree is {base_degree!r}, it can be 0 or 2 to {MOST_DEGREE}: the pose takes what is of degree 1"
+            f"base_degree is {base_degree!r}, it can be 0 or 2 to {MAX_BASE_DEGREE}: the pose takes what is of degree 1"
         )
 
 
-def base_forms(part: Part, degree: int = DEGREE) -> tuple[Zernike, ...]:
+def base_forms(part: Part, degree: int = DEFAULT_BASE_DEGREE) -> tuple[Zernike, ...]:
     """Return the forms that the base of a lens array may have, each 1 mm at the rim; none where lenslets leave no base.
 
     Parameters
@@ -447,7 +448,7 @@ def _registered(heights: HeightMap, part: Part, degree: int) -> tuple[Pose, floa
     """
     # Displaced lenslets are no reason to turn the rest, so they pull less the farther off they are.
     registration = register(
-        _thinned(heights, REGISTERED), part, loss="huber", terms=base_forms(part, degree), form_error=0.0
+        _thinned(heights, MAX_REGISTRATION_POINTS), part, loss="huber", terms=base_forms(part, degree), form_error=0.0
     )
     others, doubt = len(registration.candidates), ""
     if others:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from turnwright.part import Part
 
 __all__ = [
-    "FEWEST",
-    "LEVELLING",
+    "MAX_LEVELLING_POINTS",
+    "MIN_POINTS",
     "BaseForm",
     "Design",
     "Found",
@@ -41,53 +41,53 @@ __all__ = [
 
 NM = 1e6
 
-FEWEST = 30
-"""Points below which a lenslet is not fitted."""
+MIN_POINTS = 30
+"""Least number of points for the fit of a lenslet."""
 
-LEAST_COVERAGE = 0.5
+MIN_COVERAGE = 0.5
 """Share of the aperture that must hold points."""
 
-WHOLE = 0.95
-"""Share of the aperture above which a lenslet counts as wholly measured; pixels at the rim are lost to the raster."""
+FULL_COVERAGE = 0.95
+"""Share of the aperture from which a lenslet counts as fully measured; the raster loses pixels at the rim."""
 
-TOLD_APART = 1e-4
-"""Least share of a parameter's effect, in squares, that the others cannot imitate: a 100-fold uncertainty."""
+MIN_INDEPENDENT_SHARE = 1e-4
+"""Least share of the squared effect of a parameter that the others cannot imitate: 100 times the uncertainty."""
 
-COARSE = 4000
-"""Points of a lenslet that are enough to find it."""
+MAX_SEARCH_POINTS = 4000
+"""Points of a lenslet used to find it."""
 
-STEPS = 12
-"""Rounds of fit and separation, at most; each shrinks the error of the centre about five times."""
+MAX_ITERATIONS = 12
+"""Iterations of fit and separation; each reduces the error of the centre about five times."""
 
-SETTLED = 2e-6
-"""Step of the centre, in lens radii, at which separation and fit agree."""
+CENTRE_TOL = 2e-6
+"""Step of the centre at which the iteration stops. [lens radii]"""
 
-DEGREE = 6
-"""Of the polynomial that stands for the smooth form when spikes and scatter are judged."""
+SMOOTH_DEGREE = 6
+"""Degree of the polynomial for the smooth form, from which outliers and scatter are judged."""
 
-OUTLIER = 6.0
-"""Standard deviations, estimated from the median, beyond which a point is a spike."""
+OUTLIER_SIGMA = 6.0
+"""Robust standard deviations beyond which a point is an outlier."""
 
-GRAIN = 5e-6
-"""What a spike must exceed even on a map without noise. [mm]"""
+MIN_OUTLIER_MM = 5e-6
+"""Least height of an outlier, also on a map without noise."""
 
-BLOCKS = 12
-"""Blocks across a lenslet, and twice that across a base, within which points may err together."""
+BLOCKS_PER_LENSLET = 12
+"""Blocks across a lenslet (twice as many across the base) within which errors may be correlated."""
 
-PER_BLOCK = 8
-"""Points that a block should hold."""
+POINTS_PER_BLOCK = 8
+"""Least number of points for each block."""
 
-LEVELLING = 300_000
-"""Points of the base that are enough to level it."""
+MAX_LEVELLING_POINTS = 300_000
+"""Points of the base used to level it."""
 
-UNSEEN = 50e-6
-"""Form that passes for a rotation is never taken to be less than this at the rim. [mm]"""
+MIN_HIDDEN_FORM_MM = 50e-6
+"""Lower bound, at the rim, of a form error that cannot be distinguished from a rotation."""
 
-AGREE = 3.0
-"""Standard deviations up to which base and lenslets agree about the rotation."""
+AGREEMENT_SIGMA = 3.0
+"""Standard deviations within which the rotations from the base and from the lenslets agree."""
 
-FLAT = 1e-9
-"""A slope, or a height over a length, that has no effect."""
+SLOPE_TOL = 1e-9
+"""Slope, or height over a length, that has no effect."""
 
 
 class Points(NamedTuple):
@@ -244,7 +244,7 @@ def take_apart(part: Part, form: str, aperture: float | None, degree: int) -> De
     z, zx, zy, zxx, zxy, zyy = (float(value[0]) for value in lens.evaluate(np.zeros(1), np.zeros(1), 2))
     mean = ((1 + zy * zy) * zxx - 2 * zx * zy * zxy + (1 + zx * zx) * zyy) / (2 * (1 + zx * zx + zy * zy) ** 1.5)
     vertex = z if np.isfinite(z) else 0.0
-    curved = bool(np.isfinite(mean) and abs(mean) * radii.max() > FLAT)
+    curved = bool(np.isfinite(mean) and abs(mean) * radii.max() > SLOPE_TOL)
     if form == "sphere":
         if not curved:
             raise InputError(
@@ -292,7 +292,7 @@ def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -
         """Return how much of the effect of each parameter no other one can imitate, in squares."""
         size = np.sqrt(np.mean(slopes[:, columns] ** 2, axis=0))
         # A slope, a height and a relative size that have less effect than this have none.
-        if (size <= FLAT * np.where(np.array(columns) == 3, reach, 1.0)).any():
+        if (size <= SLOPE_TOL * np.where(np.array(columns) == 3, reach, 1.0)).any():
             return {columns[int(np.argmin(size))]: 0.0}
         scaled = slopes[:, columns] / size
         independent = []
@@ -303,13 +303,13 @@ def free_parameters(design: Design, inner: float, *, radius: bool, tilt: bool) -
         return dict(zip(columns, independent, strict=True))
 
     for column, share in alone(free).items():
-        if share < TOLD_APART:
+        if share < MIN_INDEPENDENT_SHARE:
             raise InputError(
                 f"the form of the lenslet tells the {names[column]} from the other free parameters by {share:.1g} of "
-                f"its effect, in squares, the limit is {TOLD_APART:g}: "
+                f"its effect, in squares, the limit is {MIN_INDEPENDENT_SHARE:g}: "
                 + ("leave the tilt fixed" if tilt else "fit a form with more curvature, or a larger aperture")
             )
-    is_separable = np.isfinite(design.radius) and min(alone(sorted({*free, 3})).values()) >= TOLD_APART
+    is_separable = np.isfinite(design.radius) and min(alone(sorted({*free, 3})).values()) >= MIN_INDEPENDENT_SHARE
     return Free(columns=free, with_radius=sorted({*free, 3}) if is_separable else None)
 
 
@@ -396,17 +396,17 @@ def find_roughly(points: Points, design: Design, k: int, inner: float) -> Floats
     free = [0, 1, 2]
     for share in (0.5, 0.75, inner):
         chosen = points.near(parameters, share * radius)
-        if chosen.size < FEWEST:  # on coarse pixels the middle holds too few
+        if chosen.size < MIN_POINTS:  # on coarse pixels the middle holds too few
             continue
-        chosen = chosen[:: chosen.size // COARSE + 1]
+        chosen = chosen[:: chosen.size // MAX_SEARCH_POINTS + 1]
         x, y, departure, weight = (part[chosen] for part in (points.x, points.y, points.departure, points.weight))
-        for _ in range(STEPS):
+        for _ in range(MAX_ITERATIONS):
             value, slopes = model(design, parameters, x, y, free)
             error = departure - value
             keep = np.isfinite(error)
             off = np.abs(error - np.median(error[keep])) if keep.any() else error
-            keep &= off <= max(OUTLIER * robust_scatter(off[keep]), GRAIN) if keep.any() else False
-            if np.count_nonzero(keep) < FEWEST:
+            keep &= off <= max(OUTLIER_SIGMA * robust_scatter(off[keep]), MIN_OUTLIER_MM) if keep.any() else False
+            if np.count_nonzero(keep) < MIN_POINTS:
                 return None
             step = least_squares_step(slopes[keep], error[keep], weight[keep])
             parameters[free] += step
@@ -414,26 +414,26 @@ def find_roughly(points: Points, design: Design, k: int, inner: float) -> Floats
                 return None
             if np.hypot(*step[:2]) < 1e-4 * radius:
                 break
-    return parameters if chosen.size >= FEWEST else None
+    return parameters if chosen.size >= MIN_POINTS else None
 
 
 def fit_smooth(x: Floats, y: Floats, error: Floats) -> Smooth:
     """Fit a polynomial to what a form leaves, spikes left out. The points lie in [-1, 1]."""
-    degree = DEGREE
-    while degree and (degree + 1) * (degree + 2) // 2 * PER_BLOCK > error.size:
+    degree = SMOOTH_DEGREE
+    while degree and (degree + 1) * (degree + 2) // 2 * POINTS_PER_BLOCK > error.size:
         degree -= 1
     along_x, along_y = legvander(x, degree), legvander(y, degree)
     terms = np.stack([along_x[:, i] * along_y[:, j] for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)
     off = np.abs(error - np.median(error))
     # Form itself may stand out this much; what it is, the first polynomial shows.
-    keep = off <= max(2 * OUTLIER * robust_scatter(off), GRAIN)
+    keep = off <= max(2 * OUTLIER_SIGMA * robust_scatter(off), MIN_OUTLIER_MM)
     normal, right, form = terms.T @ terms, terms.T @ error, error
     for _ in range(6):
         spikes = terms[~keep]
         solved = np.linalg.lstsq(normal - spikes.T @ spikes, right - spikes.T @ error[~keep], rcond=1e-12)[0]
         form = terms @ solved
         off = np.abs(error - form)
-        last, keep = keep, off <= max(OUTLIER * robust_scatter(off), GRAIN)
+        last, keep = keep, off <= max(OUTLIER_SIGMA * robust_scatter(off), MIN_OUTLIER_MM)
         if np.array_equal(last, keep):
             break
     return Smooth(keep, form, terms.shape[1])
@@ -441,7 +441,7 @@ def fit_smooth(x: Floats, y: Floats, error: Floats) -> Smooth:
 
 def number_blocks(u: Floats, v: Floats, most: int) -> tuple[Ints, float]:
     """Number the blocks that points of the unit disc lie in, and return how much of the disc they cover. (n,)."""
-    count = int(np.clip(np.sqrt(u.size / PER_BLOCK), 3, most))
+    count = int(np.clip(np.sqrt(u.size / POINTS_PER_BLOCK), 3, most))
     row, column = (np.clip((part + 1) / 2 * count, 0, count - 1).astype(np.int64) for part in (v, u))
     number = row * count + column
     middle = (2 * np.arange(count) + 1) / count - 1
@@ -484,14 +484,14 @@ def fit_lenslet(
     apart = np.hypot(*(starts[:, :2] - starts[k, :2]).T)
     grain = 0.0
     rivals = starts[(apart < 2.2 * reach) & (apart > 0), :2]
-    for _ in range(STEPS):
+    for _ in range(MAX_ITERATIONS):
         chosen = points.near(parameters, reach + grain)
         for rival in rivals:  # where cells touch, a lenslet's neighbour may stand inside of its circle
             x, y = points.x[chosen], points.y[chosen]
             distance_squared = (x - parameters[0]) ** 2 + (y - parameters[1]) ** 2
             chosen = chosen[distance_squared <= (x - rival[0]) ** 2 + (y - rival[1]) ** 2]
-        if chosen.size < FEWEST:
-            words = f"{chosen.size} points within {inner:g} of its radius, a fit needs {FEWEST}: measure more of it"
+        if chosen.size < MIN_POINTS:
+            words = f"{chosen.size} points within {inner:g} of its radius, a fit needs {MIN_POINTS}: measure more of it"
             return missing(parameters, chosen.size, 0.0, words)
         x, y, departure, weight = (part[chosen] for part in (points.x, points.y, points.departure, points.weight))
         before = parameters[:2].copy()
@@ -501,8 +501,10 @@ def fit_lenslet(
         grain = reach * float(np.sqrt(np.pi / chosen.size)) / 2
         weight = weight * np.clip((reach * (1 - np.hypot(u, v)) / grain + 1) / 2, 0, 1)
         valid = np.isfinite(error) & (weight > 0)
-        if np.count_nonzero(valid) < FEWEST:
-            words = f"its form is defined at {np.count_nonzero(valid)} points, a fit needs {FEWEST}: check the design"
+        if np.count_nonzero(valid) < MIN_POINTS:
+            words = (
+                f"its form is defined at {np.count_nonzero(valid)} points, a fit needs {MIN_POINTS}: check the design"
+            )
             return missing(parameters, chosen.size, 0.0, words)
         x, y, u, v, departure, weight = (part[valid] for part in (x, y, u, v, departure, weight))
         smooth = fit_smooth(u, v, error[valid])
@@ -511,7 +513,7 @@ def fit_lenslet(
         if not np.hypot(*(parameters[:2] - design.centres[k])) < design.radii[k]:
             words = f"no such form within its radius of {design.radii[k]:g} mm: check the pose and the design"
             return missing(starts[k], x.size, 0.0, words)
-        if np.hypot(*(parameters[:2] - before)) < SETTLED * reach:
+        if np.hypot(*(parameters[:2] - before)) < CENTRE_TOL * reach:
             break
     return judge(design, free, parameters, (x, y, u, v, departure, weight), smooth, base)
 
@@ -521,7 +523,7 @@ def gauss_newton(
 ) -> Floats:
     """Improve the parameters in place until they stay; return the derivatives at the end. (n, k)."""
     reach = np.ptp(x) + 1e-300
-    for _ in range(STEPS):
+    for _ in range(MAX_ITERATIONS):
         value, slopes = model(design, parameters, x, y, free)
         error = departure - value
         valid = np.isfinite(error)
@@ -540,10 +542,10 @@ def judge(
     x, y, u, v, departure, weight = data
     value, slopes = model(design, parameters, x, y, free.columns)
     error = departure - value
-    blocks, coverage = number_blocks(u, v, BLOCKS)
+    blocks, coverage = number_blocks(u, v, BLOCKS_PER_LENSLET)
     outliers = smooth.keep.size - x.size
-    if coverage < LEAST_COVERAGE:
-        words = f"{coverage:.0%} of its aperture is measured, a fit needs {LEAST_COVERAGE:.0%}: measure more of it"
+    if coverage < MIN_COVERAGE:
+        words = f"{coverage:.0%} of its aperture is measured, a fit needs {MIN_COVERAGE:.0%}: measure more of it"
         return missing(parameters, x.size, coverage, words)
     spread = float(np.average((departure - np.average(departure, weights=weight)) ** 2, weights=weight))
     mean_square = float(np.average(error**2, weights=weight))
@@ -580,7 +582,7 @@ def judge(
         points=x.size,
         outliers=outliers,
         coverage=coverage,
-        finding="" if coverage >= WHOLE else f"only {coverage:.0%} of its aperture is measured",
+        finding="" if coverage >= FULL_COVERAGE else f"only {coverage:.0%} of its aperture is measured",
     )
 
 
@@ -621,7 +623,7 @@ def level_on_base(
 
     ``rotation_std`` is that of the pose where too few lenslets are seen to tell it. [rad]
     """
-    base = base[:: base.size // LEVELLING + 1]
+    base = base[:: base.size // MAX_LEVELLING_POINTS + 1]
     weight = points.weight[base]
     error, slopes = errors_of_base(points, base, design)
     valid = np.isfinite(error)
@@ -635,7 +637,7 @@ def level_on_base(
     # Tilts, height and form together, and next to them the rotation.
     shapes, turned = shapes_at(design, points.x[base], points.y[base]).T, slopes[:, 3]
     level, slopes = slopes[:, :3], np.concatenate([slopes[:, :3], -shapes], axis=1)
-    blocks, _ = number_blocks(u, v, 2 * BLOCKS)
+    blocks, _ = number_blocks(u, v, 2 * BLOCKS_PER_LENSLET)
     alike = least_squares_step(slopes, turned, weight)[3:]
     chosen, by_base = np.append(-least_squares_step(slopes, error, weight), 0.0), False
     lattice = Alignment.of(design.centres[seen], starts[seen, :2]) if np.count_nonzero(seen) > 2 else None
@@ -648,7 +650,7 @@ def level_on_base(
         by_base = base_std < (rotation_std if lattice is None else lattice.rotation_std)
         if lattice is not None:  # what the lenslets contradict is form
             gap = abs(float(rotation_known[-1]) + lattice.rotation)
-            by_base &= gap <= AGREE * float(np.hypot(base_std, lattice.rotation_std))
+            by_base &= gap <= AGREEMENT_SIGMA * float(np.hypot(base_std, lattice.rotation_std))
         if by_base:
             chosen, unsure = rotation_known, base_std
     # What the terms leave errs together over a block, so it counts as it does.
@@ -683,7 +685,7 @@ def _rotation_of_base(
     u, v, error, weight, blocks = data
     along = turned - level @ least_squares_step(level, turned, weight)
     strength = float(np.sqrt(np.average(along**2, weights=weight)))
-    if strength <= FLAT * design.reach:
+    if strength <= SLOPE_TOL * design.reach:
         return None
     way = alike / max(float(np.sqrt(alike @ alike)), 1e-300)
     others = np.eye(alike.size) - np.outer(way, way)
@@ -699,5 +701,5 @@ def _rotation_of_base(
     if alike.size:
         # By so much the base seems turned for each mm of that form.
         leak = float(least_squares_step(apart, shapes @ way, weight)[-1])
-        variance += (leak * max(float(np.abs(correction[3:-1]).max()), UNSEEN)) ** 2
+        variance += (leak * max(float(np.abs(correction[3:-1]).max()), MIN_HIDDEN_FORM_MM)) ** 2
     return correction, float(np.sqrt(variance))

@@ -19,8 +19,8 @@ __all__ = ["level", "overview"]
 
 NM = 1e6
 
-LONGEST = 120
-"""Letters of a value of the header."""
+MAX_VALUE_CHARACTERS = 120
+"""Longest value of the header that is shown."""
 
 
 def level(heights: HeightMap, form: Form = "plane") -> HeightMap:
@@ -72,7 +72,7 @@ def overview(heights: HeightMap, form: Form = "plane") -> tuple[tuple[str, str],
         )
         rows.append(("Sq", f"{area_rms(replace(flat, calibrated=True)) * NM:.4g} nm {named}"))
         rows.append(("PV", f"{float(np.nanmax(flat.z) - np.nanmin(flat.z)) * NM:.4g} nm"))
-    rows += [(name, " ".join(text.split())[:LONGEST]) for name, text in heights.metadata.items()]
+    rows += [(name, " ".join(text.split())[:MAX_VALUE_CHARACTERS]) for name, text in heights.metadata.items()]
     return tuple(rows)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander2d
 
 from turnwright._arrays import robust_scatter
-from turnwright.metrology.rigid import FINEST, Problem, residuals, rows, turns
+from turnwright.metrology.rigid import MIN_SCATTER_MM, Problem, residuals, rows, turns
 
 if TYPE_CHECKING:
     from turnwright._arrays import Bools, Floats, Ints
@@ -16,43 +16,43 @@ if TYPE_CHECKING:
 
 __all__ = ["MapNoise", "map_noise"]
 
-RUN = 4
-"""Neighbours in a row whose third difference is the noise: it has no height, slope or curvature in it."""
+RUN_LENGTH = 4
+"""Points of a third difference, which is free of height, slope and curvature."""
 
-RUNS = 4000
-"""Runs along each axis of a grid that are looked at."""
+MAX_RUNS = 4000
+"""Runs evaluated along each axis of a grid."""
 
-THIRD = 20.0
-"""Variance of the third difference of independent heights over their own."""
+THIRD_DIFFERENCE_VARIANCE = 20.0
+"""Variance of the third difference of independent heights, relative to that of a height."""
 
-ALONG = 0.9
-"""Cosine between a run and the direction of cutting from which no cusps lie across it."""
+MIN_ALONG_COSINE = 0.9
+"""Least cosine between a run and the cutting direction for the run to cross no cusps."""
 
-FEWEST_ALONG = 300
-"""Runs along the direction of cutting that are enough to do without the others."""
+MIN_RUNS_ALONG = 300
+"""Runs along the cutting direction from which the other runs are ignored."""
 
-CLOSE = 6
-"""Scattered points next to each other whose plane is taken off."""
+PLANE_POINTS = 6
+"""Neighbouring scattered points to which a plane is fitted."""
 
-IN_A_CELL = 10
-"""Scattered points in a cell, on average, where such are looked for."""
+POINTS_PER_CELL = 10
+"""Mean number of scattered points in a search cell."""
 
-MEDIAN_OF_THREE = 2.365974
-"""Median of chi-square with three degrees of freedom, what the plane of six points leaves."""
+CHI2_3_MEDIAN = 2.365974
+"""Median of chi-square with three degrees of freedom, as for the residuals of six points about a plane."""
 
-SMOOTH = 6
-"""Degree of the smooth terms that are form and no noise."""
+SMOOTH_DEGREE = 6
+"""Degree of the smooth terms that are form, not noise."""
 
-OUTLIER = 6.0
-"""Residual over scatter beyond which a point is no noise."""
+OUTLIER_SIGMA = 6.0
+"""Robust standard deviations beyond which a residual is not noise."""
 
-FEWEST = 400
-"""Points from which a correlation can be judged."""
+MIN_CORRELATION_POINTS = 400
+"""Least number of points for an estimate of the correlation."""
 
-LEAST_SHARE = 0.3
-"""Share of a correlated noise that is taken to be left, at least, by the smooth terms."""
+MIN_NOISE_SHARE = 0.3
+"""Lower bound of the share of the correlated noise that remains after the smooth terms are removed."""
 
-CELL_POINTS, MOST_CELLS = 4, 64
+CELL_POINTS, MAX_CELLS = 4, 64
 
 
 class MapNoise(NamedTuple):
@@ -87,7 +87,7 @@ def map_noise(problem: Problem, some: Problem, state: Floats, heights: HeightMap
         The map, and the index of each point in it.
     """
     scatter = _in_cells(problem, state) if heights.scattered else _in_runs(problem, state, heights, which)
-    white = max(scatter, FINEST)
+    white = max(scatter, MIN_SCATTER_MM)
     count = problem.points.shape[1]
     return _correlated(some, state, white, count)
 
@@ -101,24 +101,26 @@ def _in_runs(problem: Problem, state: Floats, heights: HeightMap, which: Ints) -
     run_lengths: list[Ints] = []
     for axis in (0, 1):
         begin = _begins(measured, axis)
-        if begin.size > RUNS:
-            begin = np.sort(random.choice(begin, RUNS, replace=False))
+        if begin.size > MAX_RUNS:
+            begin = np.sort(random.choice(begin, MAX_RUNS, replace=False))
         stride = heights.z.shape[1] if axis == 0 else 1
-        run_lengths.append(place[begin + stride * np.arange(RUN)[:, None]])
+        run_lengths.append(place[begin + stride * np.arange(RUN_LENGTH)[:, None]])
     runs = np.concatenate(run_lengths, axis=1)
     if runs.size == 0:
         return 0.0
     few = problem.only(runs.ravel())
     residual = residuals(few, state).reshape(runs.shape)
-    difference = np.abs(residual[3] - 3 * residual[2] + 3 * residual[1] - residual[0]) / np.sqrt(THIRD)
+    difference = np.abs(residual[3] - 3 * residual[2] + 3 * residual[1] - residual[0]) / np.sqrt(
+        THIRD_DIFFERENCE_VARIANCE
+    )
     at = _lateral(few, state)
-    first, last = (at[:, k * runs.shape[1] : (k + 1) * runs.shape[1]] for k in (0, RUN - 1))
+    first, last = (at[:, k * runs.shape[1] : (k + 1) * runs.shape[1]] for k in (0, RUN_LENGTH - 1))
     way, middle = last - first, (last + first) / 2
     across = np.abs(way[0] * middle[1] - way[1] * middle[0])  # of the tangent, which is (-y, x) there
     size = np.hypot(*way) * np.hypot(*middle)
-    along = across >= ALONG * size
+    along = across >= MIN_ALONG_COSINE * size
     good = np.isfinite(difference)
-    if np.count_nonzero(good & along) >= FEWEST_ALONG:
+    if np.count_nonzero(good & along) >= MIN_RUNS_ALONG:
         good &= along
     return _scatter(difference[good])
 
@@ -130,13 +132,13 @@ def _lateral(problem: Problem, state: Floats) -> Floats:
 
 def _begins(known: Bools, axis: int) -> Ints:
     """Return the flat index of the first of every run of valid neighbours along an axis."""
-    if known.shape[axis] < RUN:
+    if known.shape[axis] < RUN_LENGTH:
         return np.empty(0, dtype=np.int64)
-    count = known.shape[axis] - RUN + 1
+    count = known.shape[axis] - RUN_LENGTH + 1
     complete = np.zeros(known.shape, dtype=np.bool_)
     head = tuple(slice(0, count) if k == axis else slice(None) for k in (0, 1))
     complete[head] = True
-    for step in range(RUN):
+    for step in range(RUN_LENGTH):
         complete[head] &= known[tuple(slice(step, step + count) if k == axis else slice(None) for k in (0, 1))]
     return np.flatnonzero(complete)
 
@@ -153,18 +155,18 @@ def _in_cells(problem: Problem, state: Floats) -> float:
     at = _lateral(problem, state)
     low, high = at.min(axis=1), at.max(axis=1)
     width, height = np.maximum(high - low, 1e-300)
-    side = np.sqrt(width * height * IN_A_CELL / at.shape[1])
+    side = np.sqrt(width * height * POINTS_PER_CELL / at.shape[1])
     columns = int(width / side) + 1
     cell = ((at[1] - low[1]) / side).astype(np.int64) * columns + ((at[0] - low[0]) / side).astype(np.int64)
     order = np.argsort(cell, kind="stable")
     first = np.flatnonzero(np.diff(cell[order], prepend=-1))
     size = np.diff(first, append=cell.size)
-    first = first[size >= CLOSE]
+    first = first[size >= PLANE_POINTS]
     if first.size == 0:
         return 0.0
-    if first.size > RUNS:
-        first = np.random.default_rng(0).choice(first, RUNS, replace=False)
-    chosen = order[first[:, None] + np.arange(CLOSE)]
+    if first.size > MAX_RUNS:
+        first = np.random.default_rng(0).choice(first, MAX_RUNS, replace=False)
+    chosen = order[first[:, None] + np.arange(PLANE_POINTS)]
     few = problem.only(chosen.ravel())
     residual = residuals(few, state).reshape(chosen.shape)
     x, y = (one.reshape(chosen.shape) for one in _lateral(few, state))
@@ -176,28 +178,28 @@ def _in_cells(problem: Problem, state: Floats) -> float:
     square = (off * off).sum(axis=1)
     if square.size == 0:
         return 0.0
-    return float(np.sqrt(np.median(square) / MEDIAN_OF_THREE)) or float(np.sqrt(np.mean(square) / (CLOSE - 3)))
+    return float(np.sqrt(np.median(square) / CHI2_3_MEDIAN)) or float(np.sqrt(np.mean(square) / (PLANE_POINTS - 3)))
 
 
 def _correlated(some: Problem, state: Floats, white: float, count: int) -> MapNoise:
     """Add what errs together: its variance, and its power at long wavelengths, from means over cells."""
     sample = rows(some, state, slice(0, some.points.shape[1]))
-    if sample.residual.size < FEWEST:
+    if sample.residual.size < MIN_CORRELATION_POINTS:
         return MapNoise(white, 0.0, 0.0, 0.0)
     x, y, residual = sample.at[0], sample.at[1], sample.residual
     low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
     u, v = 2 * (x - low[0]) / max(high[0] - low[0], 1e-300) - 1, 2 * (y - low[1]) / max(high[1] - low[1], 1e-300) - 1
-    terms = legvander2d(u, v, (SMOOTH, SMOOTH)).reshape(residual.size, -1)
-    degree = np.add.outer(np.arange(SMOOTH + 1), np.arange(SMOOTH + 1)).ravel()
-    terms = terms[:, degree <= SMOOTH]
+    terms = legvander2d(u, v, (SMOOTH_DEGREE, SMOOTH_DEGREE)).reshape(residual.size, -1)
+    degree = np.add.outer(np.arange(SMOOTH_DEGREE + 1), np.arange(SMOOTH_DEGREE + 1)).ravel()
+    terms = terms[:, degree <= SMOOTH_DEGREE]
     keep = np.ones(residual.size, dtype=np.bool_)
     for _ in range(2):
         solved = np.linalg.lstsq(terms[keep], residual[keep], rcond=1e-12)[0]
         noise = residual - terms @ solved
-        keep = np.abs(noise) <= OUTLIER * max(robust_scatter(noise), FINEST)
+        keep = np.abs(noise) <= OUTLIER_SIGMA * max(robust_scatter(noise), MIN_SCATTER_MM)
     x, y, noise = x[keep], y[keep], noise[keep]
     excess = float(np.mean(noise**2)) * residual.size / (residual.size - terms.shape[1]) - white**2
-    cells = int(np.clip(np.sqrt(noise.size / CELL_POINTS), 4, MOST_CELLS))
+    cells = int(np.clip(np.sqrt(noise.size / CELL_POINTS), 4, MAX_CELLS))
     side = float((high - low).max()) / cells * (1 + 1e-9)
     number = ((y - low[1]) / side).astype(np.int64) * cells + ((x - low[0]) / side).astype(np.int64)
     points = np.bincount(number, minlength=cells * cells).reshape(cells, cells)
@@ -221,7 +223,7 @@ def _correlated(some: Problem, state: Floats, white: float, count: int) -> MapNo
         return MapNoise(white, 0.0, 0.0, 0.0)
     covered = float(np.count_nonzero(there)) * side * side
     # As many of its independent cells as there were smooth terms went with them.
-    share = max(1 - terms.shape[1] * power / excess / covered, LEAST_SHARE)
+    share = max(1 - terms.shape[1] * power / excess / covered, MIN_NOISE_SHARE)
     excess, power = excess / share, power / share
     per_point = covered / count * some.points.shape[1] / residual.size
     return MapNoise(white, float(np.sqrt(excess)), float(np.sqrt(power / excess / np.pi)), power / excess / per_point)

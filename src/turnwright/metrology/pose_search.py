@@ -18,63 +18,61 @@ from turnwright.units import say_length
 
 __all__ = ["Lattice", "axisymmetric", "costs", "lattice_of", "ranked", "search"]
 
-SMALLEST_TABLE, LARGEST_TABLE = 256, 1000
+MIN_TABLE_SIZE, MAX_TABLE_SIZE = 256, 1000
 
 STEP_IN_FEATURES = 1.0
-"""Distance of places of the search over the feature size of a surface: an eighth of a wave."""
+"""Step of the search relative to the feature size of the surface, which is an eighth of a wave."""
 
-STEPS_ON_RADIUS = 5
-"""Places on the radius at least."""
+MIN_STEPS_ON_RADIUS = 5
 
-SETTLED = 60
-"""Places that slide into their valleys; with a full turn of clocking twice as many."""
+MAX_STARTS = 60
+"""Positions from which a descent starts; twice as many for a search over all clockings."""
 
-REFINED = 8
-"""Valleys that are fitted to the surface itself."""
+MAX_REFINED = 8
+"""Minima that are refined on the exact surface."""
 
-CALMING = 8
-"""Most steps at each scale of Tukey's loss, which only has to lead to where least squares begins."""
+MAX_ROBUST_STEPS = 8
+"""Steps with Tukey's loss, which only finds the start of the least-squares fit."""
 
-SLIDES = 40
-"""Most steps into a valley."""
+MAX_DESCENT_STEPS = 40
 
-PASSES = 2
-"""Times that a place is levelled before its misfit counts: the first has to take the tilt that goes with its place."""
+LEVELLING_PASSES = 2
+"""Levelling passes at each position; the first removes the tilt that goes with the position."""
 
-FEWEST = 150
-"""Points that a place is judged by at least."""
+MIN_POINTS = 150
+"""Least number of points by which a position is judged."""
 
-FOLDS = (2, 3, 4, 5, 6, 8, 12)
-"""Symmetries about the axis that parts have."""
+ROTATIONAL_FOLDS = (2, 3, 4, 5, 6, 8, 12)
+"""Rotational symmetries that are tried."""
 
-QUIET = 1e-6
-"""Misfit below which nothing is poor. [mm]."""
+MIN_MISFIT_MM = 1e-6
+"""Misfit below which no position is rejected."""
 
-CALM = 4.0
-"""Median residuals beyond which a point does not pull where something else than the part may be in the map."""
+ROBUST_MEDIANS = 4.0
+"""Width of the robust loss, in median residuals; points off the part then do not pull."""
 
-POOR = 4.0
-"""Mean square over the best one's at which a place is not refined."""
+MAX_COST_RATIO = 4.0
+"""Mean square relative to the best one beyond which a position is not refined."""
 
-MOST_LOOKUPS = 30_000_000
-"""Points times places of the search; beyond it points are left out, down to the fewest."""
+MAX_LOOKUPS = 30_000_000
+"""Points times positions of the search; beyond it points are skipped, down to `MIN_POINTS`."""
 
-MOST_PLACES = 4_000_000
-"""Places of the search, which take a minute of two cores and 0.5 GB; a map that needs more is refused."""
+MAX_PLACES = 4_000_000
+"""Positions of the search: a minute on two cores and 0.5 GB. A map that needs more is refused."""
 
-MOST_REPEATS = 60
-PLACES_AT_A_TIME = 64
-COVER = 0.95
-"""Share of the points that a place must explain, of those that others explain as well."""
+MAX_REPEATS = 60
+CHUNK_PLACES = 64
+MIN_COVER_SHARE = 0.95
+"""Least number of points on the part, relative to the best pose."""
 
-LEAST = 0.5
+MIN_ON_PART_SHARE = 0.5
 """Share of the points that must lie on the part, of those that can."""
 
-TRUNCATION = 7.5
-"""Median residuals, five standard deviations, beyond which a point costs no more; one off the part costs as much."""
+TRUNCATION_MEDIANS = 7.5
+"""Median residuals (five standard deviations) at which the cost of a point is capped; off the part it is the same."""
 
-RIM = 0.01
-"""Share of the radius by which a point may lie beyond the part and not cost: the rim is not known to better."""
+RIM_TOL = 0.01
+"""Distance beyond the rim, relative to the radius, at which a point still costs nothing."""
 
 
 class _Tabled(NamedTuple):
@@ -175,7 +173,7 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
     if points is None:
         return [fit(problem, start, free, size, close=1e-9)]
     a = min(1 / size[3], problem.within)
-    step = min(pattern.fine * STEP_IN_FEATURES if np.isfinite(pattern.fine) else np.inf, a / STEPS_ON_RADIUS)
+    step = min(pattern.fine * STEP_IN_FEATURES if np.isfinite(pattern.fine) else np.inf, a / MIN_STEPS_ON_RADIUS)
     if 3 not in free:
         clocking = 0.0
     tabled = _Tabled(points, start, *_table(problem.surface, problem.within, step), _moves(free))
@@ -187,11 +185,11 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
         rim=1 / size[3], within=problem.within,
     )  # fmt: skip
     scores = _scores(tabled, places)
-    chosen = _peaks(places, scores[0], 1.6 * step, 1.6 * turn_step, SETTLED * (2 if clocking > 1.0 else 1))
+    chosen = _peaks(places, scores[0], 1.6 * step, 1.6 * turn_step, MAX_STARTS * (2 if clocking > 1.0 else 1))
     begin = np.concatenate([places, scores[1:].T], axis=1)[chosen]
     begin = np.concatenate([begin, [[start[0], start[1], 0.0, start[2], 0.0, 0.0]]])
     fits = []
-    for width in (np.inf, CALM):
+    for width in (np.inf, ROBUST_MEDIANS):
         # Calm, for what is no part of the part, such as a flange beyond its rim, must not pull.
         states = [start, *_valleys(tabled, begin, step, problem, free, width)]
         refined = (_refined(problem, each, free, size, calm=width < np.inf) for each in states)
@@ -202,7 +200,7 @@ def search(problem: Problem, state: Floats, free: list[int], size: Floats, reach
         fits += _twins(problem, ranked(problem, fits)[0], state, free, size, clocking)
     fits = _covering(problem, fits)
     near = [one for one in fits if np.abs(one.state[:2] - state[:2]).max() <= reach + step / 2]
-    return near if near and near[0].cost <= POOR * fits[0].cost + QUIET**2 else fits
+    return near if near and near[0].cost <= MAX_COST_RATIO * fits[0].cost + MIN_MISFIT_MM**2 else fits
 
 
 def costs(problem: Problem, fits: list[Fit]) -> Floats:
@@ -218,11 +216,11 @@ def costs(problem: Problem, fits: list[Fit]) -> Floats:
         off = np.abs(residuals(problem, one.state))
         beyond = np.isnan(off)
         at = turns(one.state)[0][:2] @ problem.points[:, beyond] + one.state[:2, None]
-        off[beyond] = np.where(np.hypot(*at) > problem.within * (1 + RIM), np.inf, np.nan)
+        off[beyond] = np.where(np.hypot(*at) > problem.within * (1 + RIM_TOL), np.inf, np.nan)
         sizes.append(off)
     most = max(*(int(np.count_nonzero(np.isfinite(off))) for off in sizes), 1)
     least = min(float(np.partition(np.where(np.isnan(off), 0.0, off), most // 2)[most // 2]) for off in sizes)
-    limit = TRUNCATION * max(least, QUIET / 100)
+    limit = TRUNCATION_MEDIANS * max(least, MIN_MISFIT_MM / 100)
     return np.array([np.nanmean(np.minimum(off, limit) ** 2) for off in sizes])
 
 
@@ -238,7 +236,7 @@ def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Fl
     """
     fits: list[Fit] = []
     if clocking > 0:
-        turns_tried = {round(2 * np.pi * k / n, 12) for n in FOLDS for k in range(1, n)}
+        turns_tried = {round(2 * np.pi * k / n, 12) for n in ROTATIONAL_FOLDS for k in range(1, n)}
         for turn in sorted(turns_tried):
             twin = best.state.copy()
             c, s = np.cos(turn), np.sin(turn)
@@ -248,7 +246,10 @@ def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Fl
                 continue
             residual = residuals(problem, twin)
             residual = residual[np.isfinite(residual)]
-            if residual.size > LEAST * best.used and np.median(residual * residual) < POOR * best.cost + QUIET**2:
+            if (
+                residual.size > MIN_ON_PART_SHARE * best.used
+                and np.median(residual * residual) < MAX_COST_RATIO * best.cost + MIN_MISFIT_MM**2
+            ):
                 fits.append(fit(problem, twin, free, size, steps=25, close=1e-9))
     return fits
 
@@ -256,7 +257,7 @@ def _twins(problem: Problem, best: Fit, state: Floats, free: list[int], size: Fl
 def _covering(problem: Problem, fits: list[Fit]) -> list[Fit]:
     """Return the fits, the best first, that leave no more of the map beyond the part than the best one does."""
     fits = ranked(problem, fits)
-    return [one for one in fits if one.used >= COVER * fits[0].used]
+    return [one for one in fits if one.used >= MIN_COVER_SHARE * fits[0].used]
 
 
 def level(problem: Problem, state: Floats, free: list[int], size: Floats) -> Floats:
@@ -312,13 +313,13 @@ def _places(
     total = min(count, float(of_cell.prod())) * turns_tried.number
     if by_cell and pattern.steps is not None:
         total += float(2 * _most_repeats(pattern.steps, reach) + 1) ** 2
-    if total > MOST_PLACES:
-        widest = step * (np.sqrt(MOST_PLACES / turns_tried.number) - 1) / 2
+    if total > MAX_PLACES:
+        widest = step * (np.sqrt(MAX_PLACES / turns_tried.number) - 1) / 2
         remedy = f"a reach of at most {say_length(widest)}" if widest > step else "a smaller reach and clocking"
         raise InputError(
             f"the map's field of {say_length(2 * rim)} cannot be looked for within a reach of {say_length(reach)} and "
             f"a clocking of {np.rad2deg(clocking):.3g} deg: these are {total / 1e6:,.0f} million places "
-            f"{say_length(step)} apart, the limit is {MOST_PLACES / 1e6:g} million. Check the unit of its lengths; if "
+            f"{say_length(step)} apart, the limit is {MAX_PLACES / 1e6:g} million. Check the unit of its lengths; if "
             f"that is right, state shift and rotation of the map and {remedy}"
         )
     if by_cell:
@@ -359,7 +360,7 @@ def _moves(free: list[int]) -> Bools:
 
 def _table(surface: Surface, within: float, step: float) -> tuple[Floats, float, float]:
     """Tabulate the surface over the part, nan outside; return its lower corner and its step too."""
-    count = int(min(max(2 * within / (step / 4), SMALLEST_TABLE), LARGEST_TABLE))
+    count = int(min(max(2 * within / (step / 4), MIN_TABLE_SIZE), MAX_TABLE_SIZE))
     axis = np.linspace(-within, within, count)
     x, y = np.meshgrid(axis, axis)
     table = np.full(x.shape, np.nan)
@@ -371,10 +372,10 @@ def _table(surface: Surface, within: float, step: float) -> tuple[Floats, float,
     return table, -within, float(axis[1] - axis[0])
 
 
-def _scores(tabled: _Tabled, places: Floats, *, share: float = LEAST) -> Floats:
+def _scores(tabled: _Tabled, places: Floats, *, share: float = MIN_ON_PART_SHARE) -> Floats:
     """Return the misfit at each place, inf where too few points lie on the part, and what levels it there. (4, m)."""
     count = tabled.points.shape[1]
-    keep = max(MOST_LOOKUPS // (PASSES * max(places.shape[0], 1)), FEWEST)
+    keep = max(MAX_LOOKUPS // (LEVELLING_PASSES * max(places.shape[0], 1)), MIN_POINTS)
     x, y, z = (np.ascontiguousarray(row[:: -(-count // keep)]) for row in tabled.points)
     places = np.ascontiguousarray(places)
     out = np.empty((5, places.shape[0]))
@@ -383,11 +384,11 @@ def _scores(tabled: _Tabled, places: Floats, *, share: float = LEAST) -> Floats:
         part = np.empty((5, stop - start))
         misfit(
             x, y, z, places[start:stop], float(tabled.start[2]), tabled.table, tabled.low, tabled.step, tabled.moves,
-            PASSES, part,
+            LEVELLING_PASSES, part,
         )  # fmt: skip
         out[:, start:stop] = part
 
-    run_chunks(work, places.shape[0], PLACES_AT_A_TIME)
+    run_chunks(work, places.shape[0], CHUNK_PLACES)
     most = max(out[0].max(initial=0.0), 1.0)
     # A flat valley is the same everywhere: there the more of the map lies on the part, the better.
     score = np.where(out[0] >= share * most, out[1] * (most / np.maximum(out[0], 1)) ** 2, np.inf)
@@ -421,18 +422,18 @@ def _valleys(
         part = np.empty((stop - start, 14))
         settle(
             x, y, z, np.ascontiguousarray(begin[start:stop]), bends, tabled.table, tabled.low, tabled.step,
-            tabled.moves, SLIDES, width, part,
+            tabled.moves, MAX_DESCENT_STEPS, width, part,
         )  # fmt: skip
         out[start:stop] = part
 
     begin = begin.copy()
     run_chunks(work, begin.shape[0], 2)
     most = max(out[:, 0].max(), 1.0)
-    cost = np.where(out[:, 0] >= LEAST * most, out[:, 1] * (most / np.maximum(out[:, 0], 1)) ** 2, np.inf)
+    cost = np.where(out[:, 0] >= MIN_ON_PART_SHARE * most, out[:, 1] * (most / np.maximum(out[:, 0], 1)) ** 2, np.inf)
     levelled = turns(tabled.start)[0]
     states: list[Floats] = []
     for k in np.argsort(cost):
-        if not np.isfinite(cost[k]) or len(states) >= REFINED:
+        if not np.isfinite(cost[k]) or len(states) >= MAX_REFINED:
             break
         pose = Pose.of(out[k, 5:].reshape(3, 3) @ levelled, (0.0, 0.0, 0.0))
         state = tabled.start.copy()
@@ -450,7 +451,7 @@ def _refined(problem: Problem, state: Floats, free: list[int], size: Floats, *, 
     """Fit from a valley of the table; calm, by Tukey's loss first."""
     pose = [k for k in free if k < 6]
     if calm:
-        state = fit(replace(problem, loss="tukey"), state, pose, size, steps=CALMING, close=1e-7).state
+        state = fit(replace(problem, loss="tukey"), state, pose, size, steps=MAX_ROBUST_STEPS, close=1e-7).state
     best = fit(problem, state, pose, size, steps=25, close=1e-7)
     if len(pose) < len(free):
         # Where a term and a turn pass for each other the pose alone goes half-way to a twin.
@@ -478,9 +479,9 @@ def _repeats(
     places = np.concatenate([at, np.full((at.shape[0], 1), base.state[3] - start[3])], axis=1)
     if not places.size:
         return []
-    scores = _scores(tabled, places, share=COVER)
-    most_score = POOR * float(scores[0].min())
-    chosen = [int(k) for k in np.argsort(scores[0])[:MOST_REPEATS] if scores[0][k] <= most_score]
+    scores = _scores(tabled, places, share=MIN_COVER_SHARE)
+    most_score = MAX_COST_RATIO * float(scores[0].min())
+    chosen = [int(k) for k in np.argsort(scores[0])[:MAX_REPEATS] if scores[0][k] <= most_score]
     repeats = []
     for k in chosen:
         # Where a repeat is another cell of the pattern, the tilt that goes with its place is another.

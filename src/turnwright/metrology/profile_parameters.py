@@ -25,14 +25,14 @@ __all__ = ["ProfileRoughness", "profile_roughness"]
 
 NM = 1e6
 
-SECTIONS = 5
-"""Sections of the evaluation length by default."""
+DEFAULT_SECTIONS = 5
+"""Default number of sections in the evaluation length."""
 
-HEIGHT = 0.10
-"""Share of Rz that a hill must rise above the mean line, or a dale fall below it, to count."""
+MIN_HEIGHT_SHARE = 0.10
+"""Least height of a hill above the mean line, or depth of a dale below it, relative to Rz."""
 
-SPACING = 0.01
-"""Share of the section length that a hill or a dale must be long, to count."""
+MIN_LENGTH_SHARE = 0.01
+"""Least length of a hill or a dale, relative to the section length."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,13 +123,17 @@ def profile_roughness(
     step = profile.step
     length = float(np.ptp(profile.distance)) + step
     fit = int(length / cutoff * (1 + 1e-9))
-    wanted = min(SECTIONS, fit) if sections is None else whole(sections, "the sections", 1)
+    wanted = min(DEFAULT_SECTIONS, fit) if sections is None else whole(sections, "the sections", 1)
     if fit < max(wanted, 1):
         raise InputError(
             f"the profile is {length:.4g} mm long, {max(wanted, 1)} sections of {cutoff:g} mm need more: "
             "measure a longer one, or take a shorter cutoff"
         )
-    notes = [] if wanted >= SECTIONS or sections is not None else [f"{wanted} sections fit, the default is {SECTIONS}"]
+    notes = (
+        []
+        if wanted >= DEFAULT_SECTIONS or sections is not None
+        else [f"{wanted} sections fit, the default is {DEFAULT_SECTIONS}"]
+    )
     line = HeightMap(z=profile.without(form).z[None], x=profile.distance, y=np.zeros(1))
     if short is not None:
         line = filter_map(line, short, along="x")
@@ -149,7 +153,7 @@ def profile_roughness(
     rq = float(np.sqrt(np.mean(valid**2)))
     rp, rv = (float(np.mean([(side * one).max() for one in filled])) for side in (1.0, -1.0))
     rz = rp + rv
-    rsm, crossed = _element_spacing(parts, step, HEIGHT * rz, SPACING * cutoff)
+    rsm, crossed = _element_spacing(parts, step, MIN_HEIGHT_SHARE * rz, MIN_LENGTH_SHARE * cutoff)
     if crossed:
         notes.append(f"{crossed} profile elements reach a gap without heights and do not count for rsm")
     if np.isnan(rsm):

@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike
 from turnwright._arrays import Bools, Floats, Ints
 from turnwright._validate import between, check_angle, positive
 from turnwright.errors import InputError
-from turnwright.metrology.grid import EVEN, point_areas, valid_points
+from turnwright.metrology.grid import EVEN_STEP_TOL, point_areas, valid_points
 from turnwright.metrology.noise import MapNoise, map_noise
-from turnwright.metrology.pose_search import COVER, axisymmetric, costs, level, ranked, search
+from turnwright.metrology.pose_search import MIN_COVER_SHARE, axisymmetric, costs, level, ranked, search
 from turnwright.metrology.rigid import (
-    FINEST,
+    FULL_SHARE,
+    LOSS_WIDTHS,
+    MIN_SCATTER_MM,
     NAMES,
-    WHOLE,
-    WIDTH,
     Fit,
     Loss,
     Problem,
@@ -33,7 +33,7 @@ from turnwright.metrology.rigid import (
     turns,
     weights,
 )
-from turnwright.metrology.weak import ENDLESS, Doubt, doubt, held
+from turnwright.metrology.weak import UNDETERMINED_STD_MM, Doubt, doubt, held
 from turnwright.pose import Pose
 from turnwright.surface import Surface
 from turnwright.units import say_length
@@ -47,64 +47,63 @@ DoubtKind: TypeAlias = Literal["undetermined", "tails", "held", "lost", "ambiguo
 
 __all__ = ["PoseCandidate", "Registration", "Undetermined", "register"]
 
-FEW = 3000
-"""Points that the search looks at."""
+SEARCH_POINTS = 3000
+"""Points used by the search."""
 
-SOME = 20_000
-"""Points that uncertainties and candidates are judged by."""
+STATISTICS_POINTS = 20_000
+"""Points used for uncertainties and for the comparison of candidates."""
 
-ROTATION = NAMES.index("rotation")
+ROTATION_INDEX = NAMES.index("rotation")
 
-LIMIT = 0.1
-"""Uncertainty of the rim's place beyond which a direction counts as undetermined: a dial gauge does better. [mm]."""
+MAX_RIM_STD_MM = 0.1
+"""Standard deviation of the position of the rim beyond which a direction is undetermined: a dial gauge does better."""
 
-FORM_ERROR = 1e-3
-"""What the form of a part may be off if the caller says nothing. [mm]."""
+DEFAULT_FORM_ERROR_MM = 1e-3
 
-NEARLY = 1.44
-"""Ratio of mean squares up to which another pose fits nearly as well; it stands for a fifth more rms."""
+MAX_RIVAL_RATIO = 1.44
+"""Ratio of mean squares up to which another pose fits nearly as well: 20 % more rms."""
 
-EQUAL = 10.0
-"""Difference in chi-square up to which two poses fit equally well; noise alone gives more once in 650 times."""
+EQUAL_CHI_SQUARE = 10.0
+"""Difference in chi-square up to which two poses fit equally well; noise alone exceeds it once in 650 times."""
 
-ROUGHLY = 0.01
-"""Share of the mean square by which numbers that nothing fixes may be worse where they are held."""
+HELD_COST_TOL = 0.01
+"""Relative increase of the mean square allowed when undetermined degrees of freedom are fixed."""
 
-CENTRING, LEAST_MOVE = 200, 1e-4
-"""Steps, and their least length [mm], by which a map is brought onto a part whose place only the edge tells."""
+MAX_CENTRING_STEPS, MIN_CENTRING_STEP_MM = 200, 1e-4
+"""Steps, and their least length, that bring a map onto a part of which only the edge determines the position."""
 
-SAID = 0.01
-"""Share of the points beyond the part from which a report says so."""
+MIN_LOST_SHARE = 0.01
+"""Share of the points beyond the part from which they are reported."""
 
-QUIETEST = 1e-6
-"""Noise and form together are never taken to be less than this where poses are compared. [mm]."""
+MIN_COMPARED_RMS_MM = 1e-6
+"""Lower bound of noise and form error together when poses are compared."""
 
-FAINTEST = 1e-7
-"""Noise is never taken to be less than this where uncertainties are stated. [mm]."""
+MIN_NOISE_MM = 1e-7
+"""Lower bound of the noise when uncertainties are stated."""
 
-SAME = 1e-7
-"""Height by which a part may differ from itself moved and still be called symmetric. [mm]."""
+SYMMETRY_TOL_MM = 1e-7
+"""Rms difference between a part and the moved part up to which it counts as symmetric."""
 
-FEWEST, FARTHEST = 10, 1e4
-"""Points that a centre of curvature needs, and how far it may be. [mm]."""
+MIN_CURVATURE_POINTS, MAX_CURVATURE_RADIUS_MM = 10, 1e4
+"""Limits for the centres of curvature of the surface."""
 
-MOST_CANDIDATES = 50
+MAX_CANDIDATES = 50
 
-MOST_RETURNED = 3
-"""Fits that have left the part and are begun again within its edge."""
+MAX_RESTARTS = 3
+"""Fits off the part that are repeated from within its edge."""
 
-TAILED = 3.0
-"""Residual rms over the scatter of most points beyond which a few of them rule."""
+MAX_TAIL_RATIO = 3.0
+"""Ratio of the residual rms and the robust scatter beyond which a few points dominate."""
 
-STRAY = 6.0
-"""Residual over scatter beyond which a point is flagged under a robust loss."""
+OUTLIER_SIGMA = 6.0
+"""Robust standard deviations beyond which a robust loss flags a point."""
 
 EDGE = 1e-6
-"""Share of the part's radius by which a point on its rim may lie outside: a pose is not known to better."""
+"""Tolerance of the rim, relative to the radius of the part: a pose is not known more exactly."""
 
 NM = 1e6
-CLOCKING = np.deg2rad(30)
-"""Turn from the start within which a map is looked for if the caller says nothing. [rad]."""
+DEFAULT_CLOCKING_RAD = np.deg2rad(30)
+"""Default range of the rotation about the start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -280,7 +279,7 @@ class Registration:
         """What puts the pose in doubt: of which kind, and in a sentence."""
         findings: list[tuple[DoubtKind, str]] = [("undetermined", one.words) for one in self.undetermined]
         most = scatter(self.residual.z[~self.outliers]) * NM
-        if self.rms_nm > TAILED * most and self.rms_nm > 1:
+        if self.rms_nm > MAX_TAIL_RATIO * most and self.rms_nm > 1:
             findings.append(
                 (
                     "tails",
@@ -292,7 +291,7 @@ class Registration:
             )
         if self.held:
             findings.append(("held", f"{self._held_where}, and no result of the fit: {', '.join(self.held)}."))
-        if self.lost > SAID * (self.count + self.lost):
+        if self.lost > MIN_LOST_SHARE * (self.count + self.lost):
             total = np.count_nonzero(self.outliers) + self.count + self.lost
             findings.append(("lost", f"{self.lost} of the map's {total} points lie beyond the part and do not count."))
         near = self.rivals
@@ -366,7 +365,7 @@ def register(
     loss: Loss = "linear",
     start: Pose | None = None,
     reach: float = 5.0,
-    clocking: float = CLOCKING,
+    clocking: float = DEFAULT_CLOCKING_RAD,
     within: float | None = None,
     mask: ArrayLike | None = None,
     noise_nm: float | None = None,
@@ -440,10 +439,12 @@ def register(
     check_angle(clocking, "clocking of the search", 0.0, np.pi * (1 + 1e-9))
     if weak not in ("hold", "fit", "raise"):
         raise InputError(f'weak is {weak!r}, it can be "hold", "fit" or "raise": choose one of them')
-    few, some = (task.problem.only(_sample(task.problem.points.shape[1], count)) for count in (FEW, SOME))
+    few, some = (
+        task.problem.only(_sample(task.problem.points.shape[1], count)) for count in (SEARCH_POINTS, STATISTICS_POINTS)
+    )
     # What nothing fixes is not looked for.
     alike = not task.problem.terms and axisymmetric(part.surface, task.problem.within)
-    sought = [k for k in task.free if k != ROTATION or not alike]
+    sought = [k for k in task.free if k != ROTATION_INDEX or not alike]
     on_part = [one for one in search(few, task.start, sought, task.size, reach, clocking) if _enough(one)]
     on_part = _on_the_part(few, on_part, sought, task.size)
     if not on_part:
@@ -454,13 +455,13 @@ def register(
         )
     # As many points as lay on the part where the search ended are to stay there.
     seen = on_part[0].used / few.points.shape[1]
-    best = fit(some, on_part[0].state, sought, task.size, close=1e-10, least=COVER, seen=seen)
+    best = fit(some, on_part[0].state, sought, task.size, close=1e-10, least=MIN_COVER_SHARE, seen=seen)
     if task.noise is None:
         task = task._replace(seen=map_noise(task.problem, some, best.state, heights, task.which))
     free_directions, fixed, directions = _decide(task, some, best, weak)
     fits = _distinct(task, few, some, on_part, best, free_directions, fixed)
     chosen, candidates = _candidates(task, some, fits, free_directions, seen)
-    final = fit(task.problem, chosen.state, free_directions, task.size, least=COVER, seen=seen)
+    final = fit(task.problem, chosen.state, free_directions, task.size, least=MIN_COVER_SHARE, seen=seen)
     return _answer(task, heights, final, some, free_directions, fixed, directions, candidates)
 
 
@@ -484,14 +485,14 @@ def _task(
         raise InputError(f"free holds {unknown or 'nothing'}, known are {', '.join(NAMES)}: choose among them")
     if distance not in ("vertical", "normal"):
         raise InputError(f'distance is {distance!r}, it can be "vertical" or "normal": choose one of them')
-    if loss != "linear" and loss not in WIDTH:
+    if loss != "linear" and loss not in LOSS_WIDTHS:
         raise InputError(f'loss is {loss!r}, it can be "linear", "huber" or "tukey": choose one of them')
     for term in terms:
         if not isinstance(term, Surface):
             raise InputError(f"terms hold {term!r}, which is not a surface: give surfaces whose amplitude is sought")
     radius = part.radius if within is None else positive(within, "within, the radius that counts,", "mm")
     noise = None if noise_nm is None else positive(noise_nm, "noise", "nm") / NM
-    form = FORM_ERROR if form_error is None else between(form_error, "form_error", 0, np.inf, "mm")
+    form = DEFAULT_FORM_ERROR_MM if form_error is None else between(form_error, "form_error", 0, np.inf, "mm")
     valid = valid_points(heights, len(free) + len(terms) + 1, "a registration")
     if mask is not None:
         chosen = np.asarray(mask)
@@ -512,7 +513,7 @@ def _task(
     # One height that an instrument has set to 1e9 is neither in the middle nor at the rim.
     pivot = np.array([points[0].mean(), points[1].mean(), np.median(points[2])])
     points -= pivot[:, None]
-    rim = float(np.hypot(np.hypot(points[0], points[1]).max(), np.quantile(np.abs(points[2]), COMMON))) or 1.0
+    rim = float(np.hypot(np.hypot(points[0], points[1]).max(), np.quantile(np.abs(points[2]), HEIGHT_QUANTILE))) or 1.0
     if start is None:
         far = np.hypot(points[0] + pivot[0], points[1] + pivot[1]).max() > radius + 5
         start = Pose(shift=(-pivot[0], -pivot[1], 0.0)) if far else Pose()
@@ -520,7 +521,7 @@ def _task(
     return _Task(
         problem=Problem(
             points=np.ascontiguousarray(points),
-            area=None if np.ptp(area) <= EVEN * area.max() else area / area.mean(),
+            area=None if np.ptp(area) <= EVEN_STEP_TOL * area.max() else area / area.mean(),
             surface=part.surface,
             terms=tuple(terms),
             within=radius * (1 + EDGE),
@@ -539,8 +540,8 @@ def _task(
     )
 
 
-COMMON = 0.99
-"""Share of the heights that are not wild."""
+HEIGHT_QUANTILE = 0.99
+"""Quantile of the heights that is free of gross outliers."""
 
 
 def _bends(surface: Surface, radius: float) -> Floats:
@@ -555,7 +556,7 @@ def _bends(surface: Surface, radius: float) -> Floats:
     valid = np.isfinite(z)
     x, y, z = x[valid], y[valid], z[valid]
     bend = np.full(6, np.nan)
-    if z.size < FEWEST:
+    if z.size < MIN_CURVATURE_POINTS:
         return bend
     columns = np.stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2], axis=1)
     height, along_x, along_y, xx, xy, yy = np.linalg.lstsq(columns, z, rcond=None)[0]
@@ -563,7 +564,7 @@ def _bends(surface: Surface, radius: float) -> Floats:
     bend[:2] = ways[:, 0]
     across = np.array([-ways[1, 0], ways[0, 0]])
     for k, way in enumerate((ways[:, 0], across)):
-        if abs(curvatures[k]) * FARTHEST > 1:
+        if abs(curvatures[k]) * MAX_CURVATURE_RADIUS_MM > 1:
             slope = along_x * way[0] + along_y * way[1]
             bend[2 + 2 * k : 4 + 2 * k] = -slope / curvatures[k], height + 1 / curvatures[k]
     return bend
@@ -606,11 +607,11 @@ def _on_the_part(few: Problem, found: list[Fit], free: list[int], size: Floats) 
     """
     lateral = [k for k in (0, 1) if k in free]
     within = []
-    for one in found[:MOST_RETURNED]:
+    for one in found[:MAX_RESTARTS]:
         if lateral and one.used < few.points.shape[1]:
             state = one.state.copy()
             state[:2] = _within_edge(few, state, state[:2], lateral)
-            within.append(fit(few, level(few, state, free, size), free, size, close=1e-9, least=COVER))
+            within.append(fit(few, level(few, state, free, size), free, size, close=1e-9, least=MIN_COVER_SHARE))
     return ranked(few, [*found, *filter(_enough, within)])
 
 
@@ -618,14 +619,16 @@ def _within_edge(problem: Problem, state: Floats, at: Floats, lateral: Sequence[
     """Return a lateral place from which more of the map, or all of it, lies within the edge of the part. (2,) [mm]."""
     arm = turns(state)[0][:2] @ problem.points
     at = at.copy()
-    for turn in range(CENTRING):
+    for turn in range(MAX_CENTRING_STEPS):
         away = np.hypot(*(arm + at[:, None]))
         far = int(np.argmax(away))
         beyond = away[far] - problem.within / (1 + EDGE)
         if beyond <= 0:
             break
         way = (arm[:, far] + at) / away[far]
-        at[[*lateral]] -= way[[*lateral]] * max(beyond, LEAST_MOVE) / max(1.0, (turn - CENTRING / 2) / 10)
+        at[[*lateral]] -= (
+            way[[*lateral]] * max(beyond, MIN_CENTRING_STEP_MM) / max(1.0, (turn - MAX_CENTRING_STEPS / 2) / 10)
+        )
     return at
 
 
@@ -634,10 +637,10 @@ def _noise(task: _Task) -> float:
     if task.noise is not None:
         return task.noise
     if task.seen is None:
-        return FAINTEST
+        return MIN_NOISE_MM
     if task.problem.surface.in_pieces:  # what errs together there is counted piece by piece
-        return max(float(np.hypot(task.seen.white, task.seen.correlated)), FAINTEST)
-    return max(task.seen.effective, FAINTEST)
+        return max(float(np.hypot(task.seen.white, task.seen.correlated)), MIN_NOISE_MM)
+    return max(task.seen.effective, MIN_NOISE_MM)
 
 
 def _doubt(task: _Task, some: Problem, one: Fit, free: list[int], count: int) -> Doubt:
@@ -658,24 +661,27 @@ def _decide(
     count = int(task.which.size * best.used / some.points.shape[1])
     unsure = _doubt(task, some, best, task.free, count)
     parts = Doubt(*(one[: len(pose), : len(pose)] for one in unsure))
-    vectors, pivots = held(parts.total, LIMIT)
+    vectors, pivots = held(parts.total, MAX_RIM_STD_MM)
     directions: list[tuple[Floats, float, str]] = []
     for vector in vectors.T:
         by_noise, by_form = (float(vector @ one @ vector) / float(vector @ vector) for one in parts)
         std = np.sqrt(by_noise + by_form)
-        cause = "surface" if std > ENDLESS / 10 else "form" if by_form > by_noise else "noise"
+        cause = "surface" if std > UNDETERMINED_STD_MM / 10 else "form" if by_form > by_noise else "noise"
         full = np.zeros(6)
         full[pose] = vector / np.linalg.norm(vector) * task.size[pose] * np.sign(vector[np.argmax(np.abs(vector))])
         directions.append((full, np.inf if cause == "surface" else std, cause))
     if directions and weak == "raise":
         raise InputError(
             " ".join(_words(task, *one) for one in directions)[:-1]
-            + f", the limit is {LIMIT:g} mm: leave numbers out of free, give terms or a smaller form_error, or measure "
-            "a fiducial"
+            + f", the limit is {MAX_RIM_STD_MM:g} mm: reduce free, give terms, a smaller form_error or a fiducial"
         )
-    lateral = [k for k in (0, 1, ROTATION) if k in task.free]
+    lateral = [k for k in (0, 1, ROTATION_INDEX) if k in task.free]
     levelled = fit(some, task.start, [k for k in task.free if k not in lateral], task.size, close=1e-9)
-    if _enough(levelled) and best.used < COVER * levelled.used and np.argmin(costs(some, [best, levelled])) == 1:
+    if (
+        _enough(levelled)
+        and best.used < MIN_COVER_SHARE * levelled.used
+        and np.argmin(costs(some, [best, levelled])) == 1
+    ):
         # Nothing fits so well that it would make up for the points that a shift loses.
         return (
             [k for k in task.free if k not in lateral],
@@ -684,9 +690,9 @@ def _decide(
         )
     # What noise leaves open cannot be fitted; what form may pass for is held only where that is asked for.
     if weak == "fit":
-        pivots = held(parts.noise, LIMIT)[1]
+        pivots = held(parts.noise, MAX_RIM_STD_MM)[1]
     wanted = [pose[k] for k in pivots]
-    allowed = EQUAL * _noise(task) ** 2 / max(count, 1) * best.used
+    allowed = EQUAL_CHI_SQUARE * _noise(task) ** 2 / max(count, 1) * best.used
     if weak == "hold":
         allowed += (best.cost + 9 * task.form**2) * best.used
     for count_held in range(len(wanted), 0, -1):
@@ -697,9 +703,9 @@ def _decide(
                 state[list(fixed)] = where
                 there = fit(some, state, free, task.size, close=1e-9)
                 before, after = costs(some, [best, there])
-                slack = chance(some, there.state - best.state, best.used, there.used) + ROUGHLY
+                slack = chance(some, there.state - best.state, best.used, there.used) + HELD_COST_TOL
                 if (
-                    there.used >= WHOLE * best.used
+                    there.used >= FULL_SHARE * best.used
                     and (after - before) * best.used <= allowed + slack * before * best.used
                 ):
                     return free, dict(zip(fixed, where.tolist(), strict=True)), directions
@@ -754,7 +760,7 @@ def _distinct(
     """Return the fits that differ from better ones, held numbers held."""
     distinct: list[Fit] = []
     for one in found:
-        if one.cost > 9 * found[0].cost + QUIETEST**2:
+        if one.cost > 9 * found[0].cost + MIN_COMPARED_RMS_MM**2:
             continue
         moved = one
         if fixed:
@@ -775,7 +781,7 @@ def _distinct(
             distinct.append(fit(some, 2 * middle - one.state, kept, task.size, close=1e-9))
     if not distinct:
         return [best]
-    return ranked(few, distinct)[:MOST_CANDIDATES]
+    return ranked(few, distinct)[:MAX_CANDIDATES]
 
 
 def _apart(task: _Task, one: Floats, other: Floats) -> float:
@@ -790,25 +796,27 @@ def _candidates(
     if len(fits) == 1:
         return fits[0], []
     fine: list[Fit] = []
-    close = [fit(some, one.state, kept, task.size, steps=25, close=1e-9, least=COVER, seen=seen) for one in fits]
+    close = [
+        fit(some, one.state, kept, task.size, steps=25, close=1e-9, least=MIN_COVER_SHARE, seen=seen) for one in fits
+    ]
     for one in ranked(some, close):
         if not any(_one_valley(some, one, other) for other in fine):
             fine.append(one)
-    fine = [one for one in fine if one.used >= COVER * fine[0].used]
+    fine = [one for one in fine if one.used >= MIN_COVER_SHARE * fine[0].used]
     cost = costs(some, fine)
     fit_costs = np.array([one.cost for one in fine])
-    noise = max(fit_costs[0], FINEST**2) if task.noise is None else task.noise**2
-    even = np.flatnonzero((cost - cost[0]) * fine[0].used <= EQUAL * noise)
+    noise = max(fit_costs[0], MIN_SCATTER_MM**2) if task.noise is None else task.noise**2
+    even = np.flatnonzero((cost - cost[0]) * fine[0].used <= EQUAL_CHI_SQUARE * noise)
     near = even[np.argmin([_apart(task, fine[k].state, task.start) for k in even])]
-    ratio = (fit_costs + QUIETEST**2) / (fit_costs[near] + QUIETEST**2)
+    ratio = (fit_costs + MIN_COMPARED_RMS_MM**2) / (fit_costs[near] + MIN_COMPARED_RMS_MM**2)
     # A pose no farther than its own uncertainty is not another one.
     unsure = _doubt(task, some, fine[near], kept, some.points.shape[1])
     variance, axes = np.linalg.eigh(unsure.noise)
     others = []
     for k in np.argsort(ratio):
         gap = (_gap(fine[k].state, fine[near].state) / task.size)[kept]
-        far = float(np.sum((axes.T @ gap) ** 2 / np.maximum(variance, FINEST**2)))
-        if k != near and ratio[k] <= NEARLY and far > 9 * len(kept):
+        far = float(np.sum((axes.T @ gap) ** 2 / np.maximum(variance, MIN_SCATTER_MM**2)))
+        if k != near and ratio[k] <= MAX_RIVAL_RATIO and far > 9 * len(kept):
             others.append((fine[k], float(ratio[k])))
     return fine[near], others
 
@@ -825,7 +833,7 @@ def _one_valley(some: Problem, one: Fit, other: Fit) -> bool:
             return False
         heights.append(some.mean(weights(there[on], scale, some.loss)[1], on))
     slack = 1.001 + chance(some, one.state - other.state, one.used, other.used)
-    return heights[0] <= max(heights[1:]) * slack + FINEST**2
+    return heights[0] <= max(heights[1:]) * slack + MIN_SCATTER_MM**2
 
 
 def _gap(one: Floats, other: Floats) -> Floats:
@@ -850,7 +858,7 @@ def _symmetric(task: _Task, one: Floats, other: Floats) -> bool:
     # Fits that stopped a little apart still count; noise moves them by more than rounding.
     rms = float(np.sqrt(np.mean(gap * gap)))
     inside = np.hypot(at[0], at[1]).max() <= radius * 1.001
-    return bool(inside and np.isfinite(rms) and rms < SAME)
+    return bool(inside and np.isfinite(rms) and rms < SYMMETRY_TOL_MM)
 
 
 def _answer(
@@ -870,7 +878,7 @@ def _answer(
     outliers = np.zeros(heights.z.shape, dtype=np.bool_)
     good = np.isfinite(residual)
     if problem.loss != "linear":
-        stray = good & (np.abs(residual) > STRAY * scatter(residual))
+        stray = good & (np.abs(residual) > OUTLIER_SIGMA * scatter(residual))
         outliers.ravel()[task.which[stray]] = True
         good &= ~stray
     rms = float(np.sqrt(problem.mean(residual[good] ** 2, good))) if good.any() else 0.0
@@ -910,7 +918,7 @@ def _answer(
         count=int(good.sum()),
         rms_nm=rms * NM,
         lost=int(task.which.size - np.count_nonzero(np.isfinite(residual))),
-        noise_nm=(task.noise if task.seen is None else max(task.seen.white, FAINTEST)) * NM,  # type: ignore[operator]
+        noise_nm=(task.noise if task.seen is None else max(task.seen.white, MIN_NOISE_MM)) * NM,  # type: ignore[operator]
         correlated_nm=0.0 if task.seen is None else task.seen.correlated * NM,
         correlation_length=0.0 if task.seen is None else task.seen.length,
         iterations=final.steps,

@@ -16,20 +16,20 @@ from turnwright._arrays import Floats
 from turnwright._kernels.regression import solve
 from turnwright.progress import run_chunks
 
-__all__ = ["WIDTHS", "regress"]
+__all__ = ["GAUSSIAN_WIDTHS", "regress"]
 
-WIDTHS = (float(np.sqrt(np.log(2) / np.pi)),) * 2 + (0.7309134280946758,)
-"""Width of the Gaussian by order of the polynomial, over the cutoff: exp(-pi a²) = 1/2, for order 2
-(1 + pi a²) exp(-pi a²) = 1/2."""
+GAUSSIAN_WIDTHS = (float(np.sqrt(np.log(2) / np.pi)),) * 2 + (0.7309134280946758,)
+"""Width of the Gaussian relative to the cutoff, by order of the polynomial: exp(-pi a²) = 1/2 for orders 0 and 1,
+(1 + pi a²) exp(-pi a²) = 1/2 for order 2."""
 
-REACH = 3.7
-"""Widths after which the Gaussian, exp(-pi 3.7²) = 2e-19, is cut, in space and in frequency."""
+KERNEL_REACH = 3.7
+"""Widths at which the Gaussian is cut off, in space and in frequency: exp(-pi 3.7²) = 2e-19."""
 
-RELATIVE, ABSOLUTE = 1e-6, 1e-10
-"""Where less than this of a term is determined, over the weight there and over all weight, it is left out."""
+RELATIVE_TOL, ABSOLUTE_TOL = 1e-6, 1e-10
+"""Determination of a term, relative to the local weight and to all weight, below which the term is left out."""
 
-ROWS = 8
-COLUMNS = 64
+CHUNK_ROWS = 8
+CHUNK_COLUMNS = 64
 """Lines transformed at a time, so that they stay in the cache."""
 
 Spectrum = NDArray[np.complex128]
@@ -75,7 +75,7 @@ def regress(z: Floats, weight: Floats, widths: tuple[float, float | None], order
         heights[rows] = fft.rfft(z[rows] * weight[rows], x.length, axis=1)[:, : x.kept]
         weights[rows] = fft.rfft(weight[rows], x.length, axis=1)[:, : x.kept]
 
-    run_chunks(forward, count, ROWS)
+    run_chunks(forward, count, CHUNK_ROWS)
     if y is None:
         along_heights, along_weights = [heights], [weights]
     else:
@@ -89,7 +89,7 @@ def regress(z: Floats, weight: Floats, widths: tuple[float, float | None], order
                 for kernel, target in zip(y.spectra, targets, strict=False):
                     target[:, columns] = fft.ifft(spectrum * kernel[:, None], axis=0)[:count]
 
-        run_chunks(across, x.kept, COLUMNS)
+        run_chunks(across, x.kept, CHUNK_COLUMNS)
     out = np.empty_like(z)
 
     def backward(start: int, stop: int) -> None:
@@ -102,11 +102,11 @@ def regress(z: Floats, weight: Floats, widths: tuple[float, float | None], order
             return values.reshape(len(powers), -1)
 
         solve(
-            sums(along_weights, needed), sums(along_heights, terms), pairs, nominal, RELATIVE, ABSOLUTE,
+            sums(along_weights, needed), sums(along_heights, terms), pairs, nominal, RELATIVE_TOL, ABSOLUTE_TOL,
             out[rows].reshape(-1),
         )  # fmt: skip
 
-    run_chunks(backward, count, ROWS)
+    run_chunks(backward, count, CHUNK_ROWS)
     return out
 
 
@@ -119,11 +119,11 @@ def _axis(n: int, width: float, powers: int, *, real: bool) -> Axis:
     """Sample the Gaussian times powers of the distance around the first of ``n`` points, and transform it."""
     from scipy import fft  # noqa: PLC0415 - only this needs it
 
-    half = int(REACH * width)
+    half = int(KERNEL_REACH * width)
     length = fft.next_fast_len(max(n + half, 2 * half + 1), real=real)
     u = np.arange(-half, half + 1) / width
     bell = np.exp(-np.pi * u * u) / width
-    count = min(length // 2, int(REACH * length / width)) + 1
+    count = min(length // 2, int(KERNEL_REACH * length / width)) + 1
     spectra = []
     for power in range(powers + 1):
         kernel = np.zeros(length)

@@ -20,46 +20,46 @@ __all__ = ["NAMES", "Fit", "Loss", "Problem", "Rows", "fit", "pose_of", "state_o
 Loss: TypeAlias = Literal["linear", "huber", "tukey"]
 
 NAMES = ("x", "y", "z", "rotation", "tilt_x", "tilt_y")
-"""The six numbers of a pose: where the pivot goes, and the three angles of `Pose`."""
+"""The six degrees of freedom of a pose: the position of the pivot, and the three angles of `Pose`."""
 
-BLOCK = 1 << 14
-"""Points at a time, so that what belongs to them stays in the cache."""
+BLOCK_POINTS = 1 << 14
+"""Points processed at a time, so that their data stay in the cache."""
 
-WIDTH = {"huber": 1.345, "tukey": 4.685}
-"""Residual over scatter at which a loss turns; 95 % efficient on Gaussian noise."""
+LOSS_WIDTHS = {"huber": 1.345, "tukey": 4.685}
+"""Width of each robust loss in standard deviations: 95 % efficiency on Gaussian noise."""
 
-FINEST = 1e-9
-"""Scatter below which residuals are rounding and none is an outlier. [mm]."""
+MIN_SCATTER_MM = 1e-9
+"""Lower bound of the scatter: smaller residuals are rounding, and none is an outlier."""
 
 FOOT_STEPS = 3
-"""Steps to the foot of a perpendicular; each gains a factor of distance times curvature."""
+"""Iterations to the foot of a perpendicular; each reduces the error by the distance times the curvature."""
 
-SETTLED = 0.01
-"""A step this far below the standard error of where it leads, by what it changes of the heights, is the last."""
+CONVERGENCE_TOL = 0.01
+"""Change of the heights, relative to its standard error, at which the iteration stops."""
 
-DAMPED = 1e-3
-"""Damping from which a step says nothing of how far the end is."""
+MAX_FINAL_DAMPING = 1e-3
+"""Damping from which a small step does not indicate convergence."""
 
-EXACT = 1e-13
-"""Change of the heights, rms, below which a step is rounding. [mm]."""
+ROUNDING_MM = 1e-13
+"""Rms change of the heights that is rounding."""
 
-MAX_STEPS, MOST_IDLE = 60, 6
-"""Most steps, and most in a row that change chi-square by less than a hundredth."""
+MAX_STEPS, MAX_IDLE_STEPS = 60, 6
+"""Steps, and successive steps that change chi-square by less than a hundredth."""
 
-WHOLE = 0.999
-"""Points on the part, as a share of the most that lay there, from which those exchanged at the rim go for nothing."""
+FULL_SHARE = 0.999
+"""Points on the part, relative to the most so far, from which points exchanged at the rim do not count."""
 
-OUTLIER_PRICE = 25.0
-"""Mean squares that a point costs which leaves the part: five standard deviations, as where poses are compared."""
+OUTLIER_COST = 25.0
+"""Cost of a point that leaves the part, in mean squares: five standard deviations, as in the comparison of poses."""
 
-NO_EFFECT = 1e-11
-"""Heights that a number changes, over those of the one that changes most, below which that is rounding."""
+EFFECT_TOL = 1e-11
+"""Effect of a degree of freedom on the heights, relative to the largest effect, that is rounding."""
 
-STEEPEST = 1.5
-"""Tilt beyond which no map shows the front of a part. [rad]"""
+MAX_TILT_RAD = 1.5
+"""Tilt beyond which a map cannot show the front of a part."""
 
-LEAST_SHARE = 0.5
-"""Points on the part, as a share of the most that lay there, below which a search is on a way off it."""
+MIN_ON_PART_SHARE = 0.5
+"""Points on the part, relative to the most so far, below which a step is rejected."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -203,14 +203,14 @@ def _design(problem: Problem, state: Floats, x: Floats, y: Floats) -> tuple[Floa
 
 def spans(count: int) -> list[slice]:
     """Return the blocks of so many points."""
-    return [slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK)]
+    return [slice(start, min(start + BLOCK_POINTS, count)) for start in range(0, count, BLOCK_POINTS)]
 
 
 def weights(residual: Floats, scale: float, loss: Loss) -> tuple[Floats, Floats]:
     """Return how much each residual counts, and what it costs [mm²]."""
     if loss == "linear":
         return np.ones_like(residual), residual * residual
-    width = WIDTH[loss] * scale
+    width = LOSS_WIDTHS[loss] * scale
     size = np.abs(residual)
     if loss == "huber":
         beyond = np.maximum(size, width)
@@ -272,7 +272,7 @@ def _each(work: Callable[[int, int], object], count: int) -> None:
 def scatter(residual: Floats) -> float:
     """Return the standard deviation that the median size of the residuals stands for. [mm]."""
     valid = residual[np.isfinite(residual)]
-    return max(robust_scatter(valid), FINEST) if valid.size else FINEST
+    return max(robust_scatter(valid), MIN_SCATTER_MM) if valid.size else MIN_SCATTER_MM
 
 
 def fit(
@@ -283,7 +283,7 @@ def fit(
     *,
     steps: int = MAX_STEPS,
     close: float = 1e-14,
-    least: float = LEAST_SHARE,
+    least: float = MIN_ON_PART_SHARE,
     seen: float = 0.0,
 ) -> Fit:
     """Minimise the loss over the free numbers of the state by Levenberg-Marquardt.
@@ -325,13 +325,13 @@ def _march(
         moved = float(np.abs(step).max(initial=0.0))
         changed = float(np.sqrt(max(float(step @ normal @ step), 0.0) / max(sums.weight, 1e-300)))
         leans = float(np.abs(trial[4:6]).max())
-        there = _sums(problem, trial, scale) if moved < 1e3 and leans < STEEPEST else None
+        there = _sums(problem, trial, scale) if moved < 1e3 and leans < MAX_TILT_RAD else None
         better = False
         if there is not None and there.used >= max(least * most, chosen.size + 1):
             slack = chance(problem, trial - state, sums.used, there.used)
             better = there.cost / there.area <= sums.cost / sums.area * (1 + slack)
-            if there.used < WHOLE * most:  # no pose gains by losing points: each costs as much as an outlier
-                price = max(begun, OUTLIER_PRICE * sums.cost / max(sums.area, 1e-300))
+            if there.used < FULL_SHARE * most:  # no pose gains by losing points: each costs as much as an outlier
+                price = max(begun, OUTLIER_COST * sums.cost / max(sums.area, 1e-300))
                 better &= there.cost - price * there.area <= sums.cost - price * sums.area
         gain = 0.0
         if better and there is not None:
@@ -344,11 +344,11 @@ def _march(
             damping = max(10 * damping, 1e-6)
             if damping > 1e8:
                 break
-        idle = 0 if gain > SETTLED * sums.cost / max(sums.area, 1e-300) else idle + 1
-        if idle >= MOST_IDLE:  # the edge of the part stops it
+        idle = 0 if gain > CONVERGENCE_TOL * sums.cost / max(sums.area, 1e-300) else idle + 1
+        if idle >= MAX_IDLE_STEPS:  # the edge of the part stops it
             break
         sure = np.sqrt(sums.square / max(sums.weight, 1e-300) / sums.used)
-        if damping < DAMPED and (moved <= close or changed <= max(EXACT, SETTLED * sure)):
+        if damping < MAX_FINAL_DAMPING and (moved <= close or changed <= max(ROUNDING_MM, CONVERGENCE_TOL * sure)):
             break
     square = sums.square / max(sums.weight, 1e-300)
     return Fit(state, sums.normal, sums.used, square, sums.cost / max(sums.area, 1e-300), scale, taken)
@@ -400,7 +400,7 @@ def chance(problem: Problem, step: Floats, used: int, other: int) -> float:
 def _solve(normal: Floats, right: Floats, damping: float) -> Floats:
     """Solve the damped equations; a direction that nothing fixes takes no step."""
     width = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    width = np.maximum(width, NO_EFFECT * width.max())
+    width = np.maximum(width, EFFECT_TOL * width.max())
     scaled = normal / np.outer(width, width)
     scaled[np.diag_indices_from(scaled)] += damping
     values, vectors = np.linalg.eigh(scaled)

@@ -1,9 +1,9 @@
-"""Polynomials of x and y on a grid, fitted by least squares through sums over its rows and columns alone.
+"""Least-squares polynomials in x and y on a grid, through sums over its rows and columns.
 
-A polynomial in x and y is a sum of products of a function of the column and a function of the row, on a rectangular
-grid (Legendre polynomials of x and of y) and on a polar one (polynomials of the radius, and cosines and sines of the
-angle). So is the product of two such terms. The normal matrix then needs only the moments of the valid points, and the
-right-hand side those of the heights: matrix products of a block of rows with narrow tables, whatever is missing.
+Every term is a product of a function of the column and a function of the row: Legendre polynomials of x and of y on a
+rectangular grid; polynomials of the radius, and cosines and sines of the angle, on a polar one. The product of two
+terms has the same structure. The normal matrix therefore needs only the moments of the valid points, and the right-hand
+side those of the heights: products of blocks of rows with narrow matrices, for any pattern of missing points.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from turnwright.metrology.grid import Grid
 
 __all__ = ["subtract_polynomial"]
 
-BLOCK = 1 << 15
-"""Points at a time: they stay in the cache, and products so small are not handed to the threads of BLAS, which for
-tables as narrow as these cost ten times what they save."""
+BLOCK_POINTS = 1 << 15
+"""Points processed at a time. They stay in the cache, and BLAS does not thread such small products: on matrices this
+narrow threads cost ten times what they save."""
 
 MAX_STEPS = 20
 
-SETTLED = 1e-11
-"""Change of the parameters, relative to the largest, at which they no longer change the heights."""
+CONVERGENCE_TOL = 1e-11
+"""Change of the coefficients, relative to the largest, at which the heights no longer change."""
 
 
 class Basis(NamedTuple):
-    """The terms of a polynomial as products, and the products of two terms in a basis of their own."""
+    """The terms of a polynomial as products, and a basis of the products of two terms."""
 
     columns: Floats  # (n_columns, p), functions of the column
     rows: Floats  # (n_rows, q), functions of the row
-    terms: Ints  # (2, k), which two make each term
-    column_moments: Floats  # (n_columns, a), what the product of two column functions is a sum of
+    terms: Ints  # (2, k), column function and row function of each term
+    column_moments: Floats  # (n_columns, a), basis of the products of two column functions
     row_moments: Floats  # (n_rows, b)
-    column_products: Floats  # (a, p, p), by these coefficients
+    column_products: Floats  # (a, p, p), their coefficients
     row_products: Floats  # (b, q, q)
 
 
 def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, polar: bool) -> Floats:
-    """Return heights without the polynomial of a total degree that fits them best in z, each with its area.
+    """Return heights minus the polynomial of best fit in z, weighted by area.
 
-    The normal equations lose half of the digits, and each further step wins them back.
+    The normal equations lose half of the digits; further iterations restore them.
 
     Parameters
     ----------
     z
         Heights. (n_rows, n_columns) [mm]
     valid
-        Where they count; the rest comes back as nan.
+        Heights that count; the others are returned as nan.
     """
     basis = (_polar if polar else _rectangular)(grid, valid, degree)
     normal = _normal(basis, grid, valid)
@@ -59,14 +59,14 @@ def subtract_polynomial(z: Floats, valid: Bools, grid: Grid, degree: int, *, pol
     remainder = np.empty_like(z)
     last = np.inf
     for _ in range(MAX_STEPS):
-        # Points on one line cannot carry every term; the solution of least norm is as good as any there.
+        # Points on one line do not determine every term; any solution serves, so that of least norm is taken.
         step = np.linalg.lstsq(normal, _right(basis, grid, z, valid, total, remainder), rcond=1e-13)[0]
         size = np.abs(step).max()
         if size >= last:
             break
         total = total + step
         last = size
-        if size <= SETTLED * np.abs(total).max():
+        if size <= CONVERGENCE_TOL * np.abs(total).max():
             break
     _right(basis, grid, z, valid, total, remainder)
     return remainder
@@ -78,13 +78,13 @@ def legendre(axis: Floats, degree: int) -> Floats:
 
 
 def quadrature(degree: int) -> tuple[Floats, Floats]:
-    """Return nodes and weights that integrate products of three, two of this degree and one of twice of it."""
+    """Return nodes and weights exact for products of two polynomials of this degree and one of twice the degree."""
     nodes, weight = leggauss(2 * degree + 1)
     return np.asarray(nodes, dtype=np.float64), np.asarray(weight, dtype=np.float64)
 
 
 def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:
-    count = max(BLOCK // shape[1], 1)
+    count = max(BLOCK_POINTS // shape[1], 1)
     for start in range(0, shape[0], count):
         yield slice(start, start + count)
 
@@ -105,7 +105,7 @@ def _normal(basis: Basis, grid: Grid, valid: Bools) -> Floats:
 
 
 def _right(basis: Basis, grid: Grid, z: Floats, valid: Bools, total: Floats, left: Floats) -> Floats:
-    """Set ``left`` to what the polynomial leaves, and return the right-hand side for the next step. (k,)."""
+    """Fill ``left`` with the residual, and return the right-hand side of the next iteration. (k,)."""
     p, q = basis.terms
     table = np.zeros((basis.rows.shape[1], basis.columns.shape[1]))
     table[q, p] = total
@@ -123,13 +123,13 @@ def _right(basis: Basis, grid: Grid, z: Floats, valid: Bools, total: Floats, lef
 
 
 def _unit(axis: Floats, used: Bools) -> Floats:
-    """Return an axis with what is used of it brought to [-1, 1]."""
+    """Return an axis scaled so that its used part spans [-1, 1]."""
     low, high = axis[used][[0, -1]]
     return np.asarray((axis - (low + high) / 2) / (((high - low) / 2) or 1.0))
 
 
 def _products(values: Floats, moments: Floats, weight: Floats) -> Floats:
-    """Expand the products of functions, given on the nodes of a quadrature, in functions orthogonal under it."""
+    """Expand products of functions, sampled at quadrature nodes, in functions orthogonal under that quadrature."""
     norm = weight @ moments**2
     return np.asarray(np.einsum("na,np,nq,n->apq", moments / norm, values, values, weight, optimize=True))
 

@@ -35,30 +35,30 @@ if TYPE_CHECKING:
 
 __all__ = ["Smooth", "form_compensation", "smooth_table", "sum_tables"]
 
-FEWEST_HEIGHTS = 100
-"""Heights below which an error is not told from its noise."""
+MIN_HEIGHTS = 100
+"""Number of heights below which a form error cannot be distinguished from noise."""
 
-MOST_CUTOFFS = 200
-"""Cutoffs on the diameter at most: a finer correction follows cusps and noise of any instrument."""
+MAX_CUTOFFS_PER_DIAMETER = 200
+"""A finer correction would follow the cusps and the noise of any instrument."""
 
-PER_CUTOFF = 5
-"""Steps of the grid in the wavelength of the cutoff."""
+STEPS_PER_CUTOFF = 5
+"""Grid steps in the cutoff wavelength."""
 
-COARSE = 4
-"""The same while cutoffs are tried."""
+TRIAL_STEPS_PER_CUTOFF = 4
+"""Grid steps in the cutoff wavelength while cutoffs are compared."""
 
-LONGEST = 9
-"""Longer cutoffs that are tried too, each longer by the square root of 2."""
+LONGER_CUTOFFS = 9
+"""Number of longer cutoffs that are tried, each longer than the next by the square root of 2."""
 
-COSTLY = 2.5
-"""Cutoffs of up to this many times the one asked for are only tried where something hangs together over so little."""
+CORRELATION_TEST_RATIO = 2.5
+"""Cutoffs below this many times the requested one are only tried if the residuals are spatially correlated."""
 
-WORTH = 2.0
-"""Standard errors by which a shorter cutoff must foretell the half of the points that it has not seen better."""
+MIN_GAIN_SIGMA = 2.0
+"""Standard errors by which a shorter cutoff must predict the held-out half of the points better."""
 
 
-BRIDGED, FADED = 0.75, 1.5
-"""Cutoffs away from the nearest point to which a plate runs on, and from which nothing of it is left."""
+FADE_START, FADE_END = 0.75, 1.5
+"""Distance from the nearest point at which the table begins to fade, and at which it is zero. [cutoffs]"""
 
 
 class Smooth(NamedTuple):
@@ -104,17 +104,17 @@ def form_compensation(part: Part, error: HeightMap, *, cutoff: float, beyond: fl
     True
     """
     error.require_calibrated()
-    if not 2 * part.radius / MOST_CUTOFFS <= cutoff <= part.radius:
+    if not 2 * part.radius / MAX_CUTOFFS_PER_DIAMETER <= cutoff <= part.radius:
         raise InputError(
-            f"cutoff is {cutoff:g} mm, the limits on this part are {2 * part.radius / MOST_CUTOFFS:g} to "
+            f"cutoff is {cutoff:g} mm, the limits on this part are {2 * part.radius / MAX_CUTOFFS_PER_DIAMETER:g} to "
             f"{part.radius:g} mm: give a wavelength well above the feed"
         )
     x, y = error.points()
     used = ~np.isnan(error.z) & (np.hypot(x, y) <= part.radius)
-    if np.count_nonzero(used) < FEWEST_HEIGHTS:
+    if np.count_nonzero(used) < MIN_HEIGHTS:
         raise InputError(
             f"the measured error has {np.count_nonzero(used)} heights within the clear radius {part.radius:g} mm, "
-            f"a correction needs {FEWEST_HEIGHTS}: register the map to the part first, or measure more of it"
+            f"a correction needs {MIN_HEIGHTS}: register the map to the part first, or measure more of it"
         )
     reach = part.radius + positive(beyond, "beyond", "mm") + cutoff
     return smooth_table(x[used], y[used], -error.z[used], cutoff=cutoff, reach=reach)
@@ -152,7 +152,7 @@ def smooth_table(
     """
     existing = np.zeros(z.size) if before is None else before.evaluate(x, y, 0)[0]
     # Cells, not points, are split: neighbours share the cell's noise only.
-    cell = cutoff / PER_CUTOFF / 2
+    cell = cutoff / STEPS_PER_CUTOFF / 2
     column, row = (np.floor((at + reach) / cell).astype(np.int64) for at in (x, y))
     # Of a coarse grid only every second column of cells may hold points: those that do are counted.
     odd = sum(np.unique(one, return_inverse=True)[1] for one in (column, row)) % 2 == 1
@@ -163,18 +163,18 @@ def smooth_table(
     inner = min(reach, float(max(np.abs(x).max(), np.abs(y).max())) + cutoff)
     residual = [half.z for half in halves]
     last = _losses(halves, residual, scale)
-    for length in cutoff * math.sqrt(2) ** np.arange(LONGEST, -1, -1):
+    for length in cutoff * math.sqrt(2) ** np.arange(LONGER_CUTOFFS, -1, -1):
         if length > 2 * reach:
             continue
-        if length < COSTLY * cutoff and not any(
+        if length < CORRELATION_TEST_RATIO * cutoff and not any(
             _hangs_together(half, off, cell) for half, off in zip(halves, residual, strict=True)
         ):
             break
-        tables = [_smoothed(half, length, inner, COARSE) for half in halves]
+        tables = [_smoothed(half, length, inner, TRIAL_STEPS_PER_CUTOFF) for half in halves]
         off = [half.z - _at(table, half) for half, table in zip(halves, tables[::-1], strict=True)]
         losses = _losses(halves, off, scale)
         better = last - losses
-        if better.sum() > WORTH * better.std() * math.sqrt(better.size):
+        if better.sum() > MIN_GAIN_SIGMA * better.std() * math.sqrt(better.size):
             best, last, residual = float(length), losses, off
     if best is None:
         flat = np.linspace(-reach, reach, 6)
@@ -200,7 +200,7 @@ def _faded(table: Gridded, x: Floats, y: Floats, cutoff: float) -> Gridded:
 
     at = np.stack([one.ravel() for one in np.meshgrid(table.x, table.y)], axis=1)
     away = np.asarray(KDTree(np.stack([x, y], axis=1)).query(at)[0]).reshape(table.z.shape) / cutoff
-    share = np.clip((away - BRIDGED) / (FADED - BRIDGED), 0.0, 1.0)
+    share = np.clip((away - FADE_START) / (FADE_END - FADE_START), 0.0, 1.0)
     return Gridded(x=table.x, y=table.y, z=table.z * np.cos(np.pi / 2 * share) ** 2)
 
 
@@ -216,7 +216,7 @@ def _hangs_together(half: _Points, off: Floats, cell: float) -> bool:
     scaled = off * np.sqrt(half.weight)
     grid[row, column] = np.clip(scaled, *(np.array([-4, 4]) * robust_scatter(scaled)))
     pairs = np.concatenate([(grid[1:, 1:] * grid[:-1, :-1]).ravel(), (grid[1:, :-1] * grid[:-1, 1:]).ravel()])
-    return bool(pairs.sum() > WORTH * np.sqrt(pairs @ pairs))
+    return bool(pairs.sum() > MIN_GAIN_SIGMA * np.sqrt(pairs @ pairs))
 
 
 def _loss(off: Floats, scale: float) -> Floats:
@@ -237,12 +237,14 @@ def _binned(x: Floats, y: Floats, z: Floats, cell: float, reach: float) -> _Poin
     return _Points(at_x, at_y, height, weight)
 
 
-def _smoothed(points: _Points, cutoff: float, reach: float, fine: int = PER_CUTOFF) -> Gridded:
+def _smoothed(points: _Points, cutoff: float, reach: float, fine: int = STEPS_PER_CUTOFF) -> Gridded:
     """Return the spline of least squares and bending, as a table of its heights at its knots."""
     return _plates(points, points.z[None], cutoff, reach, fine)[0]
 
 
-def _plates(points: _Points, heights: Floats, cutoff: float, reach: float, fine: int = PER_CUTOFF) -> list[Gridded]:
+def _plates(
+    points: _Points, heights: Floats, cutoff: float, reach: float, fine: int = STEPS_PER_CUTOFF
+) -> list[Gridded]:
     """Return such a spline for each of several rows of heights over the same points. (k, n) in."""
     from scipy.interpolate import BSpline  # noqa: PLC0415 - scipy is costly to import
     from scipy.linalg import solveh_banded  # noqa: PLC0415

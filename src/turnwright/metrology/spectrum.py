@@ -26,9 +26,9 @@ Missing: TypeAlias = Literal["rectangle", "mask"]
 
 NM = 1e6
 FEWEST = 8
-"""Points each way below which a spectrum says nothing."""
+"""Least number of points along each axis of a spectrum."""
 
-COSINES = {"none": (1.0,), "hann": (0.5, -0.5), "blackman": (0.42, -0.5, 0.08)}
+WINDOW_COEFFICIENTS = {"none": (1.0,), "hann": (0.5, -0.5), "blackman": (0.42, -0.5, 0.08)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -301,7 +301,7 @@ def area_psd(
 
 
 def _require(window: str, missing: str) -> None:
-    if window not in COSINES:
+    if window not in WINDOW_COEFFICIENTS:
         raise InputError(f'the window is {window!r}, it can be "none", "hann" or "blackman": choose one of them')
     if missing not in ("rectangle", "mask"):
         raise InputError(f'missing is {missing!r}, it can be "rectangle" or "mask": choose one of them')
@@ -324,7 +324,9 @@ def _even(axis: Floats, what: str) -> float:
 def _taper(size: int, window: str) -> Floats:
     """Return the window at the middles of the samples' cells. (size,)."""
     turn = 2 * np.pi * (np.arange(size) + 0.5) / size
-    return np.asarray(sum(share * np.cos(order * turn) for order, share in enumerate(COSINES[window])) * np.ones(size))
+    return np.asarray(
+        sum(share * np.cos(order * turn) for order, share in enumerate(WINDOW_COEFFICIENTS[window])) * np.ones(size)
+    )
 
 
 def _cut(z: Floats, missing: str, steps: tuple[float, float], *, rows: int) -> tuple[Floats, tuple[str, ...]]:

@@ -40,26 +40,26 @@ if TYPE_CHECKING:
 
 __all__ = ["EdgeFit", "fit_edge", "read_edge_trace"]
 
-FEWEST = 50
-"""Points below which a trace does not tell an arc from its flanks."""
+MIN_POINTS = 50
+"""Least number of points for the separation of arc and flanks."""
 
-STARTS = 400
-"""Points of a trace that are enough to find where the search begins."""
+MAX_START_POINTS = 400
+"""Points of a trace used to find the start of the fit."""
 
-OUTLIER = 4.0
-"""Standard deviations, estimated from the median, beyond which a point is dust."""
+OUTLIER_SIGMA = 4.0
+"""Robust standard deviations beyond which a point is dust."""
 
-BLEND = np.deg2rad(2.0)
-"""How much of the arc is left out beside each flank, where grinding has rounded one into the other. [rad]"""
+BLEND_RAD = np.deg2rad(2.0)
+"""Part of the arc next to each flank that is left out, where grinding has blended the two."""
 
-STROKE = 20.0
-"""How many times its usual step the trace must jump back to begin another stroke."""
+STROKE_JUMP_STEPS = 20.0
+"""Backward jump, in median steps of the trace, that begins another stroke."""
 
-SEEN = 5.0
-"""How many times the scatter the height of the arc must be, for its radius to mean anything."""
+MIN_ARC_HEIGHT_RATIO = 5.0
+"""Least height of the arc, relative to the scatter, for its radius to be determined."""
 
-PER_CUTOFF = 8
-"""Points of the waviness table in one cutoff wavelength."""
+POINTS_PER_CUTOFF = 8
+"""Points of the waviness table in a cutoff wavelength."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -210,8 +210,8 @@ def fit_edge(
     along, across = frozen(u, "trace u"), frozen(height, "trace height")
     if along.size != across.size:
         raise InputError(f"a trace has {along.size} u and {across.size} heights: give as many of one as of the other")
-    if along.size < FEWEST:
-        raise InputError(f"a trace has {along.size} points, it needs at least {FEWEST}: trace the edge more finely")
+    if along.size < MIN_POINTS:
+        raise InputError(f"a trace has {along.size} points, it needs at least {MIN_POINTS}: trace the edge more finely")
     if toward_x not in (-1, 1):
         raise InputError(f"toward_x is {toward_x!r}, it must be 1 or -1: say whether u grows toward the machine's +X")
     positive(cutoff, "cutoff", "mm")
@@ -227,11 +227,11 @@ def fit_edge(
     low, high = _ends(sweep, off, shape)
     inside, scatter = sweep[nose], _scatter(off[nose])
     arc_height = radius * (1 - np.cos(np.ptp(inside) / 2)) if inside.size else 0.0
-    if inside.size < FEWEST or arc_height < SEEN * scatter or min(-(low + tilt), high + tilt) <= 0:
+    if inside.size < MIN_POINTS or arc_height < MIN_ARC_HEIGHT_RATIO * scatter or min(-(low + tilt), high + tilt) <= 0:
         raise InputError(
-            f"a trace of {along.size} points shows no arc: the best one holds {inside.size} points and is "
-            f"{1e3 * arc_height:.3g} um high where they scatter by {1e3 * scatter:.3g} um, it needs {FEWEST} points "
-            f"and {SEEN:g} times the scatter: clean the tool and trace its nose again"
+            f"a trace of {along.size} points shows no arc: the best has {inside.size} points (at least {MIN_POINTS}) "
+            f"and a height of {1e3 * arc_height:.3g} um, with a scatter of {1e3 * scatter:.3g} um (at least "
+            f"{MIN_ARC_HEIGHT_RATIO:g} times the scatter): clean the tool and trace its nose again"
         )
     table, table_std = _smooth(inside + tilt, off[nose], cutoff / radius)
     nominal = radius if nose_radius is None else positive(nose_radius, "nose_radius", "mm")
@@ -285,7 +285,7 @@ def _strokes(along: Floats) -> Ints:
     """Return the number of the stroke that each point of the trace belongs to. (n,)."""
     steps = np.diff(along)
     steps = steps * np.sign(np.sum(np.sign(steps)) or 1.0)
-    return np.concatenate([[0], np.cumsum(steps < -STROKE * np.median(np.abs(steps)))])
+    return np.concatenate([[0], np.cumsum(steps < -STROKE_JUMP_STEPS * np.median(np.abs(steps)))])
 
 
 def _off_edge(shape: Floats, a: Floats, b: Floats) -> Floats:
@@ -331,7 +331,7 @@ def _fit_shape(a: Floats, b: Floats) -> _Found:
             x_scale=[extent, extent, extent, 1.0, 1.0], args=chosen, max_nfev=200,
         )  # fmt: skip
 
-    few = max(a.size // STARTS, 1)
+    few = max(a.size // MAX_START_POINTS, 1)
     starts = [
         np.array([middle, peak - radius, radius, flank, flank])
         for radius, flank in product(extent * np.geomspace(0.03, 3, 7), np.deg2rad([30, 60]))
@@ -356,9 +356,9 @@ def _fit_nose(a: Floats, b: Floats, shape: Floats, strokes: Ints) -> tuple[float
     from scipy.optimize import least_squares  # noqa: PLC0415
 
     sweep, off = _polar(a, b, shape[2], shape[:2])
-    arc = (sweep > BLEND - shape[3]) & (sweep < shape[4] - BLEND)
+    arc = (sweep > BLEND_RAD - shape[3]) & (sweep < shape[4] - BLEND_RAD)
     # Strokes that hold too little of the arc are dust; numbers outside of the arc do not matter.
-    strokes_used = np.flatnonzero(np.bincount(strokes[arc], minlength=1) >= FEWEST)
+    strokes_used = np.flatnonzero(np.bincount(strokes[arc], minlength=1) >= MIN_POINTS)
     arc &= np.isin(strokes, strokes_used)
     stroke = np.clip(np.searchsorted(strokes_used, strokes), 0, max(strokes_used.size - 1, 0)).astype(np.int64)
     circle = np.concatenate([shape[2:3], np.tile(shape[:2], max(strokes_used.size, 1))])
@@ -371,8 +371,8 @@ def _fit_nose(a: Floats, b: Floats, shape: Floats, strokes: Ints) -> tuple[float
     for _ in range(10):
         off = distance(circle, everywhere)
         scale = max(_scatter(off[arc]), 1e-9 * circle[0])
-        last, nose = nose, arc & (np.abs(off) < OUTLIER * scale)
-        if np.count_nonzero(nose) < FEWEST or np.array_equal(last, nose):
+        last, nose = nose, arc & (np.abs(off) < OUTLIER_SIGMA * scale)
+        if np.count_nonzero(nose) < MIN_POINTS or np.array_equal(last, nose):
             break
         circle = least_squares(distance, circle, loss="soft_l1", f_scale=scale, x_scale=circle[0], args=(nose,)).x
     return float(circle[0]), circle[1:].reshape(-1, 2), stroke, nose
@@ -380,7 +380,7 @@ def _fit_nose(a: Floats, b: Floats, shape: Floats, strokes: Ints) -> tuple[float
 
 def _ends(sweep: Floats, off: Floats, shape: Floats) -> tuple[float, float]:
     """Return where the arc ends: at the flanks, or with the trace if that shows none."""
-    near = sweep[np.abs(off) < max(OUTLIER * _scatter(off), 0.01 * shape[2])]
+    near = sweep[np.abs(off) < max(OUTLIER_SIGMA * _scatter(off), 0.01 * shape[2])]
     if not near.size:
         return -float(shape[3]), float(shape[4])
     return max(-float(shape[3]), float(near.min())), min(float(shape[4]), float(near.max()))
@@ -394,11 +394,11 @@ def _smooth(sweep: Floats, off: Floats, cutoff: float) -> tuple[WavinessTable, F
     """
     from scipy.interpolate import make_smoothing_spline  # noqa: PLC0415
 
-    step = cutoff / PER_CUTOFF
+    step = cutoff / POINTS_PER_CUTOFF
     number = np.floor((sweep - sweep.min()) / step).astype(np.int64)
     count = np.bincount(number)
     filled = count > 0
-    if np.count_nonzero(filled) < PER_CUTOFF:
+    if np.count_nonzero(filled) < POINTS_PER_CUTOFF:
         raise InputError(
             f"the arc spans {np.rad2deg(np.ptp(sweep)):.3g} deg and the cutoff {np.rad2deg(cutoff):.3g} deg of it, at "
             "least one cutoff must fit: take a smaller cutoff"
@@ -411,7 +411,7 @@ def _smooth(sweep: Floats, off: Floats, cutoff: float) -> tuple[WavinessTable, F
     deviation = smoothed(height)
     residual = off - np.interp(sweep, at, deviation)
     # What each point of the table draws from every bin; bins this far apart share nothing, so one spline tells many.
-    order, apart = np.arange(at.size), 8 * PER_CUTOFF
+    order, apart = np.arange(at.size), 8 * POINTS_PER_CUTOFF
     trace, variance = 0.0, np.zeros(at.size)
     for first in range(min(apart, at.size)):
         drawn = smoothed((order % apart == first).astype(np.float64))

@@ -40,38 +40,37 @@ if TYPE_CHECKING:
 
 __all__ = ["TurnedEdge", "edge_from_cusps"]
 
-LINES = 24
-"""Radial lines of a map."""
+RADIAL_LINES = 24
+"""Radial lines taken from a map."""
 
-FORM = 6
-"""Degree of the polynomial whose slope says where the edge touches."""
+FORM_DEGREE = 6
+"""Degree of the polynomial whose slope gives the contact point on the edge."""
 
-MEAN = 0.6
-"""Standard deviation of the Gaussian that leaves the waviness of the part, over the feed."""
+MEAN_SIGMA = 0.6
+"""Standard deviation of the Gaussian that leaves the waviness of the part, relative to the feed."""
 
-TRIM = 1.0
-"""Steps beside each crest that are left out, at least; and as many resolutions of the instrument."""
+TRIM_STEPS = 1.0
+"""Least distance from a crest at which heights count without an instrument. [steps]"""
 
-PER_CUTOFF = 4
-"""Knots in a cutoff."""
+KNOTS_PER_CUTOFF = 4
 
-FINEST = 2.0
-"""Steps or resolutions in the cutoff unless another is asked for."""
+DEFAULT_CUTOFF_STEPS = 2.0
+"""Default cutoff, in steps or in resolutions of the instrument."""
 
-FEWEST = 4
-"""Valleys, at least; and valleys over which a place of the edge is known."""
+MIN_VALLEYS = 4
+"""Least number of valleys, and of valleys that show a point of the edge."""
 
-SHIFT = 0.25
-"""Standard deviation of a valley's shift, over the feed: slopes of the edge itself move the place where it touches."""
+SHIFT_SIGMA = 0.25
+"""Standard deviation of the shift of a valley, relative to the feed: slopes of the edge itself move the contact."""
 
-PASSES = 8
-"""Rounds of weighing and of seeing through the instrument."""
+ITERATIONS = 8
+"""Iterations of the weights and of the instrument model."""
 
-FAR = 3.0
+HUBER_SIGMA = 3.0
 """Standard deviations at which the weight of a height begins to fall (Huber)."""
 
-FINE = 4
-"""Points of the surface that is seen, in a step of the measured one, at least."""
+MIN_FINE_STEPS = 4
+"""Least number of points of the modelled surface in a measured step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -180,14 +179,15 @@ def edge_from_cusps(
         raise InputError(f"toward_x is {toward_x!r}, it must be 1 or -1: say whether the distance grows toward +X")
     lines = _lines(measured, axis, removed, feed)
     finest = max(lines[0].profile.step, 0.0 if instrument is None else _resolution(instrument))
-    cutoff = FINEST * finest if cutoff is None else positive(cutoff, "cutoff", "mm")
+    cutoff = DEFAULT_CUTOFF_STEPS * finest if cutoff is None else positive(cutoff, "cutoff", "mm")
     # What is seen through an instrument is fitted up to the crests, but the edge is known where they do not blur it.
-    trim = TRIM * lines[0].profile.step if instrument is None else 0.0
+    trim = TRIM_STEPS * lines[0].profile.step if instrument is None else 0.0
     clear = trim if instrument is None else finest
     valleys = _valleys(lines, tool.nose_radius, (trim, clear), known=axis is not None, toward_x=toward_x)
-    if valleys.tip.size < FEWEST:
+    if valleys.tip.size < MIN_VALLEYS:
         raise InputError(
-            f"the profile shows {valleys.tip.size} valleys between crests, an edge needs {FEWEST}: measure a longer one"
+            f"the profile shows {valleys.tip.size} valleys between crests, an edge needs {MIN_VALLEYS}: measure a "
+            "longer one"
         )
     return _solve(lines, valleys, tool, instrument, cutoff)
 
@@ -216,7 +216,7 @@ def _lines(
         reach = reach % (2 * np.pi)
         low, high = float(reach.min()), float(reach.max())
     lines = []
-    for angle in low + (high - low) * (np.arange(LINES) + 0.5) / LINES:
+    for angle in low + (high - low) * (np.arange(RADIAL_LINES) + 0.5) / RADIAL_LINES:
         try:
             profile = line_profile(measured, axis, angle=float(angle), method="cubic")
             lines.append(_line(profile, removed, feed, known=True))
@@ -224,7 +224,7 @@ def _lines(
             continue
     if not lines:
         raise InputError(
-            f"none of {LINES} lines through the axis at {axis} shows cusps: check the axis, or give the feed"
+            f"none of {RADIAL_LINES} lines through the axis at {axis} shows cusps: check the axis, or give the feed"
         )
     return lines
 
@@ -244,10 +244,10 @@ def _line(profile: Profile, removed: Surface | None, feed: float | None, *, know
     form = np.zeros(at.size) if removed is None else removed.sag(at, np.zeros(at.size))
     valid = ~np.isnan(profile.z)
     valid[valid] = ~spikes(profile.z[valid])
-    shape = legendre.Legendre.fit(at[valid], (profile.z + form)[valid], FORM)
+    shape = legendre.Legendre.fit(at[valid], (profile.z + form)[valid], FORM_DEGREE)
     # The polynomial does not follow waviness; the mean of the cusps does.
     wavy = np.interp(at, at[valid], (profile.z + form)[valid] - shape(at[valid]))
-    mean = ndimage.gaussian_filter1d(wavy, MEAN * cusps.feed / profile.step, mode="nearest")
+    mean = ndimage.gaussian_filter1d(wavy, MEAN_SIGMA * cusps.feed / profile.step, mode="nearest")
     slope = shape.deriv()(at) + np.gradient(mean, at)
     return _Line(replace(profile, z=np.where(valid, profile.z, np.nan)), form, cusps, slope)
 
@@ -265,7 +265,7 @@ def _valleys(lines: list[_Line], radius: float, away: tuple[float, float], *, kn
         for k in np.flatnonzero(np.diff(line.cusps.run) == 0):
             before, after = float(crest[k]), float(crest[k + 1])
             inside = np.flatnonzero((at > before + trim) & (at < after - trim) & ~np.isnan(line.profile.z))
-            if inside.size < FEWEST:
+            if inside.size < MIN_VALLEYS:
                 continue
             middle = (before + after) / 2
             steep = float(np.interp(middle, at, line.slope))
@@ -311,10 +311,10 @@ def _solve(
     with_form = [line.profile.z + line.form for line in lines]
     measured = np.concatenate([with_form[n][valleys.point[valleys.line == n]] for n in range(len(lines))])
     feed = lines[0].cusps.feed
-    knot = cutoff / PER_CUTOFF
+    knot = cutoff / KNOTS_PER_CUTOFF
     first = np.floor(valleys.u.min() / knot) - 1
     knots = knot * np.arange(first, np.ceil(valleys.u.max() / knot) + 2)
-    fit, residual = _fit(lines, valleys, knots, measured, SHIFT * feed, radius, instrument, cutoff)
+    fit, residual = _fit(lines, valleys, knots, measured, SHIFT_SIGMA * feed, radius, instrument, cutoff)
     uncertainty = _uncertainty(valleys, knots, residual, fit)
     return _as_tool(tool, knots, fit, uncertainty, residual, valleys.tip.size, cutoff, feed)
 
@@ -327,7 +327,7 @@ def _fit(
     circle = _circle(valleys.u, radius)
     penalty = _penalty(knots, valleys.u.size, cutoff)
     target, weight, noise = measured - circle, np.ones(measured.size), float(np.std(measured - circle))
-    for _ in range(PASSES):
+    for _ in range(ITERATIONS):
         fitted = _fitted(valleys, knots, radius, target, weight, penalty, (noise / shift_std) ** 2)
         model = fitted.at(valleys, knots, radius)
         seen = model + circle if instrument is None else _as_seen(lines, valleys, knots, fitted, radius, instrument)
@@ -335,7 +335,7 @@ def _fit(
         if instrument is not None:
             target = model + residual
         noise = max(_scatter(residual), 1e-12)
-        weight = np.minimum(1.0, FAR * noise / np.maximum(np.abs(residual), 1e-300))
+        weight = np.minimum(1.0, HUBER_SIGMA * noise / np.maximum(np.abs(residual), 1e-300))
     return fitted, residual
 
 
@@ -406,7 +406,7 @@ def _as_seen(
     for n, line in enumerate(lines):
         at = line.profile.distance
         step = line.profile.step
-        many = max(FINE, int(np.ceil(2.5 * step / _resolution(instrument))))
+        many = max(MIN_FINE_STEPS, int(np.ceil(2.5 * step / _resolution(instrument))))
         fine = at[0] + step / many * np.arange(many * (at.size - 1) + 1)
         valid = ~np.isnan(line.profile.z)
         heights = np.interp(fine, at[valid], line.profile.z[valid])
@@ -447,7 +447,7 @@ def _uncertainty(valleys: _Valleys, knots: Floats, residual: Floats, fit: _Fit) 
         count = np.bincount(valleys.valley[near], minlength=valleys.tip.size)
         total = np.bincount(valleys.valley[near], weights=residual[near], minlength=valleys.tip.size)
         means = total[count > 0] / count[count > 0]
-        if means.size >= FEWEST:
+        if means.size >= MIN_VALLEYS:
             seen[k] = True
             std[k] = means.std(ddof=1) / np.sqrt(means.size)
     covariance = _correlated(valleys, residual) * fit.spread
@@ -459,7 +459,7 @@ def _correlated(valleys: _Valleys, residual: Floats) -> float:
     """Return the variance of a height times how many neighbours in a valley share their error. [mm²]."""
     same = np.diff(valleys.valley) == 0
     variance = _scatter(residual) ** 2
-    clipped = np.clip(residual, -FAR * np.sqrt(variance), FAR * np.sqrt(variance))
+    clipped = np.clip(residual, -HUBER_SIGMA * np.sqrt(variance), HUBER_SIGMA * np.sqrt(variance))
     product = float(np.mean((clipped[1:] * clipped[:-1])[same])) if same.any() else 0.0
     correlation = float(np.clip(product / max(float(np.mean(clipped**2)), 1e-300), 0.0, 0.9))
     return variance * (1 + correlation) / (1 - correlation)
@@ -486,10 +486,10 @@ def _as_tool(
 ) -> TurnedEdge:  # fmt: skip
     """Return the edge as waviness of the nose, without what is a height or a shift of the tool."""
     covariance, seen = known
-    if np.count_nonzero(seen) < FEWEST:
+    if np.count_nonzero(seen) < MIN_VALLEYS:
         raise InputError(
-            f"{np.count_nonzero(seen)} places of the edge show in {FEWEST} valleys or more, the limit is {FEWEST}: "
-            "measure a longer profile"
+            f"{np.count_nonzero(seen)} points of the edge appear in {MIN_VALLEYS} valleys or more, at least "
+            f"{MIN_VALLEYS} points are needed: measure a longer profile"
         )
     radius = tool.nose_radius
     u, height, covariance = knots[seen], fit.edge[seen], covariance[np.ix_(seen, seen)]
@@ -504,7 +504,7 @@ def _as_tool(
     off = height - columns @ best
     of_circle = np.linalg.pinv((columns * weight[:, None]).T @ (columns * weight[:, None]))
     # The waves of the edge itself make its circle uncertain, and neighbouring knots hang together over a cutoff.
-    excess = max(1.0, float(np.mean((off * weight) ** 2))) * PER_CUTOFF
+    excess = max(1.0, float(np.mean((off * weight) ** 2))) * KNOTS_PER_CUTOFF
     radius_std = float(np.sqrt(of_circle[2, 2] * excess))
     # How the edge bends over all valleys is known as well as the radius, beyond what shows at one place.
     bend = columns[:, 2] - columns[:, :2] @ np.linalg.lstsq(columns[:, :2], columns[:, 2], rcond=None)[0]

@@ -18,89 +18,88 @@ if TYPE_CHECKING:
 
 __all__ = ["TurningCentre", "turning_centre"]
 
-TILES = (32, 64)
-"""Sides of the tiles that a wave is looked for in: the wider ones for weak cusps and wide feeds. [pixels]"""
+TILE_PIXELS = (32, 64)
+"""Sides of the tiles in which a wave is searched for; the wider ones are for weak cusps and wide feeds."""
 
-WAVES = 3.0
-"""Waves that a tile must hold at least: slower ones are form."""
+MIN_TILE_WAVES = 3.0
+"""Least number of waves in a tile; longer waves are form."""
 
-PROMINENT = 20.0
-"""Power of a peak over the median of its tile from which it is a wave and no chance."""
+MIN_PEAK_RATIO = 20.0
+"""Power of a peak, relative to the median of its tile, from which it is a wave."""
 
-ALIKE = 0.1
-"""Share of the wave number by which tiles may differ and still show the same rings."""
+WAVE_NUMBER_TOL = 0.1
+"""Relative difference of the wave numbers of tiles that show the same rings."""
 
-FEWEST_TILES = 8
-"""Tiles with rings that a centre needs."""
+MIN_TILES = 8
+"""Least number of tiles with rings."""
 
-SHARED = 0.5
+MIN_AGREEING_SHARE = 0.5
 """Share of the tiles with waves that must agree on a centre."""
 
-KNOWN = 0.5
+MIN_VALID_SHARE = 0.5
 """Share of its points that a tile or a block must have."""
 
-BANDS = 8
-"""Annuli that the rings may have an amplitude and a phase of their own in."""
+ANNULI = 8
+"""Annuli in each of which the rings have their own amplitude and phase."""
 
-BLOCK_WAVES = 2.0
-"""Side of the blocks whose phase is taken, at least. [waves]"""
+MIN_BLOCK_WAVES = 2.0
+"""Least side of the blocks whose phase is taken. [waves]"""
 
-BLOCK_PIXELS = 12
-"""Side of the blocks whose phase is taken, at least. [pixels]"""
+MIN_BLOCK_PIXELS = 12
+"""Least side of the blocks whose phase is taken."""
 
-HARMONICS = 3
-"""Harmonics of the cusps that a block is freed of, as far as the pixels show them."""
+MAX_HARMONICS = 3
+"""Harmonics of the cusps removed from a block, as far as the pixels resolve them."""
 
-SPIRALS = (-1, 0, 1)
-"""How the phase of the rings may grow with azimuth."""
+SPIRAL_SENSES = (-1, 0, 1)
+"""Change of the phase of the rings with azimuth."""
 
-SEARCH, SEARCH_STEPS = 7, 5
-"""Steps to each side by which the centre is searched for, and steps in a wave."""
+SEARCH_REACH_STEPS, SEARCH_STEPS_PER_WAVE = 7, 5
+"""Steps to each side in the search for the centre, and steps in a wave."""
 
 SECTORS = 16
-"""Sectors whose errors are independent of each other."""
+"""Sectors with independent errors."""
 
-CERTAIN = 36.0
-"""Excess of the misfit, in units of its noise, from which a way of turning is ruled out."""
+MIN_EXCESS_MISFIT = 36.0
+"""Excess of the misfit, in units of its variance, from which an alternative is ruled out."""
 
-CHANCE = 10.0
-"""What the rings explain over what their amplitudes and phases explain of noise, from which it is no chance."""
+MIN_EXPLAINED_RATIO = 10.0
+"""Power explained by the rings, relative to the noise that their amplitudes and phases explain."""
 
-ROUNDS = 5
-"""Times that the blocks are taken about a better centre at most."""
+MAX_ROUNDS = 5
+"""Repetitions of the blocks about an improved centre."""
 
-SETTLED = 0.03
-"""Change of the phase by which a centre may still move. [rad]"""
+PHASE_TOL_RAD = 0.03
+"""Change of the phase at which the centre has converged."""
 
-DEFECT_RADIUS = 12
-"""Radius of what may be a defect of the middle, and how far it is looked for. [pixels]"""
+DEFECT_RADIUS_PIXELS = 12
+"""Radius of a centre defect, and distance within which it is searched for."""
 
-LARGEST_DEFECT = 0.2
-"""A defect of the middle is no larger: over coarser pixels something else is the same all around. [mm]"""
+MAX_DEFECT_MM = 0.2
+"""Radius beyond which a rotationally symmetric feature is not a centre defect."""
 
-EXPLAINED = 0.5
-"""Share of the variance that a defect turned about its middle must explain."""
+MIN_EXPLAINED_SHARE = 0.5
+"""Share of the variance that a radial profile of the defect must explain."""
 
-DEFECT_KNOTS = np.array([*range(DEFECT_RADIUS + 1), 15, 18, 22, 27, 36], dtype=np.float64)
-"""Radii between which the profile of a defect is linear; up to the last a low form beside it is fitted. [pixels]"""
+DEFECT_KNOTS = np.array([*range(DEFECT_RADIUS_PIXELS + 1), 15, 18, 22, 27, 36], dtype=np.float64)
+"""Radii between which the profile of a defect is linear; the smooth form is fitted up to the last. [pixels]"""
 
-DEFECT_STEPS = 20
-"""Steps of the search for the middle of a defect, at most."""
+MAX_DEFECT_STEPS = 20
 
-UNLIKE = 0.05
-"""Root mean square by which a defect may differ around its middle beyond noise, over that of the defect."""
+MAX_ASYMMETRY = 0.05
+"""Largest rms deviation of a defect from rotational symmetry beyond the noise, relative to its rms height."""
 
-GRAIN = 0.05
-"""Share of what a radial profile leaves by which a bump must be worse, so that a defect is no grain of dust."""
+MIN_BUMP_EXCESS = 0.05
+"""Least relative increase of the squared residuals for a bump instead of a radial profile; else it may be dust."""
 
-GRAIN_PIXELS = 1.5
-"""Standard deviation of the Gaussian that grains are looked for with. [pixels]"""
+GRAIN_SIGMA_PIXELS = 1.5
+"""Standard deviation of the Gaussian with which grains are searched for."""
 
-SHARPEST = 1e-3
-"""Standard uncertainty of a centre from the harmonics of the cusps that blocks keep. [waves]"""
+MIN_STD_WAVES = 1e-3
+"""Lower bound of the standard uncertainty of a centre, from the harmonics of the cusps that remain in the blocks."""
 
-SURE = 0.5
-"""Standard uncertainty of a centre, in waves of the rings or in pixels, from which it is none."""
+MAX_STD = 0.5
+"""Standard uncertainty beyond which no centre is returned, in waves of the rings or in pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,9 +177,9 @@ def turning_centre(
     grid = measure(error)
     if error.x is None or error.y is None:
         raise InputError("the map is polar, which has the middle of its rings for an axis: give a rectangular map")
-    valid_points(error, TILES[0], "a turning centre")
+    valid_points(error, TILE_PIXELS[0], "a turning centre")
     step = float(np.diff(grid.columns).mean()) if grid.columns.size > 1 else 1.0
-    for side in TILES:
+    for side in TILE_PIXELS:
         if min(error.z.shape) >= side and (feed is None or 2 * step <= feed):
             rings = _from_rings(error, feed, side)
             if rings is not None:
@@ -191,12 +190,12 @@ def turning_centre(
 def _from_rings(error: HeightMap, feed: float | None, side: int) -> TurningCentre | None:
     """Return the centre of the rings that tiles of a side show, if there are any."""
     places, waves, power = _waves(error, side)
-    if places.shape[0] < FEWEST_TILES:
+    if places.shape[0] < MIN_TILES:
         return None
     size = np.hypot(*waves.T)
     typical = 2 * np.pi / feed if feed is not None else float(np.median(size))
-    alike = np.abs(size / typical - 1) < ALIKE
-    fewest = max(FEWEST_TILES, SHARED * places.shape[0])
+    alike = np.abs(size / typical - 1) < WAVE_NUMBER_TOL
+    fewest = max(MIN_TILES, MIN_AGREEING_SHARE * places.shape[0])
     if np.count_nonzero(alike) < fewest:
         return None
     places, waves, power = places[alike], waves[alike], power[alike]
@@ -241,13 +240,13 @@ def _waves(error: HeightMap, tile_side: int) -> tuple[Floats, Floats, Floats]:
     project = np.linalg.pinv(terms)
     window = np.hanning(tile_side)[:, None] * np.hanning(tile_side)
     frequency = np.fft.fftfreq(tile_side)
-    slow = np.hypot(frequency, frequency[:, None]) < WAVES / tile_side
+    slow = np.hypot(frequency, frequency[:, None]) < MIN_TILE_WAVES / tile_side
     places, waves, power = [], [], []
     for row in range(0, error.z.shape[0] - tile_side + 1, tile_side // 2):
         for column in range(0, error.z.shape[1] - tile_side + 1, tile_side // 2):
             tile = error.z[row : row + tile_side, column : column + tile_side]
             valid = np.isfinite(tile).ravel()
-            if valid.mean() < KNOWN:
+            if valid.mean() < MIN_VALID_SHARE:
                 continue
             heights = tile.ravel()
             if valid.all():
@@ -259,7 +258,7 @@ def _waves(error: HeightMap, tile_side: int) -> tuple[Floats, Floats, Floats]:
             flat = flat.reshape(tile.shape) * window
             spectrum = np.abs(np.fft.fft2(flat)) ** 2
             i, j = np.unravel_index(int(np.argmax(np.where(slow, 0.0, spectrum))), spectrum.shape)
-            if spectrum[i, j] < PROMINENT * float(np.median(spectrum[~slow])) or spectrum[i, j] == 0:
+            if spectrum[i, j] < MIN_PEAK_RATIO * float(np.median(spectrum[~slow])) or spectrum[i, j] == 0:
                 continue
             along = [
                 _between(spectrum[(i + np.arange(-1, 2)) % tile_side, j]),
@@ -327,26 +326,26 @@ def _phase(x: Floats, y: Floats, numbers: Floats, turns: int) -> Floats:
 def _coherent(error: HeightMap, start: Floats, wave: float) -> TurningCentre | None:
     """Fit rings to the phases of blocks, which are taken again about each better centre; None where it is not sure."""
     numbers, turns = np.array([start[0], start[1], wave]), 0
-    for k in range(ROUNDS):
+    for k in range(MAX_ROUNDS):
         blocks = _blocks(error, numbers, turns)
         if blocks is None or not blocks.surround:
             return None
-        fits = [one for sense in SPIRALS if (one := _fitted(blocks, sense, search=k == 0)) is not None]
-        if len(fits) < len(SPIRALS):
+        fits = [one for sense in SPIRAL_SENSES if (one := _fitted(blocks, sense, search=k == 0)) is not None]
+        if len(fits) < len(SPIRAL_SENSES):
             return None
         best, second = sorted(fits, key=lambda one: one.misfit)[:2]
         moved = np.abs(best.numbers - numbers)[:2].max() * wave
-        settled = k > 0 and best.turns == turns and moved < SETTLED
+        settled = k > 0 and best.turns == turns and moved < PHASE_TOL_RAD
         numbers, turns = best.numbers, best.turns
         if settled:
             break
     else:
         return None
     feed = float(2 * np.pi / numbers[2])
-    std = np.sqrt(np.diag(best.covariance) + (SHARPEST * feed) ** 2)
-    other_sense = second.misfit - best.misfit < CERTAIN * best.variance
-    by_chance = best.explained < CHANCE * 2 * BANDS * best.variance
-    if other_sense or by_chance or float(std.max()) > SURE * feed:
+    std = np.sqrt(np.diag(best.covariance) + (MIN_STD_WAVES * feed) ** 2)
+    other_sense = second.misfit - best.misfit < MIN_EXCESS_MISFIT * best.variance
+    by_chance = best.explained < MIN_EXPLAINED_RATIO * 2 * ANNULI * best.variance
+    if other_sense or by_chance or float(std.max()) > MAX_STD * feed:
         return None
     return TurningCentre(
         x=float(numbers[0]), y=float(numbers[1]), std=(float(std[0]), float(std[1])), source="cusps", feed=feed,
@@ -358,7 +357,7 @@ def _blocks(error: HeightMap, numbers: Floats, turns: int) -> _Blocks | None:
     """Return amplitude and phase of the cusps in blocks, by least squares beside harmonics and form."""
     x, y = error.points()
     step = float(np.diff(x[0]).mean())
-    side = max(round(BLOCK_WAVES * 2 * np.pi / numbers[2] / step), BLOCK_PIXELS)
+    side = max(round(MIN_BLOCK_WAVES * 2 * np.pi / numbers[2] / step), MIN_BLOCK_PIXELS)
     rows, columns = (size // side for size in error.z.shape)
 
     def blocked(values: Floats) -> Floats:
@@ -369,13 +368,13 @@ def _blocks(error: HeightMap, numbers: Floats, turns: int) -> _Blocks | None:
     valid = np.isfinite(z)
     at_x, at_y = x.mean(axis=1), y.mean(axis=1)
     # Across a block that is too close to the centre the rings bend.
-    some = (valid.mean(axis=1) > KNOWN) & (np.hypot(at_x - numbers[0], at_y - numbers[1]) > 1.5 * side * step)
-    if np.count_nonzero(some) < 4 * BANDS:
+    some = (valid.mean(axis=1) > MIN_VALID_SHARE) & (np.hypot(at_x - numbers[0], at_y - numbers[1]) > 1.5 * side * step)
+    if np.count_nonzero(some) < 4 * ANNULI:
         return None
     x, y, z, valid, at_x, at_y = x[some], y[some], z[some], valid[some], at_x[some], at_y[some]
     phase = _phase(x, y, numbers, turns)
     u, v = (x - at_x[:, None]) / (side * step), (y - at_y[:, None]) / (side * step)
-    harmonics = int(np.clip(0.9 * np.pi / (numbers[2] * step), 1, HARMONICS))
+    harmonics = int(np.clip(0.9 * np.pi / (numbers[2] * step), 1, MAX_HARMONICS))
     waves = [part for k in range(1, harmonics + 1) for part in (np.cos(k * phase), np.sin(k * phase))]
     terms = np.stack([*waves, np.ones_like(u), u, v, u * u, u * v, v * v], axis=1) * valid[:, None]
     normal = terms @ terms.swapaxes(1, 2)
@@ -394,11 +393,11 @@ def _fitted(blocks: _Blocks, turns: int, *, search: bool) -> _Rings | None:
     numbers, weight = blocks.numbers, blocks.weight
     away = np.hypot(blocks.x - numbers[0], blocks.y - numbers[1])
     near, far = float(away.min()), float(away.max())
-    band = np.minimum((away - near) / max(far - near, 1e-300) * BANDS, BANDS - 1).astype(np.int64)
-    total = np.maximum(np.bincount(band, weight, BANDS), 1e-300)
+    band = np.minimum((away - near) / max(far - near, 1e-300) * ANNULI, ANNULI - 1).astype(np.int64)
+    total = np.maximum(np.bincount(band, weight, ANNULI), 1e-300)
 
     def mean(values: Floats) -> Floats:
-        return np.asarray(np.bincount(band, weight * values, BANDS) / total)
+        return np.asarray(np.bincount(band, weight * values, ANNULI) / total)
 
     def means(values: Complexes) -> Complexes:
         return np.asarray(mean(values.real) + 1j * mean(values.imag))
@@ -407,7 +406,7 @@ def _fitted(blocks: _Blocks, turns: int, *, search: bool) -> _Rings | None:
         return float(np.sum(total * np.abs(means(blocks.turned(at, turns))) ** 2))
 
     if search:
-        reach = np.arange(-SEARCH, SEARCH + 1) / SEARCH_STEPS * 2 * np.pi / numbers[2]
+        reach = np.arange(-SEARCH_REACH_STEPS, SEARCH_REACH_STEPS + 1) / SEARCH_STEPS_PER_WAVE * 2 * np.pi / numbers[2]
         tried = [numbers + np.array([a, b, 0.0]) for a in reach for b in reach]
         numbers = max(tried, key=explained)
     for _ in range(20):
@@ -437,7 +436,7 @@ def _fitted(blocks: _Blocks, turns: int, *, search: bool) -> _Rings | None:
             break
     power = float(np.sum(weight * np.abs(turned) ** 2))
     coherent = float(np.sum(total * np.abs(means(turned)) ** 2))
-    freedom = len(residual) - BANDS - 3
+    freedom = len(residual) - ANNULI - 3
     variance = float(np.sum(weight * residual**2)) / freedom
     # Errors that go together over a sector count as one.
     sector = ((np.arctan2(v, u) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
@@ -457,12 +456,12 @@ def _fitted(blocks: _Blocks, turns: int, *, search: bool) -> _Rings | None:
 
 def _from_defect(error: HeightMap, step: float, near: tuple[float, float]) -> TurningCentre | None:
     """Return the middle of what is the same all around it, if it stands out alone and is no grain."""
-    reach = DEFECT_RADIUS * step
-    if reach > LARGEST_DEFECT:
+    reach = DEFECT_RADIUS_PIXELS * step
+    if reach > MAX_DEFECT_MM:
         return None
     at = _most_alike(error, step, near)
     defect = None
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         last, defect = defect, None if at is None else _Defect.about(error, step, at)
         if defect is None or np.hypot(defect.at[0] - near[0], defect.at[1] - near[1]) > math.sqrt(2) * reach:
             return None
@@ -472,7 +471,7 @@ def _from_defect(error: HeightMap, step: float, near: tuple[float, float]) -> Tu
     if defect is None or not defect.is_symmetric or defect.is_grain() or not _is_alone(error, step, defect):
         return None
     std = np.sqrt(np.diag(defect.covariance))
-    if float(std.max()) > SURE * step:
+    if float(std.max()) > MAX_STD * step:
         return None
     return TurningCentre(
         x=float(defect.at[0]), y=float(defect.at[1]), std=(float(std[0]), float(std[1])), source="centre defect",
@@ -482,27 +481,27 @@ def _from_defect(error: HeightMap, step: float, near: tuple[float, float]) -> Tu
 
 def _most_alike(error: HeightMap, step: float, near: tuple[float, float]) -> Floats | None:
     """Return the place, to a pixel, about which a radial mean explains most of what stands out, if it explains it."""
-    reach = DEFECT_RADIUS * step
+    reach = DEFECT_RADIUS_PIXELS * step
     x, y = error.points()
     region = np.isfinite(error.z) & (np.hypot(x - near[0], y - near[1]) <= 3 * reach)
     x, y, z = x[region], y[region], error.z[region]
     smooth = np.stack([np.ones_like(x), u := x - near[0], v := y - near[1], u * u, u * v, v * v], axis=1)
     rim = np.hypot(u, v) > 1.5 * reach
-    if np.count_nonzero(rim) < 3 * smooth.shape[1] or region.sum() < 4 * DEFECT_RADIUS:
+    if np.count_nonzero(rim) < 3 * smooth.shape[1] or region.sum() < 4 * DEFECT_RADIUS_PIXELS:
         return None
     z = z - smooth @ np.linalg.lstsq(smooth[rim], z[rim], rcond=1e-12)[0]
 
     def unexplained(place: Floats) -> float:
-        ring = np.minimum(np.rint(np.hypot(x - place[0], y - place[1]) / step).astype(np.int64), DEFECT_RADIUS)
-        count, total = (np.bincount(ring, weight, DEFECT_RADIUS + 1) for weight in (np.ones(z.size), z))
+        ring = np.minimum(np.rint(np.hypot(x - place[0], y - place[1]) / step).astype(np.int64), DEFECT_RADIUS_PIXELS)
+        count, total = (np.bincount(ring, weight, DEFECT_RADIUS_PIXELS + 1) for weight in (np.ones(z.size), z))
         return -float(np.sum(total[:-1] ** 2 / np.maximum(count[:-1], 1)))
 
-    ways = np.linspace(-reach, reach, 2 * DEFECT_RADIUS + 1)
+    ways = np.linspace(-reach, reach, 2 * DEFECT_RADIUS_PIXELS + 1)
     tried = [np.array([near[0] + a, near[1] + b]) for b in ways for a in ways]
     best = min(tried, key=unexplained)
     core = np.hypot(x - best[0], y - best[1]) < reach
     explained = -unexplained(best) / max(float(np.sum(z[core] ** 2)), 1e-300)
-    return best if explained >= EXPLAINED and np.std(z[core]) >= 2 * np.std(z[rim]) else None
+    return best if explained >= MIN_EXPLAINED_SHARE and np.std(z[core]) >= 2 * np.std(z[rim]) else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -538,7 +537,7 @@ class _Defect:
             return np.asarray(z - terms @ np.linalg.lstsq(terms, z, rcond=1e-12)[0])
 
         at, residual, size = start, left(start), step / 4
-        for _ in range(DEFECT_STEPS):
+        for _ in range(MAX_DEFECT_STEPS):
             ways = np.stack([(left(at + one) - left(at - one)) / (2 * size) for one in size * np.eye(2)], axis=1)
             change = -np.linalg.lstsq(ways, residual, rcond=1e-9)[0]
             change *= min(1.0, step / max(float(np.abs(change).max()), 1e-300))
@@ -548,7 +547,7 @@ class _Defect:
             at, residual = at + change, other
         normal = np.linalg.pinv(ways.T @ ways)
         u, v = x - at[0], y - at[1]
-        core = np.hypot(u, v) < DEFECT_RADIUS * step
+        core = np.hypot(u, v) < DEFECT_RADIUS_PIXELS * step
         variance = max(float(np.mean(residual[one] ** 2)) for one in (core, ~core))
         # Errors that go together over a sector count as one.
         sector = ((np.arctan2(v, u) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
@@ -563,7 +562,7 @@ class _Defect:
     @property
     def core(self) -> Bools:
         """Which points may belong to it."""
-        return np.asarray(np.hypot(self.x - self.at[0], self.y - self.at[1]) < DEFECT_RADIUS * self.step)
+        return np.asarray(np.hypot(self.x - self.at[0], self.y - self.at[1]) < DEFECT_RADIUS_PIXELS * self.step)
 
     @property
     def noise(self) -> float:
@@ -574,7 +573,7 @@ class _Defect:
     def is_symmetric(self) -> bool:
         """Whether the core is the same all around but for noise and the steps of its profile."""
         unlike = float(np.mean(self.residual[self.core] ** 2)) - 1.5 * self.noise**2
-        return unlike < UNLIKE**2 * float(np.mean((self.z - self.form @ self._fit())[self.core] ** 2))
+        return unlike < MAX_ASYMMETRY**2 * float(np.mean((self.z - self.form @ self._fit())[self.core] ** 2))
 
     def _fit(self) -> Floats:
         """Return the coefficients of the form."""
@@ -596,11 +595,11 @@ class _Defect:
 
         best = min(
             float(2 * least_squares(left, [1 / width, 1 / width, 0.0, 0.0, 0.0, power], max_nfev=40).cost)
-            for width in (DEFECT_RADIUS / 5, DEFECT_RADIUS / 2)
+            for width in (DEFECT_RADIUS_PIXELS / 5, DEFECT_RADIUS_PIXELS / 2)
             for power in (0.0, 0.7)
         )
         cost = float(self.residual @ self.residual)
-        return best - cost < max(CERTAIN * self.noise**2, GRAIN * cost)
+        return best - cost < max(MIN_EXCESS_MISFIT * self.noise**2, MIN_BUMP_EXCESS * cost)
 
 
 def _radial(away: Floats) -> Floats:
@@ -625,10 +624,11 @@ def _is_alone(error: HeightMap, step: float, defect: _Defect) -> bool:
             weight, 1e-9
         ), weight
 
-    (fine, _), (coarse, weight) = smooth(GRAIN_PIXELS), smooth(DEFECT_RADIUS / 2)
+    (fine, _), (coarse, weight) = smooth(GRAIN_SIGMA_PIXELS), smooth(DEFECT_RADIUS_PIXELS / 2)
     stands = np.abs(fine - coarse) * (valid & (weight > 0.95))
     away = np.hypot(x - defect.at[0], y - defect.at[1])
     inside, outside = (
-        float(stands[one].max(initial=0.0)) for one in (away < DEFECT_RADIUS * step, away > 2 * DEFECT_RADIUS * step)
+        float(stands[one].max(initial=0.0))
+        for one in (away < DEFECT_RADIUS_PIXELS * step, away > 2 * DEFECT_RADIUS_PIXELS * step)
     )
     return outside < 0.5 * inside

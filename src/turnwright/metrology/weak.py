@@ -13,20 +13,20 @@ from turnwright.surface import Surface, Zernike
 
 __all__ = ["Doubt", "doubt", "held", "plausible"]
 
-NOTHING = 1e-12
-"""Singular value, as a share of the largest one, at which a direction changes nothing but rounding."""
+RANK_TOL = 1e-12
+"""Singular value, relative to the largest, at which a direction changes only rounding."""
 
-ENDLESS = 1e6
-"""Standard deviation of a direction that nothing fixes. [mm]."""
+UNDETERMINED_STD_MM = 1e6
+"""Standard deviation given to a direction that nothing determines."""
 
-CELLS = 8
-"""Cells of the map, each way, within which residuals may hang together."""
+CELLS_PER_SIDE = 8
+"""Cells of the map along each axis within which residuals may be correlated."""
 
-CLEAR = 2.0
-"""Variance over that of independent residuals from which they do; chance alone stays below."""
+MIN_CORRELATED_RATIO = 2.0
+"""Ratio of the variance to that of independent residuals from which they are correlated; chance stays below."""
 
-FORMS = range(3, 15)
-"""ANSI numbers of the forms that a pose may be mistaken for: degrees 2, 3 and 4."""
+FORM_INDICES = range(3, 15)
+"""ANSI numbers of the forms that can be mistaken for a change of the pose: degrees 2, 3 and 4."""
 
 
 class Doubt(NamedTuple):
@@ -43,7 +43,7 @@ class Doubt(NamedTuple):
 
 def plausible(radius: float) -> list[Zernike]:
     """Return the forms that a pose may be mistaken for, each 1 mm at the rim."""
-    return [Zernike(terms={j: 1.0}, radius=radius, indexing="ansi", normalised=False) for j in FORMS]
+    return [Zernike(terms={j: 1.0}, radius=radius, indexing="ansi", normalised=False) for j in FORM_INDICES]
 
 
 def doubt(
@@ -76,10 +76,10 @@ def doubt(
     # Singular values reach down to rounding; eigenvalues of the normal equations stop at its square root.
     columns = _of_design(problem, found.state, at)[chosen] * size[chosen, None]
     points, singular, vectors = np.linalg.svd((columns * root).T, full_matrices=False)
-    fixed = singular > NOTHING * max(singular[0], 1e-300)
+    fixed = singular > RANK_TOL * max(singular[0], 1e-300)
     inverse = np.where(fixed, 1 / np.where(fixed, singular, 1.0), 0.0)
     share = at.which.size / max(count, 1)
-    std = np.where(fixed, np.minimum(noise * inverse * np.sqrt(share), ENDLESS), ENDLESS)
+    std = np.where(fixed, np.minimum(noise * inverse * np.sqrt(share), UNDETERMINED_STD_MM), UNDETERMINED_STD_MM)
     variance = (vectors.T * std**2) @ vectors
     if problem.area is not None:
         # An area is no statement of a point's noise: it enters as W does in A⁻¹ J W² Jᵀ A⁻¹ with A = J W Jᵀ.
@@ -115,12 +115,14 @@ def _widened(
 ) -> Floats:
     """Return the covariance with the excess of residuals that hang together over those that do not."""
     low, high = at.at[:2].min(axis=1, keepdims=True), at.at[:2].max(axis=1, keepdims=True)
-    i, j = np.minimum((CELLS * (at.at[:2] - low) / np.maximum(high - low, 1e-300)).astype(np.int64), CELLS - 1)
-    cell = i * CELLS + j
+    i, j = np.minimum(
+        (CELLS_PER_SIDE * (at.at[:2] - low) / np.maximum(high - low, 1e-300)).astype(np.int64), CELLS_PER_SIDE - 1
+    )
+    cell = i * CELLS_PER_SIDE + j
     piece = surface.piece(np.ascontiguousarray(at.at[0]), np.ascontiguousarray(at.at[1]))
     if piece is not None:  # a lenslet hangs together; what lies between them goes by cells
         _, number, size = np.unique(piece, return_inverse=True, return_counts=True)
-        cell = np.where(size[number] < cell.size / CELLS, CELLS**2 + number, cell)
+        cell = np.where(size[number] < cell.size / CELLS_PER_SIDE, CELLS_PER_SIDE**2 + number, cell)
     pull = pulls * at.residual[:, None]
     sums = np.stack([np.bincount(cell, weights=column) for column in pull.T])
     scatter = float((pull * pull).sum()) / singular.size
@@ -128,7 +130,7 @@ def _widened(
         return variance
     # In the frame of the singular vectors independent residuals have the same scatter along all of them.
     ratio, axes = np.linalg.eigh(sums @ sums.T / scatter)
-    excess = np.where(ratio > CLEAR, ratio - 1, 0.0) / share
+    excess = np.where(ratio > MIN_CORRELATED_RATIO, ratio - 1, 0.0) / share
     stretch = (vectors.T / singular) @ axes
     white = float(np.trace(variance)) / float(np.sum(1 / singular**2))
     return np.asarray(variance + (stretch * (white * excess)) @ stretch.T)
@@ -147,7 +149,7 @@ def held(covariance: Floats, limit: float) -> tuple[Floats, list[int]]:
 
     values, vectors = np.linalg.eigh(covariance)
     weak = vectors[:, values > limit**2][:, ::-1]
-    free = int(np.count_nonzero(values > (ENDLESS / 10) ** 2))
+    free = int(np.count_nonzero(values > (UNDETERMINED_STD_MM / 10) ** 2))
     numbers: list[int] = []
     if free:
         numbers = [int(k) for k in qr(weak[:, :free].T, pivoting=True, mode="r")[1][:free]]

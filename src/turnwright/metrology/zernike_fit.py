@@ -26,7 +26,7 @@ NM = 1e6
 MAX_STEPS = 10
 MAX_TERMS = 1000
 
-SETTLED = 1e-13
+CONVERGENCE_TOL = 1e-13
 """Change of the coefficients, relative to the largest, that is rounding."""
 
 
@@ -215,7 +215,7 @@ def _fit(
         sums = sums_over(cloud, model, solution, whole=False, left=left)
         step, _ = solve(normal.normal, sums.right, names, "a Zernike fit")
         solution = solution + step
-        if np.abs(step).max() <= SETTLED * np.abs(solution).max():
+        if np.abs(step).max() <= CONVERGENCE_TOL * np.abs(solution).max():
             break
     return solution, replace(sums, normal=normal.normal, spread=normal.spread), condition
 
