@@ -51,8 +51,8 @@ def test_clearance_shows_a_gouge_despite_the_search(name, monkeypatch):
         at = touch(*args, **kwargs)
         return Touch(at.z - 0.02, *at[1:])
 
-    touch = contact.touch
-    monkeypatch.setattr(contact, "touch", lower)
+    touch = contact.touch_down
+    monkeypatch.setattr(contact, "touch_down", lower)
     assert -0.02 - 1e-12 < tw.place(spiral, part, tool).clearance.min() < -0.0195
 
 

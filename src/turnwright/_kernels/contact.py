@@ -75,7 +75,7 @@ def normal_rates(edge, angle, x, y, sweep, fx, fy, fxx, fxy, fyy, outward, upwar
 
 
 @jit
-def places(edge, angle, radius, aside, first, step, below, above, x, y, e):
+def spread(edge, angle, radius, aside, first, step, below, above, x, y, e):
     """Fill ``x``, ``y`` with where the edge stands over the part at one place each, and ``e`` with its height there.
 
     The places follow each other by the golden ratio: half of them on the arc; the others on the flanks, closer together

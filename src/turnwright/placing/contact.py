@@ -1,7 +1,8 @@
 r"""Placing the tool: bring the real edge into contact with the surface, exactly.
 
-Along Z the tip goes straight down until the edge touches: the dilation of `placing.search`, free of gouges by
-construction; the clearance of the edge, looked at all over it and not where the contact was found, proves it. Along
+Along Z the tip goes straight down until the edge touches: by the one tangent where there is only one
+(`placing.tangent`), otherwise by the exact maximum (`placing.search`), free of gouges by construction; the clearance of
+the edge, looked at all over it and not where the contact was found, proves it. Along
 the normal the contact point stays where the spiral sends it and the tip moves aside,
 
 .. math:: \rho' = \rho - u(s), \qquad z' = f(\rho, \theta) - e(s), \qquad e'(s)/u'(s) = f_\rho
@@ -25,17 +26,22 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from turnwright._arrays import Bools, Floats
-from turnwright._kernels import contact as kernel, dilation as dilation_kernel
-from turnwright.errors import GougeError, InputError
+from turnwright._arrays import Bools, Floats, frozen, only_read, same_length
+from turnwright._kernels import contact as kernel
+from turnwright.edge import Edge
+from turnwright.errors import InputError
 from turnwright.part import Part
 from turnwright.path import Path, Spiral
-from turnwright.placing.search import BESIDE, CHUNK, Touch, touch
+from turnwright.placing.breaks import BESIDE
+from turnwright.placing.search import CHUNK, search
+from turnwright.placing.tangent import Tips, Touch, bend_limit, find_tangents, set_contact, tangents_through
 from turnwright.progress import Progress, run_chunks
+from turnwright.surface import Surface
 from turnwright.tool import Tool
 
-__all__ = ["place"]
+__all__ = ["place", "tip_height", "touch"]
 
 TANGENT = 1e-3
 """A contact this near to a tangent, as Newton's method sees it, is one; other contacts are on corners. [rad]"""
@@ -100,40 +106,119 @@ def place(
     """
     if along not in ("z", "normal"):
         raise InputError(f'along is {along!r}, it must be "z" or "normal": choose one')
-    angle, radius, sense = spiral.angle, spiral.radius, spiral.sense
+    edge = tool.cutting_edge(spiral.sense)
+    tips = Tips(spiral.angle, spiral.radius, np.zeros(spiral.angle.size) if spiral.y is None else spiral.y)
     if along == "normal":
-        return _along_normal(spiral, part, tool, progress)
-    rim, y = part.radius, spiral.y
-    at = touch(part.surface, tool, angle=angle, radius=radius, y=y, sense=sense, rim=rim, progress=progress)
+        return _along_normal(spiral, part, edge, tips, progress)
+    at = touch_down(part.surface, edge, tips, part.radius, progress)
     return Path(
-        angle=angle, radius=radius, z=at.z, sweep=at.sweep, contact_x=at.x, contact_y=at.y, contact_z=at.surface_z,
-        clearance=_clearance(spiral, part, tool, at.z), y=y, y_rate=spiral.y_rate, radius_rate=spiral.radius_rate,
-        lift=spiral.lift, z_rate=_z_rate(spiral, part, tool, at),
+        angle=spiral.angle, radius=spiral.radius, z=at.z, sweep=at.sweep, contact_x=at.x, contact_y=at.y,
+        contact_z=at.surface_z, clearance=_clearance(part, edge, tips, at.z), y=spiral.y, y_rate=spiral.y_rate,
+        radius_rate=spiral.radius_rate, lift=spiral.lift, z_rate=_z_rate(spiral, part, edge, tips, at),
     )  # fmt: skip
 
 
-def _clearance(spiral: Spiral, part: Part, tool: Tool, z: Floats) -> Floats:
+def touch(
+    surface: Surface,
+    tool: Tool,
+    *,
+    angle: ArrayLike,
+    radius: ArrayLike,
+    y: ArrayLike | None = None,
+    sense: int,
+    rim: float = np.inf,
+    progress: Progress | None = None,
+) -> Touch:
+    """Bring the edge down onto the surface along Z.
+
+    Parameters
+    ----------
+    surface, tool
+        What is to be left, and the real tool.
+    angle, radius
+        Rake plane, and where the commanded tip stands along it. (n,) [rad], (n,) [mm]
+    y
+        How far across that plane it stands, toward growing azimuth; ``None`` for at centre. (n,) [mm]
+    sense
+        +1 where the angle grows with time, -1 where it falls.
+    rim
+        How far from the axis the surface is wanted; no nearer than the farthest tip. Outside, it is continued under
+        the arc of the outermost tips if it has one tangent as far; otherwise it counts as ended, and an edge that would
+        touch outside is lowered onto the rim. By default all of the surface counts. [mm]
+    progress
+        Called with (done, total).
+
+    Raises
+    ------
+    DomainError
+        If the edge touches where the surface is not defined.
+    GougeError
+        If no place on the edge can be found that touches, which a surface with infinite heights does, or one that is
+        steeper than the flanks as far as the rim.
+    """
+    angle, radius = frozen(angle, "angle"), frozen(radius, "radius")
+    tips = Tips(angle, radius, np.zeros(angle.size) if y is None else frozen(y, "y"))
+    same_length([("angle", angle), ("radius", radius), ("y", tips.aside)])
+    return touch_down(surface, tool.cutting_edge(sense), tips, rim, progress)
+
+
+def tip_height(
+    surface: Surface,
+    tool: Tool,
+    *,
+    angle: ArrayLike,
+    radius: ArrayLike,
+    y: ArrayLike | None = None,
+    sense: int,
+    rim: float = np.inf,
+    progress: Progress | None = None,
+) -> Floats:
+    """Return the commanded tip heights at which the edge touches the surface. (n,) [mm]. See `touch`."""
+    return touch(surface, tool, angle=angle, radius=radius, y=y, sense=sense, rim=rim, progress=progress).z
+
+
+def touch_down(surface: Surface, edge: Edge, tips: Tips, rim: float, progress: Progress | None = None) -> Touch:
+    """Bring an edge down as `touch` does: by the one tangent, unless a point doubts that it is the only one."""
+    tips = Tips(*(only_read(one) for one in tips))  # kernels are compiled for such
+    contact = set_contact(surface, edge, tips, rim)
+    out = Touch(*(np.empty(tips.angle.size) for _ in range(5)))
+    limit = bend_limit(contact)
+    doubtful = limit is None
+
+    def work(start: int, stop: int) -> None:
+        nonlocal doubtful
+        part = slice(start, stop)
+        if not doubtful and limit is not None and not find_tangents(contact, limit, tips.some(part), out.some(part)):
+            doubtful = True
+
+    if limit is not None:
+        run_chunks(work, tips.angle.size, CHUNK, progress)
+    if doubtful:
+        search(contact, tips, out, progress)
+    return out
+
+
+def _clearance(part: Part, edge: Edge, tips: Tips, z: Floats) -> Floats:
     """Return the least height of the edge above the surface inside the rim, 0 at most, without a look at any contact.
 
     The tips are tried at places of their own all over the edge, flanks included: the golden ratio spreads them evenly
     over edge and path together, so that what a search has missed shows at some of the tips that miss it.
     """
-    edge, least = tool.cutting_edge(spiral.sense), np.zeros(z.size)
-    aside = np.zeros(z.size) if spiral.y is None else spiral.y
+    least = np.zeros(z.size)
     every = slice(None, None, max(1, z.size // PLACES))
-    tips = [np.ascontiguousarray(one[every]) for one in (spiral.angle, spiral.radius, aside)]
-    seen, tip_z = np.zeros(tips[0].size), np.ascontiguousarray(z[every])
-    rim = max(part.radius, float(np.hypot(spiral.radius, aside).max()))
+    rim = max(part.radius, float(np.hypot(tips.radius, tips.aside).max()))
+    tips = Tips(*(np.ascontiguousarray(one) for one in tips.some(every)))
+    seen, tip_z = np.zeros(tips.angle.size), np.ascontiguousarray(z[every])
     # A flank is a straight line over the sweep too: this is what it takes to the far side of the rim.
-    ends = np.array(tool.arc)
-    low, high = 2 * rim / np.abs(tool.edge(ends + np.array([-1.0, 1.0]))[0] - tool.edge(ends)[0])
+    ends = np.array([edge.low, edge.high])
+    low, high = 2 * rim / np.abs(edge.points(ends + np.array([-1.0, 1.0]))[0] - edge.points(ends)[0])
     times = int(np.clip(PLACES // seen.size, 1, MOST_PLACES))
 
     def work(start: int, stop: int) -> None:
         some = slice(start, stop)
         x, y, e = np.empty((3, stop - start))
         for k in range(times):
-            kernel.places(edge, *(one[some] for one in tips), start * times + k, times, low, high, x, y, e)
+            kernel.spread(edge, *tips.some(some), start * times + k, times, low, high, x, y, e)
             with np.errstate(all="ignore"):
                 height = part.surface.evaluate(x, y, 0)[0]
             inside = part.surface.inside(x, y)
@@ -146,14 +231,13 @@ def _clearance(spiral: Spiral, part: Part, tool: Tool, z: Floats) -> Floats:
     return least
 
 
-def _z_rate(spiral: Spiral, part: Part, tool: Tool, at: Touch) -> Floats | None:
+def _z_rate(spiral: Spiral, part: Part, edge: Edge, tips: Tips, at: Touch) -> Floats | None:
     """Return the derivative of the tip's height by the angle, or ``None`` if the spiral does not state its own."""
     if spiral.radius_rate is None or (spiral.y is not None and spiral.y_rate is None):
         return None
-    edge, surface, outward = tool.cutting_edge(spiral.sense), part.surface, spiral.radius_rate
+    surface, outward = part.surface, spiral.radius_rate
     upward = np.zeros(outward.size) if spiral.y_rate is None else spiral.y_rate
-    reach = np.abs(spiral.radius) if spiral.y is None else np.hypot(spiral.radius, spiral.y)
-    rim = max(part.radius, float(reach.max()))
+    rim = max(part.radius, float(np.hypot(tips.radius, tips.aside).max()))
     rate = np.empty(outward.size)
 
     def work(start: int, stop: int) -> None:
@@ -181,11 +265,9 @@ def _z_rate(spiral: Spiral, part: Part, tool: Tool, at: Touch) -> Floats | None:
     run_chunks(work, rate.size, CHUNK)
     lost = np.flatnonzero(np.isnan(rate))
     if lost.size:
-        aside = np.array([[-NEAR], [NEAR]])
-        angle = (spiral.angle[lost] + aside).ravel()
-        radius = (spiral.radius[lost] + aside * outward[lost]).ravel()
-        y = None if spiral.y is None else (spiral.y[lost] + aside * upward[lost]).ravel()
-        z = touch(surface, tool, angle=angle, radius=radius, y=y, sense=spiral.sense, rim=rim).z
+        aside, own = np.array([[-NEAR], [NEAR]]), tips.some(lost)
+        moved = (own.angle + aside, own.radius + aside * outward[lost], own.aside + aside * upward[lost])
+        z = touch_down(surface, edge, Tips(*(one.ravel() for one in moved)), rim).z
         rate[lost] = (z[lost.size :] - z[: lost.size]) / (2 * NEAR)
     return rate
 
@@ -206,23 +288,20 @@ def _on_ridge(part: Part, sides: list[tuple[Floats, Floats]], along: Floats, ris
     return mixed, ridge | lip
 
 
-def _along_normal(spiral: Spiral, part: Part, tool: Tool, progress: Progress | None) -> Path:
-    angle, contact, sense = spiral.angle, spiral.radius, spiral.sense
-    aside = np.zeros(angle.size) if spiral.y is None else spiral.y
-    sweep, x, y, surface_z = _tangent(part, tool, angle, contact, aside, sense)
-    u, _, e = tool.edge(sweep, sense)
-    radius, z = contact - u, surface_z - e
-    rim = part.radius
-    at = touch(part.surface, tool, angle=angle, radius=radius, y=aside, sense=sense, rim=rim, progress=progress)
-    radius_rate, z_rate = _normal_rates(spiral, part, tool, sweep, x, y)
+def _along_normal(spiral: Spiral, part: Part, edge: Edge, contacts: Tips, progress: Progress | None) -> Path:
+    sweep, x, y, surface_z = tangents_through(part.surface, edge, contacts)
+    u, _, e = edge.points(sweep)
+    tips, z = contacts._replace(radius=contacts.radius - u), surface_z - e
+    radius_rate, z_rate = _normal_rates(spiral, part, edge, sweep, x, y)
+    at = touch_down(part.surface, edge, tips, part.radius, progress)
     return Path(
-        angle=angle, radius=radius, z=z, sweep=sweep, contact_x=x, contact_y=y, contact_z=surface_z,
+        angle=tips.angle, radius=tips.radius, z=z, sweep=sweep, contact_x=x, contact_y=y, contact_z=surface_z,
         clearance=z - at.z, y=spiral.y, y_rate=spiral.y_rate, radius_rate=radius_rate, z_rate=z_rate, lift=spiral.lift,
     )  # fmt: skip
 
 
 def _normal_rates(
-    spiral: Spiral, part: Part, tool: Tool, sweep: Floats, x: Floats, y: Floats
+    spiral: Spiral, part: Part, edge: Edge, sweep: Floats, x: Floats, y: Floats
 ) -> tuple[Floats, Floats] | tuple[None, None]:
     """Return the derivatives of the tip's radius and height by the angle, if the spiral states its own."""
     if spiral.radius_rate is None or (spiral.y is not None and spiral.y_rate is None):
@@ -230,45 +309,6 @@ def _normal_rates(
     upward = np.zeros(x.size) if spiral.y_rate is None else spiral.y_rate
     radius_rate, z_rate = np.empty((2, x.size))
     slopes = part.surface.evaluate(x, y, 2)[1:]
-    kernel.normal_rates(
-        tool.cutting_edge(spiral.sense),
-        spiral.angle,
-        x,
-        y,
-        sweep,
-        *slopes,
-        spiral.radius_rate,
-        upward,
-        radius_rate,
-        z_rate,
-    )
+    rates = spiral.radius_rate, upward
+    kernel.normal_rates(edge, spiral.angle, x, y, sweep, *slopes, *rates, radius_rate, z_rate)
     return radius_rate, z_rate
-
-
-def _tangent(
-    part: Part, tool: Tool, angle: Floats, contact: Floats, aside: Floats, sense: int
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return sweep, x, y and height where the edge's tangent is the surface's, at ``contact`` along the rake plane."""
-    edge = tool.cutting_edge(sense)
-    cosine, sine = np.cos(angle), np.sin(angle)
-    sweep = np.zeros(angle.size)
-    across = aside + edge.dy
-    for _ in range(20):
-        x, y = contact * cosine - across * sine, contact * sine + across * cosine
-        surface_z = part.surface.sag(x, y)
-        zx, zy = part.surface.gradient(x, y)
-        dilation_kernel.tangent_sweep(edge, zx * cosine + zy * sine, zy * cosine - zx * sine, sweep)
-        if not np.isfinite(sweep).all():
-            k = int(np.argmin(np.isfinite(sweep)))
-            low, high = np.rad2deg(tool.arc)
-            raise GougeError(
-                f"the surface slopes {np.rad2deg(np.arctan(np.hypot(zx[k], zy[k]))):.4g} deg at x = {x[k]:.6g} mm, "
-                f"y = {y[k]:.6g} mm, the arc of the tool holds tangents from {low:.4g} to {high:.4g} deg: "
-                "take a tool with a larger included angle"
-            )
-        moved = aside + tool.edge(sweep, sense)[1]
-        # An upright edge stays in the radial plane; a leaning one moves aside with its place on the nose.
-        if np.abs(moved - across).max() < 1e-15:
-            break
-        across = moved
-    return sweep, x, y, surface_z
