@@ -460,7 +460,10 @@ ARCHIVES = {
     "a job too long": (lambda: packed([("job.toml", b" " * (8 * 2**20 + 1))]), "more than 8 MiB"),
     "a job of tables in tables": (lambda: packed([("job.toml", "a." * 900 + "a = 1")]), "nesting depth"),
     "a way up": (lambda: packed([naming("../a.csv"), ("../a.csv", TABLE)]), "must be relative paths"),
-    "a way up under Windows": (lambda: packed([naming("a.csv"), ("x\\..\\..\\a.csv", TABLE)]), "must be relative paths"),
+    "a way up under Windows": (
+        lambda: packed([naming("a.csv"), ("x\\..\\..\\a.csv", TABLE)]),
+        "must be relative paths",
+    ),
     "a place on the disk": (lambda: packed([naming("/etc/passwd"), ("/etc/passwd", TABLE)]), "must be relative paths"),
     "a place on a drive": (lambda: packed([naming("C:/a.csv"), ("C:/a.csv", TABLE)]), "must be relative paths"),
     "a file that is none of its kind": (lambda: packed([naming("a.csv"), ("a.csv", b"<html>")]), "a.csv: "),
