@@ -85,10 +85,10 @@ def test_what_remains_above_the_frequency_is_the_residual(residual):
     assert found == pytest.approx(waves * last, abs=1.0)
 
 
-def test_the_message_states_what_remains():
+def test_bandwidth_finding_names_the_residual():
     turned = np.linspace(0, 3 * TURN, 3 * 20_000 + 1)
     (sentence,) = [one for one in limits(1e-4 * np.sin(400 * turned), turned).findings if "bandwidth" in one]
-    assert "above which less than 10 nm of its motion remains" in sentence
+    assert "10 nm" in sentence
 
 
 def test_a_fast_tool_is_judged_by_all_of_its_limits():
@@ -104,8 +104,8 @@ def test_a_fast_tool_is_judged_by_all_of_its_limits():
         "W goes to 0.0399",
     ):
         assert words in said
-    assert "turn at 104.9 rev/min or less" in said  # 120 * 700 / 801
-    assert "let Z carry more of the motion" in said
+    assert "104.9 rev/min" in said  # 120 * 700 / 801
+    assert "to Z" in said
     assert found.utilisation["W bandwidth"] == pytest.approx(801 / 700)
     # The lathe itself turns steadily: a block every 1/32 of a turn and not 40 000 blocks/s.
     assert found.block_rate_hz < 2 * 64

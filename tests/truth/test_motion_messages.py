@@ -1,4 +1,4 @@
-"""What drive refuses and what check_limits finds, in words."""
+"""Messages of `drive` and findings of `check_limits`."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -41,13 +41,14 @@ def test_an_axis_the_machine_lacks_is_refused_or_found():
     assert "needs axis Y" in check_limits(foreign, MACHINE).findings[0]
 
 
-def test_a_finding_says_what_where_how_much_and_the_remedy():
+def test_limit_finding_names_value_place_limit_and_remedy():
     limits = check_limits(drive(PATH, servo(500), MACHINE), MACHINE)
     assert not limits.ok
     # 833 blocks a second where 500 are allowed, X at 2 pi mm per turn at 500 rev/min where 10 mm/s are.
     rate, speed = limits.findings
     assert rate.startswith("block rate reaches 833.33 blocks/s at 0.00 min")
-    assert rate.endswith("the limit of generic lathe with a C axis is 500 blocks/s: turn at 300 rev/min or less")
+    assert "the limit of generic lathe with a C axis is 500 blocks/s" in rate
+    assert "300 rev/min" in rate
     assert speed.startswith("X speed reaches 52.36 mm/s")
     assert limits.binding == "X speed"
 

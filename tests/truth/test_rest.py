@@ -182,7 +182,7 @@ def test_a_short_path_is_gone_along_as_fast_as_c_may_be_sped_up():
     for share in (1.001, 1.3, 3.0):
         with pytest.raises(LimitError, match=r"spindle_rpm is .* C acceleration"):
             some(91, share * top * 60 / TURN)
-    with pytest.raises(LimitError, match=r"2 points in 0\.0698 rad, too few to come to speed and to rest"):
+    with pytest.raises(LimitError, match=r"2 points in 0\.0698 rad"):
         some(2, 60)
 
 
@@ -203,7 +203,7 @@ def test_a_stated_speed_is_reached_or_refused(rpm):
     else:
         with pytest.raises(LimitError, match="C acceleration") as refused:
             drive(path, servo, machine)
-        named = float(re.search(r"is ([\d.]+) rev/min, set by", str(refused.value))[1])
+        named = float(re.search(r"is ([\d.]+) rev/min \(by", str(refused.value))[1])
         assert named == pytest.approx(highest, rel=0.01)
         limits = check_limits(drive(path, replace(servo, spindle_rpm=named), machine), machine)
         assert limits.ok
@@ -225,7 +225,7 @@ def test_a_speed_profile_is_reached_or_refused():
     slow = at(60.0)
     inner = np.abs(slow.axes["X"]) < 0.15
     assert np.abs(slow.velocity["C"][inner]).max() * 60 / TURN == pytest.approx(60, rel=1e-9)
-    with pytest.raises(LimitError, match=r"the speed profile goes up to 600 rev/min.*C acceleration"):
+    with pytest.raises(LimitError, match=r"speed profile .* 600 rev/min.*C acceleration"):
         at(600.0)
 
 

@@ -1,4 +1,4 @@
-"""The axes in time: at which speed, and whether the machine can follow."""
+"""Motion of the axes in time, and the limits of the machine."""
 
 from turnwright.motion.driving import drive, require_variable
 from turnwright.motion.limits import Limits, check_limits

@@ -1,4 +1,4 @@
-"""The axes in time: at which speed, and whether the machine can follow."""
+"""Motion of the axes along a path: spindle speed, and the ramps from and to rest."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from turnwright.errors import LimitError
 from turnwright.machine import FAST
-from turnwright.motion.limits import TURN, Course, highest_pace
-from turnwright.motion.pvt import fastest_course, reach_stated_speed, slowed_to_limits
+from turnwright.motion.limits import TURN, Course, find_speed_factor
+from turnwright.motion.pvt import find_fastest_course, reach_stated_speed, slow_to_limits
 from turnwright.path import Motion, Path
 
 if TYPE_CHECKING:
@@ -22,88 +22,87 @@ if TYPE_CHECKING:
 
 __all__ = ["drive", "require_variable"]
 
-MOST_PIECES = 1000
-"""Pieces of a motion that have a spindle speed of their own."""
+MAX_PIECES = 1000
+"""Pieces of a motion, each with its own highest spindle speed."""
 
 
 class Servo(Protocol):
-    """What `drive` needs of a strategy."""
+    """Part of a strategy that `drive` uses."""
 
     @property
     def spindle_rpm(self) -> float | None:
-        """Spindle speed, or ``None`` for the highest that keeps every limit. [rev/min]."""
+        """Spindle speed, or ``None`` for the highest one within every limit. [rev/min]."""
 
     @property
     def spindle_speeds(self) -> SpeedProfile | None:
-        """Spindle speed over the radius, in place of one speed."""
+        """Spindle speed over the radius, instead of a constant one."""
 
     def axes(self, path: Path) -> Mapping[str, Floats]:
-        """Return the position of every axis at the points of a path."""
+        """Return the positions of the axes at the points of a path."""
 
     def rates(self, path: Path) -> Mapping[str, Floats] | None:
-        """Return the derivatives by the angle of all these axes, or ``None`` if the path states none."""
+        """Return the derivatives of these axes with respect to the angle, or ``None`` if the path states none."""
 
 
 def require_variable(machine: Machine) -> None:
-    """Raise if the controller of a machine keeps one spindle speed."""
+    """Raise `LimitError` if the controller of a machine cannot vary the spindle speed."""
     if not machine.controller.variable_speed:
         raise LimitError(
-            f"the spindle speed shall vary over the radius, the controller of {machine.name} keeps one: state one "
-            "speed, or variable_speed = true in the [controller] of the machine file if it may"
+            f"the spindle speed varies over the radius, the controller of {machine.name} has a constant one: state a "
+            "constant speed, or set variable_speed = true in the [controller] of the machine file"
         )
 
 
 def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile | None = None) -> Motion:
     r"""Return the motion of the axes along a path.
 
-    Time is the angle turned over the spindle speed, which is steady unless the controller may vary it. Z is commanded
-    to ``path.z - machine.z_error(X)``, so that the tip stands at ``path.z`` in spite of the machine's known errors;
-    they act at the position of X, wherever on the edge the contact is.
+    Time is the angle of the spindle divided by its speed, which is constant unless the controller may vary it. Z is
+    commanded to ``path.z - machine.z_error(X)``, so that the known errors of the machine are compensated and the tip
+    is at ``path.z``. The errors are those at the X position, regardless of the contact point on the edge.
 
-    If the strategy states no spindle speed, it is the highest one :math:`\omega` that keeps every stated limit, as
-    `check_limits` measures it, to 1e-9 of the limit: along a given path block rate and speeds grow with
+    If the strategy states no spindle speed, the highest one :math:`\omega` within every stated limit is used, to 1e-9
+    of the limit; the demands are those of `check_limits`. Along a given path the block rate and the speeds grow with
     :math:`\omega`, accelerations with :math:`\omega^2` and jerks with :math:`\omega^3`, so each limit allows one speed
-    and the lowest of them binds.
+    and the lowest one is used.
 
-    Where the controller may vary the speed (``Controller.variable_speed``), every turn has a highest one of its own.
-    :math:`\omega^2` then runs straight over the angle from turn to turn, so that the spindle speeds up steadily in time
-    between them, no faster than the C axis may, and the whole motion is slowed down by what that adds to the other
-    axes.
+    If the controller may vary the speed (``Controller.variable_speed``), each revolution has its own highest speed.
+    Between revolutions :math:`\omega^2` is linear in the angle: the spindle has a constant acceleration in time, at
+    most that of the C axis. The whole motion is then slowed down to make up for the acceleration that this adds to the
+    other axes.
 
-    A controller that takes velocities too (interpolation "hermite", PVT) gets them from the rates that the path states,
-    :math:`\dot q = \omega\, dq/d\theta`, with the derivative of the machine's errors along X in that of Z. Where
-    straightness, a table with straight lines in between, has a corner, that is the slope of the line beyond.
+    A controller that takes velocities too (interpolation "hermite", PVT) gets them from the rates of the path,
+    :math:`\dot q = \omega\, dq/d\theta`. The velocity of Z includes the slope of the machine's errors along X; at a
+    node of the piecewise linear straightness table it is the slope of the segment that follows.
 
-    Its program begins and ends at rest, so the motion does too. All axes together come to their speed and to rest along
-    the path itself, with an acceleration that rises evenly from nothing and falls evenly back to it. Blocks are divided
-    there until the cubics in time stay within 0.1 nm of those that a steady spindle makes between the points. Either
-    end takes as little of the path as the limits allow, in steps of a tenth: 0.1 s at full speed (of a short motion a
-    fortieth) or more, and half of the path at most. A stated speed is reached between the ends, or refused with the
-    highest one possible; where the path itself asks for more than a limit, so may the ends.
+    A PVT program starts and ends at rest. All axes accelerate and decelerate together along the path itself; the
+    acceleration rises linearly from 0 and falls linearly back to 0. In these ramps blocks are divided until the cubics
+    in time stay within 0.1 nm of those at constant spindle speed. Each ramp takes as little of the path as the limits
+    allow, in steps of 10 %: at least 0.1 s at full speed (1/40 of a short motion), at most half of the path. A stated
+    speed is reached between the ramps; if that is not possible, the error names the highest speed. Where the path
+    itself exceeds a limit, the ramps may exceed it as much.
 
-    The highest speed keeps every limit with these ends, whose points are passed at less. Longer ends leave fewer points
-    at full speed, which may allow a higher one, with longer ends again; the search goes on as long as each such step
-    gains, so a higher speed beyond one that gains nothing is missed, by a tenth in one of a hundred short paths. Beside
-    a fast tool, whose lathe has blocks of its own, the motion is steady to its ends, and its program comes to speed and
-    to rest in one block, which counts.
+    The highest speed is within every limit with these ramps. Longer ramps leave fewer points at full speed, which may
+    allow a higher speed, which needs longer ramps again. The search stops at the first step without a gain, so it may
+    miss a higher speed; in one of a hundred short paths it is 10 % too low. With a fast tool, where the lathe has its
+    own blocks, the speed is constant to both ends, and the program accelerates and decelerates within one block, which
+    counts against the limits.
 
     Parameters
     ----------
     path
-        Where the tip stands.
+        Path of the tool tip.
     servo
-        The strategy: which axis carries what, and the spindle speed.
+        Strategy: assigns the motion to the axes, and states the spindle speed.
     machine
-        What the axes can do, and how they err.
+        Limits, controller and known errors of the machine.
     profile
-        Spindle speed over the radius, in place of what the strategy says of it.
+        Spindle speed over the radius; replaces that of the strategy.
 
     Raises
     ------
     LimitError
-        If the machine lacks an axis that is needed, turns slower than what is asked, or cannot vary its speed, or if
-        the path is too short for a motion in velocities to come to a stated speed and to rest, or has too few points
-        for that at any speed.
+        If the machine lacks an axis, its spindle is slower than the stated speed or it cannot vary the speed; or if,
+        with PVT, the path is too short to reach the stated speed from rest, or has too few points for any speed.
 
     Sources
     -------
@@ -111,10 +110,10 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
     tool, not at the contact point.
     """
     axes: dict[str, Floats] = dict(servo.axes(path))
-    lacking = sorted(set(axes) - set(machine.axes))
-    if lacking:
+    missing = sorted(set(axes) - set(machine.axes))
+    if missing:
         raise LimitError(
-            f"the strategy moves axis {', '.join(lacking)}, {machine.name} has {', '.join(sorted(machine.axes))}: "
+            f"the strategy moves axis {', '.join(missing)}, {machine.name} has {', '.join(sorted(machine.axes))}: "
             "choose another strategy or machine"
         )
     rates = servo.rates(path) if machine.controller.interpolation == "hermite" else None
@@ -123,55 +122,57 @@ def drive(path: Path, servo: Servo, machine: Machine, *, profile: SpeedProfile |
         if rates is not None:
             rates = {**rates, "Z": rates["Z"] - machine.z_error_slope(axes["X"]) * rates["X"]}
     rpm = servo.spindle_rpm
-    turned = np.abs(path.angle - path.angle[0])
+    angle = np.abs(path.angle - path.angle[0])
     slopes = {letter: path.sense * rate for letter, rate in (rates or {}).items()}
-    course = Course(turned, axes, slopes)
+    course = Course(angle, axes, slopes)
     omega: float | Floats
     profile = servo.spindle_speeds if profile is None else profile
     if profile is not None:
         require_variable(machine)
         omega = profile.at(path.radius)
     elif rpm is None and machine.controller.variable_speed:
-        omega = _varied(course, machine)
+        omega = _find_variable_speed(course, machine)
     elif rpm is None:
-        omega = highest_pace(course, machine)
+        omega = find_speed_factor(course, machine)
     elif rpm > machine.spindle_rpm:
         raise LimitError(
-            f"spindle_rpm is {rpm:g} rev/min, the limit of {machine.name} is {machine.spindle_rpm:g} rev/min: turn "
-            "slower, or state none to have the highest speed found"
+            f"spindle_rpm is {rpm:g} rev/min, the limit of {machine.name} is {machine.spindle_rpm:g} rev/min: reduce "
+            "it, or leave it out for the highest possible speed"
         )
     else:
         omega = rpm * TURN / 60
-    course = course.at(omega)
+    course = course.at_speed(omega)
     stated = profile is not None or rpm is not None
     if slopes and not FAST.keys() & axes.keys():
-        subject = "spindle_rpm is" if profile is None else "the speed profile goes up to"
-        course = reach_stated_speed(course, machine, subject=subject) if stated else fastest_course(course, machine)
+        subject = "spindle_rpm is" if profile is None else "the speed profile reaches"
+        course = (
+            reach_stated_speed(course, machine, subject=subject) if stated else find_fastest_course(course, machine)
+        )
     if not stated:
-        course = slowed_to_limits(course, machine)
+        course = slow_to_limits(course, machine)
     return Motion(time=course.time, axes=course.axes, machine=machine, velocity=course.velocity or None)
 
 
-def _varied(course: Course, machine: Machine) -> Floats:
-    """Return the spindle speed at every point, each turn as fast as its own limits let it. (n,) [rad/s].
+def _find_variable_speed(course: Course, machine: Machine) -> Floats:
+    """Return the highest spindle speed at every point, found revolution by revolution. (n,) [rad/s].
 
-    The time of the course is the angle turned.
+    The time of ``course`` is the angle of the spindle.
     """
-    turned = course.time
-    count = max(1, min(int(turned[-1] / TURN), MOST_PIECES))
-    borders = np.linspace(0, turned[-1], count + 1)
-    ends = np.searchsorted(turned, borders)
-    quickest = np.empty(count)
+    angle = course.time
+    count = max(1, min(int(angle[-1] / TURN), MAX_PIECES))
+    borders = np.linspace(0, angle[-1], count + 1)
+    ends = np.searchsorted(angle, borders)
+    highest = np.empty(count)
     for k, (first, last) in enumerate(pairwise(ends.tolist())):
-        # Three blocks on either side count too: as far as a jerk is seen.
-        part = course.some(slice(max(first - 3, 0), last + 4))
-        quickest[k] = highest_pace(part, machine, ends=(k == 0, k == count - 1))
-    squares = np.minimum(np.append(quickest, np.inf), np.append(np.inf, quickest)) ** 2
+        # Three more blocks on either side: the jerk is a difference over three blocks.
+        part = course.select(slice(max(first - 3, 0), last + 4))
+        highest[k] = find_speed_factor(part, machine, ends=(k == 0, k == count - 1))
+    squares = np.minimum(np.append(highest, np.inf), np.append(np.inf, highest)) ** 2
     rise = 2 * (machine.axes["C"].acceleration or np.inf) * borders[1]
     for order in (range(1, count + 1), range(count - 1, -1, -1)):
         step = 1 if order.step > 0 else -1
         for k in order:
             squares[k] = min(squares[k], squares[k - step] + rise)
-    omega: Floats = np.sqrt(np.interp(turned, borders, squares))
-    # What speeding up adds to the accelerations of the other axes is known only now.
-    return omega * min(1.0, highest_pace(course.at(omega), machine))
+    omega: Floats = np.sqrt(np.interp(angle, borders, squares))
+    # The varying speed adds to the accelerations of the other axes.
+    return omega * min(1.0, find_speed_factor(course.at_speed(omega), machine))

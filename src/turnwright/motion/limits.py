@@ -1,4 +1,4 @@
-"""What a motion asks of the axes, and the limits of the machine."""
+"""Demands of a motion on the axes, compared with the limits of the machine."""
 
 from __future__ import annotations
 
@@ -21,96 +21,94 @@ if TYPE_CHECKING:
     from turnwright.machine import Machine
 
 __all__ = [
-    "SLACK",
+    "LIMIT_TOL",
     "TURN",
     "Course",
     "LimitDemand",
     "Limits",
-    "axis_peaks",
     "check_limits",
-    "first_limit",
-    "highest_pace",
-    "limit_demands",
+    "find_axis_peaks",
+    "find_first_limit",
+    "find_limit_demands",
+    "find_speed_factor",
 ]
 
 TURN = 2 * math.pi
 
-NM = 1e6
+NM_PER_MM = 1e6
 
-SLACK = 1e-3
-"""A limit counts as kept up to this share above it: no data sheet is more exact, and a program read back is rounded."""
+LIMIT_TOL = 1e-3
+"""Relative excess at which a limit still counts as kept; covers rounded programs and the accuracy of data sheets."""
 
-STATED = "spindle speed as stated"
-"""What binds a motion that keeps every limit with room to spare."""
+STATED_SPEED = "spindle speed as stated"
+"""Binding constraint of a motion that stays below every limit."""
 
-RESIDUAL = 1e-5
-"""What may remain of a motion above the bandwidth of an axis that states nothing else. [mm or rad]"""
+DEFAULT_RESIDUAL = 1e-5
+"""Default ``bandwidth_residual`` of an axis: amplitude of motion above its bandwidth. [mm or rad]"""
 
 HANN_POWER = 3 / 8
 """Mean square of the Hann window."""
 
-FULL = 0.99
-"""Share of a limit from which on it is the limit that binds: the speed that `drive` finds uses all of one."""
+BINDING_UTILISATION = 0.99
+"""Utilisation from which a limit counts as binding."""
 
-POWERS = {"speed": 1, "acceleration": 2, "jerk": 3}
-"""How each quantity grows with the spindle speed."""
+SPEED_POWERS = {"speed": 1, "acceleration": 2, "jerk": 3}
+"""Power of the spindle speed to which each quantity is proportional."""
 
-_Peaks = tuple[dict[str, float], dict[str, int]]
-"""Travel and peaks of an axis by name, and the numbers of the points they are found at."""
+_AxisPeaks = tuple[dict[str, float], dict[str, int]]
+"""Travel and peaks of an axis by name, and the indices of their points."""
 
 
 class LimitDemand(NamedTuple):
-    """Something that a motion asks of a limit."""
+    """Largest value of a limited quantity in a motion, with its limit."""
 
     name: str
-    power: int  # of the spindle speed, with which it grows
+    power: int  # the value is proportional to this power of the spindle speed
     value: float
     limit: float
     unit: str
     point: int
-    what: str = ""
+    definition: str = ""
 
     @property
-    def pace(self) -> float:
-        """How many times as quick the motion may be."""
+    def speed_factor(self) -> float:
+        """Factor by which the speed of the motion may be multiplied."""
         return math.inf if self.value == 0 else (self.limit / self.value) ** (1 / self.power)
 
     @property
     def exceeded(self) -> bool:
-        """Whether the limit is not kept."""
-        return self.value > self.limit * (1 + SLACK)
+        """Whether the value is above the limit."""
+        return self.value > self.limit * (1 + LIMIT_TOL)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What a motion asks of a machine.
+    """Demands of a motion on a machine, and the utilisation of its limits.
 
     Parameters
     ----------
     cycle_time_s
-        From the first point to the last. [s]
+        Time from the first point to the last. [s]
     points
-        Program points.
+        Number of program points.
     spindle_rpm
-        Speed of the spindle: of a motion in velocities, which comes to speed and to rest, that in between, the highest
-        one; of any other the mean. [rev/min]
+        Spindle speed: the highest one if the motion states velocities, else the mean. [rev/min]
     block_rate_hz
-        Blocks per second where they are shortest; with a fast tool those of the lathe, see `Motion.lathe`.
+        Highest block rate; with a fast tool that of the lathe, see `Motion.lathe`. [blocks/s]
     peak_speed, peak_acceleration, peak_jerk
         Largest magnitude by axis letter. [mm or rad, and s]
     travel
         Lowest and highest position by axis letter. [mm or rad]
     frequency_hz
-        Highest frequency of the motion, by letter of each axis whose machine states a bandwidth; see `check_limits`.
+        Highest frequency of the motion by axis letter, for axes with a stated bandwidth; see `check_limits`. [Hz]
     utilisation
-        Share of each stated limit that is used, by its name such as "block rate" or "Z acceleration".
+        Value over limit, by the name of each stated limit such as "block rate" or "Z acceleration". [1]
     binding
-        What the cycle time is bound by: the limit that is used most, or "spindle speed as stated" where every limit has
-        room, so that whoever chose the speed could have chosen a higher one.
+        Limit with the highest utilisation, or "spindle speed as stated" if no limit prevents a higher speed.
     ok
         Whether every stated limit is kept.
     findings
-        A sentence for each that is not.
+        One sentence for each limit that is exceeded.
     """
 
     cycle_time_s: float
@@ -129,37 +127,41 @@ class Limits:
 
     @property
     def nearest(self) -> str:
-        """Name of the limit that is used most, whether it binds or not."""
+        """Name of the limit with the highest utilisation, whether it binds or not."""
         return max(self.utilisation, key=self.utilisation.__getitem__)
 
 
 def check_limits(motion: Motion, machine: Machine) -> Limits:
-    """Return what a motion asks of a machine, and which of its limits binds.
+    """Compare the demands of a motion with the limits of a machine.
 
-    A controller with interpolation "hermite" (PVT) makes a cubic of the positions and velocities at both ends of each
-    block, with the velocities that the motion states or else those that `track` takes. Speed, acceleration, jerk and
-    travel are then those of the cubics, inside the blocks and on either side of each point. The jerk is the third
-    derivative of each cubic; the acceleration may jump from one to the next, which no number for the jerk shows.
+    A controller with interpolation "hermite" (PVT) interpolates each block by a cubic in time, from the positions and
+    velocities at both ends. The velocities are those of the motion, or those that `track` uses. Speed, acceleration,
+    jerk and travel are then the extremes of the cubics. The jerk is the third derivative of each cubic; it does not
+    show the steps of the acceleration between blocks.
 
-    Of any other motion, that of a fast tool among them, speed, acceleration and jerk are divided differences over one,
-    two and three neighbouring blocks, as steep as the points of the program are; a controller that rounds the corners
-    asks less of the slides.
+    For any other motion, and for a fast tool, speed, acceleration and jerk are divided differences over one, two and
+    three neighbouring blocks. A controller that rounds the corners demands less of the slides.
 
-    A program whose positions are rounded to :math:`q` shows up to :math:`2q/t^2` of acceleration and :math:`4q/t^3` of
-    jerk that is not in the motion, and three times as much by cubics, with :math:`t` the block time: 2 mm/s² and
-    4000 mm/s³ for nanometres at 1000 blocks/s. Beside a fast tool the blocks of the lathe are those of `Motion.lathe`.
+    Positions rounded to :math:`q` add up to :math:`2q/t^2` to the acceleration and :math:`4q/t^3` to the jerk (three
+    times as much with cubics), where :math:`t` is the block time: 2 mm/s² and 4000 mm/s³ for 1 nm at 1000 blocks/s.
+    With a fast tool the blocks of the lathe are those of `Motion.lathe`.
 
-    The highest frequency of an axis is the lowest one above which less than its ``bandwidth_residual`` remains, 10 nm
-    where nobody states another: no two turns of its motion (under a Hann window, less their mean) hold more power there
-    than a sine of that amplitude, whatever moves more slowly. Between the points the motion is taken as a cubic spline.
-    A pure sine of n periods per turn is found at n + 1/2, and one of 1 um at n + 2 at most if n is not whole.
+    The highest frequency of an axis is the lowest one above which the motion has less power than a sine of amplitude
+    ``bandwidth_residual`` (10 nm by default). The power is that of any two revolutions, after removal of their mean,
+    under a Hann window. Between the points the motion is a cubic spline. For a pure sine of n periods per revolution
+    the result is n + 1/2; for one of 1 um amplitude it is at most n + 2 if n is not an integer.
 
     Parameters
     ----------
     motion
-        The axes in time; planned here or read back from a program.
+        Axes in time; planned here or read back from a program.
     machine
-        The lathe that is to follow.
+        Machine with the limits.
+
+    Returns
+    -------
+    Limits
+        Peaks, utilisation of each limit, and a finding for each limit that is exceeded.
 
     Sources
     -------
@@ -167,154 +169,161 @@ def check_limits(motion: Motion, machine: Machine) -> Limits:
     are a parabola and a straight line. [Troutman2016]_ Table 7.1.
     """
     course = Course(motion.time, motion.axes, motion.velocity or {})
-    peaks = axis_peaks(course, motion.blocks, machine)
-    asked = limit_demands(course, motion.blocks, peaks, machine)
+    peaks = find_axis_peaks(course, motion.blocks, machine)
+    demands = find_limit_demands(course, motion.blocks, peaks, machine)
     length = float(motion.time[-1] - motion.time[0])
     rpm = abs(float(motion.axes["C"][-1] - motion.axes["C"][0])) / length * 60 / TURN
     if motion.velocity is not None:
         rpm = course.top_rpm
-    utilisation = {one.name: one.value / one.limit for one in asked}
+    utilisation = {demand.name: demand.value / demand.limit for demand in demands}
     findings = [
-        f"{one.name} reaches {one.value:.5g} {one.unit}{one.what} at {motion.time[one.point] / 60:.2f} min "
-        f"(X {motion.axes['X'][one.point]:.4g} mm), the limit of {machine.name} is {one.limit:.5g} {one.unit}: "
-        f"turn at {rpm * one.pace:.4g} rev/min or less"
-        for one in asked
-        if one.exceeded
+        f"{demand.name} reaches {demand.value:.5g} {demand.unit}{demand.definition} at "
+        f"{motion.time[demand.point] / 60:.2f} min (X {motion.axes['X'][demand.point]:.4g} mm), the limit of "
+        f"{machine.name} is {demand.limit:.5g} {demand.unit}: "
+        f"reduce the spindle speed to {rpm * demand.speed_factor:.4g} rev/min or less"
+        for demand in demands
+        if demand.exceeded
     ]
     for letter, (top, _) in peaks.items():
-        findings += _beyond(letter, top, machine)
+        findings += _check_travel(letter, top, machine)
     return Limits(
         cycle_time_s=length,
         points=motion.time.size,
         spindle_rpm=rpm,
-        block_rate_hz=asked[0].value,
+        block_rate_hz=demands[0].value,
         peak_speed=MappingProxyType({letter: top["speed"] for letter, (top, _) in peaks.items()}),
         peak_acceleration=MappingProxyType({letter: top["acceleration"] for letter, (top, _) in peaks.items()}),
         peak_jerk=MappingProxyType({letter: top["jerk"] for letter, (top, _) in peaks.items()}),
         travel=MappingProxyType({letter: (top["low"], top["high"]) for letter, (top, _) in peaks.items()}),
-        frequency_hz=MappingProxyType({one.name.split()[0]: one.value for one in asked if one.unit == "Hz"}),
+        frequency_hz=MappingProxyType(
+            {demand.name.split()[0]: demand.value for demand in demands if demand.unit == "Hz"}
+        ),
         utilisation=MappingProxyType(utilisation),
-        binding=max(utilisation, key=utilisation.__getitem__) if max(utilisation.values()) >= FULL else STATED,
+        binding=max(utilisation, key=utilisation.__getitem__)
+        if max(utilisation.values()) >= BINDING_UTILISATION
+        else STATED_SPEED,
         ok=not findings,
         findings=tuple(findings),
     )
 
 
-def limit_demands(
-    course: Course, blocks: Ints, peaks: Mapping[str, _Peaks], machine: Machine, *, bands: bool = True
+def find_limit_demands(
+    course: Course, blocks: Ints, peaks: Mapping[str, _AxisPeaks], machine: Machine, *, bands: bool = True
 ) -> list[LimitDemand]:
-    """Return all that a course asks of the stated limits of a machine, the block rate first."""
+    """Return the demands of a course on every stated limit of a machine, the block rate first."""
     number, shortest = limits_kernel.shortest(only_read(course.time[blocks]))
-    turning = TURN / 60
+    rad_per_s = TURN / 60
     top, at = peaks["C"]
-    asked = [
+    demands = [
         LimitDemand("block rate", 1, 1 / shortest, machine.block_rate_hz, "blocks/s", int(blocks[number])),
-        LimitDemand("spindle speed", 1, top["speed"] / turning, machine.spindle_rpm, "rev/min", at["speed"]),
+        LimitDemand("spindle speed", 1, top["speed"] / rad_per_s, machine.spindle_rpm, "rev/min", at["speed"]),
     ]
     for letter, (top, at) in peaks.items():
         axis = machine.axes.get(letter, Axis())
-        for kind, power in POWERS.items():
+        for kind, power in SPEED_POWERS.items():
             limit = getattr(axis, kind)
             if limit is not None:
-                unit = f"{_length(letter)}/s" + ("", "^2", "^3")[power - 1]
-                asked.append(LimitDemand(f"{letter} {kind}", power, top[kind], limit, unit, at[kind]))
+                unit = f"{_length_unit(letter)}/s" + ("", "^2", "^3")[power - 1]
+                demands.append(LimitDemand(f"{letter} {kind}", power, top[kind], limit, unit, at[kind]))
         if bands and axis.bandwidth_hz is not None:
-            frequency, point = _frequency(course.time, course.axes["C"], course.axes[letter], axis)
-            residual = axis.bandwidth_residual or RESIDUAL
-            size = f"{residual:.3g} rad" if letter in ROTARY else f"{residual * NM:.3g} nm"
-            what = f", above which less than {size} of its motion remains,"
-            asked.append(LimitDemand(f"{letter} bandwidth", 1, frequency, axis.bandwidth_hz, "Hz", point, what))
-    return asked
+            frequency, point = _find_frequency(course.time, course.axes["C"], course.axes[letter], axis)
+            residual = axis.bandwidth_residual or DEFAULT_RESIDUAL
+            size = f"{residual:.3g} rad" if letter in ROTARY else f"{residual * NM_PER_MM:.3g} nm"
+            definition = f" (less than {size} of motion above it)"
+            demands.append(LimitDemand(f"{letter} bandwidth", 1, frequency, axis.bandwidth_hz, "Hz", point, definition))
+    return demands
 
 
-def _beyond(letter: str, top: Mapping[str, float], machine: Machine) -> list[str]:
-    """Return a sentence if a machine lacks an axis, and for each end of its travel that is passed."""
+def _check_travel(letter: str, top: Mapping[str, float], machine: Machine) -> list[str]:
+    """Return a finding if the machine lacks the axis, and one for each end of travel that is exceeded."""
     axis = machine.axes.get(letter)
     if axis is None:
         return [f"the motion needs axis {letter}, {machine.name} does not have it: choose another machine"]
     slide = FAST.get(letter)
-    remedy = f"let {slide} carry more of the motion" if slide else "move the part on the spindle"
+    remedy = f"move more of the motion to {slide}" if slide else "move the part on the spindle"
     return [
-        f"{letter} goes to {top[end]:.5g} {_length(letter)}, the {end} end of its travel on {machine.name} "
-        f"is {limit:.5g} {_length(letter)}: {remedy}, or choose another machine"
+        f"{letter} goes to {top[end]:.5g} {_length_unit(letter)}, the {end} end of its travel on {machine.name} "
+        f"is {limit:.5g} {_length_unit(letter)}: {remedy}, or choose another machine"
         for end, limit, beyond in (("low", axis.low, -1), ("high", axis.high, 1))
         if limit is not None and (top[end] - limit) * beyond > 0
     ]
 
 
-def _clock(turned: Floats, omega: float | Floats) -> Floats:
-    """Return the time at some angles, the spindle speeding up steadily from one to the next. (n,) [s]."""
+def _integrate_time(turned: Floats, omega: float | Floats) -> Floats:
+    """Return the time at spindle angles; the acceleration is constant between them. (n,) [s]."""
     if isinstance(omega, float):
         return turned / omega
     return np.concatenate([[0.0], np.cumsum(2 * np.diff(turned) / (omega[1:] + omega[:-1]))])
 
 
-def highest_pace(course: Course, machine: Machine, *, ends: tuple[bool, bool] = (True, True)) -> float:
-    """Return how much quicker a motion may be so that it just keeps every stated limit.
+def find_speed_factor(course: Course, machine: Machine, *, ends: tuple[bool, bool] = (True, True)) -> float:
+    """Return the factor by which the speed may be multiplied until the motion reaches the first limit.
 
-    With the angle for its time that is the highest spindle speed. [rad/s]
+    If the time of the course is the spindle angle, the factor is the highest spindle speed. [rad/s]
     """
-    return first_limit(course, machine, ends).pace
+    return find_first_limit(course, machine, ends).speed_factor
 
 
-def first_limit(course: Course, machine: Machine, ends: tuple[bool, bool] = (True, True)) -> LimitDemand:
-    """Return the limit that a motion comes to first if it is made quicker; ``ends`` says which of its ends it has."""
+def find_first_limit(course: Course, machine: Machine, ends: tuple[bool, bool] = (True, True)) -> LimitDemand:
+    """Return the limit that a motion reaches first as its speed rises.
+
+    ``ends`` states whether the course includes the start and the end of the motion.
+    """
     blocks = block_points(course.time, course.axes)
-    return min(
-        limit_demands(course, blocks, axis_peaks(course, blocks, machine, ends), machine), key=lambda one: one.pace
-    )
+    demands = find_limit_demands(course, blocks, find_axis_peaks(course, blocks, machine, ends), machine)
+    return min(demands, key=lambda demand: demand.speed_factor)
 
 
 class Course(NamedTuple):
-    """Positions of the axes in time, and their velocities where they are stated."""
+    """Positions of the axes in time, with velocities if they are stated."""
 
     time: Floats
     axes: Mapping[str, Floats]
     velocity: Mapping[str, Floats]
 
-    def at(self, omega: float | Floats) -> Course:
-        """Return the same course, whose time is the angle turned, at a spindle speed. [rad/s]."""
+    def at_speed(self, omega: float | Floats) -> Course:
+        """Return the course, whose time is the spindle angle, at a spindle speed. [rad/s]."""
         velocity = {letter: omega * values for letter, values in self.velocity.items()}
-        return Course(_clock(self.time, omega), self.axes, velocity)
+        return Course(_integrate_time(self.time, omega), self.axes, velocity)
 
     @property
     def top_rpm(self) -> float:
-        """Highest spindle speed at its points. [rev/min]."""
+        """Highest spindle speed at the points. [rev/min]."""
         return float(np.abs(self.velocity["C"]).max()) * 60 / TURN
 
-    def backwards(self) -> Course:
-        """Return the same course from its end to its beginning."""
+    def reverse(self) -> Course:
+        """Return the course reversed in time."""
         return Course(
             self.time[-1] - self.time[::-1],
             {letter: values[::-1] for letter, values in self.axes.items()},
             {letter: -values[::-1] for letter, values in self.velocity.items()},
         )
 
-    def quicker(self, factor: float) -> Course:
-        """Return the same course at so many times its speed."""
+    def scale_speed(self, factor: float) -> Course:
+        """Return the course with its speed multiplied by a factor."""
         return Course(
             self.time / factor, self.axes, {letter: factor * values for letter, values in self.velocity.items()}
         )
 
-    def some(self, at: slice) -> Course:
-        """Return some of its points."""
+    def select(self, at: slice) -> Course:
+        """Return the course at a range of its points."""
         return Course(
             self.time[at],
             {letter: values[at] for letter, values in self.axes.items()},
             {letter: values[at] for letter, values in self.velocity.items()},
         )
 
-    def then(self, other: Course) -> Course:
-        """Return this course, and from its last point on another that begins there."""
+    def join(self, after: Course) -> Course:
+        """Return this course followed by one that starts at its last point."""
         return Course(
-            np.concatenate([self.time, self.time[-1] + (other.time[1:] - other.time[0])]),
-            {letter: np.concatenate([values, other.axes[letter][1:]]) for letter, values in self.axes.items()},
-            {letter: np.concatenate([values, other.velocity[letter][1:]]) for letter, values in self.velocity.items()},
+            np.concatenate([self.time, self.time[-1] + (after.time[1:] - after.time[0])]),
+            {letter: np.concatenate([values, after.axes[letter][1:]]) for letter, values in self.axes.items()},
+            {letter: np.concatenate([values, after.velocity[letter][1:]]) for letter, values in self.velocity.items()},
         )
 
 
-def _frequency(time: Floats, angle: Floats, position: Floats, axis: Axis) -> tuple[float, int]:
-    """Return the highest frequency of a motion, see `check_limits`, and the number of a point it is found at."""
+def _find_frequency(time: Floats, angle: Floats, position: Floats, axis: Axis) -> tuple[float, int]:
+    """Return the highest frequency of a motion, see `check_limits`, and the index of a point where it occurs."""
     from scipy import fft, interpolate  # noqa: PLC0415 - costly to import
 
     time = np.abs(time - time[0])
@@ -328,33 +337,33 @@ def _frequency(time: Floats, angle: Floats, position: Floats, axis: Axis) -> tup
     window = 0.5 - 0.5 * np.cos(TURN * share)
 
     def windowed(k: int) -> Floats:
-        here = slice(first[k], last[k])
-        # Straight lines would add frequencies of their own.
-        part: Floats = interpolate.CubicSpline(time[here], position[here])(begin[k] + share * (end[k] - begin[k]))
+        inside = slice(first[k], last[k])
+        # Linear interpolation would add frequencies of its own.
+        part: Floats = interpolate.CubicSpline(time[inside], position[inside])(begin[k] + share * (end[k] - begin[k]))
         part -= part.mean()
         part *= window
         return part
 
     power = np.array([windowed(k) @ windowed(k) for k in range(starts.size)])
-    faint = size * HANN_POWER * (axis.bandwidth_residual or RESIDUAL) ** 2 / 2
+    threshold = size * HANN_POWER * (axis.bandwidth_residual or DEFAULT_RESIDUAL) ** 2 / 2
     highest, at = 0.0, 0
-    for k in np.flatnonzero(power > faint).tolist():
+    for k in np.flatnonzero(power > threshold).tolist():
         bins = np.abs(fft.rfft(windowed(k))) ** 2 * (2 / size)
-        above = np.cumsum(bins[::-1])[::-1]  # with the bin itself
-        found = (np.count_nonzero(above > faint) - 1) / float(end[k] - begin[k])
-        if found > highest:
-            highest, at = found, int(np.searchsorted(time, (begin[k] + end[k]) / 2))
+        above = np.cumsum(bins[::-1])[::-1]  # including the bin itself
+        frequency = (np.count_nonzero(above > threshold) - 1) / float(end[k] - begin[k])
+        if frequency > highest:
+            highest, at = frequency, int(np.searchsorted(time, (begin[k] + end[k]) / 2))
     return highest, at
 
 
-def axis_peaks(
+def find_axis_peaks(
     course: Course, blocks: Ints, machine: Machine, ends: tuple[bool, bool] = (True, True)
-) -> dict[str, _Peaks]:
-    """Return travel and peaks of every axis and where they are: of the fast tool at all points, else at the blocks."""
+) -> dict[str, _AxisPeaks]:
+    """Return travel and peaks of every axis; of a fast tool from all points, else from the blocks."""
     peaks = {}
     for letter, position in course.axes.items():
-        if letter in FAST:  # its own controller goes straight
-            peaks[letter] = _peaks(course.time, position, None)
+        if letter in FAST:  # its own controller interpolates linearly
+            peaks[letter] = _find_peaks(course.time, position, None)
             continue
         time, points = course.time[blocks], position[blocks]
         velocity = None
@@ -365,27 +374,24 @@ def axis_peaks(
             else:
                 tracking_kernel.rates(only_read(time), only_read(points), velocity)
             if FAST.keys() & course.axes.keys() or letter not in course.velocity:
-                # Such a motion comes to its speed, and to rest, within a block.
+                # The program of such a motion accelerates and decelerates within one block.
                 velocity[[0, -1]] = np.where(ends, 0.0, velocity[[0, -1]])
-        top, at = _peaks(time, points, velocity)
+        top, at = _find_peaks(time, points, velocity)
         peaks[letter] = top, {name: int(blocks[point]) for name, point in at.items()}
     return peaks
 
 
-def _peaks(time: Floats, position: Floats, velocity: Floats | None) -> _Peaks:
-    """Return travel and peaks of an axis by name, and the numbers of the points they are found at.
-
-    Of cubics if it states velocities, else of straight lines.
-    """
+def _find_peaks(time: Floats, position: Floats, velocity: Floats | None) -> _AxisPeaks:
+    """Return travel and peaks of an axis: of cubics if velocities are given, else of straight lines."""
     value, place = np.empty(5), np.empty(5, dtype=np.int64)
     if velocity is None:
         limits_kernel.peaks(only_read(time), only_read(position), value, place)
     else:
         limits_kernel.cubic_peaks(only_read(time), only_read(position), only_read(velocity), value, place)
-    names = ("low", "high", *POWERS)
+    names = ("low", "high", *SPEED_POWERS)
     return dict(zip(names, value.tolist(), strict=True)), dict(zip(names, place.tolist(), strict=True))
 
 
-def _length(letter: str) -> str:
-    """Return the unit that an axis counts in."""
+def _length_unit(letter: str) -> str:
+    """Return the unit of an axis position."""
     return "rad" if letter in ROTARY else "mm"
