@@ -141,5 +141,5 @@ def test_a_nose_that_no_two_passes_hold_in_a_valley_is_refused():
     most = 1 / (nose + feed / 2)
     assert np.isfinite(cusp_height(feed, nose, curvature=most))
     for curvature in (245.0, most * (1 + 1e-12)):
-        with pytest.raises(InputError, match="curvature is"):
+        with pytest.raises(InputError, match="curvature must be"):
             cusp_height(feed, nose, curvature=curvature)

@@ -1,4 +1,4 @@
-"""What cutting does: how thick the chip is, which forces act, and whether the cut stays ductile."""
+"""Mechanics of the cut: uncut chip thickness, cutting forces and the ductile regime."""
 
 from turnwright.cutting.chip import ChipMap, OrthogonalChip, RoundChip, chip_map, expected_thickest
 from turnwright.cutting.finish import MinimumChip, Vibration, cusp_height, left_standing, vibrated

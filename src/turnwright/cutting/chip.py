@@ -1,21 +1,22 @@
-r"""The uncut chip: what the edge takes off, as thick and wide as it is.
+r"""Uncut chip: thickness, width and area of the material that the edge removes.
 
-In the plane of the edge the chip is what lies above the edge where it stands now and below the stock and everything
-that earlier passes of the edge have left. Its thickness is measured normal to the edge. For a round nose of radius R
-that advances by f per turn over a flat at the depth d, with the sweep s counted toward the uncut side,
+In the plane of the edge, the chip lies above the current position of the edge and below both the stock and the
+surface of earlier revolutions. Its thickness is measured normal to the edge. For a nose radius R that advances by f per
+revolution over a flat at the depth of cut d, with the sweep s positive toward the uncut side,
 
 .. math::
     t(s) = \min\Bigl( R + f \sin s - \sqrt{R^2 - f^2 \cos^2 s}, \;\; R - \frac{R - d}{\cos s} \Bigr)
 
-which is thickest where the last turn meets the stock,
+which is thickest where the previous revolution meets the stock,
 
 .. math:: t_\max = R - \sqrt{\bigl(\sqrt{2Rd - d^2} - f\bigr)^2 + (R - d)^2}.
 
-The usual t = f sin s is too thin by :math:`f^2 \cos^2 s / 2R` on the arc, picometres at fine feeds, and calls the chip
-thickest where it really ends: too thick by :math:`f^2 (R - d)^2 / 2R^3`, 2 nm of 282 nm at 2 µm per turn on R 1 mm.
+The common approximation t = f sin s is too small by :math:`f^2 \cos^2 s / 2R` along the arc, picometres at fine feeds.
+Its maximum, at the end of the engaged arc, is too large by :math:`f^2 (R - d)^2 / 2R^3`: 2 nm of 282 nm at 2 µm/rev
+with R = 1 mm.
 
-Along a freeform path the same is found in the plane through the axis, with every earlier turn that can matter, those
-from beyond the axis included.
+Along a freeform path the chip is computed in the plane through the axis, from all earlier revolutions that can matter,
+including those on the other side of the axis.
 """
 
 from __future__ import annotations
@@ -43,42 +44,42 @@ if TYPE_CHECKING:
 
 __all__ = ["ChipMap", "OrthogonalChip", "RoundChip", "chip_map"]
 
-CHUNK = 4096
-"""Points that one thread takes at a time."""
+CHUNK_POINTS = 4096
+"""Points that a thread processes at a time."""
 
-SAMPLES = 17
-"""Heights of the blank over the window of one point; between them it is a cubic with the right slopes."""
+WINDOW_SAMPLES = 17
+"""Samples of the blank across the window of a point; between them a cubic with the exact slopes."""
 
-WIDER = 1.5
-"""What a window grows by when the chip goes on beyond it."""
+WINDOW_GROWTH = 1.5
+"""Factor by which a window grows if the chip extends beyond it."""
 
-WIDEST = 16
-"""Times that a window may grow before the chip counts as endless."""
+MAX_WINDOWS = 16
+"""Growth steps of a window before the chip counts as unbounded."""
 
-FINE = 4001
-"""Thicknesses at which coefficients that depend on it are tabled, 230 in a factor of e."""
+COEFFICIENT_NODES = 4001
+"""Chip thicknesses of the coefficient table: 230 per factor of e."""
 
-TYPICAL = 1e-4
-"""Thickness at which the factors of rake and azimuth are taken; they do not depend on it. [mm]"""
+REFERENCE_THICKNESS_MM = 1e-4
+"""Thickness at which the factors of rake and azimuth are evaluated; they do not depend on it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrthogonalChip:
-    """The chip of a straight edge.
+    """Chip of a straight edge: orthogonal or oblique cutting.
 
     Parameters
     ----------
     thickness
-        Normal to the edge and to the cutting direction. [mm]
+        Uncut chip thickness, normal to the edge and to the cutting direction. [mm]
     width
-        Across the cutting direction. [mm]
+        Width of cut, across the cutting direction. [mm]
     inclination
-        Of the edge against the normal of the cutting direction; 0 cuts orthogonally, else obliquely. [rad]
+        Inclination of the edge from the normal of the cutting direction; 0 for orthogonal cutting. [rad]
 
     Raises
     ------
     InputError
-        If a length is not positive, or the edge lies along the cutting direction.
+        If a length is not positive, or the inclination exceeds 85 deg.
 
     >>> round(OrthogonalChip(thickness=400e-6, width=0.2, inclination=np.deg2rad(60)).edge_length, 12)
     0.4
@@ -96,7 +97,7 @@ class OrthogonalChip:
 
     @property
     def area(self) -> float:
-        """Cross-section. [mm²]."""
+        """Cross-sectional area. [mm²]."""
         return self.thickness * self.width
 
     @property
@@ -107,21 +108,22 @@ class OrthogonalChip:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoundChip:
-    """The chip of a round nose that has turned a flat for many turns.
+    """Steady-state chip of a round-nose tool that faces a flat.
 
     Parameters
     ----------
     nose_radius
-        R. [mm]
+        Tool nose radius R. [mm]
     feed
-        f, advance per turn (or step between lines). [mm/rev]
+        Feed f per revolution, or step between lines. [mm/rev]
     depth
-        d, of the tip below the stock. [mm]
+        Depth of cut d, of the tip below the stock. [mm]
 
     Raises
     ------
     InputError
-        If a length is not positive, the depth is beyond the nose, or turns do not meet below the stock.
+        If a length is not positive, the depth is not below the nose radius, or neighbouring revolutions do not meet
+        below the stock.
 
     Examples
     --------
@@ -139,29 +141,27 @@ class RoundChip:
         for name in ("nose_radius", "feed", "depth"):
             positive(getattr(self, name), name, "mm")
         if self.depth >= self.nose_radius:
-            raise InputError(
-                f"depth is {self.depth:g} mm on a nose_radius of {self.nose_radius:g} mm: reduce it below the radius"
-            )
+            raise InputError(f"depth must be below {self.nose_radius:g} mm (the nose_radius), got {self.depth:g} mm")
         if self.feed >= 2 * self._reach:
             raise InputError(
-                f"feed is {self.feed:g} mm, turns meet below the stock up to {2 * self._reach:.4g} mm: reduce it, or "
-                "take more depth"
+                f"feed must be below {2 * self._reach:.4g} mm (neighbouring revolutions must meet below the stock), "
+                f"got {self.feed:g} mm: reduce it, or increase the depth of cut"
             )
 
     @property
     def _reach(self) -> float:
-        """How far from the tip the nose meets the stock. [mm]."""
+        """Distance from the tip at which the nose meets the stock. [mm]."""
         return float(np.sqrt(self.depth * (2 * self.nose_radius - self.depth)))
 
     @property
     def sweep(self) -> tuple[float, float]:
-        """The engaged arc (lo, hi), positive toward the uncut side. [rad]."""
+        """Ends of the engaged arc (low, high), positive toward the uncut side. [rad]."""
         low = -np.arcsin(self.feed / (2 * self.nose_radius))
         return float(low), float(np.arctan2(self._reach, self.nose_radius - self.depth))
 
     @property
     def corner(self) -> float:
-        """Sweep at which the last turn meets the stock, where the chip is thickest. [rad]."""
+        """Sweep at which the previous revolution meets the stock, where the chip is thickest. [rad]."""
         return float(np.arctan2(self._reach - self.feed, self.nose_radius - self.depth))
 
     @property
@@ -172,54 +172,60 @@ class RoundChip:
 
     @property
     def thickest(self) -> float:
-        """Greatest thickness, exactly. [mm]."""
+        """Maximum uncut chip thickness, exact. [mm]."""
         return self.nose_radius - float(np.hypot(self._reach - self.feed, self.nose_radius - self.depth))
 
     @property
     def nominal_thickest(self) -> float:
-        """Greatest thickness by f sin s, at the end of the engaged arc. [mm]."""
+        """Maximum of the approximation f sin s, at the end of the engaged arc. [mm]."""
         return self.feed * self._reach / self.nose_radius
 
     @property
     def area(self) -> float:
-        """Cross-section, exactly: feed times depth less the cusp that stays. [mm²]."""
+        """Cross-sectional area, exact: feed times depth minus the area of the cusp. [mm²]."""
         radius, half = self.nose_radius, self.feed / 2
         cusp = 2 * half * radius - half * np.sqrt(radius**2 - half**2) - radius**2 * np.arcsin(half / radius)
         return float(self.feed * self.depth - cusp)
 
     def thickness(self, sweep: ArrayLike) -> Floats:
-        """Return the thickness normal to the edge, 0 outside the engaged arc. Any shape [mm]."""
+        """Return the uncut chip thickness normal to the edge, 0 outside the engaged arc. Any shape [mm]."""
         s = np.asarray(sweep, dtype=np.float64)
         radius, feed = self.nose_radius, self.feed
-        # R - sqrt(R² - f²cos²s) without losing digits.
+        # R - sqrt(R² - f²cos²s) without cancellation.
         square = (feed * np.cos(s)) ** 2
         turn = feed * np.sin(s) + square / (radius + np.sqrt(radius**2 - square))
         blank = radius - (radius - self.depth) / np.cos(s)
         return np.maximum(np.minimum(turn, blank), 0.0)
 
     def nominal(self, sweep: ArrayLike) -> Floats:
-        """Return f sin s, from the tip to where the nose meets the stock. Any shape [mm]."""
+        """Return the approximation f sin s from the tip to the end of the engaged arc, else 0. Any shape [mm]."""
         s = np.asarray(sweep, dtype=np.float64)
         return np.where((s >= 0) & (s <= self.sweep[1]), self.feed * np.sin(s), 0.0)
 
 
 def expected_thickest(tool: Tool, *, feed: float, depth: float, bend: ArrayLike) -> Floats:
-    r"""Return the thickest chip to expect on a surface of some curvature, before any path is known.
+    r"""Predict the maximum uncut chip thickness on a surface of given curvature.
 
-    Against a curved surface the nose is a circle of radius :math:`1 / (1/R - \kappa)` on a flat, and while the tip
-    advances by the feed the contact does so by as much more as that circle is larger: `RoundChip` of both.
+    Relative to a surface of curvature :math:`\kappa` the nose acts as a circle of radius
+    :math:`r = 1 / (1/R - \kappa)` on a flat, and the contact advances by :math:`f r / R`. The result is the maximum
+    of `RoundChip` for that radius and feed.
 
     Parameters
     ----------
     tool
-        What cuts.
+        Tool that cuts.
     feed, depth
-        Of the pass. [mm/rev], [mm]
+        Feed and depth of cut. [mm/rev], [mm]
     bend
-        Curvature along the radius, positive concave. Any shape [1/mm]
+        Curvature of the surface along the radius, positive where it is concave. Any shape [1/mm]
+
+    Returns
+    -------
+    Floats
+        Maximum uncut chip thickness. Shape of ``bend`` [mm]
     """
     flat = tool.actual_radius / np.cos(tool.rake)
-    # Where the surface is as hollow as the nose, the chip is as thick as the cut is deep and no wider curve matters.
+    # Where the surface fits the nose, the chip is as thick as the depth of cut; a larger radius changes nothing.
     radius = 1 / np.maximum(1 / flat - np.asarray(bend, dtype=np.float64), 1 / (1e3 * flat))
     reach = np.sqrt(np.maximum(depth * (2 * radius - depth), 0.0))
     return np.asarray(radius - np.hypot(np.maximum(reach - feed * radius / flat, 0.0), radius - depth))
@@ -227,37 +233,37 @@ def expected_thickest(tool: Tool, *, feed: float, depth: float, bend: ArrayLike)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChipMap:
-    """The uncut chip at the points of a motion.
+    """Uncut chip at the points of a motion.
 
     Parameters
     ----------
     points
-        Numbers of the points of the motion that were looked at. (n,)
+        Indices of the points of the motion. (n,)
     angle, x, y
-        Azimuth of the part under the tool [rad], and where in the part frame the edge touches what it leaves. Each (n,)
-        [mm]
+        Azimuth of the part under the tool [rad], and position of the contact in the part frame [mm]. Each (n,)
     inside
-        Whether that is within the clear radius, and beyond the first turn: before, the tool only enters. (n,)
+        Whether the contact is within the clear aperture and after the first revolution, during which the tool enters.
+        (n,)
     thickness
-        Thickest place of the chip, normal to the edge. (n,) [mm]
+        Maximum uncut chip thickness, normal to the edge. (n,) [mm]
     area
-        Cross-section in the plane through the axis. (n,) [mm²]
+        Cross-sectional area of the chip in the plane through the axis. (n,) [mm²]
     depth
-        Of the edge below the stock, at the contact. (n,) [mm]
+        Depth of the edge below the stock, at the contact. (n,) [mm]
     sweep_low, sweep_high
         Ends of the engaged arc on the nose; nan where nothing is cut. (n,) [rad]
     width
         Engaged length of the edge. (n,) [mm]
     rake
-        Effective rake: that of the tool less the angle at which the surface climbs under it. (n,) [rad]
+        Effective rake: tool rake minus the slope angle of the surface along the cut. (n,) [rad]
     fracture
-        How deep cracks may reach below the surface that the pass leaves, if one as long as the material says of the
-        thickest chip begins at the lowest place of the edge that is not ductile beyond doubt. (n,) [mm]
+        Depth of cracks below the surface that the pass leaves. A crack has the length ``fracture_ratio`` times the
+        maximum chip thickness and begins at the lowest point of the edge that is not certainly ductile. (n,) [mm]
     axial, radial, cutting
-        Force on the tool out of the part, away from the axis, and against its motion over the part; ``None`` where the
+        Forces on the tool: out of the part, away from the axis, and against the cutting direction; ``None`` if the
         material states no coefficients. Each (n,) [N]
     feed
-        Mean advance per turn of the motion. [mm/rev]
+        Mean feed of the motion. [mm/rev]
     """
 
     points: Ints
@@ -280,24 +286,24 @@ class ChipMap:
 
     @property
     def thickest(self) -> float:
-        """Greatest thickness within the clear radius, once the tool has entered. [mm]."""
+        """Maximum uncut chip thickness within the clear aperture, after the tool has entered. [mm]."""
         return float(self.thickness[self.inside].max(initial=0.0))
 
     @property
     def entering(self) -> float:
-        """Greatest thickness while the tool enters: on the first turn, which none bounds, and at the rim. [mm]."""
+        """Maximum uncut chip thickness during entry: in the first revolution, and beyond the clear aperture. [mm]."""
         return float(self.thickness[~self.inside].max(initial=0.0))
 
     @property
     def where(self) -> tuple[float, float]:
-        """Where on the part the chip is thickest (x, y). [mm]."""
+        """Position (x, y) of the thickest chip within the clear aperture. [mm]."""
         at = int(np.argmax(np.where(self.inside, self.thickness, -1.0)))
         return float(self.x[at]), float(self.y[at])
 
 
 @dataclass(frozen=True, slots=True)
 class _Moved:
-    """A motion as the kernel takes it."""
+    """Axes of the tool tip, as the kernel expects them."""
 
     c: Floats
     x: Floats
@@ -310,8 +316,8 @@ class _Moved:
         machine = machine or motion.machine
         if "Y" in motion.axes and motion.axes["Y"].any():
             raise InputError(
-                f"the tip moves up to {np.abs(motion.axes['Y']).max():.3g} mm in Y, the chip is found at 0 mm, in the "
-                "plane through the axis: take a strategy without Y"
+                f"Y of the motion must be 0 mm (the chip is computed in the plane through the axis), got up to "
+                f"{np.abs(motion.axes['Y']).max():.3g} mm: choose a strategy without Y"
             )
         c, x, z = (motion.axes[letter] for letter in "CXZ")
         error = machine.z_error(x) if machine.squareness or machine.straightness is not None else None
@@ -329,10 +335,10 @@ class _Moved:
         return cls(only_read(c), only_read(x), only_read(z), motion.sense, starts)
 
     def slope(self, at: Ints) -> Floats:
-        """Radial slope of what is left at some points: that between the tips of neighbouring turns. (n,)."""
+        """Return the radial slope of the machined surface, from the tips of neighbouring revolutions. (n,)."""
         along = self.c if self.sense > 0 else -self.c
-        here, turn = along[at], 2 * np.pi
-        before = np.where(here - turn >= along[0], here - turn, here + turn)
+        angle, turn = along[at], 2 * np.pi
+        before = np.where(angle - turn >= along[0], angle - turn, angle + turn)
         x, z = np.interp(before, along, self.x) - self.x[at], np.interp(before, along, self.z) - self.z[at]
         usable = (before <= along[-1]) & (np.abs(x) > 1e-9)
         return np.where(usable, np.divide(z, x, where=usable, out=np.zeros_like(z)), 0.0)
@@ -350,38 +356,39 @@ def chip_map(
     points: ArrayLike | None = None,
     progress: Progress | None = None,
 ) -> ChipMap:
-    r"""Return the uncut chip along a motion, with the forces that act.
+    r"""Compute the uncut chip along a motion, and the forces.
 
-    In the plane through the axis the chip lies above the edge and below the stock, the turns before and those from
-    beyond the axis. The stock is what the pass ``before`` left, cusp by cusp, or the finished surface raised by
-    ``stock``; it ends at the clear radius of the part. A raked edge counts as it looks along the cutting direction; the
-    small turn by which its higher places lead or lag is left out, as is a tip above or below centre.
+    In the plane through the axis, the chip lies above the edge and below the stock and all earlier revolutions,
+    including those on the other side of the axis. The stock is the surface that the pass ``before`` left, with its
+    cusps, or the finished surface raised by ``stock``; it ends at the clear aperture. A raked edge counts by its
+    projection along the cutting direction. The small angle by which its higher points lead or lag is neglected, as is
+    the tool height error.
 
     Parameters
     ----------
     motion
         Commanded axes, linear between the points.
     tool
-        The actual tool, its waviness and radius error included; ``before`` is cut with the same.
+        Actual tool, with waviness and radius error; also the tool of ``before``.
     part
-        Where the material ends, and what the blank is made of.
+        Surface, clear aperture and stock.
     before
-        Motion of the pass before, as commanded; ``None`` if there was none.
+        Commanded motion of the previous pass; ``None`` if there is none.
     stock
-        Thickness of the blank above the finished surface; that of the part if not given. [mm]
+        Thickness of the blank above the finished surface; by default that of the part. [mm]
     material
-        Whose coefficients and critical thickness are used; ``None`` for the geometry alone.
+        Material with its coefficients and critical thickness; ``None`` for the geometry alone.
     machine
-        The actual machine; by default the one the motion was made for.
+        Actual machine; by default that of the motion.
     points
-        Numbers of the points of the motion to look at; all if not given. (n,)
+        Indices of the points of the motion to evaluate; all by default. (n,)
     progress
         Called with (done, total).
 
     Raises
     ------
     InputError
-        If there is neither stock nor a pass before, the tip leaves the centre, or the chip has no end.
+        If there is neither stock nor a previous pass, the motion moves Y, or the chip is unbounded.
 
     Sources
     -------
@@ -390,27 +397,27 @@ def chip_map(
     moved = _Moved.of(motion, tool, machine)
     stock = part.stock if stock is None else float(stock)
     if before is None and not stock > 0:
-        raise InputError("the blank has a stock of 0 mm and there was no pass before, so nothing is cut: state one")
+        raise InputError("stock must be above 0 mm where there is no previous pass, got 0 mm: nothing would be cut")
     earlier = None if before is None else _Moved.of(before, tool, machine)
     at = np.arange(moved.c.size) if points is None else np.asarray(points, dtype=np.int64)
     if at.size and not (at.min() >= 0 and at.max() < moved.c.size):
-        raise InputError(f"points go from {at.min()} to {at.max()}, a motion has 0 to {moved.c.size - 1}: choose those")
+        raise InputError(f"points must be 0 to {moved.c.size - 1} (those of the motion), got {at.min()} to {at.max()}")
     upright = float(np.cos(tool.rake))
     azimuth = moved.c[at]
     contact = moved.x[at] + tool.cutting_edge().base * np.sin(np.arctan(moved.slope(at) / upright))
     x, y = contact * np.cos(azimuth), contact * np.sin(azimuth)
-    rake = tool.rake - _climb(part, moved.sense, azimuth, contact)
-    said = _Said.of(material, rake, azimuth)
+    rake = tool.rake - _slope_angle(part, moved.sense, azimuth, contact)
+    properties = _MaterialTable.of(material, rake, azimuth)
     rows = np.empty((at.size, kernel.ROWS))
-    _look(moved, earlier, tool, part, stock, at, contact, said, rows, progress)
+    _fill_rows(moved, earlier, tool, part, stock, at, contact, properties, rows, progress)
     if rows[:, kernel.CUT_SHORT].any():
         raise InputError(
-            f"at {np.count_nonzero(rows[:, kernel.CUT_SHORT])} points the edge does not leave the stock within the "
-            f"limit of {WIDEST} windows: check the stock and the nose radius"
+            f"the edge does not leave the stock at {np.count_nonzero(rows[:, kernel.CUT_SHORT])} points, within "
+            f"{MAX_WINDOWS} windows: check the stock and the nose radius"
         )
     column = [np.ascontiguousarray(rows[:, k]) for k in range(kernel.ROWS)]
     forces = {}
-    if said.cutting.size:
+    if properties.cutting.size:
         forces = {"axial": column[kernel.AXIAL], "radial": column[kernel.RADIAL], "cutting": column[kernel.CUTTING]}
     return ChipMap(
         points=at, angle=azimuth, x=x, y=y,
@@ -422,33 +429,38 @@ def chip_map(
 
 
 @dataclass(frozen=True, slots=True)
-class _Said:
-    """What a material says of every point, as the kernel takes it; empty where it says nothing."""
+class _MaterialTable:
+    """Properties of a material at every point, as the kernel expects them; empty where none are stated."""
 
     critical: Floats
-    safe: float  # share of the critical thickness that is ductile beyond doubt
-    plateau: Floats  # shares of cutting force and thrust that remain beyond the critical thickness; empty for none
+    safe: float  # fraction of the critical thickness that is certainly ductile
+    plateau: Floats  # remaining fraction of cutting force and thrust beyond the critical thickness; empty for none
     ratio: float
-    cutting: Floats  # both coefficients over the logarithm of the thickness
+    cutting: Floats  # coefficients over the logarithm of the thickness
     thrust: Floats
     first: float
     step: float
     factor: Floats  # (n, 2) by rake and azimuth
 
     @classmethod
-    def of(cls, material: Material | None, rake: Floats, angle: Floats) -> _Said:
-        nothing = np.empty(0)
+    def of(cls, material: Material | None, rake: Floats, angle: Floats) -> _MaterialTable:
+        empty = np.empty(0)
         if material is None:
-            return cls(nothing, 1.0, nothing, 0.0, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))
-        critical = nothing if material.critical is None else material.critical.at(rake=rake, angle=angle)
+            return cls(empty, 1.0, empty, 0.0, empty, empty, 0.0, 1.0, np.empty((0, 2)))
+        critical = empty if material.critical is None else material.critical.at(rake=rake, angle=angle)
         safe = 1.0 if material.critical is None else material.critical.safe
         ratio = material.fracture_ratio or 0.0
         if material.cutting is None or material.thrust is None:
-            return cls(critical, safe, nothing, ratio, nothing, nothing, 0.0, 1.0, np.empty((0, 2)))
-        both = (material.cutting, material.thrust)
-        logs = np.linspace(np.log(1e-7), 0.0, 1 if all(one.constant for one in both) else FINE)
-        cutting, thrust = (one.at(np.exp(logs)) for one in both)
-        factor = np.stack([one.at(TYPICAL, rake=rake, angle=angle) / one.at(TYPICAL) for one in both], axis=1)
+            return cls(critical, safe, empty, ratio, empty, empty, 0.0, 1.0, np.empty((0, 2)))
+        coefficients = (material.cutting, material.thrust)
+        constant = all(coefficient.constant for coefficient in coefficients)
+        logs = np.linspace(np.log(1e-7), 0.0, 1 if constant else COEFFICIENT_NODES)
+        cutting, thrust = (coefficient.at(np.exp(logs)) for coefficient in coefficients)
+        typical = REFERENCE_THICKNESS_MM
+        factor = np.stack(
+            [coefficient.at(typical, rake=rake, angle=angle) / coefficient.at(typical) for coefficient in coefficients],
+            axis=1,
+        )
         step = float(logs[1] - logs[0]) if logs.size > 1 else 1.0
         return cls(
             critical, safe, np.array(material.brittle_force if material.brittle_plateau else ()), ratio,
@@ -457,7 +469,7 @@ class _Said:
         )  # fmt: skip
 
 
-def _look(
+def _fill_rows(
     moved: _Moved,
     earlier: _Moved | None,
     tool: Tool,
@@ -465,7 +477,7 @@ def _look(
     stock: float,
     at: Ints,
     contact: Floats,
-    said: _Said,
+    properties: _MaterialTable,
     rows: Floats,
     progress: Progress | None,
 ) -> None:
@@ -475,68 +487,69 @@ def _look(
     past = (only_read(nothing), only_read(nothing), only_read(nothing), 1, np.empty(0, dtype=np.int64))
     if earlier is not None:
         past = (earlier.c, earlier.x, earlier.z, earlier.sense, earlier.starts)
-    sides = _windows(moved, tool, stock, at)
+    sides = _initial_windows(moved, tool, stock, at)
 
     def look(start: int, stop: int) -> None:
         todo = np.arange(start, stop)
-        left, right = sides[0][todo], sides[1][todo]
-        for _ in range(WIDEST):
+        minus, plus = sides[0][todo], sides[1][todo]
+        for _ in range(MAX_WINDOWS):
             where, middle = at[todo], contact[todo]
             table, first, step = nothing.reshape(0, 2, 0), nothing, nothing
             if earlier is None:
-                table, first, step = _blank(part, stock, moved.c[where], middle, left, right)
+                table, first, step = _sample_blank(part, stock, moved.c[where], middle, minus, plus)
             out = np.empty((todo.size, kernel.ROWS))
             kernel.chips(
-                moved.c, moved.x, moved.z, moved.sense, moved.starts, where, middle, left, right, edge,
-                *past, table, first, step, part.radius, said.critical[todo] if said.critical.size else nothing,
-                said.safe, said.plateau, said.ratio, said.cutting, said.thrust, said.first, said.step,
-                said.factor[todo] if said.factor.size else said.factor, out,
+                moved.c, moved.x, moved.z, moved.sense, moved.starts, where, middle, minus, plus, edge,
+                *past, table, first, step, part.radius,
+                properties.critical[todo] if properties.critical.size else nothing, properties.safe, properties.plateau,
+                properties.ratio, properties.cutting, properties.thrust, properties.first, properties.step,
+                properties.factor[todo] if properties.factor.size else properties.factor, out,
             )  # fmt: skip
             rows[todo] = out
             short = out[:, kernel.CUT_SHORT] > 0
             if not short.any():
                 return
-            todo, wider = todo[short], np.maximum(left, right)[short] * WIDER
-            left = right = wider
+            todo, wider = todo[short], np.maximum(minus, plus)[short] * WINDOW_GROWTH
+            minus = plus = wider
 
-    run_chunks(look, at.size, CHUNK, progress)
+    run_chunks(look, at.size, CHUNK_POINTS, progress)
 
 
-def _windows(moved: _Moved, tool: Tool, stock: float, at: Ints) -> tuple[Floats, Floats]:
-    """Return how far to begin with the chip is looked for toward -X and +X of the contact. Each (n,) [mm].
+def _initial_windows(moved: _Moved, tool: Tool, stock: float, at: Ints) -> tuple[Floats, Floats]:
+    """Return the initial widths of the windows toward -X and +X of the contact. Each (n,) [mm].
 
-    That is where the stock ends on a flat, and a little more; toward the turn before, only a few feeds.
+    They reach a little beyond the end of the stock on a flat; toward the previous revolution, a few feeds.
     """
     radius = tool.actual_radius / np.cos(tool.rake)
     wide = 1.1 * np.sqrt(2 * radius * min(max(stock, 1e-3 * radius), radius / 2))
     along = moved.c if moved.sense > 0 else -moved.c
     first = np.searchsorted(along, along[0] + 2 * np.pi)
     advance = (moved.x[-1] - moved.x[0]) / max(along[-1] - along[0], 1e-9) * 2 * np.pi
-    left, right = np.full(at.size, wide), np.full(at.size, wide)
-    (right if advance < 0 else left)[at >= first] = min(3 * abs(advance) + 0.02 * wide, wide)
-    return left, right
+    minus, plus = np.full(at.size, wide), np.full(at.size, wide)
+    (plus if advance < 0 else minus)[at >= first] = min(3 * abs(advance) + 0.02 * wide, wide)
+    return minus, plus
 
 
-def _climb(part: Part, sense: int, angle: Floats, contact: Floats) -> Floats:
-    """Return the angle at which the surface climbs under the edge; beyond the clear radius that at its rim. [rad]."""
+def _slope_angle(part: Part, sense: int, angle: Floats, contact: Floats) -> Floats:
+    """Return the slope angle of the surface along the cut; beyond the clear aperture that at its edge. [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
-    held = np.clip(contact, -part.radius, part.radius)
-    _, zx, zy = part.surface.evaluate(held * cosine, held * sine, 1)
+    radius = np.clip(contact, -part.radius, part.radius)
+    _, zx, zy = part.surface.evaluate(radius * cosine, radius * sine, 1)
     return np.asarray(np.arctan(sense * (zy * cosine - zx * sine)))
 
 
-def _blank(
-    part: Part, stock: float, angle: Floats, contact: Floats, left: Floats, right: Floats
+def _sample_blank(
+    part: Part, stock: float, angle: Floats, contact: Floats, minus: Floats, plus: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return heights and slopes of the blank along radial lines, (n, 2, m), where each begins and its steps."""
-    low, high = np.maximum(contact - left, -part.radius), np.minimum(contact + right, part.radius)
+    """Return heights and slopes of the blank along radial lines (n, 2, m), with the start and step of each line."""
+    low, high = np.maximum(contact - minus, -part.radius), np.minimum(contact + plus, part.radius)
     high = np.maximum(high, low + 1e-9)
-    step = (high - low) / (SAMPLES - 1)
-    u = low[:, None] + step[:, None] * np.arange(SAMPLES)
+    step = (high - low) / (WINDOW_SAMPLES - 1)
+    u = low[:, None] + step[:, None] * np.arange(WINDOW_SAMPLES)
     u = np.clip(u, -part.radius, part.radius)
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
     z, zx, zy = part.surface.evaluate(u * cosine, u * sine, 1)
-    table = np.empty((angle.size, 2, SAMPLES))
+    table = np.empty((angle.size, 2, WINDOW_SAMPLES))
     table[:, 0] = z + stock
     table[:, 1] = zx * cosine + zy * sine
     return table, low, step

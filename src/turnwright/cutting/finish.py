@@ -1,20 +1,20 @@
-r"""What roughness has beside the shape of the tool: terms that were published, each apart and by its name.
+r"""Contributions to surface roughness other than the tool shape, as separate published models.
 
-**Minimum chip.** An edge that is not infinitely sharp cuts no chip below some thickness :math:`t_m`: it slides over
-such material, which springs back. Behind each cusp the chip begins at zero, so a strip of
-:math:`d = R\,t_m / f` stays as the turn before has left it, and the cusps of a flat become as high as
+**Minimum chip thickness.** An edge that is not infinitely sharp does not cut a chip thinner than :math:`t_m`: it slides
+over the material, which springs back. Behind each cusp the chip begins at zero, so a strip of width
+:math:`d = R\,t_m / f` stays as the previous revolution left it, and the cusps of a flat have the height
 
 .. math:: h = \frac{f^2}{8R} + \frac{t_m}{2} \Bigl(1 + \frac{R\,t_m}{f^2}\Bigr)
 
-[Brammertz1961]_, which `left_standing` gives on any surface: nothing else is assumed there than that thinner chips are
-not cut. It holds for :math:`d \le f/2`; beyond, material stays for several turns.
+[Brammertz1961]_. It holds for :math:`d \le f/2`; beyond that, material stays for several revolutions. `left_standing`
+computes the effect on any surface, with the only assumption that thinner chips are not cut.
 
 **Edge radius.** For an edge of radius r and a friction angle β between tool and work
 :math:`t_m = r\,(1 - \cos(\pi/4 - \beta/2))` [Son2005]_, for ductile metals.
 
-**Vibration** between tool and work adds to the position of the tool before any surface is made.
+**Vibration** between tool and work is added to the position of the tool.
 
-No number of these is known here: each is asked for.
+There are no default values: all parameters must be stated.
 """
 
 from __future__ import annotations
@@ -40,31 +40,30 @@ if TYPE_CHECKING:
 
 __all__ = ["MinimumChip", "Vibration", "cusp_height", "left_standing", "vibrated"]
 
-PER_CYCLE = 72
-"""Points in each cycle of a vibration: between them it is straight, off by less than 0.1 % of the amplitude."""
+POINTS_PER_CYCLE = 72
+"""Points per vibration cycle; linear interpolation is then within 0.1 % of the amplitude."""
 
-MOST_POINTS = 50_000_000
-"""Points of a motion beyond which its vibration is refused."""
+MAX_POINTS = 50_000_000
 
-FEEDS = 6
-"""The strip of a turn that is followed reaches as many feeds to either side, and as many strips left standing."""
+REACH_FEEDS = 6
+"""Half width of the strip of each revolution that is evaluated, in feeds plus widths of the uncut strip."""
 
-NODES = 4001
-"""Places on the edge through which its spline goes."""
+EDGE_NODES = 4001
+"""Nodes of the spline through the edge."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vibration:
-    r"""A relative vibration of tool and work along z, :math:`a \sin(2\pi f t + \varphi)`.
+    r"""Relative vibration of tool and work along z, :math:`a \sin(2\pi f t + \varphi)`.
 
     Parameters
     ----------
     amplitude
-        a, half of what it moves from end to end. [mm]
+        Amplitude a, half of the peak-to-peak motion. [mm]
     frequency_hz
-        f. [Hz]
+        Frequency f. [Hz]
     phase
-        φ at the time 0 of the motion. [rad]
+        Phase φ at time 0 of the motion. [rad]
 
     Raises
     ------
@@ -83,27 +82,27 @@ class Vibration:
         check_angle(self.phase, "the phase of a vibration")
 
     def at(self, time: ArrayLike) -> Floats:
-        """Return how far the tool is lifted at some times. Any shape [s] to [mm]."""
+        """Return the displacement of the tool along z. Any shape [s] to [mm]."""
         turns = self.frequency_hz * np.asarray(time, dtype=np.float64)
         return np.asarray(self.amplitude * np.sin(2 * np.pi * turns + self.phase))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MinimumChip:
-    """The thinnest chip that is cut, and what becomes of thinner ones.
+    """Minimum chip thickness, and elastic recovery of the uncut material.
 
     Parameters
     ----------
     thickness
-        Below it nothing is cut. [mm]
+        Minimum chip thickness t_m; thinner chips are not cut. [mm]
     recovery
-        Share of such material that springs back behind the edge: 1 for all of it, as in [Brammertz1961]_, 0 for
-        material that is pressed down for good.
+        Fraction of the uncut material that springs back behind the edge: 1 for purely elastic material, as in
+        [Brammertz1961]_, 0 for purely plastic material. [1]
 
     Raises
     ------
     InputError
-        If the thickness is not positive, or the share lies outside 0 to 1.
+        If the thickness is not positive, or ``recovery`` is outside 0 to 1.
     """
 
     thickness: float
@@ -116,23 +115,23 @@ class MinimumChip:
 
     @classmethod
     def of_edge(cls, edge_radius: float, friction_angle: float, *, recovery: float = 1.0) -> MinimumChip:
-        r"""Return what an edge of a finite radius leaves uncut.
+        r"""Compute the minimum chip thickness of an edge of finite radius.
 
         .. math:: t_m = r \Bigl(1 - \cos\bigl(\tfrac{\pi}{4} - \tfrac{\beta}{2}\bigr)\Bigr)
 
         Parameters
         ----------
         edge_radius
-            r, of the cutting edge in the plane of the chip's flow; not the nose. [mm]
+            Cutting edge radius r, in the plane of chip flow (not the nose radius). [mm]
         friction_angle
-            β between tool and work, the arc tangent of the friction coefficient. [rad]
+            Friction angle β between tool and work, the arctangent of the friction coefficient. [rad]
         recovery
-            See the class.
+            As for the class. [1]
 
         Raises
         ------
         InputError
-            If the radius is not positive, or the angle is not from 0 to 85 deg.
+            If the radius is not positive, or the angle is outside 0 to 85 deg.
 
         Sources
         -------
@@ -147,35 +146,42 @@ class MinimumChip:
 
 
 def cusp_height(feed: float, nose_radius: float, minimum_chip: float = 0.0, *, curvature: float = 0.0) -> float:
-    r"""Height of the cusps of a round nose over the profile, with what a minimum chip thickness leaves standing.
+    r"""Compute the cusp height of a round nose, including the effect of a minimum chip thickness.
+
+    On a flat
 
     .. math:: h = R - \sqrt{R^2 - x^2}, \quad x = \frac{f}{2} + \frac{t_m (2R - t_m)}{2f}
 
-    on a flat: :math:`f^2/8R` to the first order, and with a minimum chip the formula of Brammertz (see this module). On
-    a profile of curvature κ the centres of two neighbouring passes stand on an arc of radius 1/κ - R, so that without a
-    minimum chip
+    which is :math:`f^2/8R` to first order, and with a minimum chip thickness the formula of Brammertz (see this
+    module). On a profile of curvature κ the nose centres of neighbouring revolutions lie on an arc of radius 1/κ - R,
+    so that without a minimum chip thickness
 
     .. math:: h = R - \sqrt{R^2 - f^2/4} + a - \mathrm{sgn}(a) \sqrt{a^2 - f^2/4}, \quad a = 1/\kappa - R
 
-    which is :math:`f^2 / 8R(1 - \kappa R)` to the first order.
+    which is :math:`f^2 / 8R(1 - \kappa R)` to first order.
 
     Parameters
     ----------
     feed
-        f, advance of the tip, square to the profile's normal. A path along the normal whose contact advances by f
-        advances its tip by f (1 - κR). [mm/rev]
+        Feed f of the tool tip, perpendicular to the surface normal. If the path is compensated along the normal and
+        the contact advances by f, the tip advances by f (1 - κR). [mm/rev]
     nose_radius
-        R. [mm]
+        Tool nose radius R. [mm]
     minimum_chip
-        t_m. [mm]
+        Minimum chip thickness t_m. [mm]
     curvature
-        κ of the profile along the feed, positive where it is concave, up to 0.999/R and 1/(R + f/2). [1/mm]
+        Curvature κ of the profile along the feed, positive where it is concave; at most 0.999/R and 1/(R + f/2). [1/mm]
+
+    Returns
+    -------
+    float
+        Cusp height above the profile. [mm]
 
     Raises
     ------
     InputError
-        If a length is out of range, the nose does not fit the profile, or t_m is so thick that material stays for
-        several turns.
+        If a length is out of range, the nose does not fit the profile, or t_m is so large that material stays for
+        several revolutions.
 
     Sources
     -------
@@ -191,56 +197,56 @@ def cusp_height(feed: float, nose_radius: float, minimum_chip: float = 0.0, *, c
     positive(feed, "feed", "mm per rev")
     positive(nose_radius, "nose_radius", "mm")
     if feed > nose_radius:
-        raise InputError(f"feed is {feed:g} mm per rev, the limit is the nose radius, {nose_radius:g} mm: take less")
-    # Where the nose fits the valley, and on a dome the circles of two passes still cross above it.
-    # In a valley the centres of two passes stand on an arc of radius 1/curvature - R, which is half a feed or more.
-    most = min(0.999 / nose_radius, 1 / (nose_radius + feed / 2))
-    if not -1 / feed <= curvature <= most:
+        raise InputError(f"feed must be at most {nose_radius:g} mm/rev (the nose radius), got {feed:g} mm/rev")
+    # Convex: the circles of neighbouring revolutions must cross. Concave: the nose must fit, and the nose centres lie
+    # on an arc of radius 1/curvature - R, which must be at least half a feed.
+    highest = min(0.999 / nose_radius, 1 / (nose_radius + feed / 2))
+    if not -1 / feed <= curvature <= highest:
         raise InputError(
-            f"curvature is {curvature:g} per mm, the limits are {-1 / feed:g} and {most:g} per mm, -1/feed and almost "
-            "1/(nose_radius + feed/2): take a smaller nose or feed"
+            f"curvature must be {-1 / feed:g} to {highest:g} 1/mm (-1/feed to about 1/(nose_radius + feed/2)), got "
+            f"{curvature:g} 1/mm: reduce the nose radius or the feed"
         )
     square = feed * feed
-    # No longer than until the pass after the next: the strip is half a feed wide.
+    # The uncut strip is at most half a feed wide.
     thickest = square / (nose_radius + np.sqrt(nose_radius**2 - square))
     between(minimum_chip, "minimum_chip", 0.0, thickest, "mm")
-    beside = minimum_chip * (2 * nose_radius - minimum_chip) / (2 * feed)
-    reach = (feed / 2 + beside) ** 2
+    uncut_half_width = minimum_chip * (2 * nose_radius - minimum_chip) / (2 * feed)
+    reach = (feed / 2 + uncut_half_width) ** 2
     cusp = reach / (nose_radius + np.sqrt(nose_radius**2 - reach))
     fits = 1 - curvature * nose_radius
     lift = curvature * square / 4 / (fits + np.sqrt(max(0.0, fits**2 - curvature**2 * square / 4)))
-    sag = curvature * beside**2 / (1 + np.sqrt(1 - (curvature * beside) ** 2))
+    sag = curvature * uncut_half_width**2 / (1 + np.sqrt(1 - (curvature * uncut_half_width) ** 2))
     return float(cusp + lift - sag)
 
 
 def vibrated(motion: Motion, vibration: Vibration) -> Motion:
-    """Return a motion whose Z vibrates, with as many more points as the vibration asks for.
+    """Add a vibration to the Z axis of a motion, with more points to resolve it.
 
     Parameters
     ----------
     motion
-        As the axes move; between its points they move in straight lines.
+        Motion of the axes, linear between its points.
     vibration
-        What is added to Z.
+        Vibration to add to Z.
 
     Raises
     ------
     InputError
-        If the motion states velocities (track it first), or would need more than 50 million points.
+        If the motion states velocities (track it first), or the result would have more than 50 million points.
     """
     if motion.velocity is not None:
         raise InputError(
-            f"the motion states velocities at its {motion.time.size} points, so it is not straight between them: "
-            "track it first, then let it vibrate"
+            f"the motion must be linear between its points, but it states velocities at {motion.time.size} points: "
+            "track it first, then add the vibration"
         )
     time = motion.time
-    longest = 1 / (PER_CYCLE * vibration.frequency_hz)
+    longest = 1 / (POINTS_PER_CYCLE * vibration.frequency_hz)
     parts = np.maximum(np.ceil(np.diff(time) / longest), 1.0)
     total = float(parts.sum()) + 1
-    if total > MOST_POINTS:
+    if total > MAX_POINTS:
         raise InputError(
             f"a vibration of {vibration.frequency_hz:g} Hz over {np.ptp(time):.4g} s needs {total:.3g} points, the "
-            f"limit is {MOST_POINTS:g}: cut the motion to the stretch that matters"
+            f"limit is {MAX_POINTS:g}: shorten the motion"
         )
     count = parts.astype(np.int64)
     first = np.repeat(np.arange(count.size), count)
@@ -263,64 +269,63 @@ def left_standing(
     machine: Machine | None = None,
     progress: Progress | None = None,
 ) -> HeightMap:
-    """Return by how much the surface stands higher because thin chips are not cut.
+    """Compute the material left standing because chips below the minimum thickness are not cut.
 
-    Every turn takes off what lies above the edge where that is as thick as the minimum chip or thicker, measured
-    normal to the edge; the rest stays, in the order in which the turns come.
+    Revolution by revolution, material above the edge is removed where its thickness normal to the edge is at least the
+    minimum chip thickness; otherwise it stays.
 
     Parameters
     ----------
     motion
-        As the axes move.
+        Motion of the axes.
     tool
-        The edge; its plane must go through the axis.
+        Tool, whose rake face must lie in a plane through the axis.
     chip
-        What is not cut.
+        Minimum chip thickness and recovery.
     radius, angle
-        The polar grid. (n_radius,) [mm], (n_angle,) [rad]
+        Polar grid. (n_radius,) [mm], (n_angle,) [rad]
     machine
-        Whose geometric errors act; that of the motion if not given.
+        Machine with its geometric errors; by default that of the motion.
     progress
         Called with (done, total) rows.
 
     Returns
     -------
     HeightMap
-        What is to be added to the surface that `generate_polar` gives; never below 0.
+        Height to add to the surface of `generate_polar`; at least 0. [mm]
 
     Raises
     ------
     InputError
-        If the edge does not lie in a plane through the axis, or the grid does not ascend.
+        If the edge does not lie in a plane through the axis, or the grid is not ascending.
 
     Sources
     -------
-    The model of [Brammertz1961]_, without its flat. Oracle: his formula.
+    The model of [Brammertz1961]_, for any surface. Oracle: his formula on a flat.
     """
     radii, angles = frozen(radius, "radius"), frozen(angle, "angle")
     for name, values in (("radius", radii), ("angle", angles)):
         if not values.size or not (np.diff(values) > 0).all():
-            raise InputError(f"{name} must ascend strictly and hold at least 1 value, it has {values.size}: sort it")
+            raise InputError(f"{name} must be strictly ascending with at least 1 value, got {values.size} values")
     off_plane = np.abs(motion.axes["Y"]).max() if "Y" in motion.axes else 0.0
     if tool.rake != 0 or tool.offset[1] != 0 or off_plane > 0:
         raise InputError(
-            f"the edge does not lie in a plane through the axis (rake {np.rad2deg(tool.rake):g} deg, height error "
-            f"{tool.offset[1]:g} mm, Y up to {off_plane:g} mm), the limit is 0 of each: what is left standing is known "
-            "in that plane only"
+            "rake, tool height error and Y must be 0 for material left standing (the edge must lie in a plane through "
+            f"the axis), got {np.rad2deg(tool.rake):g} deg, {tool.offset[1]:g} mm and {off_plane:g} mm"
         )
-    turns = _Turns(motion, tool, machine, chip)
+    revolutions = _Revolutions(motion, tool, machine, chip)
     extra = np.zeros((angles.size, radii.size))
 
     def work(start: int, stop: int) -> None:
         for row in range(start, stop):
-            extra[row] = turns.above(float(angles[row]), radii)
+            extra[row] = revolutions.excess_height(float(angles[row]), radii)
 
     run_chunks(work, angles.size, 1, progress)
     return HeightMap(z=extra, radius=radii, angle=angles, name="left standing")
 
 
-class _Turns:
-    """The turns of a motion as they follow each other over any azimuth."""
+class _Revolutions:
+    """Revolutions of a motion, in their order at any azimuth."""
 
     def __init__(self, motion: Motion, tool: Tool, machine: Machine | None, chip: MinimumChip) -> None:
         machine = machine or motion.machine
@@ -332,12 +337,12 @@ class _Turns:
         self.x, self.z, self.chip = x, z, chip
         self.edge = _edge(tool)
         strip = tool.nose_radius * chip.thickness / motion.feed
-        self.reach = FEEDS * (motion.feed + strip)
+        self.reach = REACH_FEEDS * (motion.feed + strip)
 
-    def above(self, angle: float, radii: Floats) -> Floats:
-        """Return how much higher the surface is along one azimuth for what is not cut. (n_radius,) [mm]."""
+    def excess_height(self, angle: float, radii: Floats) -> Floats:
+        """Return the height of material left standing along one azimuth. (n_radius,) [mm]."""
         base = angle * self.sense
-        # Turns that pass this azimuth, and those that pass the one opposite with the edge turned round.
+        # Revolutions at this azimuth, and at the opposite one with the edge mirrored.
         low, high = self.c[0], self.c[-1]
         near = base + 2 * np.pi * np.arange(np.ceil((low - base) / (2 * np.pi)), (high - base) / (2 * np.pi) + 1e-12)
         start = np.ceil((low - base - np.pi) / (2 * np.pi))
@@ -366,10 +371,10 @@ class _Turns:
 
 
 def _edge(tool: Tool) -> Callable[[Floats], tuple[Floats, Floats]]:
-    """Return the edge's height and the cosine of its slope, over the distance from the commanded tip."""
+    """Return a function for the height of the edge and the cosine of its slope over the distance from the tip."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - costly to import
 
-    u, _, height = tool.edge(np.linspace(*tool.arc, NODES))
+    u, _, height = tool.edge(np.linspace(*tool.arc, EDGE_NODES))
     spline = CubicSpline(u, height)
     rate = spline.derivative()
     ends = u[[0, -1]]

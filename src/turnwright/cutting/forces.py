@@ -1,13 +1,13 @@
-r"""The forces of a chip: those of every element of the edge, added up along it.
+r"""Cutting forces, integrated over the elements of the edge.
 
-An element of edge over the area dA of the uncut chip feels Kc dA against the cutting direction and Kt dA along its
-normal, in the plane of the edge. On a round nose the normal at the sweep s leans by s, so that
+An element of the edge that cuts the chip area dA takes the force Kc dA against the cutting direction and Kt dA along
+its normal, in the plane of the edge. On a round nose the normal at the sweep s is inclined by s, so that
 
 .. math::
     F_c = \int K_c\,dA, \qquad F_a = \int K_t \cos s\,dA, \qquad F_f = \int K_t \sin s\,dA, \qquad
     dA = t\,(R - t/2)\,ds .
 
-With the usual t = f sin s, dA = t R ds and constant coefficients, up to :math:`\cos S = 1 - d/R`,
+With the approximations t = f sin s and dA = t R ds, and constant coefficients, up to :math:`\cos S = 1 - d/R`,
 
 .. math::
     F_c = K_c f d, \qquad F_a = \tfrac12 K_t R f \sin^2 S, \qquad
@@ -36,27 +36,27 @@ if TYPE_CHECKING:
 
 __all__ = ["CuttingForces", "FlyCut", "ForceHistory", "SlotMill", "chip_forces"]
 
-NODES = 48
-"""Gauss-Legendre nodes on each smooth piece of an edge."""
+EDGE_NODES = 48
+"""Gauss-Legendre nodes on each smooth piece of an edge in a steady cut."""
 
-LINES = 24
-"""The same along a round edge, at every instant of an interrupted cut."""
+CORNER_NODES = 24
+"""Gauss-Legendre nodes along a round corner, at every instant of an interrupted cut."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CuttingForces:
-    """The force on the tool in a steady cut.
+    """Forces on the tool in a steady cut.
 
     Parameters
     ----------
     axial
-        Out of the part, along the axis of a face-turning lathe. [N]
+        Force out of the part, along the spindle axis in face turning. [N]
     feed
-        Against the feed, away from the uncut side. [N]
+        Force against the feed, away from the uncut side. [N]
     cutting
-        Against the motion of the tool over the part. [N]
+        Force against the cutting direction. [N]
     axial_uncertainty, feed_uncertainty, cutting_uncertainty
-        Standard uncertainties from those of the coefficients; ``None`` where nobody states them. [N]
+        Standard uncertainties from those of the coefficients; ``None`` if the material states none. [N]
     """
 
     axial: float
@@ -68,17 +68,17 @@ class CuttingForces:
 
     @property
     def resultant(self) -> float:
-        """Magnitude. [N]."""
+        """Magnitude of the force. [N]."""
         return float(np.sqrt(self.axial**2 + self.feed**2 + self.cutting**2))
 
     @property
     def direction(self) -> tuple[float, float]:
-        """Angle of the resultant above the cutting direction, and of its thrust against the axis. [rad]."""
+        """Angles of the resultant from the cutting direction, and of its thrust from the spindle axis. [rad]."""
         thrust = np.hypot(self.axial, self.feed)
         return float(np.arctan2(thrust, self.cutting)), float(np.arctan2(self.feed, self.axial))
 
     def power(self, speed: float) -> float:
-        """Return what the cut takes at a cutting speed [mm/s]. [mW]."""
+        """Return the cutting power at a cutting speed [mm/s]. [mW]."""
         return self.cutting * positive(speed, "the cutting speed", "mm/s")
 
 
@@ -90,18 +90,18 @@ def chip_forces(
     angle: float = 0.0,
     nominal: bool = False,
 ) -> CuttingForces:
-    """Return the forces of a steady chip.
+    """Compute the forces of a steady cut.
 
     Parameters
     ----------
     chip
-        Of a straight edge, whose thrust is all axial, or of a round nose.
+        Chip of a straight edge, whose thrust is entirely axial, or of a round nose.
     material
-        Whose coefficients count, with the plateau beyond the critical thickness where it has one.
+        Material with force coefficients, and a plateau beyond the critical thickness if it has one.
     rake, angle
         Effective rake and azimuth of the part, for a material that depends on them. [rad]
     nominal
-        Whether a round chip counts as f sin s, as published models take it, and not as thick as it is.
+        Whether to use the approximation f sin s of published models for a round chip, instead of the exact thickness.
 
     Raises
     ------
@@ -120,84 +120,84 @@ def chip_forces(
     """
     if isinstance(chip, OrthogonalChip):
         cutting, thrust = material.coefficients(chip.thickness, rake=rake, angle=angle)
-        return _stated(material, float(thrust) * chip.area, 0.0, float(cutting) * chip.area)
+        return _with_uncertainty(material, float(thrust) * chip.area, 0.0, float(cutting) * chip.area)
     radius = chip.nose_radius
     low, high = chip.sweep
     ends = (0.0, high) if nominal else (low, chip.corner, high)
     limit = None if material.critical is None else float(material.critical.at(rake=rake, angle=angle))
     if material.brittle_plateau and limit is not None:
-        ends = tuple(sorted((*ends, *_reaches(chip, limit, nominal))))
+        ends = tuple(sorted((*ends, *_limit_sweeps(chip, limit, nominal))))
     total = np.zeros(3)
     for first, last in pairwise(ends):
-        s, weight = _gauss(first, last)
+        s, weight = _gauss_legendre(first, last)
         t = chip.nominal(s) if nominal else chip.thickness(s)
         area = t * radius if nominal else t * (radius - t / 2)
         cutting, thrust = material.coefficients(t, rake=rake, angle=angle)
-        taken = weight * area
-        total += (thrust * np.cos(s)) @ taken, (thrust * np.sin(s)) @ taken, cutting @ taken
-    return _stated(material, *(float(one) for one in total))
+        element = weight * area
+        total += (thrust * np.cos(s)) @ element, (thrust * np.sin(s)) @ element, cutting @ element
+    return _with_uncertainty(material, *(float(force) for force in total))
 
 
-def _stated(material: Material, axial: float, feed: float, cutting: float) -> CuttingForces:
-    """Return forces with the uncertainty that the coefficients leave."""
-    shares = [
-        None if one is None or one.uncertainty is None else one.uncertainty / one.value
-        for one in (material.thrust, material.thrust, material.cutting)
+def _with_uncertainty(material: Material, axial: float, feed: float, cutting: float) -> CuttingForces:
+    """Return forces with the uncertainty due to the coefficients."""
+    relative = [
+        None if coefficient is None or coefficient.uncertainty is None else coefficient.uncertainty / coefficient.value
+        for coefficient in (material.thrust, material.thrust, material.cutting)
     ]
     values = (axial, feed, cutting)
-    spread = [None if share is None else share * abs(value) for share, value in zip(shares, values, strict=True)]
+    uncertainty = [None if u is None else u * abs(value) for u, value in zip(relative, values, strict=True)]
     return CuttingForces(
         axial=axial, feed=feed, cutting=cutting,
-        axial_uncertainty=spread[0], feed_uncertainty=spread[1], cutting_uncertainty=spread[2],
+        axial_uncertainty=uncertainty[0], feed_uncertainty=uncertainty[1], cutting_uncertainty=uncertainty[2],
     )  # fmt: skip
 
 
-def _gauss(first: float, last: float, nodes: int = NODES) -> tuple[Floats, Floats]:
-    """Return nodes and weights between two places."""
+def _gauss_legendre(first: float, last: float, nodes: int = EDGE_NODES) -> tuple[Floats, Floats]:
+    """Return Gauss-Legendre nodes and weights of an interval."""
     x, weight = np.polynomial.legendre.leggauss(nodes)
     half = (last - first) / 2
     return (first + last) / 2 + half * x, half * weight
 
 
-def _reaches(chip: RoundChip, limit: float, nominal: bool) -> tuple[float, ...]:
-    """Return where along the edge the chip becomes as thick as the limit, where forces have a bend."""
+def _limit_sweeps(chip: RoundChip, limit: float, nominal: bool) -> tuple[float, ...]:
+    """Return the sweeps at which the chip is as thick as the limit: the forces have a slope discontinuity there."""
     low, high = chip.sweep
     spans = ((0.0, high),) if nominal else ((low, chip.corner), (chip.corner, high))
     at = chip.nominal if nominal else chip.thickness
-    found = []
+    sweeps = []
     for first, last in spans:
-        over = [float(at(place)) > limit for place in (first + 1e-12, last - 1e-12)]
+        over = [float(at(sweep)) > limit for sweep in (first + 1e-12, last - 1e-12)]
         if over[0] == over[1]:
             continue
-        one, other = first, last
+        begin, end = first, last
         for _ in range(80):
-            middle = (one + other) / 2
+            middle = (begin + end) / 2
             if (float(at(middle)) > limit) == over[0]:
-                one = middle
+                begin = middle
             else:
-                other = middle
-        found.append((one + other) / 2)
-    return tuple(found)
+                end = middle
+        sweeps.append((begin + end) / 2)
+    return tuple(sweeps)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForceHistory:
-    """Forces of an interrupted cut over time, as a dynamometer under the part measures them.
+    """Forces of an interrupted cut over time, as measured by a dynamometer under the part.
 
     Parameters
     ----------
     time
-        From the entry of the first tooth. (n,) [s]
+        Time since the entry of the first tooth. (n,) [s]
     angle
-        How far the cutter has turned since. (n,) [rad]
+        Rotation of the cutter since then. (n,) [rad]
     x, y, z
         Force on the part across the feed, along the feed, and into the part. Each (n,) [N]
     thickness
-        Thickest chip in cut at each instant; 0 where no tooth cuts. (n,) [mm]
+        Maximum uncut chip thickness at each instant; 0 where no tooth cuts. (n,) [mm]
     torque
-        Around the axis of the cutter. (n,) [N mm]
+        Torque about the axis of the cutter. (n,) [N mm]
     speed
-        Of the spindle. [rad/s]
+        Spindle speed. [rad/s]
     """
 
     time: Floats
@@ -216,24 +216,26 @@ class ForceHistory:
 
     @property
     def engaged(self) -> float:
-        """Share of the time that a tooth cuts."""
+        """Fraction of the time during which a tooth cuts."""
         return float((self.thickness > 0).mean())
 
     @property
     def power(self) -> Floats:
-        """What the cut takes at each instant. (n,) [mW]."""
+        """Cutting power at each instant. (n,) [mW]."""
         return np.asarray(self.torque * self.speed)
 
 
-Acting = tuple[Floats, Floats, Floats, Floats, Floats]
+ForceColumns = tuple[Floats, Floats, Floats, Floats, Floats]
 """x, y, z, thickness and torque of a `ForceHistory`."""
 
 
-def _turning(acting: Callable[[Floats], Acting], spindle_rpm: float, turns: float, samples: int) -> ForceHistory:
-    """Return the forces of what acts at the angles of a steady spindle."""
+def _sample_history(
+    force_columns: Callable[[Floats], ForceColumns], spindle_rpm: float, turns: float, samples: int
+) -> ForceHistory:
+    """Return the force history at constant spindle speed, from forces over the cutter angle."""
     speed = positive(spindle_rpm, "spindle_rpm", "rev/min") * 2 * np.pi / 60
     turned = 2 * np.pi * np.arange(max(int(positive(turns, "turns", "rev") * samples), 1) + 1) / samples
-    x, y, z, thickness, torque = acting(turned)
+    x, y, z, thickness, torque = force_columns(turned)
     return ForceHistory(
         time=turned / speed, angle=turned, x=x, y=y, z=z, thickness=thickness, torque=torque, speed=speed
     )
@@ -241,37 +243,38 @@ def _turning(acting: Callable[[Floats], Acting], spindle_rpm: float, turns: floa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlotMill(Stated):
-    r"""Milling around an axis normal to the part: a slot of full width, or any arc of it.
+    r"""Milling about an axis normal to the part: a full slot, or any arc of engagement.
 
-    A tooth at the angle :math:`\varphi` from where the full slot begins stands at :math:`(-\cos\varphi, \sin\varphi)`
-    of the cutter, fed toward +y; it cuts along :math:`(\sin\varphi, \cos\varphi)`, and its chip is
+    The cutter is fed toward +y. A tooth at the angle :math:`\varphi` from the start of a full slot has the direction
+    :math:`(-\cos\varphi, \sin\varphi)` from the cutter axis and cuts along :math:`(\sin\varphi, \cos\varphi)`. On the
+    cylindrical wall its chip thickness is
 
     .. math:: t(\varphi) = R + f \sin\varphi - \sqrt{R^2 - f^2\cos^2\varphi} \approx f \sin\varphi
 
-    thick where the wall is upright; on a round corner at the sweep s from the tip that is times sin s. Each tooth
-    presses on the part by Kc along its motion and Kt along its outward normal, so that on an upright wall
-    :math:`F_x = t w (K_c \sin\varphi - K_t \cos\varphi)` across the feed, which peaks at
+    and on a round corner, at the sweep s from the tip, t sin s. Each tooth presses on the part with Kc along its motion
+    and Kt along its outward normal. On the wall the force across the feed is
+    :math:`F_x = t w (K_c \sin\varphi - K_t \cos\varphi)`, with the maximum
     :math:`\tfrac12 f w (K_c + \sqrt{K_c^2 + K_t^2})`.
 
     Parameters
     ----------
     radius
-        Of the cutter. [mm]
+        Radius R of the cutter. [mm]
     feed_per_tooth
-        f. [mm]
+        Feed per tooth f. [mm]
     depth
-        w, along the axis. [mm]
+        Axial depth of cut w. [mm]
     teeth
-        Equally spaced.
+        Number of equally spaced teeth.
     corner_radius
-        0 for a square cutter, up to the radius for a round one. [mm]
+        Corner radius: 0 for a square end mill, up to ``radius`` for a ball end mill. [mm]
     entry, exit
-        Angles at which a tooth begins and ends to cut; 0 and half a turn for a full slot. [rad]
+        Angles at which a tooth enters and leaves the cut; 0 and 180 deg for a full slot. [rad]
 
     Raises
     ------
     InputError
-        If a length is not positive, or the arc of engagement does not lie within half a turn.
+        If a length is not positive, or the arc of engagement is not within 0 to 180 deg.
     """
 
     radius: Length
@@ -289,19 +292,18 @@ class SlotMill(Stated):
         between(self.corner_radius, "corner_radius", 0.0, self.radius, "mm")
         if self.feed_per_tooth >= self.radius:
             raise InputError(
-                f"feed_per_tooth is {self.feed_per_tooth:g} mm on a radius of {self.radius:g} mm: reduce it below that"
+                f"feed_per_tooth must be below {self.radius:g} mm (the radius), got {self.feed_per_tooth:g} mm"
             )
         object.__setattr__(self, "teeth", whole_number(self.teeth, "teeth", 1))
         for name in ("entry", "exit"):
             check_angle(getattr(self, name), name, 0.0, np.pi + 1e-12)
         if not self.entry < self.exit:
             raise InputError(
-                f"a tooth cuts from {np.rad2deg(self.entry):g} to {np.rad2deg(self.exit):g} deg: let entry be before "
-                "exit"
+                f"entry must be before exit, got {np.rad2deg(self.entry):g} deg and {np.rad2deg(self.exit):g} deg"
             )
 
     def thickness(self, angle: Floats | float) -> Floats:
-        """Return the chip on an upright wall where a tooth stands at some angles, 0 where it does not cut. [mm]."""
+        """Return the uncut chip thickness on the wall at tooth angles; 0 where the tooth does not cut. [mm]."""
         phi = np.mod(np.asarray(angle, dtype=np.float64), 2 * np.pi)
         square = (self.feed_per_tooth * np.cos(phi)) ** 2
         t = self.feed_per_tooth * np.sin(phi) + square / (self.radius + np.sqrt(self.radius**2 - square))
@@ -310,46 +312,46 @@ class SlotMill(Stated):
     def forces(
         self, material: Material, *, spindle_rpm: float, turns: float = 1.0, samples: int = 3600
     ) -> ForceHistory:
-        """Return the forces on the part over time.
+        """Compute the forces on the part over time.
 
         Parameters
         ----------
         material
-            Whose coefficients count.
+            Material with force coefficients.
         spindle_rpm
-            [rev/min]
+            Spindle speed. [rev/min]
         turns
-            How long to look; the first tooth enters a full slot at time 0.
+            Revolutions to compute; the first tooth enters a full slot at time 0.
         samples
-            Per turn.
+            Samples per revolution.
         """
-        return _turning(partial(self._acting, material), spindle_rpm, turns, samples)
+        return _sample_history(partial(self._force_columns, material), spindle_rpm, turns, samples)
 
-    def _acting(self, material: Material, turned: Floats) -> Acting:
-        """Return what acts where the cutter has turned so far."""
+    def _force_columns(self, material: Material, turned: Floats) -> ForceColumns:
+        """Return forces, chip thickness and torque at cutter angles."""
         arc = 0.0
         if self.corner_radius:
             arc = float(np.arccos(1 - min(self.depth / self.corner_radius, 1.0)))
-        s, weight = _gauss(0.0, arc, LINES) if arc else (np.empty(0), np.empty(0))
+        s, weight = _gauss_legendre(0.0, arc, CORNER_NODES) if arc else (np.empty(0), np.empty(0))
         wall = max(self.depth - self.corner_radius, 0.0)
-        x, y, z, torque, most = (np.zeros(turned.size) for _ in range(5))
+        x, y, z, torque, thickest = (np.zeros(turned.size) for _ in range(5))
         for tooth in range(self.teeth):
             phi = np.mod(turned - tooth * 2 * np.pi / self.teeth, 2 * np.pi)
             t = self.thickness(phi)
             along, outward, down = _edge_forces(material, t, np.pi / 2, wall)
             for sweep, width in zip(s, weight * self.corner_radius, strict=True):
-                more = _edge_forces(material, t * np.sin(sweep), sweep, width)
-                along, outward, down = along + more[0], outward + more[1], down + more[2]
+                strip = _edge_forces(material, t * np.sin(sweep), sweep, width)
+                along, outward, down = along + strip[0], outward + strip[1], down + strip[2]
             x += along * np.sin(phi) - outward * np.cos(phi)
             y += along * np.cos(phi) + outward * np.sin(phi)
             z += down
             torque += along * self.radius
-            most = np.maximum(most, t if wall else t * np.sin(arc))
-        return x, y, z, most, torque
+            thickest = np.maximum(thickest, t if wall else t * np.sin(arc))
+        return x, y, z, thickest, torque
 
 
 def _edge_forces(material: Material, t: Floats, sweep: float, width: float) -> tuple[Floats, Floats, Floats]:
-    """Return force along the cut, outward and down of a strip of edge whose normal leans by the sweep."""
+    """Return the forces along the cut, outward and down of a strip of the edge at a sweep."""
     if width == 0:
         return np.zeros(t.shape), np.zeros(t.shape), np.zeros(t.shape)
     cutting, thrust = material.coefficients(t)
@@ -359,12 +361,12 @@ def _edge_forces(material: Material, t: Floats, sweep: float, width: float) -> t
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlyCut(Stated):
-    r"""Fly-cutting: one round nose on a swing, fed along the cut, line by line beside each other.
+    r"""Fly-cutting (raster): a round-nose tool on a rotating arm, fed along the cut, in parallel lines.
 
-    At the angle :math:`\varphi` of the swing past its lowest point the nose has risen by :math:`S (1 - \cos\varphi)`
-    and stands that much less than d below the stock; it comes out where nothing is left. The chip there is what the
-    swing before, shifted by :math:`f \sin\varphi` along the swing's radius, and the groove of the line before, a step
-    beside and of full depth, have left:
+    At the angle :math:`\varphi` past its lowest point the nose has risen by :math:`S (1 - \cos\varphi)`, so its depth
+    below the stock is smaller than d by as much; the tool leaves the stock where that depth is 0. The chip is bounded
+    by the previous revolution, shifted by :math:`f \sin\varphi` along the radius of the swing, and by the groove of the
+    previous line, one step to the side and of full depth:
 
     .. math:: t(\varphi, s) = \min\bigl(t_\text{swing}, t_\text{line}\bigr), \qquad
         t_\text{swing} \approx f \sin\varphi \cos s .
@@ -372,20 +374,20 @@ class FlyCut(Stated):
     Parameters
     ----------
     swing
-        S, from the axis of the spindle to the tip. [mm]
+        Swing radius S, from the spindle axis to the tip. [mm]
     nose_radius
-        Of the tool. [mm]
+        Tool nose radius. [mm]
     feed
-        f, along the cut per turn. [mm/rev]
+        Feed f along the cut. [mm/rev]
     step
-        From line to line. [mm]
+        Distance between lines. [mm]
     depth
-        d, of the lowest point below the stock. [mm]
+        Depth of cut d, of the lowest point below the stock. [mm]
 
     Raises
     ------
     InputError
-        If a length is not positive, or lines do not meet below the stock.
+        If a length is not positive, the depth is not below the swing radius, or lines do not meet below the stock.
     """
 
     swing: Length
@@ -400,20 +402,20 @@ class FlyCut(Stated):
             positive(getattr(self, name), name, "mm")
         _ = RoundChip(nose_radius=self.nose_radius, feed=self.step, depth=self.depth)
         if self.depth >= self.swing:
-            raise InputError(f"depth is {self.depth:g} mm on a swing of {self.swing:g} mm: reduce it below that")
+            raise InputError(f"depth must be below {self.swing:g} mm (the swing), got {self.depth:g} mm")
 
     @property
     def exit(self) -> float:
-        """Angle past the lowest point at which the tool comes out of the stock. [rad]."""
+        """Angle past the lowest point at which the tool leaves the stock. [rad]."""
         return float(np.arccos(1 - self.depth / self.swing))
 
     def thickness(self, angle: Floats | float, sweep: Floats | float) -> Floats:
-        """Return the chip at angles of the swing and sweeps on the nose, positive to the uncut side. Broadcast [mm]."""
+        """Return the uncut chip thickness at swing angles and sweeps (positive to the uncut side). Broadcast [mm]."""
         phi, s = np.broadcast_arrays(np.asarray(angle, dtype=np.float64), np.asarray(sweep, dtype=np.float64))
         radius = self.nose_radius
         below = self.depth - self.swing * (1 - np.cos(phi))
-        # Out of the stock, the line before and the swing before, each along the ray from the centre of the nose. The
-        # line before is a groove of full depth, so the nose stands above it by what it has risen.
+        # Thickness to the stock, the previous line and the previous revolution, each along a ray from the nose
+        # centre. The previous line is a groove of full depth, so the nose is above it by its rise.
         risen = self.swing * (1 - np.cos(phi))
         blank = radius - (radius - below) / np.cos(s)
         along = risen * np.cos(s) - self.step * np.sin(s)
@@ -428,28 +430,28 @@ class FlyCut(Stated):
     def forces(
         self, material: Material, *, spindle_rpm: float, turns: float = 1.0, samples: int = 36000
     ) -> ForceHistory:
-        """Return the forces on the part over time: x across the lines, y along the cut, z into the part.
+        """Compute the forces on the part over time: x across the lines, y along the cut, z into the part.
 
         Parameters
         ----------
         material
-            Whose coefficients count.
+            Material with force coefficients.
         spindle_rpm
-            [rev/min]
+            Spindle speed. [rev/min]
         turns
-            How long to look; at time 0 the tool stands opposite the part.
+            Revolutions to compute; at time 0 the tool is opposite the part.
         samples
-            Per turn.
+            Samples per revolution.
         """
-        return _turning(partial(self._acting, material), spindle_rpm, turns, samples)
+        return _sample_history(partial(self._force_columns, material), spindle_rpm, turns, samples)
 
-    def _acting(self, material: Material, turned: Floats) -> Acting:
-        """Return what acts where the swing has turned so far."""
+    def _force_columns(self, material: Material, turned: Floats) -> ForceColumns:
+        """Return forces, chip thickness and torque at swing angles."""
         phi = np.mod(turned, 2 * np.pi) - np.pi
         low = -float(np.arcsin(self.step / (2 * self.nose_radius)))
         high = RoundChip(nose_radius=self.nose_radius, feed=self.step, depth=self.depth).sweep[1]
         s = np.linspace(low, high, 401)
-        x, y, z, torque, most = (np.zeros(turned.size) for _ in range(5))
+        x, y, z, torque, thickest = (np.zeros(turned.size) for _ in range(5))
         cut = np.flatnonzero(np.abs(phi) <= self.exit)
         for start in range(0, cut.size, 2048):
             at = cut[start : start + 2048]
@@ -462,5 +464,5 @@ class FlyCut(Stated):
             y[at] = along * np.cos(phi[at]) + down * np.sin(phi[at])
             z[at] = down * np.cos(phi[at]) - along * np.sin(phi[at])
             torque[at] = along * self.swing
-            most[at] = t.max(axis=1)
-        return x, y, z, most, torque
+            thickest[at] = t.max(axis=1)
+        return x, y, z, thickest, torque

@@ -1,4 +1,4 @@
-"""How much of a cut surface is whole: fracture scatters light, so that what is broken looks dark."""
+"""Area fraction of a cut surface without fracture, from its reflectance: fracture scatters light and looks dark."""
 
 from __future__ import annotations
 
@@ -14,27 +14,29 @@ from turnwright.heightmap import HeightMap
 
 __all__ = ["IntactShare", "ri80"]
 
-TILES = 8
-"""The area is split into so many by so many tiles, whose scatter tells the uncertainty."""
+TILES_PER_SIDE = 8
+"""The scatter over a grid of tiles gives the uncertainty."""
+
+MIN_TILES = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class IntactShare:
-    """The share of an area that reflects as a surface without fracture does.
+    """Fraction of an area that reflects like a surface without fracture.
 
     Parameters
     ----------
     share
-        Of the area, 0 to 1.
+        Intact fraction of the area, 0 to 1. [1]
     uncertainty
-        Standard uncertainty of the share as one of the whole part, from how tiles of the area differ; nan where there
-        are fewer than 4 tiles.
+        Standard uncertainty of ``share`` as an estimate for the whole part, from the scatter between tiles of the
+        area; nan if there are fewer than 4 tiles. [1]
     least
-        Intensity from which a place counts as whole. [the instrument's unit]
+        Intensity above which a point counts as intact. [the instrument's unit]
     intact
-        Which places do; False too where nothing was measured. (ny, nx)
+        Whether each point is intact; False where nothing was measured. (ny, nx)
     measured
-        Share of the map that was measured.
+        Fraction of the map that was measured. [1]
     """
 
     share: float
@@ -45,18 +47,18 @@ class IntactShare:
 
 
 def ri80(intensity: ArrayLike | HeightMap, reference: ArrayLike | float, *, threshold: float = 0.8) -> IntactShare:
-    """Return the share of an area whose reflectance exceeds 80 % of a reference without fracture.
+    """Compute the fraction of an area whose reflectance exceeds 80 % of a reference without fracture.
 
     Parameters
     ----------
     intensity
-        Reflected intensity at even steps, or a map whose values are intensities; nan where nothing was measured. On a
-        polar map every place counts by its area. (ny, nx) [the instrument's unit]
+        Reflected intensity on an even grid, or a map whose values are intensities; nan where nothing was measured. On
+        a polar map points are weighted by their area. (ny, nx) [the instrument's unit]
     reference
-        Intensity of a surface of the same material without fracture under the same light: one number, or a map whose
-        mean is taken. [the same unit]
+        Intensity of a surface of the same material without fracture under the same light: a number, or a map whose
+        mean is used. [the same unit]
     threshold
-        What is to be exceeded, as a share of the reference; 0.8 is the one that gives the measure its name.
+        Threshold over reference intensity; RI80 is named after the default 0.8. [1]
 
     Raises
     ------
@@ -65,7 +67,7 @@ def ri80(intensity: ArrayLike | HeightMap, reference: ArrayLike | float, *, thre
 
     Sources
     -------
-    [Troutman2016]_, RI80. Oracle: maps whose share is made.
+    [Troutman2016]_, RI80. Oracle: maps with a finite fraction.
 
     >>> ri80([[1.0, 0.9, 0.85], [0.5, 0.79, 0.81]], reference=1.0).share.__round__(4)
     0.6667
@@ -73,45 +75,45 @@ def ri80(intensity: ArrayLike | HeightMap, reference: ArrayLike | float, *, thre
     between(threshold, "threshold", 0.0, 1.0, "of the reference")
     values = frozen(intensity.z if isinstance(intensity, HeightMap) else intensity, "intensity", ndim=2, finite=False)
     level = np.asarray(reference.z if isinstance(reference, HeightMap) else reference, dtype=np.float64)
-    known = level[np.isfinite(level)]
-    if not known.size:
-        raise InputError("the reference holds no finite intensity: give that of a surface without fracture")
-    least = threshold * positive(float(known.mean()), "the reference", "of intensity")
+    finite = level[np.isfinite(level)]
+    if not finite.size:
+        raise InputError("the reference holds no finite intensity: state that of a surface without fracture")
+    least = threshold * positive(float(finite.mean()), "the reference", "of intensity")
     valid = ~np.isnan(values)
     if np.isinf(values).any():
         raise InputError(
-            f"{np.count_nonzero(np.isinf(values))} places have an infinite intensity, the limit is 0: put nan where "
+            f"intensity must be finite, got {np.count_nonzero(np.isinf(values))} infinite values: use nan where "
             "nothing was measured"
         )
     if not valid.any():
-        raise InputError(f"none of {values.size} places has an intensity, at least 1 is needed: give a measured map")
+        raise InputError(f"intensity must have at least 1 measured value, got none in {values.size}")
     weight = np.ones(values.shape)
     if isinstance(intensity, HeightMap) and intensity.radius is not None:
         weight = np.broadcast_to(np.abs(intensity.radius), values.shape)
         if not (weight[valid] > 0).any():
-            raise InputError("all measured places lie on the axis, where they have no area: measure farther out")
+            raise InputError("all measured points lie on the axis, where they have no area: measure farther out")
     intact = np.zeros(values.shape, dtype=np.bool_)
     intact[valid] = values[valid] > least
     counted = np.where(valid, weight, 0.0)
     share = float((counted * intact).sum() / counted.sum())
     return IntactShare(
         share=share,
-        uncertainty=_of_tiles(counted, intact, share),
+        uncertainty=_tile_uncertainty(counted, intact, share),
         least=least,
         intact=intact,
         measured=float(valid.mean()),
     )
 
 
-def _of_tiles(counted: Floats, intact: Bools, share: float) -> float:
-    """Return the uncertainty of a ratio of sums over tiles."""
-    rows, columns = (np.minimum(np.arange(n) * min(TILES, n) // n, TILES - 1) for n in counted.shape)
-    number = rows[:, None] * TILES + columns
-    areas = np.bincount(number.ravel(), counted.ravel(), TILES * TILES)
-    wholes = np.bincount(number.ravel(), (counted * intact).ravel(), TILES * TILES)
+def _tile_uncertainty(counted: Floats, intact: Bools, share: float) -> float:
+    """Return the standard uncertainty of a ratio of sums over tiles."""
+    rows, columns = (np.minimum(np.arange(n) * min(TILES_PER_SIDE, n) // n, TILES_PER_SIDE - 1) for n in counted.shape)
+    number = rows[:, None] * TILES_PER_SIDE + columns
+    areas = np.bincount(number.ravel(), counted.ravel(), TILES_PER_SIDE * TILES_PER_SIDE)
+    intact_areas = np.bincount(number.ravel(), (counted * intact).ravel(), TILES_PER_SIDE * TILES_PER_SIDE)
     filled = areas > 0
     count = int(np.count_nonzero(filled))
-    if count < 4:
+    if count < MIN_TILES:
         return float("nan")
-    off = wholes[filled] - share * areas[filled]
+    off = intact_areas[filled] - share * areas[filled]
     return float(np.sqrt(count / (count - 1) * (off**2).sum()) / areas.sum())
